@@ -1,0 +1,89 @@
+// Kinematics over whole focal planes. A row of `arms` is one positioner:
+// centre_x_mm, centre_y_mm, l_alpha_mm, alpha_off_rad, beta_off_rad.
+#include "bind.hpp"
+#include "fiberloom/arm.hpp"
+
+namespace {
+
+using Arms = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
+using Pairs = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+
+fl::Arm arm_at(const Arms &arms, size_t i) {
+    const double *a = arms.data() + 5 * i;
+    return {{a[0], a[1]}, a[2], a[3], a[4]};
+}
+
+fl::Vec2 vec_at(const Pairs &pairs, size_t i) {
+    const double *p = pairs.data() + 2 * i;
+    return {p[0], p[1]};
+}
+
+fl::Angles angles_at(const Pairs &pairs, size_t i) {
+    const double *p = pairs.data() + 2 * i;
+    return {p[0], p[1]};
+}
+
+void same_rows(size_t n, std::initializer_list<size_t> others) {
+    for (size_t m : others)
+        if (m != n) throw nb::value_error("arms, points, angles and targets need the same number of rows");
+}
+
+nb::object forward(Arms arms, Pairs point, Pairs angles) {
+    const size_t n = arms.shape(0);
+    same_rows(n, {point.shape(0), angles.shape(0)});
+    auto xy = new_array<double>({n, 2});
+    for (size_t i = 0; i < n; ++i) {
+        const fl::Vec2 p = fl::forward(arm_at(arms, i), vec_at(point, i), angles_at(angles, i));
+        xy.data()[2 * i] = p.x;
+        xy.data()[2 * i + 1] = p.y;
+    }
+    return xy.cast();
+}
+
+nb::tuple inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
+    const size_t n = arms.shape(0);
+    same_rows(n, {point.shape(0), target.shape(0)});
+    if (limits.shape(0) != 2) throw nb::value_error("limits: [[alpha_min, alpha_max], [beta_min, beta_max]]");
+    const double *l = limits.data();
+    const fl::Limits lim{l[0], l[1], l[2], l[3]};
+    constexpr size_t k = fl::Solutions::max_count;
+    auto angles = new_array<double>({n, k, 2});
+    auto count = new_array<int>({n});
+    auto gap = new_array<double>({n});
+    for (size_t i = 0; i < n; ++i) {
+        const fl::Solutions s = fl::inverse(arm_at(arms, i), vec_at(point, i), vec_at(target, i), lim);
+        for (size_t j = 0; j < k; ++j) {
+            angles.data()[(i * k + j) * 2] = s.angles[j].alpha_rad;
+            angles.data()[(i * k + j) * 2 + 1] = s.angles[j].beta_rad;
+        }
+        count.data()[i] = s.count;
+        gap.data()[i] = s.gap_mm;
+    }
+    return nb::make_tuple(angles.cast(), count.cast(), gap.cast());
+}
+
+nb::object jacobian(Arms arms, Pairs point, Pairs angles) {
+    const size_t n = arms.shape(0);
+    same_rows(n, {point.shape(0), angles.shape(0)});
+    auto out = new_array<double>({n, 2, 2});
+    for (size_t i = 0; i < n; ++i) {
+        const auto j = fl::jacobian(arm_at(arms, i), vec_at(point, i), angles_at(angles, i));
+        std::copy(j.begin(), j.end(), out.data() + 4 * i);
+    }
+    return out.cast();
+}
+
+} // namespace
+
+void bind_geometry(nb::module_ &m) {
+    nb::module_ g = m.def_submodule("geometry", "Kronig 2020, Eq. 1 and 2, row by row.");
+    g.attr("MAX_SOLUTIONS") = fl::Solutions::max_count;
+    g.def("forward", &forward, nb::arg("arms"), nb::arg("point_mm"), nb::arg("angles_rad"),
+          "Focal-plane position (N, 2) in mm of a point on each beta arm. Eq. 1.");
+    g.def("inverse", &inverse, nb::arg("arms"), nb::arg("point_mm"), nb::arg("target_mm"),
+          nb::arg("limits_rad"),
+          "Angles (N, 4, 2) in rad inside the limits, how many of the four hold, and how far in mm "
+          "each target lies outside the annulus of its arms. Eq. 2, both elbows.");
+    g.def("jacobian", &jacobian, nb::arg("arms"), nb::arg("point_mm"), nb::arg("angles_rad"),
+          "d(x, y)/d(alpha, beta), (N, 2, 2) in mm/rad.");
+}

@@ -1,0 +1,51 @@
+/* The hardware port: everything a board must provide to a positioner, and nothing else.
+ *
+ * A port is a struct of functions and a context. All functions are called from the 2 kHz control
+ * interrupt (fl_positioner_tick) or from fl_positioner_receive, never concurrently; none may block.
+ */
+#ifndef FL_PORT_H
+#define FL_PORT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { FL_ALPHA = 0, FL_BETA = 1, FL_AXES = 2 };
+
+#define FL_TICK_HZ 2000
+#define FL_TICK_S 0.0005f
+#define FL_HALL_ADC_MAX 4095 /* 12 bit, counts */
+
+/* A classic CAN frame with a 29-bit identifier. */
+typedef struct fl_can_frame {
+    uint32_t id;
+    uint8_t len; /* 0..8 */
+    uint8_t data[8];
+} fl_can_frame_t;
+
+typedef struct fl_port {
+    void *ctx;
+
+    /* The two analogue hall channels of an axis in ADC counts, sampled at the start of the tick. */
+    void (*read_hall)(void *ctx, int axis, uint16_t adc_cnt[2]);
+
+    /* Average voltage of the phases A, B, C as fractions [0, 1] of u_dc, held until the next call.
+     * {0, 0, 0} is off (all phases at ground: the coils brake, they do not drive). */
+    void (*set_phases)(void *ctx, int axis, const float duty[3]);
+
+    /* Queues a frame for the bus. False when the mailbox is full: the firmware tries again. */
+    bool (*send_frame)(void *ctx, const fl_can_frame_t *frame);
+
+    /* Non-volatile storage, byte addressed. Return the number of bytes transferred. A write may be
+     * cut short by a power loss at any byte. */
+    uint32_t (*storage_read)(void *ctx, uint32_t offset, void *bytes, uint32_t len);
+    uint32_t (*storage_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+} fl_port_t;
+
+#ifdef __cplusplus
+}
+#endif
+#endif

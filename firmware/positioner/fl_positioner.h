@@ -1,0 +1,59 @@
+/* A positioner: two axes, a supervisor and a CAN node, driven through the hardware port only. */
+#ifndef FL_POSITIONER_H
+#define FL_POSITIONER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "fl_params.h"
+#include "fl_port.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Visible, so that it can be placed, copied and inspected; only the functions below change it. */
+typedef struct fl_positioner {
+    fl_port_t port;
+    uint16_t id; /* 1..2047, bits 28..18 of the identifier */
+    fl_axis_params_t params[FL_AXES];
+    uint64_t status;
+} fl_positioner_t;
+
+/* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */
+void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
+                        const fl_axis_params_t params[FL_AXES]);
+
+/* The control interrupt: call every 0.5 ms. */
+void fl_positioner_tick(fl_positioner_t *p);
+
+/* A frame seen on the bus (for whomever it is). Replies go out through port->send_frame. */
+void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);
+
+/* True when ticks change nothing but time: no move, phases off, nothing queued. A simulator may then
+ * leave ticks out; fl_positioner_skip tells how many. */
+bool fl_positioner_at_rest(const fl_positioner_t *p);
+void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
+
+/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set. */
+void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
+
+/* For logs and the scope of a bench: what the control law saw and did in the last tick. */
+typedef struct fl_axis_telemetry {
+    float command_deg;     /* motor angle asked for, relative to the turn counter's zero, folded to the
+                            * last 2^24 of a degree: use differences to measured_deg */
+    float tracking_deg;    /* commanded minus measured motor angle */
+    float speed_rad_s;     /* commanded */
+    float feedback_Nm;     /* PI term, the one Eq. 22 watches */
+    float feedforward_Nm;
+    float voltage;         /* u_cmd / u_dc */
+} fl_axis_telemetry_t;
+fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
+
+/* Measured position in 2^30 per output turn. */
+int32_t fl_positioner_position(const fl_positioner_t *p, int axis);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
