@@ -1,5 +1,5 @@
-"""Errors that are meant for the user."""
+"""Errors that are meant to be read by the person who typed the command."""
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """Bad input: one line that says what is wrong, where, and what to do."""
