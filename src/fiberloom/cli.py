@@ -71,7 +71,9 @@ def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | N
     if layout is None:
         return generate(model, seed, n_positioners=positioners)
     if positioners is not None:
-        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
+        raise InputError(
+            "--positioners goes with a preset; a --layout says itself how many there are"
+        )
     return read_layout(layout, model)
 
 
@@ -83,10 +85,12 @@ def observe(
     moves: Annotated[
         int | None, typer.Option(min=1, help="Blind move + corrections; default: the instrument's.")
     ] = None,
-    correction: Annotated[Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")]
-    = Correction.filtered,
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")]
-    = CameraKind.noise,
+    correction: Annotated[
+        Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
+    ] = Correction.filtered,
+    camera: Annotated[
+        CameraKind, typer.Option(help="Camera images, or a noise model.")
+    ] = CameraKind.noise,
     faults: Annotated[
         str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")
     ] = "",
@@ -97,12 +101,13 @@ def observe(
     positioners: PositionersOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/latest"),
     calibration: Annotated[
-        Path | None, typer.Option(help="Transmission maps; default: calibrate once, then the cache.")
+        Path | None,
+        typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Put fibres on the targets of a list, and say how near each one came."""
-    from fiberloom.operation.session import ObserveRequest, run_observe
+    from fiberloom.commands.observe import ObserveRequest, run_observe
 
     request = ObserveRequest(
         targets=targets,
@@ -134,7 +139,7 @@ def assign(
     as_json: JsonOption = False,
 ) -> None:
     """Choose a target for each positioner; write the configuration as CSV."""
-    from fiberloom.operation.steps import assign_step
+    from fiberloom.commands.steps import assign_step
 
     report = assign_step(_plane(instrument, layout, seed, positioners), targets, seed, out)
     _print_report(report, as_json)
@@ -142,7 +147,9 @@ def assign(
 
 @app.command()
 def plan(
-    start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")],
+    start: Annotated[
+        Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")
+    ],
     goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")],
     instrument: InstrumentOption = "sdssv",
     layout: LayoutOption = None,
@@ -152,7 +159,7 @@ def plan(
     as_json: JsonOption = False,
 ) -> None:
     """Plan collision-free trajectories from one configuration to another."""
-    from fiberloom.operation.steps import plan_step
+    from fiberloom.commands.steps import plan_step
 
     report = plan_step(_plane(instrument, layout, seed, positioners), start, goal, seed, out)
     _print_report(report, as_json)
@@ -169,7 +176,7 @@ def verify(
     as_json: JsonOption = False,
 ) -> None:
     """Check trajectories in continuous time: clearances, limits, speeds, accelerations."""
-    from fiberloom.operation.steps import verify_step
+    from fiberloom.commands.steps import verify_step
 
     report = verify_step(_plane(instrument, layout, seed, positioners), trajectories)
     _print_report(report, as_json)
@@ -187,7 +194,7 @@ def transmission(
     as_json: JsonOption = False,
 ) -> None:
     """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7)."""
-    from fiberloom.operation.session import run_calibrate_transmission
+    from fiberloom.commands.transmission import run_calibrate_transmission
 
     plane = _plane(instrument, layout, seed, positioners)
     report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
@@ -201,18 +208,20 @@ def instruments(
     as_json: JsonOption = False,
 ) -> None:
     """List the presets, or show one."""
-    from fiberloom.operation.steps import instruments_step
+    from fiberloom.commands.steps import instruments_step
 
     _print_report(instruments_step(name), as_json)
 
 
 @app.command()
 def runs(
-    store: Annotated[str, typer.Option(help="SQLite file or database URL.")] = "runs/fiberloom.sqlite",
+    store: Annotated[
+        str, typer.Option(help="SQLite file or database URL.")
+    ] = "runs/fiberloom.sqlite",
     as_json: JsonOption = False,
 ) -> None:
     """Show what was observed, and how it ended."""
-    from fiberloom.operation.steps import runs_step
+    from fiberloom.commands.steps import runs_step
 
     _print_report(runs_step(store), as_json)
 

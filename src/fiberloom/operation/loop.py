@@ -48,6 +48,7 @@ class Move:
     true_mm: Floats | None  # the science fibre (metrology fibre where parked); a twin only
     status: list[Status]
     motion_s: float
+    comparison: bool = False  # not part of the observation: shows what another model would give
 
 
 class Recorder(Protocol):
@@ -111,7 +112,9 @@ class Loop:
         """The focal plane in which those that cannot be trusted stand where they were last seen."""
         stuck = np.array([f not in (None, Status.DARK) for f in self.faults])
         return dataclasses.replace(
-            self.plane, offline=self.plane.offline | stuck, offline_position_deg=self.here_deg.copy()
+            self.plane,
+            offline=self.plane.offline | stuck,
+            offline_position_deg=self.here_deg.copy(),
         )
 
     async def connect(self) -> None:
@@ -121,11 +124,15 @@ class Loop:
             if self.faults[i] is None and int(positioner) not in found:
                 self._fault(i, Status.DEAD, "does not answer on the bus")
         if not found & set(self.plane.positioner_id.tolist()):
-            raise InputError("no positioner of this layout answers on the bus; check power and address")
+            raise InputError(
+                "no positioner of this layout answers on the bus; check power and address"
+            )
         await self._read_positions()
 
     async def _read_positions(self) -> None:
-        ids = [int(p) for p, f in zip(self.plane.positioner_id, self.faults, strict=True) if f is None]
+        ids = [
+            int(p) for p, f in zip(self.plane.positioner_id, self.faults, strict=True) if f is None
+        ]
         wire_deg, ok = await self.client.positions_deg(ids)
         index = self.plane.index_of(ids)[ok]
         self.here_deg[index] = self.maps.to_output(wire_deg[ok], index=index)
@@ -150,7 +157,9 @@ class Loop:
             self.progress("planning")
             planned = plan(plane, self.here_deg, goal_deg, seed=self.settings.seed + attempt)
             self.blocked = self._indices(planned.unreached)
-            self.progress("blind move" if attempt == 0 else f"going round faults, attempt {attempt}")
+            self.progress(
+                "blind move" if attempt == 0 else f"going round faults, attempt {attempt}"
+            )
             label = "blind" if attempt == 0 else f"blind, recovery {attempt}"
             behind = await self._move(1, label, planned, goal_deg, self.maps)
             if not behind.any():
@@ -241,7 +250,9 @@ class Loop:
 
     def _trust_the_camera(self, measured_mm: Floats, seen: Flags) -> None:
         """Whoever is not where it says stands where it is seen."""
-        doubted = np.array([f in (Status.LYING, Status.ASTRAY, Status.DEAD) for f in self.faults]) & seen
+        doubted = (
+            np.array([f in (Status.LYING, Status.ASTRAY, Status.DEAD) for f in self.faults]) & seen
+        )
         index = np.flatnonzero(doubted)
         if len(index):
             found = self.plane.inverse(measured_mm[index], METROLOGY, index=index)
