@@ -1,7 +1,7 @@
 """Tables that people write: CSV, ECSV, FITS. Every complaint names file, row and column."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ class TableFile:
     """A table as read, and where each of its rows came from."""
 
     path: Path
-    columns: dict[str, Sequence[Any]]
+    columns: Mapping[str, Sequence[Any]]
     places: Sequence[str]
     """For each row, how to find it: `line 12` of a text, `row 3` otherwise."""
 
@@ -111,9 +111,7 @@ def read_csv(path: Path) -> TableFile:
             raise InputError(
                 f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns"
             )
-    columns: dict[str, Sequence[Any]] = {}
-    for i, name in enumerate(header):
-        columns[name] = [row[i] for row in rows[1:]]
+    columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
     return TableFile(path, columns, places)
 
 
@@ -140,7 +138,7 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
     except Exception as error:  # astropy raises many kinds for a broken file
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: cannot be read as {kind}: {reason}") from None
-    columns: dict[str, Sequence[Any]] = {n: list(table[n]) for n in table.colnames}
+    columns = {n: list(table[n]) for n in table.colnames}
     return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
 
 
