@@ -2,6 +2,7 @@
 
 from .focal_plane import FocalPlane, Inverse
 from .generate import generate
+from .layout import read_layout, write_layout
 from .load import instrument_names, load_instrument, parse_instrument
 from .model import METROLOGY, Instrument
 
@@ -14,4 +15,6 @@ __all__ = [
     "instrument_names",
     "load_instrument",
     "parse_instrument",
+    "read_layout",
+    "write_layout",
 ]

@@ -265,8 +265,8 @@ def _columns(first: Floats, second: Floats, n: int) -> Floats:
 
 
 def _feed(digest: "hashlib._Hash", name: str, values: NDArray) -> None:
-    # adding 0.0 makes -0.0 and 0.0 the same bytes
-    plain = np.ascontiguousarray(values + 0.0 if values.dtype.kind == "f" else values)
+    # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
+    plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
     digest.update(name.encode())
     if plain.dtype.kind == "U":
         digest.update("\0".join(plain).encode())
