@@ -49,7 +49,8 @@ def judge(
     asked = np.hypot(*(expected_mm - before_mm).T)
     moved = np.hypot(*(measured_mm - before_mm).T)
     return [
-        _judge_one(outcomes[i], bool(seen[i]), miss[i], asked[i], moved[i]) for i in range(len(outcomes))
+        _judge_one(outcomes[i], bool(seen[i]), miss[i], asked[i], moved[i])
+        for i in range(len(outcomes))
     ]
 
 
