@@ -11,6 +11,7 @@ Exact at the knots; the inverse is that of the same polyline; straight on beyond
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import zipfile
@@ -138,11 +139,12 @@ class TransmissionMaps:
 
     def select(self, index: ArrayLike) -> TransmissionMaps:
         """The maps of some positioners, by row."""
+        rows = np.atleast_1d(np.asarray(index))
         return replace(
             self,
-            positioner_id=self.positioner_id[index],
-            wire_deg=self.wire_deg[index],
-            output_deg=self.output_deg[index],
+            positioner_id=self.positioner_id[rows],
+            wire_deg=self.wire_deg[rows],
+            output_deg=self.output_deg[rows],
         )
 
     def rows_of(self, positioner_id: ArrayLike) -> NDArray[np.int64]:
@@ -174,7 +176,8 @@ class TransmissionMaps:
                 )
             part.replace(path)
         except OSError as error:
-            part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                part.unlink()
             raise InputError(
                 f"{path}: cannot write the transmission maps: {error.strerror or error}"
             ) from None
@@ -209,7 +212,7 @@ def load(path: str | Path) -> TransmissionMaps:
     """Reads what save() wrote; anything else is an InputError."""
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             parts = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise InputError(
@@ -231,8 +234,8 @@ def _from_parts(path: Path, parts: dict[str, NDArray]) -> TransmissionMaps:
                 f"{path}: transmission maps of format {found}; this version reads "
                 f"{FORMAT_VERSION}: calibrate again"
             )
-        arrays = [parts[name] for name in ("positioner_id", "wire_deg", "output_deg")]
-        return TransmissionMaps(*arrays, Provenance(**meta))
+        ids, wire, output = (parts[name] for name in ("positioner_id", "wire_deg", "output_deg"))
+        return TransmissionMaps(ids, wire, output, Provenance(**meta))
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise InputError(f"{path}: not a file of transmission maps ({error!r})") from None
     except InputError as error:
