@@ -21,7 +21,8 @@ constexpr size_t firmware_floats = sizeof(fl_axis_params_t) / sizeof(float);
 
 size_t rows_of(size_t size, size_t width, const char *what) {
     if (size % width != 0)
-        throw nb::value_error((std::string(what) + ": rows of " + std::to_string(width) + " numbers").c_str());
+        throw nb::value_error(
+            (std::string(what) + ": rows of " + std::to_string(width) + " numbers").c_str());
     return size / width;
 }
 
@@ -31,14 +32,17 @@ std::vector<Unit> units_of(const Doubles &params, const Doubles &transmission) {
         throw nb::value_error("plant and transmission need the same number of axes");
     std::vector<Unit> units(n);
     for (size_t i = 0; i < n; ++i) {
-        std::memcpy(static_cast<void *>(&units[i].params), params.data() + i * param_doubles, sizeof(PlantParams));
-        std::memcpy(static_cast<void *>(&units[i].transmission), transmission.data() + i * transmission_doubles, sizeof(Transmission));
+        std::memcpy(static_cast<void *>(&units[i].params), params.data() + i * param_doubles,
+                    sizeof(PlantParams));
+        std::memcpy(static_cast<void *>(&units[i].transmission),
+                    transmission.data() + i * transmission_doubles, sizeof(Transmission));
     }
     return units;
 }
 
 Transmission transmission_of(const Input1<double> &row) {
-    if (row.size() != transmission_doubles) throw nb::value_error("transmission: one row of TRANSMISSION_SIZE");
+    if (row.size() != transmission_doubles)
+        throw nb::value_error("transmission: one row of TRANSMISSION_SIZE");
     Transmission t;
     std::memcpy(static_cast<void *>(&t), row.data(), sizeof t);
     return t;
@@ -75,7 +79,8 @@ void write_row(Plant &plant, double *row, int32_t *hall) {
         const AxisState s = plant.state(i);
         const double values[4] = {s.theta_rad, s.momentum_Nms, s.gear_rad, s.output_rad};
         std::copy(values, values + 4, row + 4 * i);
-        for (size_t k = 0; k < 2; ++k) hall[2 * i + k] = plant.group(i / lane_count).hall_cnt[k][i % lane_count];
+        for (size_t k = 0; k < 2; ++k)
+            hall[2 * i + k] = plant.group(i / lane_count).hall_cnt[k][i % lane_count];
     }
 }
 
@@ -91,7 +96,8 @@ void plant_ticks(TestPlant &p, const double *duty, size_t ticks, double *log, in
     }
 }
 
-nb::tuple plant_run(TestPlant &p, const nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu> &duty) {
+nb::tuple plant_run(TestPlant &p,
+                    const nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu> &duty) {
     const size_t n = p.plant.axis_count(), ticks = duty.shape(0);
     if (duty.shape(1) != n || duty.shape(2) != 3) throw nb::value_error("duty: (ticks, axes, 3)");
     auto log = new_array<double>({ticks, n, 4});
@@ -144,12 +150,14 @@ void bind_plant(nb::module_ &m) {
             [](TestPlant *self, Doubles plant, Doubles transmission, Input1<double> output_rad, uint64_t seed,
                const std::string &kernel, int substeps) {
                 const std::vector<double> start(output_rad.data(), output_rad.data() + output_rad.size());
-                new (self) TestPlant{Plant(units_of(plant, transmission), start, seed, kernel.c_str(), substeps)};
+                new (self)
+                    TestPlant{Plant(units_of(plant, transmission), start, seed, kernel.c_str(), substeps)};
             },
             nb::arg("plant"), nb::arg("transmission"), nb::arg("output_rad"), nb::arg("seed") = 0,
             nb::arg("kernel") = "", nb::arg("substeps") = 10)
         .def("run", &plant_run, nb::arg("duty"),
-             "One tick for each row of duties (ticks, n, 3). Returns (ticks, n, 4): motor rad, momentum N m s, "
+             "One tick for each row of duties (ticks, n, 3). Returns (ticks, n, 4): motor rad, momentum N m "
+             "s, "
              "gear rad, output rad after each tick; and hall counts (ticks, n, 2) at its start.")
         .def("push", &plant_push, nb::arg("torque_fraction"),
              "Drives at 90 deg to the true rotor, Eq. 20, with a share [-1, 1] of the supply (ticks, n).")
@@ -159,18 +167,21 @@ void bind_plant(nb::module_ &m) {
                  const AxisState s = p.plant.state(axis);
                  return std::make_tuple(s.theta_rad, s.momentum_Nms, s.gear_rad, s.output_rad);
              })
-        .def("set_state", [](TestPlant &p, size_t axis, double theta_rad, double momentum_Nms,
-                             double gear_rad) { p.plant.set_state(axis, theta_rad, momentum_Nms, gear_rad); },
-             nb::arg("axis"), nb::arg("theta_rad"), nb::arg("momentum_Nms"), nb::arg("gear_rad"))
-        .def("set_external_torque", [](TestPlant &p, size_t axis, double torque_Nm) {
-            p.plant.set_external_torque(axis, torque_Nm);
-        })
+        .def(
+            "set_state",
+            [](TestPlant &p, size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
+                p.plant.set_state(axis, theta_rad, momentum_Nms, gear_rad);
+            },
+            nb::arg("axis"), nb::arg("theta_rad"), nb::arg("momentum_Nms"), nb::arg("gear_rad"))
+        .def("set_external_torque", [](TestPlant &p, size_t axis,
+                                       double torque_Nm) { p.plant.set_external_torque(axis, torque_Nm); })
         .def("backlash_rad", [](TestPlant &p, size_t axis) { return p.plant.backlash_rad(axis); })
         .def_prop_ro("kernel", [](TestPlant &p) { return p.plant.kernel_name(); });
 }
 
 // Truth of the transmission at any output angles: gear angle T- and backlash, both motor rad.
-nb::tuple evaluate_transmission(const Input1<double> &row, double gear_ratio, const Input1<double> &output_rad) {
+nb::tuple evaluate_transmission(const Input1<double> &row, double gear_ratio,
+                                const Input1<double> &output_rad) {
     const Transmission t = transmission_of(row);
     auto gear = new_array<double>({output_rad.size()}), backlash = new_array<double>({output_rad.size()});
     for (size_t i = 0; i < output_rad.size(); ++i) {
@@ -207,7 +218,8 @@ TwinSetup setup_of(const Input1<uint16_t> &ids, const Doubles &plant, const Doub
 
 void twin_init(Twin *self, Input1<uint16_t> ids, Doubles plant, Doubles transmission, Floats firmware,
                Rows2 start_rad, Rows5 arms, Rows5 obstacles, std::tuple<double, double, double> body_mm,
-               uint64_t seed, int threads, bool neighbours, bool skip_resting, int substeps, std::string kernel) {
+               uint64_t seed, int threads, bool neighbours, bool skip_resting, int substeps,
+               std::string kernel) {
     TwinSetup s = setup_of(ids, plant, transmission, firmware, start_rad, arms, obstacles, body_mm);
     s.seed = seed;
     s.threads = threads;
@@ -235,7 +247,8 @@ nb::list twin_run(Twin &twin, uint64_t ticks) {
     }
     nb::list out;
     for (const Reply &r : replies)
-        out.append(nb::make_tuple(r.frame.id, nb::bytes(reinterpret_cast<const char *>(r.frame.data), r.frame.len),
+        out.append(nb::make_tuple(r.frame.id,
+                                  nb::bytes(reinterpret_cast<const char *>(r.frame.data), r.frame.len),
                                   static_cast<double>(r.tick) * tick_s));
     return out;
 }
@@ -279,28 +292,36 @@ void check_axis(int axis) {
 void twin_fault(Twin &twin, size_t index, int axis, const std::string &kind, bool on) {
     check_axis(axis);
     PositionerFaults f = twin.faults(index);
-    if (kind == "dead") f.axes[axis].dead = on;
-    else if (kind == "blocked") f.axes[axis].blocked = on;
-    else if (kind == "lying") f.axes[axis].lying = on;
-    else if (kind == "stuck_hall") f.stuck_hall[axis] = on;
-    else if (kind == "deaf") f.deaf = on;
-    else if (kind == "mute") f.mute = on;
-    else throw nb::value_error(("unknown fault '" + kind + "'").c_str());
+    if (kind == "dead")
+        f.axes[axis].dead = on;
+    else if (kind == "blocked")
+        f.axes[axis].blocked = on;
+    else if (kind == "lying")
+        f.axes[axis].lying = on;
+    else if (kind == "stuck_hall")
+        f.stuck_hall[axis] = on;
+    else if (kind == "deaf")
+        f.deaf = on;
+    else if (kind == "mute")
+        f.mute = on;
+    else
+        throw nb::value_error(("unknown fault '" + kind + "'").c_str());
     twin.set_faults(index, f);
 }
 
 void bind_whole_twin(nb::module_ &m) {
     nb::class_<Twin>(m, "Twin", "Positioners with firmware on a virtual bus.")
         .def("__init__", &twin_init, nb::kw_only(), nb::arg("ids"), nb::arg("plant"), nb::arg("transmission"),
-             nb::arg("firmware"), nb::arg("start_rad"), nb::arg("arms"), nb::arg("obstacles"), nb::arg("body_mm"),
-             nb::arg("seed"), nb::arg("threads"), nb::arg("neighbours"), nb::arg("skip_resting"),
-             nb::arg("substeps"), nb::arg("kernel"))
+             nb::arg("firmware"), nb::arg("start_rad"), nb::arg("arms"), nb::arg("obstacles"),
+             nb::arg("body_mm"), nb::arg("seed"), nb::arg("threads"), nb::arg("neighbours"),
+             nb::arg("skip_resting"), nb::arg("substeps"), nb::arg("kernel"))
         .def("send", &twin_send, nb::arg("id"), nb::arg("data"))
         .def("run", &twin_run, nb::arg("ticks"), "Replies (id, data, time_s) since the last call.")
         .def("outputs_rad", &twin_outputs)
         .def("motors_rad", &twin_motors)
         .def("scope", [](Twin &t, size_t i, int axis, bool on) { check_axis(axis), t.scope(i, axis, on); })
-        .def("take_scope", [](Twin &t, size_t i, int axis) { return check_axis(axis), twin_scope(t, i, axis); })
+        .def("take_scope",
+             [](Twin &t, size_t i, int axis) { return check_axis(axis), twin_scope(t, i, axis); })
         .def("take_touches", &twin_touches)
         .def("fault", &twin_fault, nb::arg("index"), nb::arg("axis"), nb::arg("kind"), nb::arg("on"))
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"))
@@ -312,9 +333,10 @@ void bind_whole_twin(nb::module_ &m) {
              [](Twin &t, size_t i, int axis, const Input1<double> &row) {
                  check_axis(axis), t.set_transmission(i, axis, transmission_of(row));
              })
-        .def("backlash_rad", [](Twin &t, size_t i, int axis) {
-            return t.plant().backlash_rad(2 * i + static_cast<size_t>(axis));
-        })
+        .def("backlash_rad",
+             [](Twin &t, size_t i, int axis) {
+                 return t.plant().backlash_rad(2 * i + static_cast<size_t>(axis));
+             })
         .def("asleep", &Twin::asleep)
         .def_prop_ro("tick", &Twin::tick)
         .def_prop_ro("ticks_run", &Twin::ticks_run)
@@ -325,7 +347,8 @@ void bind_whole_twin(nb::module_ &m) {
 } // namespace
 
 void bind_twin(nb::module_ &m) {
-    nb::module_ t = m.def_submodule("twin", "Physics of whole focal planes with firmware in the loop. SI, rad.");
+    nb::module_ t =
+        m.def_submodule("twin", "Physics of whole focal planes with firmware in the loop. SI, rad.");
     t.attr("PLANT_PARAMS") = plant_params();
     t.attr("KERNELS") = kernel_list();
     t.attr("HARMONIC_ORDERS") = nb::cast(std::vector<int>(harmonic_orders.begin(), harmonic_orders.end()));
@@ -334,10 +357,10 @@ void bind_twin(nb::module_ &m) {
     t.attr("NODES_PER_TURN") = nodes_per_turn;
     t.attr("TICK_S") = tick_s;
     t.attr("SYNC_TICKS") = sync_ticks;
-    t.attr("SCOPE_FIELDS") = nb::make_tuple(
-        "time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm", "duty_a", "duty_b",
-        "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg", "tracking_deg", "command_speed_rad_s", "feedback_Nm",
-        "feedforward_Nm", "voltage");
+    t.attr("SCOPE_FIELDS") =
+        nb::make_tuple("time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm",
+                       "duty_a", "duty_b", "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg",
+                       "tracking_deg", "command_speed_rad_s", "feedback_Nm", "feedforward_Nm", "voltage");
     t.def("transmission", &evaluate_transmission, nb::arg("transmission"), nb::arg("gear_ratio"),
           nb::arg("output_rad"), "Gear angle T- and backlash B, motor rad, at output angles.");
     bind_plant(t);

@@ -27,13 +27,17 @@ inline V nearest(V x) { return (x + round_magic) - round_magic; }
 // sin and cos on [-pi/4, pi/4], fdlibm's minimax polynomials (k_sin.c, k_cos.c): below 1 ulp.
 inline V sin_core(V r, V z) {
     const V u = z * (z * (z * (z * 1.58969099521155010221e-10 - 2.50507602534068634195e-08) +
-                          2.75573137070700676789e-06) - 1.98412698298579493134e-04) + 8.33333333332248946124e-03;
+                          2.75573137070700676789e-06) -
+                     1.98412698298579493134e-04) +
+                8.33333333332248946124e-03;
     return r + r * z * (z * u - 1.66666666666666324348e-01);
 }
 inline V cos_core(V z) {
     const V u = z * (z * (z * (z * (z * -1.13596475577881948265e-11 + 2.08757232129817482790e-09) -
-                               2.75573143513906633035e-07) + 2.48015872894767294178e-05) -
-                     1.38888888888741095749e-03) + 4.16666666666666019037e-02;
+                               2.75573143513906633035e-07) +
+                          2.48015872894767294178e-05) -
+                     1.38888888888741095749e-03) +
+                4.16666666666666019037e-02;
     return 1.0 - (0.5 * z - z * z * u);
 }
 
@@ -68,26 +72,40 @@ inline uint32_t scramble(uint32_t x) {
     return x ^ (x >> 15);
 }
 
-// The sum of four bytes, centred, unit variance: Gaussian enough for ADC noise (ends at 3.5 sigma).
-inline double bell(uint32_t bits) {
-    const int32_t sum = static_cast<int32_t>((bits & 255U) + (bits >> 8 & 255U) + (bits >> 16 & 255U) +
-                                             (bits >> 24)) - 510;
-    return static_cast<double>(sum) * (1.0 / 147.80054127099804);
-}
+// Two noises of unit variance from the four bytes of a word: sums and differences, so uncorrelated,
+// and Gaussian enough for an ADC (they end at 3.5 sigma).
+struct Noise {
+    V a, b;
+};
 
-inline int32_t adc(double level) {
-    const double held = level < 0.0 ? 0.0 : (level > 4095.0 ? 4095.0 : level);
-    return static_cast<int32_t>(held + 0.5);
-}
-
-void sense_hall(AxisGroup &g, uint32_t tick) {
-    for (int i = 0; i < lane_count; ++i) {
-        const uint32_t bits = scramble(g.noise_key[i] + tick * 0x9E3779B9U);
-        const double a = g.hall_offset_a[i] + g.hall_sin_a[i] * g.sine[i];
-        const double b = g.hall_offset_b[i] + (g.hall_cos_b[i] * g.cosine[i] + g.hall_sin_b[i] * g.sine[i]);
-        g.hall_cnt[0][i] = adc(a + g.hall_noise[i] * bell(bits));
-        g.hall_cnt[1][i] = adc(b + g.hall_noise[i] * bell(scramble(bits ^ 0x5bd1e995U)));
+inline Noise noise(const AxisGroup &g, int i, uint32_t tick) {
+    int32_t a[width], b[width];
+    for (int k = 0; k < width; ++k) {
+        const uint32_t bits = scramble(g.noise_key[i + k] + tick * 0x9E3779B9U);
+        const int32_t even = static_cast<int32_t>(bits & 255U) - static_cast<int32_t>(bits >> 16 & 255U);
+        const int32_t odd = static_cast<int32_t>(bits >> 8 & 255U) - static_cast<int32_t>(bits >> 24);
+        a[k] = even + odd;
+        b[k] = even - odd;
     }
+    V va, vb;
+    for (int k = 0; k < width; ++k) va[k] = a[k];
+    for (int k = 0; k < width; ++k) vb[k] = b[k];
+    constexpr double unit = 1.0 / 147.80054127099804; // rms of four bytes
+    return {va * unit, vb * unit};
+}
+
+inline void convert(V level, int32_t *cnt) {
+    const V held = smaller(larger(level, V{}), all(4095.0)) + 0.5;
+    for (int k = 0; k < width; ++k) cnt[k] = static_cast<int32_t>(held[k]);
+}
+
+inline void sense_hall(AxisGroup &g, int i, uint32_t tick, V sine, V cosine) {
+    const Noise n = noise(g, i, tick);
+    const V rms = load(g.hall_noise + i);
+    convert(load(g.hall_offset_a + i) + load(g.hall_sin_a + i) * sine + rms * n.a, g.hall_cnt[0] + i);
+    convert(load(g.hall_offset_b + i) + load(g.hall_cos_b + i) * cosine + load(g.hall_sin_b + i) * sine +
+                rms * n.b,
+            g.hall_cnt[1] + i);
 }
 
 void sense(AxisGroup &g, uint32_t tick) {
@@ -96,26 +114,26 @@ void sense(AxisGroup &g, uint32_t tick) {
         sincos(load(g.theta_rad + i), sine, cosine);
         store(g.sine + i, sine);
         store(g.cosine + i, cosine);
+        sense_hall(g, i, tick, sine, cosine);
     }
-    sense_hall(g, tick);
 }
 
-// A bridge gives 0 to 1 of the supply, in steps of its PWM.
-inline double bridge(float duty, double steps) {
-    const double d = static_cast<double>(duty);
-    const double held = d > 0.0 ? (d < 1.0 ? d : 1.0) : 0.0;
-    return ((held * steps + round_magic) - round_magic) / steps;
+// A bridge gives 0 to 1 of the supply, in whole steps of its PWM; here in steps.
+inline V bridge(const float *duty, V steps) {
+    V d;
+    for (int k = 0; k < width; ++k) d[k] = static_cast<double>(duty[k]);
+    return nearest(smaller(larger(d, V{}), all(1.0)) * steps);
 }
 
 // Torque of three delta coils at standstill, Eq. 16 with 17: (lambda/R) sum u_k cos(theta + k 120 deg).
 void drive(AxisGroup &g) {
-    for (int i = 0; i < lane_count; ++i) {
-        const double a = bridge(g.duty[0][i], g.pwm_steps[i]);
-        const double b = bridge(g.duty[1][i], g.pwm_steps[i]);
-        const double c = bridge(g.duty[2][i], g.pwm_steps[i]);
-        const double ab = b - a, bc = c - b, ca = a - c; // u_AB = u_B - u_A and cyclic
-        g.drive_cos_Nms[i] = g.drive_scale_Nms[i] * (ab - 0.5 * (bc + ca));
-        g.drive_sin_Nms[i] = g.drive_scale_Nms[i] * (0.86602540378443864676 * (ca - bc));
+    for (int i = 0; i < lane_count; i += width) {
+        const V steps = load(g.pwm_steps + i), scale = load(g.drive_scale_Nms + i);
+        const V a = bridge(g.duty[0] + i, steps), b = bridge(g.duty[1] + i, steps),
+                c = bridge(g.duty[2] + i, steps);
+        const V ab = b - a, bc = c - b, ca = a - c; // u_AB = u_B - u_A and cyclic
+        store(g.drive_cos_Nms + i, scale * (ab - 0.5 * (bc + ca)));
+        store(g.drive_sin_Nms + i, scale * (0.86602540378443864676 * (ca - bc)));
     }
 }
 
@@ -125,7 +143,8 @@ struct Motion {
 };
 
 inline Motion load_motion(const AxisGroup &g, int i) {
-    return {load(g.theta_rad + i), load(g.p_Nms + i), load(g.gear_rad + i), load(g.sine + i), load(g.cosine + i)};
+    return {load(g.theta_rad + i), load(g.p_Nms + i), load(g.gear_rad + i), load(g.sine + i),
+            load(g.cosine + i)};
 }
 
 inline void store_motion(AxisGroup &g, int i, const Motion &m) {

@@ -23,7 +23,8 @@ Vec2 away(Vec2 from, Vec2 to, double distance, bool first) {
 
 } // namespace
 
-Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body, std::vector<Give> gives)
+Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
+                       std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
       near_arms_(arms_.size()), near_obstacles_(arms_.size()), next_look_(arms_.size(), 0) {
     find_neighbours();
@@ -62,17 +63,17 @@ double Neighbours::softness_mm_per_N(size_t i, const Angles &angles, const Conta
 }
 
 // J^T F. The depth is that of undeflected gears, so the force is known at once: all springs in series.
-void Neighbours::add(Push &push, size_t i, const Angles &angles, const Contact &c, double other_mm_per_N) const {
-    const double force_N =
-        c.depth_mm / (contact_mm_per_N + softness_mm_per_N(i, angles, c) + other_mm_per_N);
+void Neighbours::add(Push &push, size_t i, const Angles &angles, const Contact &c,
+                     double other_mm_per_N) const {
+    const double force_N = c.depth_mm / (contact_mm_per_N + softness_mm_per_N(i, angles, c) + other_mm_per_N);
     push.torque_Nm[0] += force_N * metres * cross(minus(c.point_mm, arms_[i].centre_mm), c.normal);
     push.torque_Nm[1] +=
         force_N * metres * cross(minus(c.point_mm, elbow(arms_[i], angles.alpha_rad)), c.normal);
 }
 
 // Returns the seconds in which the two cannot touch.
-double Neighbours::meet_arm(size_t i, size_t j, const std::vector<Angles> &angles, const Segment &mine, Push &push,
-                            std::vector<uint32_t> &touched) const {
+double Neighbours::meet_arm(size_t i, size_t j, const std::vector<Angles> &angles, const Segment &mine,
+                            Push &push, std::vector<uint32_t> &touched) const {
     const Closest c = closest_points(mine, segment(j, angles[j]));
     const double gap_mm = c.distance_mm - 2.0 * body_.radius_mm;
     if (gap_mm >= 0.0) return gap_mm / (approach_speed_mm_s(i) + approach_speed_mm_s(j));
@@ -93,7 +94,8 @@ double Neighbours::meet_obstacle(size_t i, size_t k, const Angles &angles, const
     return 0.0;
 }
 
-Push Neighbours::push(size_t i, const std::vector<Angles> &angles, uint64_t tick, std::vector<uint32_t> &touched) {
+Push Neighbours::push(size_t i, const std::vector<Angles> &angles, uint64_t tick,
+                      std::vector<uint32_t> &touched) {
     touched.clear();
     Push push;
     if (tick < next_look_[i]) return push;

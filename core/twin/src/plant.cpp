@@ -17,8 +17,7 @@ const Kernel *kernel_by_name(const std::string &name) {
         if (name.empty() || name == (*k)->name) found = *k;
         known += std::string(" ") + (*k)->name;
     }
-    if (found == nullptr)
-        throw std::invalid_argument("kernel '" + name + "': this machine has" + known);
+    if (found == nullptr) throw std::invalid_argument("kernel '" + name + "': this machine has" + known);
     return found;
 }
 
@@ -39,7 +38,8 @@ void check_params(size_t axis, const PlantParams &params) {
 
 void check(size_t axis, const Unit &unit) {
     check_params(axis, unit.params);
-    if (const char *fault = transmission_fault(unit.transmission, unit.params.gear_ratio)) refuse(axis, fault);
+    if (const char *fault = transmission_fault(unit.transmission, unit.params.gear_ratio))
+        refuse(axis, fault);
 }
 
 // splitmix64: keys of neighbouring axes have nothing in common.
@@ -89,16 +89,16 @@ void Plant::step(size_t group) {
 }
 
 AxisState Plant::state(size_t axis) const {
-    return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms), lane(axis, &AxisGroup::gear_rad),
-            output_rad(axis)};
+    return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms),
+            lane(axis, &AxisGroup::gear_rad), output_rad(axis)};
 }
 
 void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
     lane(axis, &AxisGroup::theta_rad) = theta_rad;
     lane(axis, &AxisGroup::p_Nms) = momentum_Nms;
     lane(axis, &AxisGroup::gear_rad) = gear_rad;
-    axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad,
-                                    axes_[axis].cell.index);
+    axes_[axis].cell =
+        cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
     load_cell(axis);
 }
 
@@ -146,7 +146,8 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].unit.transmission = transmission;
-    axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell.index);
+    const Cell start = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
+    axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
     load_cell(axis);
     configure_stops(axis);
     if (positive) lane(axis, &AxisGroup::theta_rad) = gear_rad + backlash_rad(axis);
@@ -175,7 +176,8 @@ void Plant::configure(size_t axis) {
 void Plant::configure_drive(size_t axis) {
     const PlantParams &p = params(axis);
     const double supply_V = axes_[axis].faults.dead ? 0.0 : p.supply;
-    lane(axis, &AxisGroup::drive_scale_Nms) = h_s_ * p.flux_linkage / p.coil_resistance * supply_V;
+    lane(axis, &AxisGroup::drive_scale_Nms) =
+        h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps;
     lane(axis, &AxisGroup::pwm_steps) = p.pwm_steps;
 }
 
@@ -189,11 +191,13 @@ void Plant::configure_cogging(size_t axis) {
 
 void Plant::configure_gear(size_t axis) {
     const PlantParams &p = params(axis);
-    const double back_emf = 1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance; // coils are always closed
+    const double back_emf =
+        1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance; // coils are always closed
     const double inertia = p.inertia_motor + p.inertia_gear;
     const double free = 0.5 * h_s_ * (back_emf + p.viscous_motor) / p.inertia_motor;
     const double push = 0.5 * h_s_ * (back_emf + p.viscous_motor + p.viscous_gear) / inertia;
-    lane(axis, &AxisGroup::coulomb_motor_Nms) = h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor);
+    lane(axis, &AxisGroup::coulomb_motor_Nms) =
+        h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor);
     lane(axis, &AxisGroup::coulomb_gear_Nms) = h_s_ * p.coulomb_gear;
     lane(axis, &AxisGroup::load_1_Nms) = -h_s_ * p.spring_rate / (p.gear_ratio * p.gear_ratio);
     lane(axis, &AxisGroup::drag_free) = free;
@@ -231,8 +235,8 @@ void Plant::load_cell(size_t axis) {
     const Cell &cell = axes_[axis].cell;
     lane(axis, &AxisGroup::backlash_0_rad) = cell.backlash_0_rad;
     lane(axis, &AxisGroup::backlash_scale) = 1.0 / (1.0 + cell.backlash_1);
-    lane(axis, &AxisGroup::cell_lo_rad) = cell.gear_lo_rad;
-    lane(axis, &AxisGroup::cell_hi_rad) = cell.gear_hi_rad;
+    lane(axis, &AxisGroup::cell_lo_rad) = cell.lo.gear_rad;
+    lane(axis, &AxisGroup::cell_hi_rad) = cell.hi.gear_rad;
 }
 
 // The gear left its cell inside a tick. In positive contact the old cell's B placed it: the new one's
@@ -242,10 +246,11 @@ void Plant::follow_cell(size_t axis) {
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
     const Cell old = axes_[axis].cell;
     const bool positive = theta_rad - gear_rad >= old.backlash_0_rad + old.backlash_1 * gear_rad - 1e-9;
-    axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old.index);
+    axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old);
     load_cell(axis);
     if (positive)
-        gear_rad = (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale);
+        gear_rad =
+            (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale);
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {

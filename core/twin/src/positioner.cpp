@@ -14,7 +14,9 @@ void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
     outbox_ = &outbox;
 }
 
-fl_port_t Positioner::port() { return {this, read_hall, set_phases, send_frame, storage_read, storage_write}; }
+fl_port_t Positioner::port() {
+    return {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+}
 
 void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
     const fl_port_t hardware = port();
@@ -93,7 +95,8 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
     s.motor_rad = state.theta_rad;
     s.gear_rad = state.gear_rad;
     s.output_rad = state.output_rad;
-    s.speed_rad_s = state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
+    s.speed_rad_s =
+        state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
     s.torque_out_Nm = plant.external_torque_Nm(number);
     for (size_t k = 0; k < 3; ++k) s.duty[k] = static_cast<double>(group_->duty[k][lane]);
     for (size_t k = 0; k < 2; ++k) s.hall_cnt[k] = group_->hall_cnt[k][lane];
@@ -130,8 +133,10 @@ uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint3
     const auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
-    if (p.storage_.empty()) std::memset(bytes, 0xff, held); // erased flash
-    else std::memcpy(bytes, p.storage_.data() + offset, held);
+    if (p.storage_.empty())
+        std::memset(bytes, 0xff, held); // erased flash
+    else
+        std::memcpy(bytes, p.storage_.data() + offset, held);
     return held;
 }
 

@@ -26,7 +26,9 @@ class Positioner {
     void attach(Plant &plant, size_t index, Outbox &outbox);
     void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
     void power_cycle();
-    void set_position(const int32_t position_cnt[FL_AXES]) { fl_positioner_set_position(&firmware_, position_cnt); }
+    void set_position(const int32_t position_cnt[FL_AXES]) {
+        fl_positioner_set_position(&firmware_, position_cnt);
+    }
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     void tick_firmware(uint64_t tick);

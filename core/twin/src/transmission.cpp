@@ -12,22 +12,30 @@ constexpr double node_step_rad = two_pi / nodes_per_turn;
 
 // cos and sin of a node angle times an order are entries of one table: no transcendental at run time.
 struct Circle {
-    std::array<double, nodes_per_turn> sine;
+    std::array<Harmonic, nodes_per_turn> point;
     Circle() {
-        for (int i = 0; i < nodes_per_turn; ++i) sine[static_cast<size_t>(i)] = std::sin(node_step_rad * i);
+        for (size_t i = 0; i < nodes_per_turn; ++i) {
+            const double angle = node_step_rad * static_cast<double>(i);
+            point[i] = {std::cos(angle), std::sin(angle)};
+        }
     }
-    double sin_at(int32_t k) const { return sine[static_cast<size_t>(k) & (nodes_per_turn - 1)]; }
-    double cos_at(int32_t k) const { return sin_at(k + nodes_per_turn / 4); }
+    const Harmonic &at(int32_t k) const { return point[static_cast<size_t>(k) & (nodes_per_turn - 1)]; }
 };
 const Circle circle;
 
-double series(const std::array<Harmonic, harmonic_count> &terms, int32_t index) {
-    double sum = 0.0;
-    for (size_t i = 0; i < terms.size(); ++i) {
-        const int32_t k = harmonic_orders[i] * index;
-        sum += terms[i].cos * circle.cos_at(k) + terms[i].sin * circle.sin_at(k);
+// Sums of both series at a node: delta in output rad, backlash in motor rad without its mean.
+struct Sums {
+    double delta_rad = 0.0, backlash_rad = 0.0;
+};
+
+Sums series(const Transmission &t, int32_t index) {
+    Sums sums;
+    for (size_t i = 0; i < harmonic_count; ++i) {
+        const Harmonic &wave = circle.at(harmonic_orders[i] * index);
+        sums.delta_rad += t.delta_rad[i].cos * wave.cos + t.delta_rad[i].sin * wave.sin;
+        sums.backlash_rad += t.backlash_rad[i].cos * wave.cos + t.backlash_rad[i].sin * wave.sin;
     }
-    return sum;
+    return sums;
 }
 
 double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {
@@ -43,16 +51,18 @@ double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {
 Cell between(int32_t index, Node lo, Node hi) {
     const double width = hi.gear_rad - lo.gear_rad;
     const double slope = (hi.backlash_rad - lo.backlash_rad) / width;
-    return {index, lo.gear_rad, hi.gear_rad, node_step_rad * index, node_step_rad / width,
-            lo.backlash_rad - slope * lo.gear_rad, slope};
+    return {
+        index, lo, hi, node_step_rad * index, node_step_rad / width, lo.backlash_rad - slope * lo.gear_rad,
+        slope};
 }
 
 } // namespace
 
 Node transmission_node(const Transmission &t, double gear_ratio, int32_t index) {
     const double theta = node_step_rad * index;
-    const double delta = series(t.delta_rad, index) + wear_at(t.wear, theta);
-    return {gear_ratio * (theta + delta), t.backlash_mean_rad + series(t.backlash_rad, index)};
+    const Sums sums = series(t, index);
+    const double delta = sums.delta_rad + wear_at(t.wear, theta);
+    return {gear_ratio * (theta + delta), t.backlash_mean_rad + sums.backlash_rad};
 }
 
 Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index) {
@@ -60,11 +70,18 @@ Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index) 
                    transmission_node(t, gear_ratio, index + 1));
 }
 
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, int32_t near_index) {
-    Cell cell = transmission_cell(t, gear_ratio, near_index);
-    while (gear_rad >= cell.gear_hi_rad) cell = transmission_cell(t, gear_ratio, cell.index + 1);
-    while (gear_rad < cell.gear_lo_rad) cell = transmission_cell(t, gear_ratio, cell.index - 1);
-    return cell;
+Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near) {
+    int32_t index = near.index;
+    Node lo = near.lo, hi = near.hi;
+    while (gear_rad >= hi.gear_rad) {
+        lo = hi;
+        hi = transmission_node(t, gear_ratio, ++index + 1);
+    }
+    while (gear_rad < lo.gear_rad) {
+        hi = lo;
+        lo = transmission_node(t, gear_ratio, --index);
+    }
+    return between(index, lo, hi);
 }
 
 Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad) {
@@ -72,16 +89,17 @@ Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad)
 }
 
 double gear_of_output(const Cell &cell, double output_rad) {
-    return cell.gear_lo_rad + (output_rad - cell.output_lo_rad) / cell.output_per_gear;
+    return cell.lo.gear_rad + (output_rad - cell.output_lo_rad) / cell.output_per_gear;
 }
 
 double output_of_gear(const Cell &cell, double gear_rad) {
-    return cell.output_lo_rad + (gear_rad - cell.gear_lo_rad) * cell.output_per_gear;
+    return cell.output_lo_rad + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear;
 }
 
 const char *transmission_fault(const Transmission &t, double gear_ratio) {
     // the series repeat every turn, wear does not
-    const bool worn = std::any_of(t.wear.begin(), t.wear.end(), [](const Wear &w) { return w.height_rad != 0.0; });
+    const bool worn =
+        std::any_of(t.wear.begin(), t.wear.end(), [](const Wear &w) { return w.height_rad != 0.0; });
     const int32_t first = worn ? -2 * nodes_per_turn : 0, last = worn ? 2 * nodes_per_turn : nodes_per_turn;
     Node lo = transmission_node(t, gear_ratio, first);
     for (int32_t i = first + 1; i <= last; ++i) {

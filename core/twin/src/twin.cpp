@@ -65,7 +65,8 @@ struct Twin::State {
     bool anybody_awake() const;
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
-        if (i >= positioners.size()) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
+        if (i >= positioners.size())
+            throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
         return positioners[i];
     }
 
@@ -85,8 +86,8 @@ struct Twin::State {
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
-      outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
-      skip_resting(s.skip_resting), seen(s.start), next(s.start), workers(s.threads) {
+      outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
+      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.start), next(s.start), workers(s.threads) {
     boot(s);
     publish(0, positioners.size());
     seen = next;
@@ -168,7 +169,8 @@ void Twin::State::apply_torque(size_t i, const Push &push) {
 }
 
 bool Twin::State::anybody_awake() const {
-    return std::any_of(positioners.begin(), positioners.end(), [](const Positioner &p) { return !p.asleep(); });
+    return std::any_of(positioners.begin(), positioners.end(),
+                       [](const Positioner &p) { return !p.asleep(); });
 }
 
 void Twin::State::run_slice(uint64_t ticks) {

@@ -34,10 +34,17 @@ Rng = np.random.Generator
 BETA_SHARE = 0.1
 """Torques and inertia of the beta axis over alpha's: the ratio of the stiffnesses is 25/337, of the
 motors' diameters 6/12 mm (assumed; the paper prints alpha's only)."""
-SCALED = (
-    "inertia_motor inertia_gear coulomb_motor coulomb_gear viscous_motor viscous_gear cogging_2 "
-    "cogging_4 spring_rate"
-).split()
+SCALED = [
+    "inertia_motor",
+    "inertia_gear",
+    "coulomb_motor",
+    "coulomb_gear",
+    "viscous_motor",
+    "viscous_gear",
+    "cogging_2",
+    "cogging_4",
+    "spring_rate",
+]
 STIFFNESS_NM_PER_RAD = (0.337 / RAD_PER_DEG, 0.025 / RAD_PER_DEG)  # Kronig 2020, Fig. 13
 
 RELATIVE_SD: dict[str, float] = {
@@ -95,7 +102,17 @@ DELTA_AMPLITUDE_RAD = {
     204: (3.6e-4, 3.6e-4),
 }
 # Shape of the backlash, relative; scaled to the extremes drawn from Fig. 10's range.
-BACKLASH_SHAPE = {1: 1.0, 2: 0.55, 3: 0.35, 35: 0.05, 36: 0.22, 37: 0.05, 72: 0.08, 108: 0.04, 204: 0.06}
+BACKLASH_SHAPE = {
+    1: 1.0,
+    2: 0.55,
+    3: 0.35,
+    35: 0.05,
+    36: 0.22,
+    37: 0.05,
+    72: 0.08,
+    108: 0.04,
+    204: 0.06,
+}
 BACKLASH_LOWEST_DEG = (40.0, 70.0)
 BACKLASH_HIGHEST_DEG = (190.0, 250.0)
 
@@ -141,7 +158,9 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
 def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
     for name, value in overrides.items():
         if name not in PLANT_DTYPE.names:
-            raise InputError(f"{where}.{name}: no such plant parameter; see docs/twin.md for the list")
+            raise InputError(
+                f"{where}.{name}: no such plant parameter; see docs/twin.md for the list"
+            )
         record[name] = value
     return record
 
@@ -188,7 +207,9 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
 
 def firmware_truth(plant: np.ndarray) -> dict[str, float]:
     """What a perfect identification of an axis would tell its firmware."""
-    torque_constant = float(plant["flux_linkage"] / plant["coil_resistance"])  # Nm per volt and coil
+    torque_constant = float(
+        plant["flux_linkage"] / plant["coil_resistance"]
+    )  # Nm per volt and coil
     spring_Nm = float(plant["spring_rate"] / GEAR)
     return {
         "hall_offset_a": plant["hall_offset_a"],

@@ -65,7 +65,9 @@ class Twin:
         kernel: str = "",
     ) -> None:
         if len(units) != len(plane):
-            raise InputError(f"twin: {len(units)} units for {len(plane)} positioners; draw them anew")
+            raise InputError(
+                f"twin: {len(units)} units for {len(plane)} positioners; draw them anew"
+            )
         self.plane = plane
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)

@@ -28,7 +28,7 @@ GEAR_DTYPE = np.dtype(
         ("wear", np.float64, (_core.WEAR_COUNT, 3)),  # centre, width, height, output rad
     ]
 )
-assert GEAR_DTYPE.itemsize == 8 * _core.TRANSMISSION_SIZE  # noqa: S101  layout shared with C++
+assert GEAR_DTYPE.itemsize == 8 * _core.TRANSMISSION_SIZE
 
 
 def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
@@ -58,7 +58,12 @@ class Units:
 
     def __post_init__(self) -> None:
         n = len(self.plant)
-        for name, shape in {"plant": (n, 2), "gear": (n, 2), "firmware": (n, 2), "arms": (n, 5)}.items():
+        for name, shape in {
+            "plant": (n, 2),
+            "gear": (n, 2),
+            "firmware": (n, 2),
+            "arms": (n, 5),
+        }.items():
             if getattr(self, name).shape != shape:
                 raise InputError(
                     f"units: {name} has shape {getattr(self, name).shape}, {n} units need {shape}"

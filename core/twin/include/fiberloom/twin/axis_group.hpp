@@ -15,9 +15,9 @@ struct alignas(64) AxisGroup {
     using Lanes = double[lane_count];
 
     // state
-    Lanes theta_rad; // motor
-    Lanes p_Nms;     // momentum of what moves with the rotor
-    Lanes gear_rad;  // motor angle at which negative contact is closed
+    Lanes theta_rad;    // motor
+    Lanes p_Nms;        // momentum of what moves with the rotor
+    Lanes gear_rad;     // motor angle at which negative contact is closed
     Lanes sine, cosine; // of theta, exact at the start of a tick, turned along inside it
 
     // transmission, linear inside the cell: positive contact at gear = (theta - backlash_0) backlash_scale
@@ -26,7 +26,7 @@ struct alignas(64) AxisGroup {
 
     // drive: impulse = drive_sin sin(theta) + drive_cos cos(theta)
     Lanes drive_sin_Nms, drive_cos_Nms;
-    Lanes drive_scale_Nms; // h lambda u_dc / R, zero without supply
+    Lanes drive_scale_Nms; // h lambda u_dc / (R pwm_steps), zero without supply
     Lanes pwm_steps;
 
     // cogging as resistance: c2s sin 2t + c2c cos 2t + (c4s/2) sin 4t + c4c cos 4t
@@ -34,8 +34,8 @@ struct alignas(64) AxisGroup {
 
     // friction, load of the gear (positive pushes to positive angles), drag and inertia
     Lanes coulomb_motor_Nms, coulomb_gear_Nms;
-    Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it, this tick
-    Lanes load_0_Nms, load_1_Nms; // spring and outside torque: load = load_0 + load_1 gear
+    Lanes resist_up_Nms, resist_down_Nms;     // what the gear takes from the rotor that moves it, this tick
+    Lanes load_0_Nms, load_1_Nms;             // spring and outside torque: load = load_0 + load_1 gear
     Lanes stop_lo_rad, stop_hi_rad, stop_Nms; // gear angles; impulse per radian beyond
     Lanes drag_free, drag_free_inverse;       // h d / 2J and 1/(1 + that), rotor alone
     Lanes drag_push, drag_push_inverse;       // rotor with gear

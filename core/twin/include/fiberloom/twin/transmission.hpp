@@ -40,25 +40,25 @@ struct Transmission {
 };
 static_assert(sizeof(Transmission) == (4 * harmonic_count + 1 + 3 * wear_count) * sizeof(double));
 
-// Between two nodes everything is linear in the gear angle.
-struct Cell {
-    int32_t index = 0;                  // node at its lower end, any turn
-    double gear_lo_rad = 0.0, gear_hi_rad = 0.0;
-    double output_lo_rad = 0.0;
-    double output_per_gear = 0.0;       // d theta / d gear
-    double backlash_0_rad = 0.0;        // B = backlash_0 + backlash_1 gear
-    double backlash_1 = 0.0;
+struct Node {
+    double gear_rad = 0.0, backlash_rad = 0.0;
 };
 
-struct Node {
-    double gear_rad, backlash_rad;
+// Between two nodes everything is linear in the gear angle.
+struct Cell {
+    int32_t index = 0; // node at its lower end, any turn
+    Node lo, hi;
+    double output_lo_rad = 0.0;
+    double output_per_gear = 0.0; // d theta / d gear
+    double backlash_0_rad = 0.0;  // B = backlash_0 + backlash_1 gear
+    double backlash_1 = 0.0;
 };
 
 Node transmission_node(const Transmission &t, double gear_ratio, int32_t index);
 Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index);
 
-// The cell that holds a gear angle, sought from a cell near it; an output angle's is known at once.
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, int32_t near_index);
+// The cell that holds a gear angle, sought from a cell of the same gear; an output angle's is known at once.
+Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near);
 Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad);
 
 // T-: gear angle of an output angle, without outside torque.

@@ -7,7 +7,12 @@
 #include <string>
 #include <vector>
 
+// C gives structs and functions the same name; C++ finds that worth a warning
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
 #include "fl_positioner.h"
+#pragma GCC diagnostic pop
+
 #include "fiberloom/twin/neighbours.hpp"
 #include "fiberloom/twin/plant.hpp"
 
@@ -18,11 +23,11 @@ namespace fl::twin {
 inline constexpr uint64_t sync_ticks = 4;
 
 struct TwinSetup {
-    std::vector<uint16_t> ids;             // N, 1..2047, no two alike
-    std::vector<Unit> units;               // 2 N: alpha, beta of each
-    std::vector<fl_axis_params_t> params;  // 2 N: what the firmware believes
-    std::vector<Angles> start;             // N, output angles
-    std::vector<Arm> arms;                 // N, true
+    std::vector<uint16_t> ids;            // N, 1..2047, no two alike
+    std::vector<Unit> units;              // 2 N: alpha, beta of each
+    std::vector<fl_axis_params_t> params; // 2 N: what the firmware believes
+    std::vector<Angles> start;            // N, output angles
+    std::vector<Arm> arms;                // N, true
     std::vector<Obstacle> obstacles;
     Body body;
     bool neighbours = true;
