@@ -84,6 +84,9 @@ def test_rows_can_be_picked():
     np.testing.assert_array_equal(maps.to_wire(theta[[2, 0]], index=[2, 0]), every[[2, 0]])
     np.testing.assert_array_equal(maps.select([2, 0]).to_wire(theta[[2, 0]]), every[[2, 0]])
     np.testing.assert_array_equal(maps.rows_of([12, 7]), [2, 0])
+    path = np.column_stack([np.linspace(0, 90, 7), np.linspace(180, 20, 7)])
+    repeated = maps.to_wire(path, index=np.full(7, 1), direction=POSITIVE)
+    np.testing.assert_array_equal(maps.path_to_wire(1, path, POSITIVE), repeated)
     with pytest.raises(InputError, match="positioner 99"):
         maps.rows_of([7, 99])
 

@@ -100,6 +100,11 @@ class TransmissionMaps:
         """Output angles at wire positions (n, 2) or (n, 2, M), in deg."""
         return self._map(self.wire_deg, self.output_deg, wire_deg, index, direction)
 
+    def path_to_wire(self, row: int, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
+        """A path (M, 2) of one positioner, by row: as to_wire, in one go."""
+        theta = np.asarray(theta_deg, dtype=np.float64).T
+        return self.to_wire(theta[None], index=[row], direction=direction)[0].T
+
     def _map(
         self,
         source: Floats,
