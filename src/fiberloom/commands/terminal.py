@@ -10,7 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 
 class Waiting:
-    """A line with a bar: `say` renames it, `share` fills it (0 to 1)."""
+    """A line with a bar: `say` renames it, `count` fills it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -20,9 +20,9 @@ class Waiting:
         """Name what is being done now."""
         self._progress.update(self._task, description=text, completed=0, total=None)
 
-    def share(self, done: float) -> None:
+    def count(self, done: int, total: int) -> None:
         """Tell how much of it is done."""
-        self._progress.update(self._task, completed=done, total=1.0)
+        self._progress.update(self._task, completed=done, total=total)
 
 
 @contextmanager

@@ -73,6 +73,8 @@ class Axis(Table):
     """Smallest step at the output; 0: continuous."""
     speed_deg_s: Positive
     acceleration_deg_s2: Positive
+    backlash_deg: NotNegative = 0.0
+    """Largest backlash at the output."""
     approach_deg: NotNegative = 0.0
     """Overshoot from which the last move comes, in the negative direction; 0: no such approach."""
 
@@ -87,6 +89,10 @@ class Axis(Table):
             raise ValueError(
                 f"hard_stop_deg {[stop_low, stop_high]} must contain target_range_deg "
                 f"{[low, high]} and the approach of {self.approach_deg} deg above it"
+            )
+        if 0 < self.approach_deg < self.backlash_deg:
+            raise ValueError(
+                f"approach_deg {self.approach_deg} must exceed backlash_deg {self.backlash_deg}"
             )
         if high - low > 720.0:
             raise ValueError(
