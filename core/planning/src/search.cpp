@@ -1,0 +1,185 @@
+#include "search.hpp"
+
+#include <algorithm>
+#include <functional>
+
+namespace fl::planning {
+namespace {
+
+constexpr int stay = 4;
+
+Cell moved(Cell c, int move) { return {c.alpha + move % 3 - 1, c.beta + move / 3 - 1}; }
+
+// How an axis bends around a line it reached by one move and leaves by another (-1, 0, 1 each).
+Bend bend(int in, int out) { return {-in, out}; }
+
+Bends bends_of(int move_in, int move_out) {
+    return {bend(move_in % 3 - 1, move_out % 3 - 1), bend(move_in / 3 - 1, move_out / 3 - 1)};
+}
+
+} // namespace
+
+void Crowd::add(int robot, const Piece &piece, int cost) {
+    const Segment &mid = piece.at[2];
+    const double radius = 0.5 * length(mid.b - mid.a) + piece.sway_mm;
+    entries_.push_back({middle(mid.a, mid.b), radius, &piece, robot, cost});
+}
+
+std::uint32_t Search::id(Place at) const {
+    return static_cast<std::uint32_t>(at.step * ask_.robot->cells() + ask_.robot->index(at.cell));
+}
+
+Search::Place Search::place(std::uint32_t id) const {
+    const int cells = ask_.robot->cells(), width = ask_.robot->alpha().size();
+    const int step = static_cast<int>(id) / cells, cell = static_cast<int>(id) % cells;
+    return {{cell % width, cell / width}, step};
+}
+
+Search::Node &Search::node(std::uint32_t id) {
+    Node &n = nodes_[id];
+    if (n.round != round_) n = {round_, ask_.give_up, stay, false};
+    return n;
+}
+
+int Search::heuristic(Cell c) const {
+    const Cell goal = ask_.robot->goal();
+    return ask_.costs->move * (std::abs(c.alpha - goal.alpha) + std::abs(c.beta - goal.beta));
+}
+
+void Search::push(std::uint32_t id, int cost, int to_go) {
+    const auto total = static_cast<std::uint64_t>(cost + to_go);
+    queue_.push_back(total << 38 | static_cast<std::uint64_t>(std::min(to_go, 1023)) << 28 | id);
+    std::push_heap(queue_.begin(), queue_.end(), std::greater<>());
+}
+
+void Search::begin() {
+    const size_t size = static_cast<size_t>(ask_.robot->cells()) * static_cast<size_t>(ask_.steps + 1);
+    if (nodes_.size() < size) nodes_.resize(size);
+    if (++round_ == 0) { // after 2^32 searches the marks would repeat
+        std::fill(nodes_.begin(), nodes_.end(), Node{});
+        round_ = 1;
+    }
+    queue_.clear();
+    path_.clear();
+    best_ = ask_.give_up;
+    prepare_goal();
+}
+
+// What it costs to stand at the goal from each step to the end.
+void Search::prepare_goal() {
+    const Piece rest = ask_.robot->piece(ask_.robot->goal(), {});
+    goal_cost_.assign(static_cast<size_t>(ask_.steps + 2), 0);
+    for (int step = ask_.steps; step >= 0; --step) {
+        gather_near({ask_.robot->goal(), step});
+        goal_cost_[static_cast<size_t>(step)] = goal_cost_[static_cast<size_t>(step + 1)] + encounters(rest);
+    }
+}
+
+// The neighbours that some step around this cell could meet.
+void Search::gather_near(Place at) {
+    near_.clear();
+    const Segment here = ask_.robot->line(at.cell);
+    const Vec2 centre = middle(here.a, here.b);
+    const double room = ask_.need_mm + ask_.robot->widest_sway_mm();
+    const double radius = 0.5 * length(here.b - here.a) + room;
+    for (const Crowd::Entry &e : ask_.crowd->at(at.step)) {
+        const Vec2 gap = e.centre - centre;
+        const double touch = radius + e.radius_mm;
+        if (dot(gap, gap) >= touch * touch) continue;
+        const double close = room + e.piece->sway_mm;
+        if (squared_distance(here, e.piece->at[2]) < close * close) near_.push_back(&e);
+    }
+}
+
+int Search::encounters(const Piece &step) const {
+    int cost = 0;
+    for (const Crowd::Entry *e : near_)
+        if (!stay_apart(step, *e->piece, ask_.need_mm)) cost += e->cost;
+    return cost;
+}
+
+int Search::encounters(Place at, Bends bends) {
+    return near_.empty() ? 0 : encounters(ask_.robot->piece(at.cell, bends));
+}
+
+int Search::base_cost(Place at, Bends bends) const {
+    const Costs &c = *ask_.costs;
+    const int moves = std::abs(bends.alpha.to) + std::abs(bends.beta.to);
+    const int changes = (bends.alpha.from != -bends.alpha.to) + (bends.beta.from != -bends.beta.to);
+    const int here = c.beta.empty() ? 0 : c.beta[static_cast<size_t>(at.cell.beta)];
+    return c.move * moves + c.bend * changes + here;
+}
+
+// To stand at the goal from here to the end.
+void Search::finish(std::uint32_t from, Place at) {
+    const Node n = node(from);
+    const Bends bends = bends_of(n.move, stay);
+    if (!ask_.robot->clear(at.cell, bends)) return;
+    const int cost =
+        n.cost + base_cost(at, bends) + encounters(at, bends) + goal_cost_[static_cast<size_t>(at.step + 1)];
+    if (cost >= best_) return;
+    best_ = cost;
+    last_ = from;
+}
+
+void Search::relax(std::uint32_t from, Place at, int move) {
+    const Node n = node(from);
+    const Bends bends = bends_of(n.move, move);
+    if (bends.alpha.reverses() || bends.beta.reverses()) return;
+    const Place next{moved(at.cell, move), at.step + 1};
+    const Robot &robot = *ask_.robot;
+    if (!robot.inside(next.cell) || next.step + robot.steps_to_goal(next.cell) > ask_.steps) return;
+    const std::uint32_t to = id(next);
+    const int to_go = heuristic(next.cell);
+    Node &m = node(to);
+    int cost = n.cost + base_cost(at, bends);
+    if (m.closed || cost >= m.cost || cost + to_go >= best_) return;
+    if (!ask_.robot->clear(at.cell, bends)) return;
+    cost += encounters(at, bends);
+    if (cost >= m.cost || cost + to_go >= best_) return;
+    m.cost = cost;
+    m.move = static_cast<std::uint8_t>(move);
+    push(to, cost, to_go);
+}
+
+void Search::expand(std::uint32_t from) {
+    ++expansions_;
+    const Place at = place(from);
+    gather_near(at);
+    if (at.cell == ask_.robot->goal()) finish(from, at);
+    if (at.step == ask_.steps) return;
+    for (int move = 0; move < 9; ++move) relax(from, at, move);
+}
+
+void Search::trace() {
+    path_.assign(static_cast<size_t>(ask_.steps + 1), ask_.robot->goal());
+    Place at = place(last_);
+    while (true) {
+        path_[static_cast<size_t>(at.step)] = at.cell;
+        if (at.step == 0) return;
+        const int back = 8 - node(id(at)).move; // the opposite move
+        at = {moved(at.cell, back), at.step - 1};
+    }
+}
+
+const std::vector<Cell> &Search::run(const Request &request) {
+    ask_ = request;
+    begin();
+    const std::uint32_t first = id({ask_.robot->start(), 0});
+    node(first).cost = 0;
+    push(first, 0, heuristic(ask_.robot->start()));
+    while (!queue_.empty()) {
+        const std::uint64_t top = queue_.front();
+        if (static_cast<int>(top >> 38) >= best_) break;
+        std::pop_heap(queue_.begin(), queue_.end(), std::greater<>());
+        queue_.pop_back();
+        const auto from = static_cast<std::uint32_t>(top & 0xfffffffu);
+        if (node(from).closed) continue;
+        node(from).closed = true;
+        expand(from);
+    }
+    if (best_ < ask_.give_up) trace();
+    return path_;
+}
+
+} // namespace fl::planning
