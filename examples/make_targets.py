@@ -19,7 +19,7 @@ def main() -> None:
     args = parser.parse_args()
     plane = generate(load_instrument(args.instrument), args.seed)
     comments = (
-        f"Random targets over the field of the preset {args.instrument}, in the focal plane. Made by",
+        f"Random targets over the field of the preset {args.instrument}, made by",
         f"python examples/make_targets.py {args.path} --instrument {args.instrument} "
         f"--n {args.n} --seed {args.seed}",
         "fibre: empty means any science fibre; positioner_id: -1 means any positioner",

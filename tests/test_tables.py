@@ -11,6 +11,12 @@ def write(path, text):
     return path
 
 
+def first_column(path):
+    table = read_table(path)
+    table.require("x")
+    return table.numbers("x")
+
+
 def test_csv_with_comments_and_blank_lines(tmp_path):
     table = read_table(write(tmp_path / "a.csv", "# first\n\nx, name\n# second\n1.5, a b \n-2,c\n"))
     assert table.numbers("x").tolist() == [1.5, -2.0]
@@ -50,9 +56,7 @@ def test_ecsv_under_the_name_of_csv(tmp_path):
 def test_what_is_wrong_and_where(tmp_path, text, words):
     path = write(tmp_path / "bad.csv", text)
     with pytest.raises(InputError) as caught:
-        table = read_table(path)
-        table.require("x")
-        table.numbers("x")
+        first_column(path)
     message = str(caught.value)
     assert "bad.csv" in message
     assert "\n" not in message
@@ -63,7 +67,7 @@ def test_what_is_wrong_and_where(tmp_path, text, words):
 @pytest.mark.parametrize("cell", ["1.5", "", "1e400", "x"])
 def test_whole_numbers(tmp_path, cell):
     table = read_table(write(tmp_path / "n.csv", f"n,k\n{cell},1\n"))
-    with pytest.raises(InputError, match="line 2: n = '.*' is not a whole number"):
+    with pytest.raises(InputError, match=r"line 2: n = '.*' is not a whole number"):
         table.integers("n")
 
 

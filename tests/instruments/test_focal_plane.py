@@ -36,8 +36,8 @@ def test_a_fibre_at_a_solution_of_the_inverse_is_on_its_target(plane, seed, fibr
 
 def test_unreachable_targets_have_a_gap_and_no_nan(patch):
     centre = patch.centres_mm
-    far = patch.inverse(centre + [30.0, 0.0], "BOSS")
-    near = patch.inverse(centre + [1.0, 0.0], "BOSS")
+    far = patch.inverse(centre + np.array([30.0, 0.0]), "BOSS")
+    near = patch.inverse(centre + np.array([1.0, 0.0]), "BOSS")
     for found in (far, near):
         assert not found.reachable.any()
         assert np.all(found.alpha_deg == 0)
@@ -49,7 +49,7 @@ def test_unreachable_targets_have_a_gap_and_no_nan(patch):
 
 
 def test_a_missing_fibre_reaches_nothing(patch):
-    found = patch.inverse(patch.centres_mm + [15.0, 0.0], "APOGEE")
+    found = patch.inverse(patch.centres_mm + np.array([15.0, 0.0]), "APOGEE")
     lacks = ~patch.carries("APOGEE")
     assert lacks.any()
     assert np.all(np.isinf(found.gap_mm[lacks]))

@@ -29,7 +29,7 @@ def test_sdssv_is_the_instrument_of_table_1(sdssv):
     assert sdssv.alpha.gear == 1024
     assert sdssv.science_fibres == ("BOSS", "APOGEE")
     inner, outer = sdssv.reach_mm
-    # Kronig 2020, Section 2: l_a + l_b = pitch, so that a positioner reaches its neighbours' centres
+    # Kronig 2020, Section 2: l_a + l_b = pitch, to reach the centres of the neighbours
     assert outer == pytest.approx(22.37, abs=0.01)
     assert inner == pytest.approx(7.57, abs=0.01)
 
