@@ -17,6 +17,8 @@ from fiberloom.bus.transport import Frame, Transport
 
 # A transport whose clock has not moved after this many empty receives will never reach a deadline.
 _STANDSTILL_LIMIT = 1000
+# A transport may count in ticks: less than this could be no time at all for it.
+_SHORTEST_WAIT_S = 1e-3
 
 
 class _Waiter:
@@ -193,7 +195,8 @@ class Exchange:
         # no longer than the most impatient of those who wait
         before_s = self.time_s
         try:
-            frames = await self.transport.receive(max(min(self._deadlines) - before_s, 0.0))
+            left_s = min(self._deadlines) - before_s
+            frames = await self.transport.receive(max(left_s, _SHORTEST_WAIT_S))
         except OSError as error:
             self.lost = str(error) or type(error).__name__
             return
