@@ -220,15 +220,14 @@ class Exchange:
                 waiter.missing -= 1
 
     def _dispatch_other(self, frame: Frame) -> None:
-        try:
-            identifier = decode(frame[0])
-        except ValueError:
+        """Replies to broadcasts, collisions, and what nobody waits for."""
+        number = frame[0]
+        positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
+        if not 0 < positioner <= MAX_POSITIONER:
             self.strays += 1
-            return
-        broadcast = self._broadcasts.get(identifier.command)
-        if identifier.command == Command.COLLISION_DETECTED:
-            self.on_unsolicited(identifier, frame)
-        elif broadcast is not None and identifier.uid == 0 and identifier.positioner != 0:
-            broadcast.take(identifier.positioner, frame)
+        elif command == Command.COLLISION_DETECTED:
+            self.on_unsolicited(decode(number), frame)
+        elif uid == 0 and (broadcast := self._broadcasts.get(command)) is not None:
+            broadcast.take(positioner, frame)
         else:
             self.strays += 1
