@@ -44,12 +44,10 @@ typedef struct fl_servo_out {
 
 static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_servo_in_t *in,
                                         float direction) {
-    const fl_sincos_t rotor = fl_sincos_cnt(in->rotor_cnt);
-    const float sin2 = 2.0f * rotor.sin * rotor.cos;
-    const float cos2 = 1.0f - 2.0f * rotor.sin * rotor.sin;
+    const fl_sincos_t twice = fl_sincos_cnt(fl_add_i32(in->rotor_cnt, in->rotor_cnt));
     const float motor_rad = (float)in->command_cnt * FL_RAD_PER_CNT;
     return cfg->coulomb * direction - cfg->spring_torque - cfg->spring_rate * motor_rad +
-           cfg->cogging_sin * sin2 + cfg->cogging_cos * cos2;
+           cfg->cogging_sin * twice.sin + cfg->cogging_cos * twice.cos;
 }
 
 static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_servo_state_t *st,

@@ -215,15 +215,15 @@ def instruments(
 
 @app.command()
 def runs(
-    store: Annotated[
-        str, typer.Option(help="SQLite file or database URL.")
-    ] = "runs/fiberloom.sqlite",
+    where: Annotated[
+        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
+    ] = "runs",
     as_json: JsonOption = False,
 ) -> None:
     """Show what was observed, and how it ended."""
     from fiberloom.commands.steps import runs_step
 
-    _print_report(runs_step(store), as_json)
+    _print_report(runs_step(where), as_json)
 
 
 def _print_report(report: Any, as_json: bool) -> None:

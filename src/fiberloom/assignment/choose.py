@@ -6,12 +6,14 @@ one neighbour, of which one at most is taken anyway; with these the linear relax
 whole, and HiGHS closes 500 positioners and 1500 targets at the root.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import csr_array, vstack
 
 from ..instruments import FocalPlane
-from .clearance import Bools, Floats, Ints, too_near
+from .clearance import Bools, Floats, Ints, places, too_near
 
 LEVEL_WEIGHT = 10.0
 """One target of a priority level is worth ten of the next lower level."""
@@ -19,6 +21,7 @@ LEVELS_AT_ONCE = 5
 """Levels per solution: weights from 1 to 1e4 keep the sums exact for the solver."""
 MAX_LEVELS = 15
 """More different priorities are put into so many bands of equal size."""
+PAIRS_AT_ONCE = 200_000
 MAX_NODES = 2000
 """Bound on the search, not on time: the same answer on a slow machine."""
 
@@ -28,19 +31,31 @@ def conflicts(
 ) -> tuple[Ints, Ints]:
     """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit. Pairs on
     the same target are left out: they exclude each other anyway."""
-    start = np.searchsorted(positioner, np.arange(plane.n + 1))
-    first, second = [], []
-    for i, j in plane.neighbour_pairs(limit_mm).tolist():
+    all_places = places(segments)
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for a, b in _neighbouring(plane, positioner):
+        other = target[a] != target[b]
+        a, b = a[other], b[other]
+        near = too_near(all_places, a, all_places, b, limit_mm)
+        found.append(np.column_stack([a[near], b[near]]))
+    first, second = np.concatenate(found).T
+    return first, second
+
+
+def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """All pairs of candidates of neighbours, in portions that fit the memory."""
+    start = np.searchsorted(positioner, np.arange(plane.n + 1)).tolist()
+    first, second, size = [], [], 0
+    for i, j in plane.neighbour_pairs(1.0).tolist():
         a, b = np.arange(start[i], start[i + 1]), np.arange(start[j], start[j + 1])
         first.append(np.repeat(a, len(b)))
         second.append(np.tile(b, len(a)))
-    if not first:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    a, b = np.concatenate(first), np.concatenate(second)
-    other = target[a] != target[b]
-    a, b = a[other], b[other]
-    near = too_near(segments[a], segments[b], limit_mm)
-    return a[near], b[near]
+        size += len(a) * len(b)
+        if size > PAIRS_AT_ONCE:
+            yield np.concatenate(first), np.concatenate(second)
+            first, second, size = [], [], 0
+    if first:
+        yield np.concatenate(first), np.concatenate(second)
 
 
 def levels_of(priority: Floats) -> Ints:
@@ -75,7 +90,8 @@ def pack(
     chosen, proven = np.zeros(len(positioner), dtype=bool), True
     top = int(level.max())
     while top >= 0:
-        value: Floats = LEVEL_WEIGHT ** (level - max(top - LEVELS_AT_ONCE + 1, 0))
+        power = level - max(top - LEVELS_AT_ONCE + 1, 0)
+        value = np.power(LEVEL_WEIGHT, power.astype(np.float64))
         value[(level > top) | (value < 1.0)] = 0.0
         result = _solve(value[order], rules)
         proven &= result.status == 0

@@ -5,6 +5,8 @@ approach_deg above on both axes. The way is kept as POSES poses of the centre li
 capsule; `dip_mm` bounds how much nearer two arms can come between poses than at them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,13 +111,12 @@ def obstacle_gap_mm(
 
 def _near_bodies(plane: FocalPlane, positioner: Ints, bodies: Floats) -> tuple[Ints, Ints]:
     """(place, body) pairs that can meet: found once per positioner, then spread to its places."""
-    centre = plane.centres_mm
-    near = np.zeros((plane.n, len(bodies)), dtype=bool)
-    for k, body in enumerate(bodies):
-        near[:, k] = point_segment_mm(centre, body[:4]) < plane.body_reach_mm + body[4] + 1.0
-    near[plane.offline] = False
-    place, hit = np.nonzero(near[positioner])
-    return place, hit
+    rows, where = np.unique(positioner, return_inverse=True)
+    centre, reach = plane.centres_mm[rows, None], plane.body_reach_mm[rows, None]
+    near = point_segment_mm(centre, bodies[None, :, :4]) < reach + bodies[:, 4] + 1.0
+    near[plane.offline[rows]] = False
+    place, body = np.nonzero(near[where])
+    return place, body
 
 
 def pair_distance_mm(first: Floats, second: Floats) -> Floats:
@@ -124,32 +125,48 @@ def pair_distance_mm(first: Floats, second: Floats) -> Floats:
     return segment_mm(first[:, :, None], second[:, None, :]).min(axis=(1, 2))
 
 
-def too_near(first: Floats, second: Floats, limit_mm: float) -> Bools:
-    """(P,) do places (P, POSES, 4) come nearer than the limit? Cheap for pairs far apart."""
-    middle, reach = _disc(first)
-    other, other_reach = _disc(second)
-    gap = np.linalg.norm(middle - other, axis=1) - reach - other_reach
-    out = np.zeros(len(first), dtype=bool)
-    near = np.flatnonzero(gap < limit_mm)
-    # the goals decide most pairs; only the rest needs all combinations
-    at_goal = segment_mm(first[near, 0], second[near, 0])
-    out[near] = at_goal < limit_mm
-    travel = _travel(first[near]) + _travel(second[near])
-    open_pairs = near[(at_goal >= limit_mm) & (at_goal - travel < limit_mm)]
-    out[open_pairs] = pair_distance_mm(first[open_pairs], second[open_pairs]) < limit_mm
-    return out
+class Discs(NamedTuple):
+    """For each place: a disc that holds its centre line in all poses, and how far an end moves."""
+
+    middle: Floats
+    """(C, 2)."""
+    radius: Floats
+    travel: Floats
 
 
-def _disc(segments: Floats) -> tuple[Floats, Floats]:
-    """Middle and radius of a disc that holds the goal pose and all others."""
-    middle = (segments[:, 0, :2] + segments[:, 0, 2:]) / 2
-    half = np.linalg.norm(segments[:, 0, 2:] - segments[:, 0, :2], axis=1) / 2
-    return middle, half + _travel(segments)
-
-
-def _travel(segments: Floats) -> Floats:
-    """How far an end of the segment is from where it is at the goal, at most."""
+def discs(segments: Floats) -> Discs:
+    """Discs around places (C, POSES, 4)."""
     shift = segments - segments[:, :1]
-    return np.maximum(
-        np.hypot(shift[..., 0], shift[..., 1]), np.hypot(shift[..., 2], shift[..., 3])
-    ).max(axis=1)
+    ends = np.hypot(shift[..., 0], shift[..., 1]), np.hypot(shift[..., 2], shift[..., 3])
+    travel = np.maximum(*ends).max(axis=1)
+    start, end = segments[:, 0, :2], segments[:, 0, 2:]
+    half = np.hypot(*(end - start).T) / 2
+    return Discs((start + end) / 2, half + travel, travel)
+
+
+class Places(NamedTuple):
+    """Places with their discs, ready to be compared many times."""
+
+    segments: Floats
+    discs: Discs
+
+
+def places(segments: Floats) -> Places:
+    """Places (C, POSES, 4)."""
+    return Places(segments, discs(segments))
+
+
+def too_near(first: Places, a: Ints, second: Places, b: Ints, limit_mm: float) -> Bools:
+    """(P,) do first[a] and second[b] come nearer than the limit? Cheap for pairs far apart."""
+    out = np.zeros(len(a), dtype=bool)
+    shift = first.discs.middle[a] - second.discs.middle[b]
+    gap = np.hypot(shift[:, 0], shift[:, 1]) - first.discs.radius[a] - second.discs.radius[b]
+    near = np.flatnonzero(gap < limit_mm)
+    # the goals decide most pairs; only the rest needs all combinations of poses
+    at_goal = segment_mm(first.segments[a[near], 0], second.segments[b[near], 0])
+    out[near] = at_goal < limit_mm
+    travel = first.discs.travel[a[near]] + second.discs.travel[b[near]]
+    rest = near[(at_goal >= limit_mm) & (at_goal - travel < limit_mm)]
+    distance = pair_distance_mm(first.segments[a[rest]], second.segments[b[rest]])
+    out[rest] = distance < limit_mm
+    return out

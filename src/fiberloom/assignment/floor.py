@@ -6,14 +6,15 @@ import numpy as np
 
 from ..instruments import FocalPlane
 from .clearance import (
-    POSES,
     Bools,
     Floats,
     Ints,
     dip_mm,
     obstacles,
     pair_distance_mm,
+    places,
     standing,
+    too_near,
 )
 
 NOBODY = -1
@@ -97,11 +98,9 @@ class Floor:
         neighbours): who would be nearer than the limit to a place (C, POSES, 4)."""
         near = self.neighbours[row]
         near = near[self.placed[near] & ~self.plane.offline[near]]
-        shape = (len(segments), len(near), POSES, 4)
-        mine = np.broadcast_to(segments[:, None], shape).reshape(-1, POSES, 4)
-        theirs = np.broadcast_to(self.segments[near], shape).reshape(-1, POSES, 4)
-        gap = pair_distance_mm(mine, theirs)
-        return near, gap.reshape(shape[:2]) < limit_mm
+        mine, theirs = np.indices((len(segments), len(near))).reshape(2, -1)
+        bad = too_near(places(segments), mine, places(self.segments[near]), theirs, limit_mm)
+        return near, bad.reshape(len(segments), len(near))
 
     def clearance_mm(self) -> Floats:
         """(N,) gap between each arm and the nearest other one, over all poses."""

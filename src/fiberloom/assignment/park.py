@@ -25,11 +25,11 @@ def park(floor: Floor, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int
     while queue:
         row = queue.pop(0)
         goals, segments = _places(floor.plane, row, rules)
-        if not len(goals):
+        near, hit = floor.hits(row, segments, rules.pair_mm)
+        best = _cheapest(floor.plane, row, goals, hit @ worth[near], rules)
+        if best is None:
             _leave_folded(floor, row)
             continue
-        near, hit = floor.hits(row, segments, rules.pair_mm)
-        best = int(np.argmin(hit @ worth[near]))
         for other in near[hit[best]].tolist():
             target = floor.take_away(other)
             if target != NOBODY:
@@ -48,8 +48,15 @@ def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
     segments = sweep(plane, rows, goals, rules.approach_deg)
     gap = obstacle_gap_mm(plane, rows, segments, rules.bodies)
     ok = (gap >= rules.gap_mm) & inside_stops(plane, goals, rules.approach_deg)
-    ok[ok] = can_fold(plane, rows[ok], goals[ok], rules.bodies)
     return goals[ok], segments[ok]
+
+
+def _cheapest(plane: FocalPlane, row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None:
+    """The first of the cheapest places that can be left again."""
+    for k in np.argsort(cost, kind="stable").tolist():
+        if can_fold(plane, np.array([row]), goals[k : k + 1], rules.bodies)[0]:
+            return k
+    return None
 
 
 def _leave_folded(floor: Floor, row: int) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..instruments import FocalPlane
 from .candidates import Block, Candidates, inside_stops
-from .clearance import Floats, Ints, obstacle_gap_mm, too_near
+from .clearance import Floats, Ints, obstacle_gap_mm, places, too_near
 from .escape import can_fold
 from .floor import Floor, Rules
 
@@ -35,5 +35,5 @@ def screen_placed(
     mine = np.repeat(ok, [len(near[row]) for row in found.positioner[ok]])
     others = np.concatenate([*(near[row] for row in found.positioner[ok]), np.empty(0, np.int64)])
     others = others.astype(np.int64)
-    bad = too_near(segments[mine], floor.segments[others], limit_mm)
+    bad = too_near(places(segments), mine, places(floor.segments), others, limit_mm)
     block[np.unique(mine[bad])] = Block.ARM

@@ -24,7 +24,7 @@ from fiberloom.operation.results import Observed, summarise, write_results
 from fiberloom.report.tables import observation_table
 from fiberloom.store import Store
 from fiberloom.targets import TargetList, read_targets
-from fiberloom.twin import build_hardware, draw_units
+from fiberloom.twin import draw_units, field_hardware
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
         maps = calibrated_maps(plane, units, request.seed, wait, path=request.calibration)
         wait.say("assigning targets")
         assignment = assign(plane, targets, seed=request.seed)
-        hardware = build_hardware(
+        hardware = field_hardware(
             plane, units, request.seed, faults=request.faults, camera=request.camera
         )
         observed = _observe(plane, targets, assignment, maps, hardware, request, wait)
@@ -92,7 +92,7 @@ def _observe(
         recorder = StoreRecorder(run, plane, targets, assignment)
         loop = Loop(plane, assignment, maps, hardware, settings, recorder, wait.say)
         asyncio.run(_whole(loop))
-    return Observed(plane, targets, assignment, loop.moves, loop.verified_collisions)
+    return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified)
 
 
 async def _whole(loop: Loop) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.loop import METROLOGY, Move
+from fiberloom.operation.loop import Move
 from fiberloom.operation.status import FAULTS, Status
 from fiberloom.report.focal_plane import plot_errors, plot_focal_plane
 from fiberloom.targets import TargetList
@@ -49,15 +49,6 @@ class Observed:
         xy[has] = np.stack([self.targets.x_mm[chosen], self.targets.y_mm[chosen]], axis=1)
         return xy
 
-    def measured_error_um(self, move: Move) -> Floats:
-        """Seen minus wanted metrology fibre (N,); NaN where there is no target or no light."""
-        wanted = self.plane.forward(
-            self.assignment.alpha_deg, self.assignment.beta_deg, fibre=METROLOGY
-        )
-        seen = np.stack([move.measurement.x_mm, move.measurement.y_mm], axis=1)
-        error = UM_PER_MM * np.hypot(*(seen - wanted).T)
-        return np.where((self.assignment.target >= 0) & move.measurement.seen, error, np.nan)
-
     def true_error_um(self, move: Move) -> Floats | None:
         """True distance of the science fibre from its target (N,); a twin only."""
         if move.true_mm is None:
@@ -67,7 +58,7 @@ class Observed:
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one."""
         true = self.true_error_um(move)
-        return self.measured_error_um(move) if true is None else true
+        return move.measured_error_um if true is None else true
 
     def counted(self, move: Move) -> Flags:
         """Positioners with a target that are healthy."""
@@ -96,7 +87,7 @@ def summarise(observed: Observed) -> dict[str, Any]:
 
 def _summarise_move(observed: Observed, move: Move) -> dict[str, Any]:
     counted = observed.counted(move)
-    measured = observed.measured_error_um(move)[counted]
+    measured = move.measured_error_um[counted]
     true = observed.true_error_um(move)
     error = observed.error_um(move)[counted]
     return {

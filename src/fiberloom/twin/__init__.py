@@ -3,6 +3,7 @@
 from .camera import NoiseCamera
 from .draw import draw_units
 from .faults import Fault, FaultKind
+from .hardware import bench_hardware, field_hardware
 from .transport import TwinTransport
 from .twin import Reply, Twin
 from .units import Units
@@ -15,5 +16,7 @@ __all__ = [
     "Twin",
     "TwinTransport",
     "Units",
+    "bench_hardware",
     "draw_units",
+    "field_hardware",
 ]
