@@ -86,8 +86,7 @@ void fl_positioner_sync(fl_positioner_t *p) {
     const fl_verdict_t verdict = fl_supervisor_match((fl_state_t)p->state, FL_IN_START,
                                                      fl_positioner_conditions(p, FL_AXIS_BOTH_BITS));
     if (verdict.code != FL_ACCEPTED || fl_handle_start(p, NULL, NULL) != FL_ACCEPTED) return;
-    p->state = verdict.next;
-    fl_positioner_refresh(p);
+    fl_positioner_enter(p, verdict.next);
 }
 
 FL_HANDLER(fl_handle_start) {
@@ -95,6 +94,7 @@ FL_HANDLER(fl_handle_start) {
     if (p->state != FL_STATE_LOADED) return FL_ACCEPTED;
     if (!trajectory_good(p)) return FL_INVALID_TRAJECTORY;
     for (int i = 0; i < FL_AXES; ++i) fl_axis_follow(&p->axis[i]);
+    ++p->trajectories;
     return FL_ACCEPTED;
 }
 
@@ -124,16 +124,28 @@ FL_HANDLER(fl_handle_goto) {
     return FL_ACCEPTED;
 }
 
-FL_HANDLER(fl_handle_home) {
+/* Which of the plans that need no target. */
+static void begin(fl_axis_t *a, uint8_t input) {
+    switch (input) {
+    case FL_IN_CALIBRATE_HALL:
+        fl_axis_calibrate_hall(a);
+        break;
+    case FL_IN_CALIBRATE_COGGING:
+        fl_axis_calibrate_cogging(a);
+        break;
+    default:
+        fl_axis_home(a, input == FL_IN_CALIBRATE_DATUM);
+        break;
+    }
+}
+
+FL_HANDLER(fl_handle_calibrate) {
     UNUSED(re);
     drop_paths(p);
-    p->homing = rq->axes;
     for (int i = 0; i < FL_AXES; ++i) {
         if (!(rq->axes >> i & 1)) continue;
-        p->datum_known &= (uint8_t)~(1u << i);
-        fl_axis_home(&p->axis[i]);
+        if (rq->arg == FL_IN_HOME || rq->arg == FL_IN_CALIBRATE_DATUM) p->datum_known &= (uint8_t)~(1u << i);
+        begin(&p->axis[i], rq->arg);
     }
     return FL_ACCEPTED;
 }
-
-void fl_positioner_homed(fl_positioner_t *p) { p->datum_known |= p->homing; }

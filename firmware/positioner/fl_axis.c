@@ -1,5 +1,8 @@
 #include "fl_axis.h"
 
+/* Field speed of the hall calibration: 240 rpm */
+enum { SPIN_STEP_CNT = 2097 };
+
 static const float off[3] = {0.0f, 0.0f, 0.0f};
 
 /* -- plans --------------------------------------------------------------------------------------- */
@@ -64,11 +67,45 @@ void fl_axis_follow(fl_axis_t *a) {
     }
 }
 
-void fl_axis_home(fl_axis_t *a) {
+static int32_t datum(const fl_axis_t *a) { return fl_add_i32(a->law.datum_cnt, a->offset_cnt); }
+
+void fl_axis_home(fl_axis_t *a, bool calibrate) {
     plan_clear(a);
     plan_add(a, FL_LEG_SEARCH, 0);
     plan_add(a, FL_LEG_DATUM, 0);
-    plan_goto(a, a->law.datum_cnt, 0);
+    plan_goto(a, datum(a), 0);
+    a->datum_found = false;
+    a->datum_calibrate = calibrate;
+}
+
+/* Towards the middle of the range, where calibrations find room. */
+static int32_t inward(const fl_axis_t *a, float turns) {
+    const int64_t middle = ((int64_t)a->law.position_min_cnt + a->law.position_max_cnt) / 2;
+    const int32_t way = fl_round_i32(turns * (float)FL_TURN_CNT);
+    return fl_add_i32(a->position_cnt, a->position_cnt < middle ? way : -way);
+}
+
+/* Two turns for the range, four for the shape, back to the start; then the field holds until the
+ * rotor stands. */
+void fl_axis_calibrate_hall(fl_axis_t *a) {
+    plan_clear(a);
+    plan_add(a, FL_LEG_SPIN_RANGE, inward(a, 2.0f));
+    plan_add(a, FL_LEG_SPIN_FIT, inward(a, 4.0f));
+    plan_add(a, FL_LEG_SPIN_FIT, inward(a, 2.0f));
+    plan_add(a, FL_LEG_SPIN, a->position_cnt);
+    plan_add(a, FL_LEG_BRAKE, a->position_cnt);
+    fl_hall_fit_reset(&a->fit.hall);
+}
+
+/* A turn and a half closes any backlash; four turns are measured each way. */
+void fl_axis_calibrate_cogging(fl_axis_t *a) {
+    plan_clear(a);
+    plan_add(a, FL_LEG_SWEEP_IN, inward(a, 1.5f));
+    plan_add(a, FL_LEG_SWEEP, inward(a, 5.5f));
+    plan_add(a, FL_LEG_SWEEP_IN, inward(a, 4.0f));
+    plan_add(a, FL_LEG_SWEEP, a->position_cnt);
+    plan_add(a, FL_LEG_SETTLE, a->position_cnt);
+    fl_friction_fit_reset(&a->fit.friction);
 }
 
 static void phases_off(fl_axis_t *a, const fl_port_t *port, int index) {
@@ -87,9 +124,12 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index) {
 /* -- positions ----------------------------------------------------------------------------------- */
 
 static fl_hall_out_t look(fl_axis_t *a, const fl_port_t *port, int index) {
-    uint16_t adc_cnt[2];
-    port->read_hall(port->ctx, index, adc_cnt);
-    return fl_hall_step(&a->law.hall, &a->hall, adc_cnt);
+    port->read_hall(port->ctx, index, a->adc_cnt);
+    return fl_hall_step(&a->law.hall, &a->hall, a->adc_cnt);
+}
+
+int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index) {
+    return look(a, port, index).angle_cnt;
 }
 
 static void declare(fl_axis_t *a, int32_t position_cnt) {
@@ -100,15 +140,20 @@ static void declare(fl_axis_t *a, int32_t position_cnt) {
 void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt) {
     look(a, port, index);
     declare(a, position_cnt);
-    a->datum_ref_cnt = fl_sub_i32(a->law.datum_cnt, a->zero_cnt) & (FL_TURN_CNT - 1);
+    a->datum_ref_cnt = fl_sub_i32(datum(a), a->zero_cnt) & (FL_TURN_CNT - 1);
     a->datum_calibrated = true;
 }
 
 /* The datum is the calibrated rotor angle nearest to where the axis came to stand, so that it does
  * not depend on how hard the stop was pressed. */
 static void declare_datum(fl_axis_t *a) {
+    if (a->datum_calibrate) {
+        a->datum_ref_cnt = a->hall.angle_cnt & (FL_TURN_CNT - 1);
+        a->datum_calibrated = true;
+    }
+    a->datum_found = true;
     const int32_t past = fl_fold_cnt(fl_sub_i32(a->hall.angle_cnt, a->datum_ref_cnt));
-    declare(a, fl_add_i32(a->law.datum_cnt, past));
+    declare(a, fl_add_i32(datum(a), past));
 }
 
 bool fl_axis_in_range(const fl_axis_t *a, int32_t position_cnt) {
@@ -159,6 +204,8 @@ static void plan_begin(fl_axis_t *a) {
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->servo = (fl_servo_state_t){0.0f, 0.0f};
     a->fresh = false;
+    a->start_cnt = a->position_cnt;
+    for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];
     leg_enter(a);
 }
 
@@ -183,16 +230,35 @@ static bool leg_step(fl_axis_t *a) {
     case FL_LEG_LAND:
         return creep(a, leg.target_cnt, a->law.landing_step_cnt);
     case FL_LEG_SEARCH:
-        a->raw_cnt = fl_sub_i32(a->raw_cnt, (int32_t)a->law.datum_speed_cnt_tick);
+        a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
         return false;
+    case FL_LEG_SPIN:
+    case FL_LEG_SPIN_RANGE:
+    case FL_LEG_SPIN_FIT:
+        return creep(a, leg.target_cnt, SPIN_STEP_CNT);
+    case FL_LEG_SWEEP_IN:
+    case FL_LEG_SWEEP:
+        return creep(a, leg.target_cnt, 2 * a->law.landing_step_cnt);
     default:
         return false;
     }
 }
 
-static bool arriving(const fl_axis_t *a) {
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
+/* Legs at creep speed, where the higher gain holds. */
+static bool stiff(uint8_t kind) {
+    return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
+}
+
+static bool spinning(uint8_t kind) { return kind >= FL_LEG_SPIN && kind <= FL_LEG_SPIN_FIT; }
+
+/* What the calibrating legs are there for. */
+static void observe(fl_axis_t *a, uint8_t kind) {
+    if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
+    if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
+    if (kind == FL_LEG_SWEEP) {
+        const float driving = a->torque.torque_Nm - a->law.servo.drag * a->command.speed_rad_s;
+        fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
+    }
 }
 
 /* Eq. 20 to 22; true when something blocks. */
@@ -203,7 +269,7 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
         .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
         .speed_rad_s = a->command.speed_rad_s,
         .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = arriving(a) ? a->law.settle_gain : 1.0f,
+        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
     };
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
@@ -278,10 +344,14 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index) {
     const bool ended = leg_step(a);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
     fl_duty_t duty;
-    const bool stuck = a->closed_loop ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
-    if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    const bool spin = spinning(kind);
+    const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
+    const bool stuck = closed ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
+    if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
     if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
+    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
     if (ended) leg_next(a);
     return FL_AXIS_NONE;
 }

@@ -245,7 +245,8 @@ void Plant::follow_cell(size_t axis) {
     double &gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
     const Cell old = axes_[axis].cell;
-    const bool positive = theta_rad - gear_rad >= old.backlash_0_rad + old.backlash_1 * gear_rad - 1e-9;
+    const double backlash_rad = old.backlash_0_rad + old.backlash_1 * gear_rad;
+    const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
     axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old);
     load_cell(axis);
     if (positive)
