@@ -51,16 +51,19 @@ struct Solver {
     }
 };
 
-// Wide open while the position is rough, then as strict as the profile is good.
+// Wide open and on the core alone while the position is rough, then as strict as the profile is good.
+constexpr int rough_iterations = 3;
+constexpr double core_q = 5.0;
+
 Judge judge_at(int iteration, const Profile &profile, const Settings &settings, double peak, double q_max) {
-    constexpr std::array<double, 3> slack{0.20, 0.06, 0.02}; // of the peak, for a wrong position
-    constexpr std::array<double, 3> trust{0.50, 0.20, 0.08}; // of the pixel, for a wrong flux
+    constexpr std::array<double, rough_iterations> slack{0.20, 0.06, 0.02}; // of the peak, for a wrong position
+    constexpr std::array<double, rough_iterations> trust{0.50, 0.20, 0.08}; // of the pixel, for a wrong flux
     const double fine = std::max(0.003, 3 * profile.misfit);
-    const bool rough = iteration < 3;
-    const double floor = rough ? slack[static_cast<std::size_t>(iteration)] * peak : 0.0;
-    const double tolerance = rough ? std::max(trust[static_cast<std::size_t>(iteration)], fine) : fine;
+    const bool rough = iteration < rough_iterations;
+    const double floor = rough ? slack[iteration] * peak : 0.0;
+    const double tolerance = rough ? std::max(trust[iteration], fine) : fine;
     return {cut_sigma, static_cast<float>(tolerance), static_cast<float>(floor * floor),
-            static_cast<float>(1 / settings.gain_e_adu), static_cast<float>(q_max)};
+            static_cast<float>(1 / settings.gain_e_adu), static_cast<float>(rough ? core_q : q_max)};
 }
 
 void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
@@ -186,15 +189,15 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
     for (int k = 0; k < most_iterations && !fit.converged; ++k) {
         const Judge judge = judge_at(k, profile, settings, std::max(state.flux, 0.0) * peak_share, fit.q_max);
         const Normal n = normal_equations(stamp, shape, state, judge);
-        const Solver solver(n, free_background ? 4 : 3);
+        const Solver solver(n, free_background && k >= rough_iterations ? 4 : 3);
         if (!solver.regular) break;
         const auto step = solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
         const double size = std::hypot(step[1], step[2]), brake = size > longest ? longest / size : 1.0;
         state.flux = std::max(state.flux + step[0], 0.3 * state.flux); // a flux below zero has no gradient
         state.x += brake * step[1], state.y += brake * step[2];
-        if (free_background) state.background += step[3];
+        if (solver.n == 4) state.background += step[3];
         take_covariance(n, solver, fit);
-        fit.converged = k >= 3 && size * size < enough * enough * (fit.var_x + fit.var_y);
+        fit.converged = k >= rough_iterations && size * size < enough * enough * (fit.var_x + fit.var_y);
     }
     fit.flux = state.flux, fit.background = state.background;
     fit.x = stamp.x0 + state.x, fit.y = stamp.y0 + state.y;

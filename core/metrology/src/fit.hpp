@@ -48,6 +48,7 @@ struct Fit {
     bool saturated = false;
     bool truncated = false;
     bool converged = false;
+    bool orphaned = false; // a neighbour that was taken off turned out to be none
     float height = 0; // ADU, of the seed
 };
 

@@ -80,35 +80,63 @@ FL_INLINE Float8 ramp(float start) {
     return Float8{0, 1, 2, 3, 4, 5, 6, 7} + all(start);
 }
 
-template <class P>
-FL_INLINE void scan(const std::byte *bytes, int width, const float *threshold, std::vector<int> &chunks) {
+template <class P> struct Rows {
+    const typename P::Raw *above, *row, *below;
+};
+
+template <class P> FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
     using Key = typename P::Key;
-    const auto *row = reinterpret_cast<const typename P::Raw *>(bytes);
-    const int whole = width / chunk_px;
-    for (int c = 0; c < whole; ++c) {
-        const Key limit = static_cast<Key>(threshold[c]);
-        const auto *p = row + c * chunk_px;
-        unsigned char any = 0;
-        for (int i = 0; i < chunk_px; ++i) any |= static_cast<unsigned char>(P::key(p[i]) > limit);
-        if (any != 0) chunks.push_back(c);
+    const Key bar = static_cast<Key>(limit);
+    alignas(64) unsigned char top[chunk_px] = {};
+    for (int i = from; i < to; ++i) {
+        const Key v = P::key(r.row[i]);
+        const bool is = (v > bar) & (v >= P::key(r.above[i - 1])) & (v >= P::key(r.above[i])) &
+                        (v >= P::key(r.above[i + 1])) & (v >= P::key(r.row[i - 1])) & (v > P::key(r.row[i + 1])) &
+                        (v > P::key(r.below[i - 1])) & (v > P::key(r.below[i])) & (v > P::key(r.below[i + 1]));
+        top[i - from] = static_cast<unsigned char>(is);
     }
-    if (whole * chunk_px < width) chunks.push_back(whole); // the rest is looked at pixel by pixel
+    for (int word = 0; word < chunk_px; word += 8) {
+        std::uint64_t eight;
+        std::memcpy(&eight, top + word, sizeof eight);
+        for (; eight != 0; eight &= eight - 1) out.push_back(from + word + std::countr_zero(eight) / 8);
+    }
 }
 
-FL_CLONES void scan_u16(const std::byte *r, int w, const float *t, std::vector<int> &c) {
-    scan<PixelU16>(r, w, t, c);
+template <class P> FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::vector<int> &out) {
+    using Key = typename P::Key;
+    for (int c = 0; c * chunk_px < width; ++c) {
+        const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
+        const Key bar = static_cast<Key>(threshold[c]);
+        unsigned char any = 0;
+        for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::key(r.row[i]) > bar);
+        if (any != 0) peaks_in_chunk(r, std::max(begin, 1), std::min(end, width - 1), threshold[c], out);
+    }
 }
-FL_CLONES void scan_u16_fits(const std::byte *r, int w, const float *t, std::vector<int> &c) {
-    scan<PixelU16Fits>(r, w, t, c);
+
+template <class P> Rows<P> rows_of(const std::byte *above, const std::byte *row, const std::byte *below) {
+    const auto as = [](const std::byte *p) { return reinterpret_cast<const typename P::Raw *>(p); };
+    return {as(above), as(row), as(below)};
 }
-FL_CLONES void scan_f32(const std::byte *r, int w, const float *t, std::vector<int> &c) {
-    scan<PixelF32>(r, w, t, c);
-}
-FL_CLONES void scan_f32_fits(const std::byte *r, int w, const float *t, std::vector<int> &c) {
-    scan<PixelF32Fits>(r, w, t, c);
-}
-FL_CLONES void scan_f64(const std::byte *r, int w, const float *t, std::vector<int> &c) {
-    scan<PixelF64>(r, w, t, c);
+
+FL_CLONES void scan_u16(Rows<PixelU16> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_u16_fits(Rows<PixelU16Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_f32(Rows<PixelF32> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_f32_fits(Rows<PixelF32Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_f64(Rows<PixelF64> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+
+// The columns of one row that the ellipse q <= q_max covers, in whole lanes.
+struct Span {
+    int begin, end;
+};
+
+FL_INLINE Span covered(const Shape &shape, double x, double dy, float q_max, int width) {
+    // xx dx^2 + xy dy dx + (yy dy^2 - q_max) = 0
+    const double b = 0.5 * shape.xy * dy, root = b * b - shape.xx * (shape.yy * dy * dy - q_max);
+    if (!(root > 0)) return {0, 0};
+    const double half = std::sqrt(root) / shape.xx, middle = x - b / shape.xx;
+    const int begin = std::clamp(static_cast<int>(middle - half), 0, width) & ~(Stamp::lanes - 1);
+    const int end = std::clamp(static_cast<int>(middle + half) + 1, 0, width);
+    return {begin, (end + Stamp::lanes - 1) & ~(Stamp::lanes - 1)};
 }
 
 FL_CLONES void accumulate(const Stamp &stamp, const Shape &shape, const State &state, const Judge &judge,
@@ -119,7 +147,8 @@ FL_CLONES void accumulate(const Stamp &stamp, const Shape &shape, const State &s
     const Float8 two_xx = all(2.0f * shape.xx), two_yy = all(2.0f * shape.yy), xy = all(shape.xy);
     for (int j = 0; j < stamp.height; ++j) {
         const Float8 dy = all(static_cast<float>(j - state.y));
-        for (int i = 0; i < stamp.width; i += Stamp::lanes) {
+        const Span span = covered(shape, state.x, j - state.y, judge.q_max, stamp.width);
+        for (int i = span.begin; i < span.end; i += Stamp::lanes) {
             const std::size_t at = static_cast<std::size_t>(j * stamp.width + i);
             const Float8 dx = ramp(static_cast<float>(i - state.x));
             const Float8 qx = two_xx * dx + xy * dy, qy = two_yy * dy + xy * dx; // gradient of q
@@ -149,10 +178,13 @@ FL_CLONES void accumulate(const Stamp &stamp, const Shape &shape, const State &s
     }
 }
 
+constexpr float weightless_q = 30.0f; // exp(-q / 2) = 3e-7
+
 FL_CLONES void moments(const Stamp &stamp, const Shape &shape, float x, float y, Float8 *sum) {
     for (int j = 0; j < stamp.height; ++j) {
         const Float8 dy = all(static_cast<float>(j) - y);
-        for (int i = 0; i < stamp.width; i += Stamp::lanes) {
+        const Span span = covered(shape, x, static_cast<double>(j) - y, weightless_q, stamp.width);
+        for (int i = span.begin; i < span.end; i += Stamp::lanes) {
             const std::size_t at = static_cast<std::size_t>(j * stamp.width + i);
             const Float8 dx = ramp(static_cast<float>(i) - x);
             const Float8 q = all(shape.xx) * dx * dx + all(shape.xy) * dx * dy + all(shape.yy) * dy * dy;
@@ -223,15 +255,15 @@ FL_CLONES void subtract(Stamp &stamp, const Shape &shape, float flux, float x, f
 
 } // namespace
 
-void bright_chunks(PixelType type, const std::byte *row, int width, const float *threshold,
-                   std::vector<int> &chunks) {
-    chunks.clear();
+void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below, int width,
+               const float *threshold, std::vector<int> &peaks) {
+    peaks.clear();
     switch (type) {
-    case PixelType::U16: return scan_u16(row, width, threshold, chunks);
-    case PixelType::U16Fits: return scan_u16_fits(row, width, threshold, chunks);
-    case PixelType::F32: return scan_f32(row, width, threshold, chunks);
-    case PixelType::F32Fits: return scan_f32_fits(row, width, threshold, chunks);
-    case PixelType::F64: return scan_f64(row, width, threshold, chunks);
+    case PixelType::U16: return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
+    case PixelType::U16Fits: return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F32: return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
+    case PixelType::F32Fits: return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F64: return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
     }
 }
 
