@@ -50,7 +50,10 @@ class Frame {
         std::vector<std::size_t> order(fits_.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         std::sort(order.begin(), order.end(), [this](auto a, auto b) { return brighter(a, b); });
-        for (const std::size_t i : order) fit_one(i);
+        for (std::size_t k = 0; k < order.size(); ++k) {
+            if (k + 1 < order.size()) fetch(fits_[order[k + 1]]);
+            fit_one(order[k]);
+        }
         for (int round = 1; round < neighbour_rounds; ++round) {
             drop_what_is_none();
             link(wing_fwhm * typical_fwhm_);
@@ -85,6 +88,11 @@ class Frame {
         const double gap = std::max(distance(other, fit) - std::sqrt(fit.q_max * std::max(e.xx, e.yy)), 0.0);
         const double light = other.flux * profile_value(profile_, gap * gap / e.area()) / e.area();
         return light > 0.1 * noise;
+    }
+
+    void fetch(const Fit &fit) const {
+        const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
+        fetch_ahead(image_, fit.x, fit.y, e.half_width(fit.q_max), e.half_height(fit.q_max));
     }
 
     void fit_one(std::size_t i) {
