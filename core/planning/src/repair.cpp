@@ -46,15 +46,30 @@ bool Repair::run(int last_steps) {
         const auto all = pairs();
         if (all.empty()) return true;
         if (std::getenv("FLDBG") && k % 25 == 0) {
-            std::fprintf(stderr, "round %ld pairs %zu steps %d exp %ldk searches %ld:", (long)k, all.size(), team_.steps(), (long)search_.expansions()/1000, (long)statistics_.searches);
-            for (auto [a,b] : all) std::fprintf(stderr, " %d-%d", a, b);
+            std::fprintf(stderr, "round %ld pairs %zu steps %d exp %ldk searches %ld:", (long)k, all.size(),
+                         team_.steps(), (long)search_.expansions() / 1000, (long)statistics_.searches);
+            for (auto [a, b] : all) std::fprintf(stderr, " %d-%d", a, b);
             std::fprintf(stderr, "\n");
-            if (std::getenv("FLDBG2")) for (auto [a,b] : all) {
-              std::fprintf(stderr, "  %d travel %d, %d travel %d, steps ", a, team_.at(a).robot.travel_steps(), b, team_.at(b).robot.travel_steps());
-              for (int q=0;q<=team_.steps();++q) if(!stay_apart(team_.at(a).pieces[q],team_.at(b).pieces[q],team_.need_mm())) std::fprintf(stderr," %d",q);
-              std::fprintf(stderr, "\n");
-              if (k>300) for (int q=0;q<=team_.steps();++q) { auto&A=team_.at(a);auto&B=team_.at(b); std::fprintf(stderr,"   %d: %.1f %.1f | %.1f %.1f  d %.2f\n",q,A.robot.alpha().angle(A.way[q].alpha)*57.2958,A.robot.beta().angle(A.way[q].beta)*57.2958,B.robot.alpha().angle(B.way[q].alpha)*57.2958,B.robot.beta().angle(B.way[q].beta)*57.2958,distance(A.pieces[q].at[2],B.pieces[q].at[2]));}
-            }
+            if (std::getenv("FLDBG2"))
+                for (auto [a, b] : all) {
+                    std::fprintf(stderr, "  %d travel %d, %d travel %d, steps ", a,
+                                 team_.at(a).robot.travel_steps(), b, team_.at(b).robot.travel_steps());
+                    for (int q = 0; q <= team_.steps(); ++q)
+                        if (!stay_apart(team_.at(a).pieces[q], team_.at(b).pieces[q], team_.need_mm()))
+                            std::fprintf(stderr, " %d", q);
+                    std::fprintf(stderr, "\n");
+                    if (k > 300)
+                        for (int q = 0; q <= team_.steps(); ++q) {
+                            auto &A = team_.at(a);
+                            auto &B = team_.at(b);
+                            std::fprintf(stderr, "   %d: %.1f %.1f | %.1f %.1f  d %.2f\n", q,
+                                         A.robot.alpha().angle(A.way[q].alpha) * 57.2958,
+                                         A.robot.beta().angle(A.way[q].beta) * 57.2958,
+                                         B.robot.alpha().angle(B.way[q].alpha) * 57.2958,
+                                         B.robot.beta().angle(B.way[q].beta) * 57.2958,
+                                         distance(A.pieces[q].at[2], B.pieces[q].at[2]));
+                        }
+                }
         }
         round(all[static_cast<size_t>(random_.below(static_cast<int>(all.size())))]);
         ++statistics_.repairs;

@@ -124,8 +124,8 @@ void Search::finish(std::uint32_t from, Place at) {
     const Node n = node(from);
     const Bends turn = bends(n.move, stay);
     if (!ask_.robot->clear(at.cell, turn)) return;
-    const int cost =
-        n.cost + base_cost(at, turn, stay) + encounters(at, turn) + end_cost_[static_cast<size_t>(at.step + 1)];
+    const int cost = n.cost + base_cost(at, turn, stay) + encounters(at, turn) +
+                     end_cost_[static_cast<size_t>(at.step + 1)];
     if (cost >= best_) return;
     best_ = cost;
     last_ = from;

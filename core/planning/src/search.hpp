@@ -58,8 +58,8 @@ struct Request {
     int steps = 0;        // the deadline
     int give_up = 0;      // a way that costs so much or more is not wanted
     double need_mm = 0.0; // between centre lines
-    // From the goal back in time: the same ways, but of equals it finds the one that moves last, not first. Two
-    // positioners that interlock at their goals need one that comes early and waits, one that comes late.
+    // From the goal back in time: the same ways, but of equals it finds the one that moves last, not first.
+    // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
     bool backward = false;
 };
 
