@@ -10,6 +10,7 @@ namespace nb = nanobind;
 
 void bind_firmware(nb::module_ &m);
 void bind_geometry(nb::module_ &m);
+void bind_metrology(nb::module_ &m);
 void bind_planning(nb::module_ &m);
 void bind_twin(nb::module_ &m);
 

@@ -1,0 +1,126 @@
+// Spots in images. Images are read where they lie: no copy, no lock while reading.
+#include "bind.hpp"
+#include "fiberloom/render.hpp"
+#include "fiberloom/spots.hpp"
+
+namespace {
+
+using namespace fl::metrology;
+using Image = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
+using Positions = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 4;
+
+// `fits`: the bytes are those of an uncompressed FITS file, big-endian, 16 bits with BZERO 32768.
+PixelType pixel_type(const Image &image, bool fits) {
+    if (image.dtype() == nb::dtype<uint16_t>()) return fits ? PixelType::U16Fits : PixelType::U16;
+    if (image.dtype() == nb::dtype<uint32_t>() && fits) return PixelType::F32Fits;
+    if (image.dtype() == nb::dtype<float>()) return PixelType::F32;
+    if (image.dtype() == nb::dtype<double>()) return PixelType::F64;
+    throw nb::value_error("image: pixels must be uint16, float32 or float64");
+}
+
+ImageView view(const Image &image, bool fits) {
+    if (image.shape(0) < 8 || image.shape(1) < 8) throw nb::value_error("image: at least 8 x 8 pixels");
+    if (image.stride(1) != 1) throw nb::value_error("image: the pixels of a row must be adjacent");
+    const auto size = static_cast<ptrdiff_t>(image.itemsize());
+    return {static_cast<const std::byte *>(image.data()), image.stride(0) * size,
+            static_cast<int>(image.shape(1)), static_cast<int>(image.shape(0)), pixel_type(image, fits)};
+}
+
+nb::object packed(const Profile &p) {
+    auto out = new_array<double>({profile_size});
+    double *v = std::copy(p.amplitude.begin(), p.amplitude.end(), out.data());
+    for (const auto &s : p.shape) v = std::copy(s.begin(), s.end(), v);
+    *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit, *v++ = p.n_spots;
+    return out.cast();
+}
+
+Profile unpacked(const Input1<double> &in) {
+    if (in.shape(0) == 0) return {};
+    if (in.shape(0) != profile_size) throw nb::value_error("profile: not one that find_spots returned");
+    Profile p;
+    const double *v = in.data();
+    for (double &a : p.amplitude) a = *v++;
+    for (auto &s : p.shape)
+        for (double &c : s) c = *v++;
+    p.half_width_px = *v++, p.half_height_px = *v++, p.misfit = *v++, p.n_spots = static_cast<int>(*v);
+    return p;
+}
+
+Settings settings_of(double gain, double saturation, double threshold, double fwhm) {
+    Settings s;
+    s.gain_e_adu = gain, s.saturation_adu = saturation, s.threshold = threshold, s.fwhm_px = fwhm;
+    return s;
+}
+
+nb::tuple table(const Result &r) {
+    const size_t n = r.spots.size();
+    auto numbers = new_array<double>({n, 9});
+    auto flags = new_array<uint32_t>({n});
+    for (size_t i = 0; i < n; ++i) {
+        const Spot &s = r.spots[i];
+        const double row[] = {s.x_px,     s.y_px,         s.var_x_px2,      s.cov_xy_px2, s.var_y_px2,
+                              s.flux_adu, s.flux_err_adu, s.background_adu, s.chi2};
+        std::copy(std::begin(row), std::end(row), numbers.data() + 9 * i);
+        flags.data()[i] = s.flags;
+    }
+    return nb::make_tuple(numbers.cast(), flags.cast(), packed(r.profile), r.background_adu, r.noise_adu);
+}
+
+nb::tuple find(Image image, bool fits, double gain, double saturation, double threshold, double fwhm,
+               Input1<double> profile) {
+    const ImageView v = view(image, fits);
+    const Settings s = settings_of(gain, saturation, threshold, fwhm);
+    const Profile known = unpacked(profile);
+    Result r;
+    {
+        nb::gil_scoped_release release;
+        r = find_spots(v, s, known);
+    }
+    return table(r);
+}
+
+nb::tuple expected(Image image, bool fits, double gain, double saturation, double threshold, double fwhm,
+                   Input1<double> profile, Positions xy, double radius) {
+    const ImageView v = view(image, fits);
+    const Settings s = settings_of(gain, saturation, threshold, fwhm);
+    const Profile known = unpacked(profile);
+    Result r;
+    {
+        nb::gil_scoped_release release;
+        r = find_expected(v, s, {xy.data(), 2 * xy.shape(0)}, radius, known);
+    }
+    return table(r);
+}
+
+nb::tuple widths(Input1<double> profile, Positions xy) {
+    const Profile p = unpacked(profile);
+    auto fwhm = new_array<double>({xy.shape(0)});
+    for (size_t i = 0; i < xy.shape(0); ++i) fwhm.data()[i] = p.fwhm_px(xy.data()[2 * i], xy.data()[2 * i + 1]);
+    return nb::make_tuple(fwhm.cast());
+}
+
+void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image,
+            nb::ndarray<const double, nb::shape<-1, spot_columns>, nb::c_contig, nb::device::cpu> spots, int kind,
+            double radius_q) {
+    if (kind < 0 || kind > 2) throw nb::value_error("kind: 0 Gaussian, 1 Moffat, 2 disc");
+    nb::gil_scoped_release release;
+    render_spots({image.data(), image.size()}, static_cast<int>(image.shape(1)), static_cast<int>(image.shape(0)),
+                 {spots.data(), spots.size()}, static_cast<PsfKind>(kind), radius_q);
+}
+
+} // namespace
+
+void bind_metrology(nb::module_ &m) {
+    nb::module_ g = m.def_submodule("metrology", "Detection and centroids; px, ADU. See fiberloom.metrology.");
+    g.attr("COLUMNS") = "x_px y_px var_x_px2 cov_xy_px2 var_y_px2 flux_adu flux_err_adu background_adu chi2";
+    g.def("find_spots", &find, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"), nb::arg("saturation_adu"),
+          nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
+          "Table (N, 9), flags (N,), profile, background and noise in ADU.");
+    g.def("find_expected", &expected, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"),
+          nb::arg("saturation_adu"), nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
+          nb::arg("expected_xy_px"), nb::arg("radius_px"), "As find_spots, one row per expected position.");
+    g.def("fwhm", &widths, nb::arg("profile"), nb::arg("xy_px"), "FWHM of the profile at positions.");
+    g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
+          "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");
+}

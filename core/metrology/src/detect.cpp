@@ -1,0 +1,236 @@
+#include "detect.hpp"
+#include "kernels.hpp"
+#include "pixels.hpp"
+
+#include <algorithm>
+#include <set>
+
+namespace fl::metrology {
+namespace {
+
+// A spot of FWHM 2.5 px has its fifth brightest of 3 x 3 pixels at 0.41 of the peak or more; a hot pixel has not.
+constexpr float peak_over_median = 2.7f;
+constexpr float neighbour_share = 0.25f;
+constexpr int neighbours_needed = 3;
+constexpr int longest_climb_px = 40;
+constexpr int largest_flat_top_px = 4000;
+
+using Block = std::array<float, 9>;
+
+// One bit per pixel: climbs that meet share their end.
+class Visited {
+  public:
+    Visited(int width, int height) : width_(width), bits_((static_cast<std::size_t>(width) * height + 63) / 64) {}
+    // true when the pixel was marked before
+    bool mark(int x, int y) {
+        const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + x;
+        const std::uint64_t bit = std::uint64_t{1} << (i % 64);
+        const bool before = (bits_[i / 64] & bit) != 0;
+        bits_[i / 64] |= bit;
+        return before;
+    }
+
+  private:
+    int width_;
+    std::vector<std::uint64_t> bits_;
+};
+
+template <class P> class Hills {
+  public:
+    Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings)
+        : pixels_(pixels), background_(background), saturation_(static_cast<float>(settings.saturation_adu)),
+          threshold_(static_cast<float>(settings.threshold)) {}
+
+    // A pixel not lower than its neighbours, with enough of them lit.
+    bool starts(int x, int y) const {
+        const float value = pixels_.at(x, y);
+        const Block b = block(x, y);
+        for (int k = 0; k < 4; ++k)
+            if (b[k] > value) return false;
+        for (int k = 5; k < 9; ++k)
+            if (b[k] >= value && value < saturation_) return false;
+        return lit(b, x, y);
+    }
+
+    // Uphill on the sum of 5 x 5 clipped pixels. False: this hill was climbed before.
+    bool climb(int x, int y, Visited *visited, Seed &seed) const {
+        std::array<std::pair<int, int>, longest_climb_px> path;
+        for (std::size_t n = 0; n < path.size(); ++n) {
+            if (visited != nullptr && visited->mark(x, y)) {
+                // the clip level moves along: a step back to where we come from is the top
+                if (std::find(path.begin(), path.begin() + n, std::pair{x, y}) == path.begin() + n) return false;
+                break;
+            }
+            path[n] = {x, y};
+            int dx = 0, dy = 0;
+            uphill(x, y, dx, dy);
+            if (dx == 0 && dy == 0) break;
+            x += dx, y += dy;
+        }
+        seed = at_top(x, y);
+        return true;
+    }
+
+    bool significant(const Seed &s) const {
+        // nine pixels beat the noise of one by three; half of the peak is in the mean for FWHM 2.5 px
+        return s.height > 0.5f * threshold_ * background_.noise_at(s.x, s.y);
+    }
+
+  private:
+    Block block(int x, int y) const {
+        Block b;
+        for (int j = 0; j < 3; ++j)
+            for (int i = 0; i < 3; ++i)
+                b[static_cast<std::size_t>(3 * j + i)] = at(x + i - 1, y + j - 1);
+        return b;
+    }
+
+    float at(int x, int y) const {
+        const int u = std::clamp(x, 0, pixels_.image.width - 1), v = std::clamp(y, 0, pixels_.image.height - 1);
+        const float value = pixels_.at(u, v);
+        return std::isfinite(value) ? value : background_.level_at(x, y);
+    }
+
+    bool lit(const Block &b, int x, int y) const {
+        const float level = background_.level_at(x, y), noise = background_.noise_at(x, y);
+        const float bar = level + std::max(neighbour_share * (b[4] - level), 1.5f * noise);
+        return std::count_if(b.begin(), b.end(), [&](float v) { return v > bar; }) > neighbours_needed;
+    }
+
+    // Pixels brighter than the neighbourhood can explain count as the brightest that it can.
+    float clip_level(int x, int y) const {
+        Block b = block(x, y);
+        std::nth_element(b.begin(), b.begin() + 4, b.end());
+        const float level = background_.level_at(x, y), noise = background_.noise_at(x, y);
+        return level + std::max(peak_over_median * (b[4] - level), 4.0f * noise);
+    }
+
+    void uphill(int x, int y, int &dx, int &dy) const {
+        const float clip = clip_level(x, y);
+        std::array<float, 7 * 5> sums{}; // of five pixels in a row
+        for (int j = 0; j < 7; ++j) {
+            std::array<float, 7> v;
+            for (int i = 0; i < 7; ++i) v[i] = std::min(at(x + i - 3, y + j - 3), clip);
+            for (int i = 1; i < 4; ++i) sums[j * 5 + i] = v[i - 1] + v[i] + v[i + 1] + v[i + 2] + v[i + 3];
+        }
+        float best = box(sums, 0, 0);
+        for (int v = -1; v <= 1; ++v)
+            for (int u = -1; u <= 1; ++u)
+                if (const float s = box(sums, u, v); s > best) best = s, dx = u, dy = v;
+        if (!pixels_.inside(x + dx, y + dy)) dx = dy = 0;
+    }
+
+    static float box(const std::array<float, 7 * 5> &sums, int u, int v) {
+        float s = 0;
+        for (int j = 1; j < 6; ++j) s += sums[(j + v) * 5 + u + 2];
+        return s;
+    }
+
+    Seed at_top(int x, int y) const {
+        if (pixels_.at(x, y) >= saturation_) return flat_top(x, y);
+        const float level = background_.level_at(x, y), clip = clip_level(x, y);
+        Block b = block(x, y);
+        double sum = 0, sx = 0, sy = 0;
+        for (int k = 0; k < 9; ++k) {
+            const double v = std::max(std::min(b[k], clip) - level, 0.0f);
+            sum += v, sx += v * (k % 3 - 1), sy += v * (k / 3 - 1);
+        }
+        std::nth_element(b.begin(), b.begin() + 2, b.end());
+        const double scale = sum > 0 ? 1.0 / sum : 0.0;
+        return {x + sx * scale, y + sy * scale, static_cast<float>(sum / 9), b[2] - level, false};
+    }
+
+    // The middle of the connected saturated pixels.
+    Seed flat_top(int x, int y) const {
+        std::vector<std::pair<int, int>> found{{x, y}};
+        std::set<std::pair<int, int>> seen{{x, y}};
+        double sx = 0, sy = 0;
+        std::size_t k = 0;
+        for (; k < found.size() && k < largest_flat_top_px; ++k) {
+            const auto [u, v] = found[k];
+            sx += u, sy += v;
+            for (const auto &next : {std::pair{u + 1, v}, {u - 1, v}, {u, v + 1}, {u, v - 1}})
+                if (pixels_.inside(next.first, next.second) &&
+                    pixels_.at(next.first, next.second) >= saturation_ && seen.insert(next).second)
+                    found.push_back(next);
+        }
+        const double n = static_cast<double>(k);
+        const float above = pixels_.at(x, y) - background_.level_at(x, y);
+        return {sx / n, sy / n, above, above, true};
+    }
+
+    const Pixels<P> &pixels_;
+    const Background &background_;
+    float saturation_;
+    float threshold_;
+};
+
+// Per row of tiles: what a pixel of each chunk must exceed.
+std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
+    const int n = (image.width + chunk_px - 1) / chunk_px;
+    const bool sixteen_bits = image.type == PixelType::U16 || image.type == PixelType::U16Fits;
+    std::vector<float> out(static_cast<std::size_t>(n));
+    for (int c = 0; c < n; ++c) {
+        const double x = (c + 0.5) * chunk_px;
+        out[c] = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
+        if (sixteen_bits) out[c] = std::clamp(out[c], 0.0f, 65535.0f);
+    }
+    return out;
+}
+
+template <class P>
+std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &background, const Settings &settings) {
+    const ImageView &image = pixels.image;
+    const Hills<P> hills(pixels, background, settings);
+    Visited visited(image.width, image.height);
+    std::vector<float> thresholds;
+    std::vector<int> chunks;
+    std::vector<Seed> seeds;
+    for (int y = 0; y < image.height; ++y) {
+        if (y % 16 == 0) thresholds = chunk_thresholds(image, background, settings.threshold, y + 8);
+        bright_chunks(image.type, image.data + y * image.row_bytes, image.width, thresholds.data(), chunks);
+        for (const int c : chunks) {
+            const int end = std::min((c + 1) * chunk_px, image.width);
+            for (int x = c * chunk_px; x < end; ++x) {
+                Seed seed;
+                if (pixels.at(x, y) > thresholds[c] && hills.starts(x, y) &&
+                    hills.climb(x, y, &visited, seed) && hills.significant(seed))
+                    seeds.push_back(seed);
+            }
+        }
+    }
+    return seeds;
+}
+
+template <class P>
+bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, double x_px,
+             double y_px, double radius_px, Seed &best) {
+    const Hills<P> hills(pixels, background, settings);
+    const float bar = background.level_at(x_px, y_px) +
+                      static_cast<float>(settings.threshold) * background.noise_at(x_px, y_px);
+    double nearest = radius_px;
+    for (int y = static_cast<int>(std::floor(y_px - radius_px)); y <= y_px + radius_px; ++y)
+        for (int x = static_cast<int>(std::floor(x_px - radius_px)); x <= x_px + radius_px; ++x) {
+            if (!pixels.inside(x, y) || !(pixels.at(x, y) > bar) || !hills.starts(x, y)) continue;
+            Seed seed;
+            hills.climb(x, y, nullptr, seed);
+            const double distance = std::hypot(seed.x - x_px, seed.y - y_px);
+            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed;
+        }
+    return nearest < radius_px;
+}
+
+} // namespace
+
+std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings) {
+    return with_pixels(image, [&](const auto &p) { return detect_in(p, background, settings); });
+}
+
+bool detect_near(const ImageView &image, const Background &background, const Settings &settings, double x_px,
+                 double y_px, double radius_px, Seed &seed) {
+    return with_pixels(image, [&](const auto &p) {
+        return near_in(p, background, settings, x_px, y_px, radius_px, seed);
+    });
+}
+
+} // namespace fl::metrology

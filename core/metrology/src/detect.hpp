@@ -1,0 +1,25 @@
+// Where a spot may be: local maxima above the background, each led to the top of its own hill.
+#pragma once
+
+#include "background.hpp"
+#include "fiberloom/spots.hpp"
+
+#include <vector>
+
+namespace fl::metrology {
+
+struct Seed {
+    double x = 0; // px
+    double y = 0;
+    float height = 0;    // ADU above the background: mean of the 3 x 3 pixels, outliers clipped
+    float lowest = 0;    // ADU above the background: the third faintest of the 3 x 3 pixels
+    bool saturated = false;
+};
+
+std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings);
+
+// The nearest seed within `radius_px` of a position, if any.
+bool detect_near(const ImageView &image, const Background &background, const Settings &settings, double x_px,
+                 double y_px, double radius_px, Seed &seed);
+
+} // namespace fl::metrology

@@ -1,0 +1,204 @@
+#include "fit.hpp"
+#include "pixels.hpp"
+
+#include <algorithm>
+
+namespace fl::metrology {
+namespace {
+
+constexpr int most_iterations = 15;
+constexpr double enough = 0.01;       // of the statistical error: nothing is gained by a smaller step
+constexpr float cut_sigma = 5.0f;     // a Poisson pixel beyond this is rarer than a cosmic ray
+constexpr double kept_knowledge = 0.995;
+constexpr double pi = 3.14159265358979323846;
+constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
+
+double polynomial(const std::array<double, Profile::terms> &c, double u, double v) {
+    return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v;
+}
+
+// Cholesky of the 4 x 4 Fisher matrix in place of a library: fixed size, and singular is an answer.
+struct Solver {
+    std::array<std::array<double, 4>, 4> l{};
+    int n;
+    bool regular = true;
+
+    Solver(const Normal &normal, int size) : n(size) {
+        const auto &s = normal.sum;
+        const double a[4][4] = {{s[0], s[1], s[2], s[3]},
+                                {s[1], s[4], s[5], s[6]},
+                                {s[2], s[5], s[7], s[8]},
+                                {s[3], s[6], s[8], s[9]}};
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j <= i; ++j) {
+                double v = a[i][j];
+                for (int k = 0; k < j; ++k) v -= l[i][k] * l[j][k];
+                if (i == j && !(v > 1e-10 * a[i][i])) regular = false;
+                l[i][j] = i == j ? std::sqrt(std::max(v, 1e-300)) : v / l[j][j];
+            }
+    }
+
+    std::array<double, 4> solve(std::array<double, 4> b) const {
+        for (int i = 0; i < n; ++i) {
+            for (int k = 0; k < i; ++k) b[i] -= l[i][k] * b[k];
+            b[i] /= l[i][i];
+        }
+        for (int i = n; i-- > 0;) {
+            for (int k = i + 1; k < n; ++k) b[i] -= l[k][i] * b[k];
+            b[i] /= l[i][i];
+        }
+        return b;
+    }
+};
+
+// Wide open while the position is rough, then as strict as the profile is good.
+Judge judge_at(int iteration, const Profile &profile, const Settings &settings, double peak, double q_max) {
+    constexpr std::array<double, 3> slack{0.20, 0.06, 0.02}; // of the peak, for a wrong position
+    constexpr std::array<double, 3> trust{0.50, 0.20, 0.08}; // of the pixel, for a wrong flux
+    const double fine = std::max(0.003, 3 * profile.misfit);
+    const bool rough = iteration < 3;
+    const double floor = rough ? slack[static_cast<std::size_t>(iteration)] * peak : 0.0;
+    const double tolerance = rough ? std::max(trust[static_cast<std::size_t>(iteration)], fine) : fine;
+    return {cut_sigma, static_cast<float>(tolerance), static_cast<float>(floor * floor),
+            static_cast<float>(1 / settings.gain_e_adu), static_cast<float>(q_max)};
+}
+
+void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
+    const auto cx = solver.solve({0, 1, 0, 0}), cy = solver.solve({0, 0, 1, 0}), cf = solver.solve({1, 0, 0, 0});
+    fit.var_x = cx[1], fit.cov_xy = cx[2], fit.var_y = cy[2], fit.var_flux = cf[0];
+    const double freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
+    fit.chi2 = normal.sum[Normal::chi2] / freedom;
+    fit.left_out = normal.sum[Normal::left_out];
+    fit.lost = normal.sum[Normal::light_lost] / std::max(normal.sum[Normal::light], 1e-300);
+}
+
+} // namespace
+
+double Ellipse::area() const { return std::sqrt(xx * yy - xy * xy); }
+double Ellipse::half_width(double q_max) const { return std::sqrt(q_max * xx); }
+double Ellipse::half_height(double q_max) const { return std::sqrt(q_max * yy); }
+
+Ellipse ellipse_at(const Profile &profile, double x_px, double y_px) {
+    const double u = x_px / profile.half_width_px - 1, v = y_px / profile.half_height_px - 1;
+    const Ellipse e{polynomial(profile.shape[0], u, v), polynomial(profile.shape[1], u, v),
+                    polynomial(profile.shape[2], u, v)};
+    // outside the spots it was fitted on the polynomial may leave sense: fall back to the middle of the frame
+    const bool sound = e.xx > 0.1 && e.yy > 0.1 && e.xx * e.yy - e.xy * e.xy > 0.01;
+    return sound ? e : Ellipse{profile.shape[0][0], profile.shape[1][0], profile.shape[2][0]};
+}
+
+Shape shape_of(const Profile &profile, const Ellipse &e) {
+    const double det = e.xx * e.yy - e.xy * e.xy, norm = 1 / (2 * pi * std::sqrt(det));
+    Shape s{static_cast<float>(e.yy / det), static_cast<float>(-2 * e.xy / det), static_cast<float>(e.xx / det), {}};
+    for (std::size_t k = 0; k < lambda.size(); ++k)
+        s.amplitude[k] = static_cast<float>(profile.amplitude[k] * norm);
+    return s;
+}
+
+double profile_value(const Profile &profile, double q) {
+    double sum = 0;
+    for (std::size_t k = 0; k < lambda.size(); ++k) sum += profile.amplitude[k] * std::exp(-q / (2 * lambda[k]));
+    return sum / (2 * pi);
+}
+
+double profile_slope(const Profile &profile, double q) {
+    double sum = 0;
+    for (std::size_t k = 0; k < lambda.size(); ++k)
+        sum -= profile.amplitude[k] / (2 * lambda[k]) * std::exp(-q / (2 * lambda[k]));
+    return sum / (2 * pi);
+}
+
+// The information on x inside q is proportional to int q' slope^2 / (1 + contrast * value / peak) dq'.
+double reach(const Profile &profile, double contrast) {
+    constexpr double step = 0.25;
+    constexpr int n = 240;
+    std::array<double, n> inside{};
+    const double peak = profile_value(profile, 0);
+    double sum = 0;
+    for (int k = 0; k < n; ++k) {
+        const double q = (k + 0.5) * step, slope = profile_slope(profile, q);
+        sum += q * slope * slope / (1 + contrast * std::max(profile_value(profile, q), 0.0) / peak);
+        inside[static_cast<std::size_t>(k)] = sum;
+    }
+    const auto at = std::lower_bound(inside.begin(), inside.end(), kept_knowledge * sum);
+    return std::clamp(static_cast<double>(at - inside.begin() + 1) * step, 9.0, 30.0);
+}
+
+Reach::Reach(const Profile &profile) {
+    for (std::size_t k = 0; k < q_max_.size(); ++k) q_max_[k] = reach(profile, std::ldexp(1.0, static_cast<int>(k)));
+}
+
+double Reach::operator()(double contrast) const {
+    const int k = contrast > 1 ? std::ilogb(contrast) + 1 : 0;
+    return q_max_[static_cast<std::size_t>(std::clamp(k, 0, static_cast<int>(q_max_.size()) - 1))];
+}
+
+namespace {
+
+template <class P>
+Cut copy_pixels(const Pixels<P> &pixels, const Background &background, const Settings &settings, Stamp &stamp,
+                int width) {
+    Cut cut;
+    const auto saturation = static_cast<float>(settings.saturation_adu);
+    const double x1 = stamp.x0 + width - 1;
+    for (int j = 0; j < stamp.height; ++j) {
+        const int y = stamp.y0 + j;
+        const float left = background.level_at(stamp.x0, y);
+        const float slope = width > 1 ? (background.level_at(x1, y) - left) / static_cast<float>(width - 1) : 0.0f;
+        const auto *row = pixels.row(y) + stamp.x0;
+        const std::size_t at = static_cast<std::size_t>(j * stamp.width);
+        for (int i = 0; i < width; ++i) {
+            const float v = static_cast<float>(P::key(row[i]));
+            const bool good = std::isfinite(v) && v < saturation;
+            cut.saturated |= v >= saturation;
+            stamp.value[at + i] = good ? v - left - slope * static_cast<float>(i) : 0.0f;
+            stamp.usable[at + i] = good ? 1.0f : 0.0f;
+        }
+    }
+    return cut;
+}
+
+} // namespace
+
+Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
+            double half_width, double half_height, Stamp &stamp) {
+    const int x0 = static_cast<int>(std::floor(x - half_width)), x1 = static_cast<int>(std::ceil(x + half_width));
+    const int y0 = static_cast<int>(std::floor(y - half_height)), y1 = static_cast<int>(std::ceil(y + half_height));
+    const int left = std::clamp(x0, 0, image.width - 1), right = std::clamp(x1, left, image.width - 1);
+    const int top = std::clamp(y0, 0, image.height - 1), bottom = std::clamp(y1, top, image.height - 1);
+    stamp.resize(left, top, right - left + 1, bottom - top + 1);
+    Cut cut = with_pixels(image, [&](const auto &pixels) {
+        return copy_pixels(pixels, background, settings, stamp, right - left + 1);
+    });
+    const float noise = background.noise_at(x, y);
+    std::fill(stamp.variance.begin(), stamp.variance.end(), noise * noise);
+    cut.truncated = left != x0 || right != x1 || top != y0 || bottom != y1;
+    return cut;
+}
+
+void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit) {
+    const Ellipse ellipse = ellipse_at(profile, fit.x, fit.y);
+    const Shape shape = shape_of(profile, ellipse);
+    const double peak_share = profile_value(profile, 0) / ellipse.area();
+    const double longest = 0.7 * std::sqrt(ellipse.area()), x0 = fit.x, y0 = fit.y;
+    State state{fit.flux, fit.x - stamp.x0, fit.y - stamp.y0, free_background ? fit.background : 0.0};
+    fit.converged = false;
+    for (int k = 0; k < most_iterations && !fit.converged; ++k) {
+        const Judge judge = judge_at(k, profile, settings, std::max(state.flux, 0.0) * peak_share, fit.q_max);
+        const Normal n = normal_equations(stamp, shape, state, judge);
+        const Solver solver(n, free_background ? 4 : 3);
+        if (!solver.regular) break;
+        const auto step = solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
+        const double size = std::hypot(step[1], step[2]), brake = size > longest ? longest / size : 1.0;
+        state.flux = std::max(state.flux + step[0], 0.3 * state.flux); // a flux below zero has no gradient
+        state.x += brake * step[1], state.y += brake * step[2];
+        if (free_background) state.background += step[3];
+        take_covariance(n, solver, fit);
+        fit.converged = k >= 3 && size * size < enough * enough * (fit.var_x + fit.var_y);
+    }
+    fit.flux = state.flux, fit.background = state.background;
+    fit.x = stamp.x0 + state.x, fit.y = stamp.y0 + state.y;
+    fit.moved = std::hypot(fit.x - x0, fit.y - y0);
+}
+
+} // namespace fl::metrology

@@ -1,0 +1,65 @@
+// One spot: cut out of the image, and fitted with the frame's profile.
+#pragma once
+
+#include "background.hpp"
+#include "fiberloom/spots.hpp"
+#include "kernels.hpp"
+
+namespace fl::metrology {
+
+struct Ellipse {
+    double xx, xy, yy; // S in px^2
+    double area() const;   // sqrt|S|
+    // half the size of the box that holds q <= q_max
+    double half_width(double q_max) const;
+    double half_height(double q_max) const;
+};
+
+Ellipse ellipse_at(const Profile &profile, double x_px, double y_px);
+Shape shape_of(const Profile &profile, const Ellipse &ellipse);
+
+// The profile for q = 0 .. as flux 1 on an ellipse of area 1, and its derivative.
+double profile_value(const Profile &profile, double q);
+double profile_slope(const Profile &profile, double q);
+
+// The ellipse that holds all but half a percent of what is known about the position of a spot whose peak has
+// `contrast` times the variance of the background.
+double reach(const Profile &profile, double contrast);
+
+// A table of `reach` over brightness, made once per frame.
+class Reach {
+  public:
+    explicit Reach(const Profile &profile);
+    double operator()(double contrast) const;
+
+  private:
+    std::array<double, 24> q_max_{};
+};
+
+struct Fit {
+    double flux = 0, x = 0, y = 0; // ADU, px of the image
+    double background = 0;         // ADU above the background map
+    double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
+    double chi2 = 0;
+    double lost = 0;   // share of the profile's squared light without a say
+    double left_out = 0; // pixels
+    double q_max = 0;
+    double moved = 0;  // px from where the fit began
+    bool saturated = false;
+    bool truncated = false;
+    bool converged = false;
+    float height = 0; // ADU, of the seed
+};
+
+// Cuts the box of q <= q_max out; true when the box leaves the image.
+struct Cut {
+    bool truncated = false;
+    bool saturated = false;
+};
+Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
+            double half_width, double half_height, Stamp &stamp);
+
+// Solves for flux, x, y and background; the stamp's neighbours are taken off already.
+void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit);
+
+} // namespace fl::metrology

@@ -1,0 +1,220 @@
+#include "detect.hpp"
+#include "fit.hpp"
+#include "profile.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace fl::metrology {
+namespace {
+
+constexpr double blend_fwhm = 2.0;   // nearer than this, two spots share their pixels
+constexpr double same_fwhm = 0.4;    // nearer than this, it is one
+constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
+constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
+constexpr double poor_chi2 = 2.0;
+constexpr int neighbour_rounds = 4;
+
+// Spots of one image and who stands near whom.
+class Frame {
+  public:
+    Frame(const ImageView &image, const Background &background, const Settings &settings, const Profile &profile)
+        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile) {}
+
+    void add(const Seed &seed) {
+        const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
+        Fit fit;
+        fit.x = seed.x, fit.y = seed.y, fit.height = seed.height, fit.saturated = seed.saturated;
+        // the mean over 3 x 3 pixels sees the profile at about q = (2/3) / S
+        fit.flux = seed.height * e.area() / profile_value(profile_, 0.67 / e.area());
+        const float noise = background_.noise_at(seed.x, seed.y);
+        fit.q_max = reach_(seed.height / (settings_.gain_e_adu * noise * noise));
+        fits_.push_back(fit);
+    }
+
+    void drop_doubles() {
+        link(same_fwhm * typical_fwhm());
+        std::vector<char> keep(fits_.size(), 1);
+        for (std::size_t i = 0; i < fits_.size(); ++i)
+            for (const std::size_t j : near_[i])
+                if (keep[j] != 0 && brighter(j, i)) keep[i] = 0;
+        erase_unless(keep);
+    }
+
+    void fit_all() {
+        link(neighbour_reach());
+        std::vector<std::size_t> order(fits_.size());
+        std::iota(order.begin(), order.end(), std::size_t{0});
+        std::sort(order.begin(), order.end(), [this](auto a, auto b) { return brighter(a, b); });
+        for (const std::size_t i : order) fit_one(i);
+        for (int round = 1; round < neighbour_rounds; ++round) {
+            drop_what_is_none();
+            link(neighbour_reach());
+            for (std::size_t i = 0; i < fits_.size(); ++i)
+                if (!near_[i].empty()) fit_one(i);
+        }
+        drop_what_is_none();
+    }
+
+    std::vector<Spot> spots() {
+        link(blend_fwhm * typical_fwhm());
+        std::vector<Spot> out;
+        for (std::size_t i = 0; i < fits_.size(); ++i) out.push_back(spot(fits_[i], !near_[i].empty()));
+        return out;
+    }
+
+    const std::vector<Fit> &fits() const { return fits_; }
+
+  private:
+    bool brighter(std::size_t a, std::size_t b) const {
+        return fits_[a].height > fits_[b].height || (fits_[a].height == fits_[b].height && a < b);
+    }
+    double typical_fwhm() const {
+        return profile_.fwhm_px(profile_.half_width_px, profile_.half_height_px);
+    }
+    // wings of a spot matter to this distance
+    double neighbour_reach() const { return 6.0 * typical_fwhm(); }
+
+    void fit_one(std::size_t i) {
+        Fit &fit = fits_[i];
+        const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
+        const Cut cut = cut_out(image_, background_, settings_, fit.x, fit.y, e.half_width(fit.q_max),
+                                e.half_height(fit.q_max), stamp_);
+        fit.truncated = cut.truncated;
+        fit.saturated = cut.saturated;
+        for (const std::size_t j : near_[i]) {
+            const Fit &n = fits_[j];
+            subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux, n.x - stamp_.x0,
+                             n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
+        }
+        solve(stamp_, profile_, settings_, true, fit);
+    }
+
+    bool is_spot(const Fit &f) const {
+        const double sigma = f.flux / std::sqrt(f.var_flux);
+        const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
+        return f.converged && sigma > settings_.threshold && f.lost < cap && f.x > -0.5 && f.y > -0.5 &&
+               f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+    }
+
+    void drop_what_is_none() {
+        link(same_fwhm * typical_fwhm());
+        std::vector<char> keep(fits_.size(), 1);
+        for (std::size_t i = 0; i < fits_.size(); ++i) keep[i] = is_spot(fits_[i]);
+        for (std::size_t i = 0; i < fits_.size(); ++i)
+            for (const std::size_t j : near_[i])
+                if (keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) keep[i] = 0;
+        erase_unless(keep);
+    }
+
+    void erase_unless(const std::vector<char> &keep) {
+        std::size_t n = 0;
+        for (std::size_t i = 0; i < fits_.size(); ++i)
+            if (keep[i] != 0) fits_[n++] = fits_[i];
+        fits_.resize(n);
+    }
+
+    // near_[i]: all others within a distance, by a sweep over y.
+    void link(double distance) {
+        near_.assign(fits_.size(), {});
+        std::vector<std::size_t> order(fits_.size());
+        std::iota(order.begin(), order.end(), std::size_t{0});
+        std::sort(order.begin(), order.end(), [this](auto a, auto b) { return fits_[a].y < fits_[b].y; });
+        for (std::size_t a = 0; a < order.size(); ++a)
+            for (std::size_t b = a + 1; b < order.size(); ++b) {
+                const Fit &p = fits_[order[a]], &q = fits_[order[b]];
+                if (q.y - p.y > distance) break;
+                if (std::fabs(p.x - q.x) > distance || std::hypot(p.x - q.x, p.y - q.y) > distance) continue;
+                near_[order[a]].push_back(order[b]), near_[order[b]].push_back(order[a]);
+            }
+    }
+
+    Spot spot(const Fit &f, bool in_blend) const {
+        Spot s;
+        s.x_px = f.x, s.y_px = f.y;
+        s.var_x_px2 = f.var_x, s.cov_xy_px2 = f.cov_xy, s.var_y_px2 = f.var_y;
+        s.flux_adu = f.flux, s.flux_err_adu = std::sqrt(f.var_flux);
+        s.background_adu = background_.level_at(f.x, f.y) + f.background;
+        s.chi2 = f.chi2;
+        const auto flag = [](bool is, SpotFlag bit) { return is ? static_cast<std::uint32_t>(bit) : 0u; };
+        s.flags = flag(f.saturated, saturated) | flag(in_blend, blended) | flag(f.truncated, truncated) |
+                  flag(f.left_out > most_doubt, cosmic) | flag(f.chi2 > poor_chi2, poor_shape);
+        return s;
+    }
+
+    const ImageView &image_;
+    const Background &background_;
+    const Settings &settings_;
+    const Profile &profile_;
+    Reach reach_;
+    Stamp stamp_;
+    std::vector<Fit> fits_;
+    std::vector<std::vector<std::size_t>> near_;
+};
+
+} // namespace
+
+double Profile::fwhm_px(double x_px, double y_px) const {
+    const double half = 0.5 * profile_value(*this, 0);
+    double low = 0, high = 200;
+    for (int k = 0; k < 50; ++k) (profile_value(*this, 0.5 * (low + high)) > half ? low : high) = 0.5 * (low + high);
+    return 2 * std::sqrt(low * ellipse_at(*this, x_px, y_px).area());
+}
+
+Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
+    const Background background = measure_background(image);
+    const std::vector<Seed> seeds = detect(image, background, settings);
+    Result result;
+    result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
+    result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
+    Frame frame(image, background, settings, result.profile);
+    for (const Seed &s : seeds) frame.add(s);
+    frame.drop_doubles();
+    frame.fit_all();
+    result.spots = frame.spots();
+    return result;
+}
+
+Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
+                     double radius_px, const Profile &known) {
+    const Background background = measure_background(image);
+    const std::size_t n = expected_xy_px.size() / 2;
+    std::vector<Seed> seeds;
+    std::vector<std::size_t> owner;
+    for (std::size_t i = 0; i < n; ++i) {
+        Seed seed;
+        if (!detect_near(image, background, settings, expected_xy_px[2 * i], expected_xy_px[2 * i + 1], radius_px,
+                         seed))
+            continue;
+        seeds.push_back(seed), owner.push_back(i);
+    }
+    Result result;
+    result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
+    result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
+    Frame frame(image, background, settings, result.profile);
+    for (const Seed &s : seeds) frame.add(s);
+    frame.drop_doubles();
+    frame.fit_all();
+    const std::vector<Spot> found = frame.spots();
+    result.spots.assign(n, Spot{});
+    std::vector<int> claims(found.size(), 0);
+    std::vector<std::ptrdiff_t> taken(n, -1);
+    for (std::size_t k = 0; k < owner.size(); ++k) {
+        double nearest = same_fwhm * result.profile.fwhm_px(seeds[k].x, seeds[k].y) + 1.0;
+        for (std::size_t j = 0; j < found.size(); ++j) {
+            const double d = std::hypot(found[j].x_px - seeds[k].x, found[j].y_px - seeds[k].y);
+            if (d < nearest) nearest = d, taken[owner[k]] = static_cast<std::ptrdiff_t>(j);
+        }
+        if (taken[owner[k]] >= 0) ++claims[static_cast<std::size_t>(taken[owner[k]])];
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+        if (taken[i] < 0) continue;
+        const auto j = static_cast<std::size_t>(taken[i]);
+        result.spots[i] = found[j];
+        if (claims[j] > 1) result.spots[i].flags |= shared;
+    }
+    return result;
+}
+
+} // namespace fl::metrology

@@ -1,0 +1,19 @@
+"""A physics twin of a focal plane: true units, the real firmware in each, a virtual bus and camera."""
+
+from .camera import NoiseCamera
+from .draw import draw_units
+from .faults import Fault, FaultKind
+from .transport import TwinTransport
+from .twin import Reply, Twin
+from .units import Units
+
+__all__ = [
+    "Fault",
+    "FaultKind",
+    "NoiseCamera",
+    "Reply",
+    "Twin",
+    "TwinTransport",
+    "Units",
+    "draw_units",
+]
