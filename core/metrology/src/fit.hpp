@@ -48,6 +48,7 @@ struct Fit {
     bool saturated = false;
     bool truncated = false;
     bool converged = false;
+    bool orphaned = false; // a neighbour that was taken off turned out to be none
     float height = 0; // ADU, of the seed
 };
 
@@ -58,6 +59,9 @@ struct Cut {
 };
 Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
             double half_width, double half_height, Stamp &stamp);
+
+// Asks the memory for the pixels of the next spot while this one is fitted: spots lie far apart.
+void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height);
 
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit);
