@@ -21,7 +21,9 @@ def torque_ticks(p, fraction, ticks):
 
 
 def full_torque(params):
-    return 1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
+    return (
+        1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
+    )
 
 
 # -- energy
@@ -84,7 +86,9 @@ def test_cogging_is_conservative():
     log = p.run(np.zeros((600, 1, 3)))[0][:, 0]
     theta = log[:, MOTOR]
     assert np.ptp(theta) > 8 * 2 * np.pi
-    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(4 * theta)
+    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(
+        4 * theta
+    )
     energy = log[:, MOMENTUM] ** 2 / 2 / params["inertia_motor"] + cog
     # the step's own oscillation of the energy, no drift
     assert np.ptp(energy) < 2e-3 * energy.mean()
@@ -92,8 +96,14 @@ def test_cogging_is_conservative():
 
 
 def test_free_rotor_swings_in_the_field_at_root_k_over_j():
-    params = nominal(coulomb_motor=0, viscous_motor=0, cogging_2=0, cogging_4=0,
-                     flux_linkage=1e-4, coil_resistance=1e-4 / 3.23e-5)
+    params = nominal(
+        coulomb_motor=0,
+        viscous_motor=0,
+        cogging_2=0,
+        cogging_4=0,
+        flux_linkage=1e-4,
+        coil_resistance=1e-4 / 3.23e-5,
+    )
     p = plant(params, gear_of(300.0), 0.0)
     p.set_state(0, 2.55, 0.0, 0.0)
     theta = p.run(field(1.0, np.full((4000, 1), 2.5)))[0][:, 0, MOTOR] - 2.5
@@ -263,12 +273,20 @@ def test_hard_stop_holds_the_full_motor(fraction, stop):
     beyond = np.sign(fraction) * (log[-1, OUTPUT] - params[stop])
     assert abs(log[-1, MOMENTUM]) < 1e-10  # 0.03 rad/s, creeping to the end
     # what the stop itself gives way under the motor; the arm is where the stop is
-    assert 0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
+    assert (
+        0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
+    )
 
 
 def test_hall_channels():
-    params = nominal(hall_offset_a=2000, hall_offset_b=2100, hall_amplitude_a=1400,
-                     hall_amplitude_b=1300, hall_phase=0.05, hall_noise=4.0)
+    params = nominal(
+        hall_offset_a=2000,
+        hall_offset_b=2100,
+        hall_amplitude_a=1400,
+        hall_amplitude_b=1300,
+        hall_phase=0.05,
+        hall_noise=4.0,
+    )
     p = plant(params, gear_of(3000.0), 0.0, seed=3)
     counts, angles = [], np.linspace(0, 12.0, 700)
     for theta in angles:

@@ -1,7 +1,7 @@
 """A physics twin of a focal plane: true units, the real firmware in each, a virtual bus and camera."""
 
 from .camera import NoiseCamera
-from .draw import draw_units
+from .draw import draw_units, put_in
 from .faults import Fault, FaultKind
 from .hardware import bench_hardware, field_hardware
 from .transport import TwinTransport
@@ -19,4 +19,5 @@ __all__ = [
     "bench_hardware",
     "draw_units",
     "field_hardware",
+    "put_in",
 ]
