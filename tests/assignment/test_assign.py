@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from fiberloom import _core
 from fiberloom.assignment import assign
+from fiberloom.assignment.clearance import obstacles
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, read_layout
 from fiberloom.targets import TargetList, random_targets, read_targets
@@ -307,3 +309,17 @@ def test_the_real_field(shared_sdssv, sdssv):
     assert 990 in given_up
     assert given_up <= {990, 724, 779}
     assert found.clearance_mm.min() >= 0.0
+
+
+def test_the_planner_sees_no_conflict(small, result):
+    # other code, other method: continuous time, in C++, all approaching together
+    goals = np.deg2rad(result.goal_deg)
+    radius = small.collision_buffer_mm + MARGIN_MM / 2
+    arguments = (list(small.beta_segment_mm), radius)
+    approach = np.deg2rad(APPROACH_DEG)
+    assert len(_core.planning.conflicts(small.arms, *arguments, goals, approach)) == 0
+    bodies = obstacles(small, 0.0)
+    assert np.all(_core.planning.static_ok(small.arms, *arguments, bodies, goals, approach))
+    # and it would: with arms half as thick again there are conflicts
+    wide = (list(small.beta_segment_mm), 1.5 * radius)
+    assert len(_core.planning.conflicts(small.arms, *wide, goals, approach)) > 0
