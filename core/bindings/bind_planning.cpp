@@ -70,23 +70,36 @@ void need_rows(const char *name, size_t have, size_t want) {
                                   .c_str());
 }
 
-nb::tuple plan_all(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles, Pairs start,
-                   Pairs goal, Flags fixed, Four travel, double speed, double acceleration, double approach,
-                   double grid, double clearance, double first_deadline, double last_deadline, double effort,
-                   std::uint64_t seed) {
-    const size_t n = arms.shape(0);
-    need_rows("start", start.shape(0), n);
-    need_rows("goal", goal.shape(0), n);
-    need_rows("fixed", fixed.shape(0), n);
-    const Bodies bodies = bodies_of(arms, segment, radius, obstacles);
-    const double *t = travel.data();
-    const Task task{
-        angles_of(start), angles_of(goal), {fixed.data(), fixed.data() + n}, {t[0], t[1], t[2], t[3]}};
+Settings settings_of(double speed, double acceleration, double grid) {
     Settings settings;
     settings.speed_rad_s = speed;
     settings.acceleration_rad_s2 = acceleration;
-    settings.approach_rad = approach;
     settings.grid_rad = grid;
+    return settings;
+}
+
+nb::tuple clock_of(double speed, double acceleration, double grid, double highest_approach) {
+    const Clock clock(settings_of(speed, acceleration, grid), highest_approach);
+    return nb::make_tuple(clock.quarter_s, clock.grid_rad, clock.leg_quarters);
+}
+
+nb::tuple plan_all(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles, Pairs start,
+                   Pairs goal, Input1<double> approach, Flags fixed, Four travel, double speed,
+                   double acceleration, double grid, double clearance, double first_deadline,
+                   double last_deadline, double effort, std::uint64_t seed) {
+    const size_t n = arms.shape(0);
+    need_rows("start", start.shape(0), n);
+    need_rows("goal", goal.shape(0), n);
+    need_rows("approach", approach.shape(0), n);
+    need_rows("fixed", fixed.shape(0), n);
+    const Bodies bodies = bodies_of(arms, segment, radius, obstacles);
+    const double *t = travel.data();
+    const Task task{angles_of(start),
+                    angles_of(goal),
+                    {approach.data(), approach.data() + n},
+                    {fixed.data(), fixed.data() + n},
+                    {t[0], t[1], t[2], t[3]}};
+    Settings settings = settings_of(speed, acceleration, grid);
     settings.clearance_mm = clearance;
     settings.first_deadline = first_deadline;
     settings.last_deadline = last_deadline;
@@ -141,19 +154,25 @@ nb::dict dict_of(const Verification &v) {
 
 nb::dict verify_all(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles,
                     const std::vector<Points> &motions, Four travel, Pairs start, Pairs goal, Flags arrives,
-                    double speed, double acceleration, double approach, double rounding) {
+                    Input1<double> approach, double speed, double acceleration, double rounding) {
     const size_t n = arms.shape(0);
     need_rows("motions", motions.size(), n);
     if (start.shape(0) != 0) need_rows("start", start.shape(0), n);
     if (goal.shape(0) != 0) need_rows("goal", goal.shape(0), n);
     if (goal.shape(0) != 0) need_rows("arrives", arrives.shape(0), n);
+    if (approach.shape(0) != 0) need_rows("approach", approach.shape(0), n);
     const Bodies bodies = bodies_of(arms, segment, radius, obstacles);
     std::vector<Motion> all;
     for (const Points &rows : motions) all.push_back(motion_from(rows));
     const double *t = travel.data();
-    const Rules rules{
-        speed,    acceleration,     approach,        {t[0], t[1], t[2], t[3]},
-        rounding, angles_of(start), angles_of(goal), {arrives.data(), arrives.data() + arrives.shape(0)}};
+    const Rules rules{speed,
+                      acceleration,
+                      {t[0], t[1], t[2], t[3]},
+                      rounding,
+                      angles_of(start),
+                      angles_of(goal),
+                      {arrives.data(), arrives.data() + arrives.shape(0)},
+                      {approach.data(), approach.data() + approach.shape(0)}};
     Verification result;
     {
         nb::gil_scoped_release release;
@@ -197,19 +216,25 @@ nb::object clear_pairs(Arms arms, Pairs goals, Arms others, Pairs other_goals, s
 void bind_planning(nb::module_ &m) {
     nb::module_ p =
         m.def_submodule("planning", "Collision-free motion of all positioners, and its verification.");
+    p.def("clock", &clock_of, nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
+          nb::arg("highest_approach"),
+          "The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many "
+          "quarters "
+          "each third of the approach lasts.");
     p.def("plan", &plan_all, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("obstacles"), nb::arg("start"), nb::arg("goal"), nb::arg("fixed"), nb::arg("travel"),
-          nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"), nb::arg("approach"), nb::arg("grid"),
+          nb::arg("obstacles"), nb::arg("start"), nb::arg("goal"), nb::arg("approach"), nb::arg("fixed"),
+          nb::arg("travel"), nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
           nb::arg("clearance_mm"), nb::arg("first_deadline"), nb::arg("last_deadline"), nb::arg("effort"),
           nb::arg("seed"),
           "Motions (list of (n, 3): time_s, alpha_rad, beta_rad), who does not arrive (index, why, other), "
           "statistics.");
     p.def("verify", &verify_all, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
           nb::arg("obstacles"), nb::arg("motions"), nb::arg("travel"), nb::arg("start"), nb::arg("goal"),
-          nb::arg("arrives"), nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"), nb::arg("approach"),
+          nb::arg("arrives"), nb::arg("approach"), nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
           nb::arg("rounding"),
-          "Proof in continuous time; start and goal may be empty (not checked). Depths in mm, rad, rad/s, "
-          "rad/s2.");
+          "Proof in continuous time; start, goal and approach may be empty (not checked). Violations are "
+          "(fault, "
+          "robot, other, time_s, depth in mm, rad, rad/s or rad/s2).");
     p.def("conflicts", &find_conflicts, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
           nb::arg("goals_rad"), nb::arg("approach_rad"),
           "Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.");

@@ -38,7 +38,7 @@ def test_the_calibration_finds_the_true_gear():
         for row in range(3):
             gear = plain(units.gear[row, axis]).ravel()
             theta = found.maps.output_deg[row, axis]  # (2, K)
-            true, backlash = core.transmission(gear, GEAR, np.deg2rad(theta[0]))
+            true = core.transmission(gear, GEAR, np.deg2rad(theta[0]))[0]
             off = found.maps.wire_deg[row, axis, 0] - np.rad2deg(true) / GEAR
             # true arms differ from the layout's by 1 um and 50 urad: that constant is the map's
             assert np.abs(off.mean()) < 0.02
@@ -75,6 +75,8 @@ def test_trajectories_run_on_the_twin():
     assert ids == plane.positioner_id.tolist()
     assert [r.outcome for r in results.values()] == [Outcome.DONE] * 4
     assert ok.all()
-    np.testing.assert_allclose(where_deg[:4], np.tile(start + [30.0, -30.0], (4, 1)), atol=0.01)
+    np.testing.assert_allclose(
+        where_deg[:4], np.tile(start + np.array([30.0, -30.0]), (4, 1)), atol=0.01
+    )
     np.testing.assert_allclose(where_deg[4], start, atol=0.2)  # at rest, as powered up
     assert 6.0 < twin.time_s < 8.0

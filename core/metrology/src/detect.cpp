@@ -58,12 +58,15 @@ template <class P> class Hills {
         return true;
     }
 
-    // A hot pixel is lonely, a spot is not.
+    // A hot pixel is lonely, a spot is not; on the flank of a spot it may hide the top and must not hide the spot.
     bool lit(int x, int y) const {
         const Ground g = ground(x, y);
         const Block b = block(x, y, g);
-        const float bar = g.level + std::max(neighbour_share * (b[4] - g.level), 1.5f * g.noise);
-        return std::count_if(b.begin(), b.end(), [&](float v) { return v > bar; }) > neighbours_needed;
+        const auto above = [&](float bar) {
+            return std::count_if(b.begin(), b.end(), [&](float v) { return v > g.level + bar; });
+        };
+        return above(std::max(neighbour_share * (b[4] - g.level), 1.5f * g.noise)) > neighbours_needed ||
+               above(3.0f * g.noise) >= 5;
     }
 
     // Uphill on the sum of 5 x 5 clipped pixels. False: this hill was climbed before.

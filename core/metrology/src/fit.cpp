@@ -69,8 +69,8 @@ Judge judge_at(int iteration, const Profile &profile, const Settings &settings, 
 void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
     const auto cx = solver.solve({0, 1, 0, 0}), cy = solver.solve({0, 0, 1, 0}), cf = solver.solve({1, 0, 0, 0});
     fit.var_x = cx[1], fit.cov_xy = cx[2], fit.var_y = cy[2], fit.var_flux = cf[0];
-    const double freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
-    fit.chi2 = normal.sum[Normal::chi2] / freedom;
+    fit.freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
+    fit.chi2 = normal.sum[Normal::chi2] / fit.freedom;
     fit.left_out = normal.sum[Normal::left_out];
     fit.lost = normal.sum[Normal::light_lost] / std::max(normal.sum[Normal::light], 1e-300);
 }

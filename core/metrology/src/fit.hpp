@@ -40,7 +40,8 @@ struct Fit {
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
-    double chi2 = 0;
+    double chi2 = 0;   // per degree of freedom
+    double freedom = 1;
     double lost = 0;   // share of the profile's squared light without a say
     double left_out = 0; // pixels
     double q_max = 0;

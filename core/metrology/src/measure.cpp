@@ -12,6 +12,8 @@ namespace {
 constexpr double blend_fwhm = 2.0;   // nearer than this, two spots share their pixels
 constexpr double same_fwhm = 0.4;    // nearer than this, it is one
 constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
+constexpr double most_unexplained = 0.04; // of what the profile explains
+constexpr double most_ragged = 0.2;   // of the pixels, left out where the others do not fit either
 constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
 constexpr double poor_chi2 = 2.0;
 constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
@@ -116,8 +118,16 @@ class Frame {
     bool is_spot(const Fit &f) const {
         const double sigma = f.flux / std::sqrt(f.var_flux);
         const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
-        return f.converged && sigma > settings_.threshold && f.lost < cap && f.x > -0.5 && f.y > -0.5 &&
-               f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+        return f.converged && sigma > settings_.threshold && f.lost < cap && has_the_shape(f, sigma) &&
+               f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+    }
+
+    // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots.
+    static bool has_the_shape(const Fit &f, double sigma) {
+        const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
+        // a spot hit by a cosmic ray loses pixels and fits well with the others; a track does neither
+        const bool ragged = f.chi2 > poor_chi2 && f.left_out > most_ragged * (f.left_out + f.freedom);
+        return left_over < most_unexplained * sigma * sigma && !ragged;
     }
 
     void drop_what_is_none() {

@@ -111,6 +111,8 @@ class Encounter {
     Gap best_;
 };
 
+Fault at_rest(Fault fault) { return fault == Fault::robots ? Fault::contact : Fault::obstacle_contact; }
+
 class Verifier {
   public:
     Verifier(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules)
@@ -217,7 +219,7 @@ void Verifier::check_ends(size_t i) {
     if (!rules_.start.empty()) check_end(Fault::start, i, m.angles.front(), rules_.start[i], 0.0);
     if (!rules_.goal.empty() && rules_.arrives[i] != 0)
         check_end(Fault::goal, i, m.angles.back(), rules_.goal[i], m.time_s.back());
-    if (tracks_[i].moves()) check_approach(i);
+    if (!rules_.approach_rad.empty() && tracks_[i].moves()) check_approach(i);
 }
 
 // From the end back: as long as both axes fall, they must have come from approach_rad above.
@@ -226,7 +228,7 @@ void Verifier::check_approach(size_t i) {
     size_t k = p.size() - 1;
     while (k > 0 && p[k - 1].alpha_rad >= p[k].alpha_rad && p[k - 1].beta_rad >= p[k].beta_rad) --k;
     const double height = std::min(p[k].alpha_rad - p.back().alpha_rad, p[k].beta_rad - p.back().beta_rad);
-    const double missing = rules_.approach_rad - height;
+    const double missing = rules_.approach_rad[i] - height;
     if (missing > 2.0 * rules_.rounding_rad)
         report(Fault::approach, i, -1, motions_[i].time_s.back(), missing);
 }
@@ -235,7 +237,7 @@ void Verifier::note(Gap gap, size_t i, int other, Fault fault, bool moving, Gap 
     gap.robot = static_cast<int>(i);
     gap.other = other;
     if (gap.gap_mm < smallest.gap_mm) smallest = gap;
-    if (gap.gap_mm < -touching_mm) report(moving ? fault : Fault::contact, i, other, gap.time_s, -gap.gap_mm);
+    if (gap.gap_mm < -touching_mm) report(moving ? fault : at_rest(fault), i, other, gap.time_s, -gap.gap_mm);
 }
 
 void Verifier::check_pair(size_t i, size_t j) {
@@ -276,8 +278,9 @@ void Verifier::check_obstacles() {
 } // namespace
 
 const char *to_string(Fault fault) {
-    static constexpr const char *names[] = {"robots", "obstacle",     "contact", "points", "travel",
-                                            "speed",  "acceleration", "start",   "goal",   "approach"};
+    static constexpr const char *names[] = {"robots", "obstacle", "contact", "obstacle_contact",
+                                            "points", "travel",   "speed",   "acceleration",
+                                            "start",  "goal",     "approach"};
     return names[static_cast<size_t>(fault)];
 }
 

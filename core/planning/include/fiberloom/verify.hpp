@@ -13,16 +13,17 @@
 namespace fl::planning {
 
 enum class Fault {
-    robots,       // two positioners, at least one of which moves, come too close
-    obstacle,     // a positioner that moves comes too close to a fiducial or guide camera
-    contact,      // two bodies that do not move in this plan are too close
-    points,       // times do not rise from 0, or something is not a finite number
-    travel,       // beyond the travel of an axis
-    speed,        // faster than allowed
-    acceleration, // speed changes faster than allowed
-    start,        // does not begin where the positioner is
-    goal,         // does not end where it shall
-    approach,     // does not end with the approach
+    robots,           // two positioners, at least one of which moves, come too close
+    obstacle,         // a positioner that moves comes too close to a fiducial or guide camera
+    contact,          // two positioners that do not move in this plan are too close
+    obstacle_contact, // one that does not move is too close to a fiducial or guide camera
+    points,           // times do not rise from 0, or something is not a finite number
+    travel,           // beyond the travel of an axis
+    speed,            // faster than allowed
+    acceleration,     // speed changes faster than allowed
+    start,            // does not begin where the positioner is
+    goal,             // does not end where it shall
+    approach,         // does not end with the approach
 };
 const char *to_string(Fault fault);
 
@@ -39,13 +40,13 @@ struct Violation {
 struct Rules {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
-    double approach_rad = 0.0;
     Limits travel{};
     double rounding_rad = 0.0; // how far angles may be off by rounding
     // empty: not checked. goal: only for those whose flag in `arrives` is set.
     std::vector<Angles> start;
     std::vector<Angles> goal;
     std::vector<std::uint8_t> arrives;
+    std::vector<double> approach_rad;
 };
 
 // The smallest gap between surfaces found, and where; 1e-4 mm true.
