@@ -134,7 +134,7 @@ int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index) {
 
 static void declare(fl_axis_t *a, int32_t position_cnt) {
     a->zero_cnt = fl_sub_i32(position_cnt, a->hall.angle_cnt);
-    a->position_cnt = position_cnt;
+    a->position_cnt = a->command.position_cnt = position_cnt;
 }
 
 void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt) {
@@ -202,7 +202,7 @@ static void leg_next(fl_axis_t *a) {
 static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
-    a->servo = (fl_servo_state_t){0.0f, 0.0f};
+    a->servo.integral_Nm = a->servo.direction = 0.0f;
     a->fresh = false;
     a->start_cnt = a->position_cnt;
     for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];
@@ -274,7 +274,7 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
     *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm);
+    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm, in.speed_rad_s);
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
@@ -309,6 +309,7 @@ static bool stands(fl_axis_t *a) {
 }
 
 static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
+    a->command.position_cnt = a->position_cnt;
     if (!stands(a)) return FL_AXIS_NONE;
     if (a->plan[a->leg].kind == FL_LEG_BRAKE) return finish(a, port, index);
     declare_datum(a);

@@ -12,6 +12,13 @@ static fl_hall_config_t hall_config(const fl_axis_params_t *p) {
     return cfg;
 }
 
+/* So that a feedback torque t at 2000 rpm adds t/T_learn per second to the drag torque. */
+static float drag_learning(const fl_axis_params_t *p) {
+    const float drag = p->use_speed * p->drag;
+    if (!(drag > 0.0f && p->drag_learning_time > 0.0f)) return 0.0f;
+    return 1.0f / (p->drag_learning_time * drag * (FL_LEARNING_RAD_S * FL_LEARNING_RAD_S));
+}
+
 static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
     const fl_sincos_t cogging = sincos_rad(p->cogging_phase);
     const float ba = p->use_break_away;
@@ -20,6 +27,7 @@ static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
         .k_i = p->k_i,
         .integral_limit = p->integral_limit,
         .drag = p->use_speed * p->drag,
+        .learning = drag_learning(p),
         .inertia = p->use_inertia * p->inertia,
         .coulomb = ba * p->coulomb,
         .spring_torque = ba * p->spring_torque,
@@ -36,7 +44,7 @@ static fl_collision_config_t collision_config(const fl_axis_params_t *p, float m
     const float threshold = fl_max(p->collision_torque + p->k_p * margin_rad, 0.0f);
     const float error_rad = (threshold - p->integral_limit) / fl_max(p->k_p, 1e-12f);
     const float error_cnt = fl_clamp(error_rad * FL_CNT_PER_RAD, 0.0f, 1e9f);
-    const fl_collision_config_t cfg = {threshold, (int32_t)error_cnt};
+    const fl_collision_config_t cfg = {threshold, p->collision_speed_share * p->drag, (int32_t)error_cnt};
     return cfg;
 }
 
@@ -87,6 +95,7 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
     fl_path_clear(&a->path);
+    a->servo = (fl_servo_state_t){0.0f, 0.0f, 1.0f};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;

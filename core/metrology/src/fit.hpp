@@ -40,7 +40,8 @@ struct Fit {
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
-    double chi2 = 0;
+    double chi2 = 0;   // per degree of freedom
+    double freedom = 1;
     double lost = 0;   // share of the profile's squared light without a say
     double left_out = 0; // pixels
     double q_max = 0;
@@ -48,6 +49,7 @@ struct Fit {
     bool saturated = false;
     bool truncated = false;
     bool converged = false;
+    bool orphaned = false; // a neighbour that was taken off turned out to be none
     float height = 0; // ADU, of the seed
 };
 
@@ -58,6 +60,9 @@ struct Cut {
 };
 Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
             double half_width, double half_height, Stamp &stamp);
+
+// Asks the memory for the pixels of the next spot while this one is fitted: spots lie far apart.
+void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height);
 
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit);

@@ -12,15 +12,19 @@ namespace {
 constexpr double blend_fwhm = 2.0;   // nearer than this, two spots share their pixels
 constexpr double same_fwhm = 0.4;    // nearer than this, it is one
 constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
+constexpr double most_unexplained = 0.04; // of what the profile explains
+constexpr double most_ragged = 0.2;   // of the pixels, left out where the others do not fit either
 constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
 constexpr double poor_chi2 = 2.0;
+constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
+constexpr double close_fwhm = 3.0;   // nearer than this, one fit moves the other
 constexpr int neighbour_rounds = 4;
 
 // Spots of one image and who stands near whom.
 class Frame {
   public:
     Frame(const ImageView &image, const Background &background, const Settings &settings, const Profile &profile)
-        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile) {}
+        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile), typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
 
     void add(const Seed &seed) {
         const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
@@ -34,7 +38,7 @@ class Frame {
     }
 
     void drop_doubles() {
-        link(same_fwhm * typical_fwhm());
+        link(same_fwhm * typical_fwhm_);
         std::vector<char> keep(fits_.size(), 1);
         for (std::size_t i = 0; i < fits_.size(); ++i)
             for (const std::size_t j : near_[i])
@@ -42,23 +46,27 @@ class Frame {
         erase_unless(keep);
     }
 
+    // Brightest first, each with the light of its neighbours taken off; those that share pixels again and again.
     void fit_all() {
-        link(neighbour_reach());
+        link(wing_fwhm * typical_fwhm_);
         std::vector<std::size_t> order(fits_.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         std::sort(order.begin(), order.end(), [this](auto a, auto b) { return brighter(a, b); });
-        for (const std::size_t i : order) fit_one(i);
+        for (std::size_t k = 0; k < order.size(); ++k) {
+            if (k + 1 < order.size()) fetch(fits_[order[k + 1]]);
+            fit_one(order[k]);
+        }
         for (int round = 1; round < neighbour_rounds; ++round) {
             drop_what_is_none();
-            link(neighbour_reach());
+            link(wing_fwhm * typical_fwhm_);
             for (std::size_t i = 0; i < fits_.size(); ++i)
-                if (!near_[i].empty()) fit_one(i);
+                if (fits_[i].orphaned || shares_pixels(i)) fit_one(i);
         }
         drop_what_is_none();
     }
 
     std::vector<Spot> spots() {
-        link(blend_fwhm * typical_fwhm());
+        link(blend_fwhm * typical_fwhm_);
         std::vector<Spot> out;
         for (std::size_t i = 0; i < fits_.size(); ++i) out.push_back(spot(fits_[i], !near_[i].empty()));
         return out;
@@ -70,11 +78,24 @@ class Frame {
     bool brighter(std::size_t a, std::size_t b) const {
         return fits_[a].height > fits_[b].height || (fits_[a].height == fits_[b].height && a < b);
     }
-    double typical_fwhm() const {
-        return profile_.fwhm_px(profile_.half_width_px, profile_.half_height_px);
+    bool shares_pixels(std::size_t i) const {
+        return std::any_of(near_[i].begin(), near_[i].end(), [&](std::size_t j) {
+            return distance(fits_[i], fits_[j]) < close_fwhm * typical_fwhm_;
+        });
     }
-    // wings of a spot matter to this distance
-    double neighbour_reach() const { return 6.0 * typical_fwhm(); }
+    static double distance(const Fit &a, const Fit &b) { return std::hypot(a.x - b.x, a.y - b.y); }
+
+    // Does the light of `other` reach into the pixels of a spot, a tenth of the noise of one of them?
+    bool reaches(const Fit &other, const Fit &fit, const Ellipse &e, float noise) const {
+        const double gap = std::max(distance(other, fit) - std::sqrt(fit.q_max * std::max(e.xx, e.yy)), 0.0);
+        const double light = other.flux * profile_value(profile_, gap * gap / e.area()) / e.area();
+        return light > 0.1 * noise;
+    }
+
+    void fetch(const Fit &fit) const {
+        const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
+        fetch_ahead(image_, fit.x, fit.y, e.half_width(fit.q_max), e.half_height(fit.q_max));
+    }
 
     void fit_one(std::size_t i) {
         Fit &fit = fits_[i];
@@ -83,28 +104,44 @@ class Frame {
                                 e.half_height(fit.q_max), stamp_);
         fit.truncated = cut.truncated;
         fit.saturated = cut.saturated;
+        const float noise = background_.noise_at(fit.x, fit.y);
         for (const std::size_t j : near_[i]) {
             const Fit &n = fits_[j];
+            if (!reaches(n, fit, e, noise)) continue;
             subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux, n.x - stamp_.x0,
                              n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
         }
         solve(stamp_, profile_, settings_, true, fit);
+        fit.orphaned = false;
     }
 
     bool is_spot(const Fit &f) const {
         const double sigma = f.flux / std::sqrt(f.var_flux);
         const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
-        return f.converged && sigma > settings_.threshold && f.lost < cap && f.x > -0.5 && f.y > -0.5 &&
-               f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+        return f.converged && sigma > settings_.threshold && f.lost < cap && has_the_shape(f, sigma) &&
+               f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+    }
+
+    // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots.
+    static bool has_the_shape(const Fit &f, double sigma) {
+        const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
+        // a spot hit by a cosmic ray loses pixels and fits well with the others; a track does neither
+        const bool ragged = f.chi2 > poor_chi2 && f.left_out > most_ragged * (f.left_out + f.freedom);
+        return left_over < most_unexplained * sigma * sigma && !ragged;
     }
 
     void drop_what_is_none() {
-        link(same_fwhm * typical_fwhm());
         std::vector<char> keep(fits_.size(), 1);
         for (std::size_t i = 0; i < fits_.size(); ++i) keep[i] = is_spot(fits_[i]);
         for (std::size_t i = 0; i < fits_.size(); ++i)
-            for (const std::size_t j : near_[i])
-                if (keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) keep[i] = 0;
+            for (const std::size_t j : near_[i]) {
+                const bool one = distance(fits_[i], fits_[j]) < same_fwhm * typical_fwhm_;
+                if (one && keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) keep[i] = 0;
+            }
+        // what was taken off for a spot that is none must be given back
+        for (std::size_t i = 0; i < fits_.size(); ++i)
+            if (keep[i] == 0)
+                for (const std::size_t j : near_[i]) fits_[j].orphaned = true;
         erase_unless(keep);
     }
 
@@ -148,6 +185,7 @@ class Frame {
     const Settings &settings_;
     const Profile &profile_;
     Reach reach_;
+    double typical_fwhm_;
     Stamp stamp_;
     std::vector<Fit> fits_;
     std::vector<std::vector<std::size_t>> near_;

@@ -64,7 +64,7 @@ class Team {
     void extend(int steps);
 
     // Seeks a way of one positioner among the others as they are now; false if there is none below give_up.
-    bool seek(int robot, const Costs &costs, int give_up, Search &search);
+    bool seek(int robot, const Costs &costs, int give_up, bool backward, Search &search);
     void stand_still(int robot);
     // Counts anew whom a positioner meets.
     void count_meetings(int robot);

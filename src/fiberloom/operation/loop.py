@@ -22,7 +22,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
-from fiberloom.operation.correction import Corrections
+from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.status import ASTRAY_MM, Evidence, Status, judge
 from fiberloom.planning import Plan, Robot, plan, plan_corrections, verify
@@ -173,7 +173,7 @@ class Loop:
     async def run(self) -> list[Move]:
         """Blind move with recovery, then the corrections."""
         await self.blind_move()
-        corrections = Corrections(self.plane, self.goal_deg, filtered=self.settings.filtered)
+        corrections = CorrectionLoop(self.plane, self.goal_deg, filtered=self.settings.filtered)
         for number in range(2, self.settings.moves + 1):
             await self.correct(corrections, number)
         if self.settings.compare_linear:
@@ -207,9 +207,10 @@ class Loop:
             self.blocked[self.plane.index_of(positioner)] = True
             self.recorder.event("blocked", reason, positioner)
 
-    async def correct(self, corrections: Corrections, number: int) -> None:
+    async def correct(self, corrections: CorrectionLoop, number: int) -> None:
         """Weigh the last image and move every healthy positioner with a target by what it says."""
-        wanted_deg = corrections.next(self.here_deg, self.moves[-1].measurement, self.correctable)
+        image = self.moves[-1].measurement
+        wanted_deg = corrections.update(self.here_deg, image.xy_mm, self.correctable & image.seen)
         await self._small_move(number, f"correction {number - 1}", wanted_deg, self.maps)
 
     async def linear_move(self) -> None:
@@ -248,7 +249,7 @@ class Loop:
         """Verify, execute, look, judge, record. Returns who is healthy but was interrupted."""
         self._verify(planned)
         before_deg = self.here_deg.copy()
-        commanded_deg = _end_of(planned, self.plane, before_deg)
+        commanded_deg = planned.end_deg
         outcomes = await self._execute(planned, maps)
         image = self.hardware.camera.measure()
         interrupted = self._judge(outcomes, image, before_deg, commanded_deg)
@@ -279,7 +280,7 @@ class Loop:
         trajectories = {
             robot.positioner_id: self._on_the_wire(robot, maps)
             for robot in planned.robots
-            if len(robot.time_s) > 1
+            if robot.moves
         }
         results = await self.client.run_trajectories(trajectories)
         if not results.ok.all():
@@ -288,10 +289,9 @@ class Loop:
         return {positioner: result.outcome for positioner, result in results.items()}
 
     def _on_the_wire(self, robot: Robot, maps: TransmissionMaps) -> Trajectory:
-        row = self.plane.index_of([robot.positioner_id])
-        theta_deg = np.stack([robot.alpha_deg, robot.beta_deg])[None]
-        alpha_deg, beta_deg = maps.to_wire(theta_deg, index=row)[0]
-        return Trajectory.from_deg(robot.time_s, alpha_deg, beta_deg)
+        row = int(self.plane.index_of(robot.positioner_id))
+        wire_deg = maps.path_to_wire(row, robot.points_deg)
+        return Trajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
 
     # judging
 
@@ -325,9 +325,7 @@ class Loop:
         rows = np.flatnonzero(doubted & image.seen)
         found = self.plane.inverse(image.xy_mm[rows], METROLOGY, index=rows)
         angles_deg = np.column_stack([found.alpha_deg, found.beta_deg])
-        self.here_deg[rows] = np.where(
-            found.reachable[:, None], angles_deg, self.here_deg[rows]
-        )
+        self.here_deg[rows] = np.where(found.reachable[:, None], angles_deg, self.here_deg[rows])
 
     def _flag(self, row: int, fault: Status, why: str) -> None:
         self.faults[row] = fault
@@ -362,13 +360,3 @@ class Loop:
         if not self.has_target[row]:
             return Status.PARKED
         return Status.ON_TARGET if within else Status.OFF_TARGET
-
-
-def _end_of(planned: Plan, plane: FocalPlane, before_deg: Floats) -> Floats:
-    """Where the plan takes everyone (N, 2); those it does not move stay."""
-    end_deg = before_deg.copy()
-    for robot in planned.robots:
-        if len(robot.time_s) > 1:
-            row = int(plane.index_of(robot.positioner_id))
-            end_deg[row] = robot.alpha_deg[-1], robot.beta_deg[-1]
-    return end_deg

@@ -134,22 +134,24 @@ def _fibres_of(observed: Observed, move: Move) -> Table:
     nothing = np.full((len(plane), 2), np.nan)
     true = nothing if move.true_mm is None else move.true_mm
     seen = move.measurement.seen
-    return Table({
-        "positioner_id": plane.positioner_id,
-        "fibre": assignment.fibre,
-        "target_id": names[assignment.target],
-        "move": np.full(len(plane), move.number),
-        "x_target_mm": target[:, 0],
-        "y_target_mm": target[:, 1],
-        "alpha_deg": assignment.alpha_deg,
-        "beta_deg": assignment.beta_deg,
-        "x_measured_mm": np.where(seen, move.measurement.x_mm, np.nan),
-        "y_measured_mm": np.where(seen, move.measurement.y_mm, np.nan),
-        "x_true_mm": true[:, 0],
-        "y_true_mm": true[:, 1],
-        "error_um": observed.error_um(move),
-        "status": np.array([status.value for status in move.status]),
-    })
+    return Table(
+        {
+            "positioner_id": plane.positioner_id,
+            "fibre": assignment.fibre,
+            "target_id": names[assignment.target],
+            "move": np.full(len(plane), move.number),
+            "x_target_mm": target[:, 0],
+            "y_target_mm": target[:, 1],
+            "alpha_deg": assignment.alpha_deg,
+            "beta_deg": assignment.beta_deg,
+            "x_measured_mm": np.where(seen, move.measurement.x_mm, np.nan),
+            "y_measured_mm": np.where(seen, move.measurement.y_mm, np.nan),
+            "x_true_mm": true[:, 0],
+            "y_true_mm": true[:, 1],
+            "error_um": observed.error_um(move),
+            "status": np.array([status.value for status in move.status]),
+        }
+    )
 
 
 def write_results(observed: Observed, summary: Mapping[str, Any], out: Path) -> None:

@@ -265,3 +265,21 @@ def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np
     record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
     record["datum_position"] = plane.hard_stops_deg[axis][0]
     return record
+
+
+def put_in(plane: FocalPlane) -> dict[str, str]:
+    """What was put into the twin, for reports: everything else came out."""
+    first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
+    return {
+        "camera": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
+        f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
+        f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
+        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, "
+        "given (Fig. 10)",
+        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given "
+        "(Fig. 20)",
+        "firmware parameters": "identified within 1 to 5 % (assumed)",
+        "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
+        f"{BETA_SHARE:g} of alpha's (assumed)",
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +72,13 @@ class Units:
 
     def __len__(self) -> int:
         return len(self.plant)
+
+    def digest(self) -> str:
+        """16 hex digits that change with any number of any unit."""
+        digest = hashlib.sha256()
+        for values in (self.plant, self.gear, self.firmware, self.arms):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()[:16]
 
     def transmission(self, index: int, axis: int, output_deg: ArrayLike) -> tuple[Floats, Floats]:
         """True wire angle T-(theta)/n_bar in deg, and backlash B in motor deg. Eq. 6 and 7."""
