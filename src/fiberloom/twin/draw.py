@@ -277,6 +277,8 @@ def put_in(plane: FocalPlane) -> dict[str, str]:
         f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
         "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, "
         "given (Fig. 10)",
+        "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
+        "rms (alpha / beta), tuned to Fig. 17",
         "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given "
         "(Fig. 20)",
         "firmware parameters": "identified within 1 to 5 % (assumed)",
