@@ -1,4 +1,4 @@
-"""A physics twin of a focal plane: true units, the real firmware in each, a virtual bus and camera."""
+"""A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
 from .camera import NoiseCamera
 from .draw import draw_units, put_in
