@@ -2,6 +2,7 @@
 // centre_x_mm, centre_y_mm, l_alpha_mm, alpha_off_rad, beta_off_rad.
 #include "bind.hpp"
 #include "fiberloom/arm.hpp"
+#include "fiberloom/distance.hpp"
 
 namespace {
 
@@ -73,6 +74,47 @@ nb::object jacobian(Arms arms, Pairs point, Pairs angles) {
     return out.cast();
 }
 
+using Quads = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
+
+fl::Segment segment_at(const Quads &quads, size_t i) {
+    const double *q = quads.data() + 4 * i;
+    return {{q[0], q[1]}, {q[2], q[3]}};
+}
+
+nb::object segment_distance(Quads first, Quads second) {
+    const size_t n = first.shape(0);
+    same_rows(n, {second.shape(0)});
+    auto out = new_array<double>({n});
+    for (size_t i = 0; i < n; ++i)
+        out.data()[i] = fl::segment_distance(segment_at(first, i), segment_at(second, i));
+    return out.cast();
+}
+
+nb::object closest_points(Quads first, Quads second) {
+    const size_t n = first.shape(0);
+    same_rows(n, {second.shape(0)});
+    auto out = new_array<double>({n, 7});
+    for (size_t i = 0; i < n; ++i) {
+        const fl::Closest c = fl::closest_points(segment_at(first, i), segment_at(second, i));
+        const double row[] = {c.on_first.x,  c.on_first.y,   c.on_second.x, c.on_second.y,
+                              c.along_first, c.along_second, c.distance_mm};
+        std::copy(std::begin(row), std::end(row), out.data() + 7 * i);
+    }
+    return out.cast();
+}
+
+nb::object beta_segment(Arms arms, double from_mm, double to_mm, Pairs angles) {
+    const size_t n = arms.shape(0);
+    same_rows(n, {angles.shape(0)});
+    auto out = new_array<double>({n, 4});
+    for (size_t i = 0; i < n; ++i) {
+        const fl::Segment s = fl::beta_segment(arm_at(arms, i), from_mm, to_mm, angles_at(angles, i));
+        const double row[] = {s.a.x, s.a.y, s.b.x, s.b.y};
+        std::copy(std::begin(row), std::end(row), out.data() + 4 * i);
+    }
+    return out.cast();
+}
+
 } // namespace
 
 void bind_geometry(nb::module_ &m) {
@@ -86,4 +128,10 @@ void bind_geometry(nb::module_ &m) {
           "each target lies outside the annulus of its arms. Eq. 2, both elbows.");
     g.def("jacobian", &jacobian, nb::arg("arms"), nb::arg("point_mm"), nb::arg("angles_rad"),
           "d(x, y)/d(alpha, beta), (N, 2, 2) in mm/rad.");
+    g.def("segment_distance", &segment_distance, nb::arg("first_mm"), nb::arg("second_mm"),
+          "Distance (N,) in mm of pairs of segments, each x0, y0, x1, y1.");
+    g.def("closest_points", &closest_points, nb::arg("first_mm"), nb::arg("second_mm"),
+          "Per pair of segments: the nearest points x, y on each, how far along each (0..1), distance.");
+    g.def("beta_segment", &beta_segment, nb::arg("arms"), nb::arg("from_mm"), nb::arg("to_mm"),
+          nb::arg("angles_rad"), "Centre lines (N, 4) of the beta arms' capsules: x0, y0, x1, y1.");
 }

@@ -15,36 +15,47 @@ extern "C" {
 #endif
 
 /* X(name, unit, min, max, default, meaning); every field is a float */
-#define FL_AXIS_PARAMS(X)                                                                           \
-    X(hall_offset_a, "cnt", 0, 4095, 2048, "centre of hall channel A (sine)")                       \
-    X(hall_offset_b, "cnt", 0, 4095, 2048, "centre of hall channel B (cosine)")                     \
-    X(hall_amplitude_a, "cnt", 100, 2047, 1500, "amplitude of channel A")                           \
-    X(hall_amplitude_b, "cnt", 100, 2047, 1500, "amplitude of channel B")                           \
-    X(hall_phase, "rad", -0.5, 0.5, 0, "deviation of B from quadrature")                            \
-    X(u_dc, "V", 1, 48, 12, "supply of the bridges")                                                \
-    X(torque_per_volt, "Nm/V", 1e-8, 1, 4.2e-5, "Eq. 19: (3/2)(lambda/R)(sqrt(3)/2)")               \
-    X(inertia, "kg m^2", 1e-13, 1, 3.5e-9, "motor and gear, at the motor")                          \
-    X(drag, "Nm s/rad", 0, 1, 8e-7, "c_tot: viscous friction + back-EMF")                           \
-    X(coulomb, "Nm", 0, 1, 2e-5, "Coulomb friction of motor and gear")                              \
-    X(spring_torque, "Nm", -1, 1, 8e-6, "torsion spring at output angle 0, positive: resists -")    \
-    X(spring_rate, "Nm/rad", -1, 1, -9e-10, "change of the spring torque per motor radian")         \
-    X(cogging_torque, "Nm", 0, 1, 1e-5, "amplitude, two cycles per motor turn")                     \
-    X(cogging_phase, "rad", -7, 7, 0, "T_cog = amplitude sin(2 theta + phase), as met by the motor")\
-    X(k_p, "Nm/rad", 0, 10, 1.9e-5, "proportional gain, Eq. 21")                                    \
-    X(k_i, "Nm/(rad s)", 0, 100, 4e-4, "integral gain")                                             \
-    X(integral_limit, "Nm", 0, 1, 1.5e-5, "anti-windup bound T_I_max, Eq. 23")                      \
-    X(collision_torque, "Nm", 0, 1, 5.5e-5, "T_threshold, Eq. 22")                                  \
-    X(speed_default, "rpm", 1, 6000, 2000, "of go-to moves, until SET_SPEED")                       \
-    X(speed_max, "rpm", 1, 8000, 5000, "trajectories faster than this are refused")                 \
-    X(acceleration, "rad/s^2", 1, 1e6, 840, "of go-to moves, at the motor")                         \
-    X(approach, "deg", 0, 3600, 840, "overshoot of the backlash-closing approach, motor degrees")   \
-    X(position_min, "deg", -720, 720, -4, "output angle; commands beyond are refused")              \
-    X(position_max, "deg", -720, 720, 364, "")                                                      \
-    X(settle_tolerance, "deg", 0, 90, 0.5, "motor angle at which a move has ended")                 \
-    X(settle_time, "s", 0, 10, 0.02, "how long it must stay inside the tolerance")                  \
-    X(settle_timeout, "s", 0, 10, 0.5, "a move ends at the latest so long after its profile")       \
-    X(open_loop_voltage, "fraction", 0, 1, 1.0, "u_cmd/u_dc of the rotating field in open loop")    \
-    X(holding_voltage, "fraction", 0, 1, 0, "u_cmd/u_dc at standstill; 0 switches off after a move")
+#define FL_AXIS_PARAMS(X)                                                                                    \
+    X(hall_offset_a, "cnt", 0, 4095, 2048, "centre of hall channel A (sine)")                                \
+    X(hall_offset_b, "cnt", 0, 4095, 2048, "centre of hall channel B (cosine)")                              \
+    X(hall_amplitude_a, "cnt", 100, 2047, 1500, "amplitude of channel A")                                    \
+    X(hall_amplitude_b, "cnt", 100, 2047, 1500, "amplitude of channel B")                                    \
+    X(hall_phase, "rad", -0.5, 0.5, 0, "deviation of B from quadrature")                                     \
+    X(u_dc, "V", 1, 48, 12, "supply of the bridges")                                                         \
+    X(torque_per_volt, "Nm/V", 1e-8, 1, 4.2e-5, "Eq. 19: (3/2)(lambda/R)(sqrt(3)/2)")                        \
+    X(inertia, "kg m^2", 1e-13, 1, 3.5e-9, "motor and gear, at the motor")                                   \
+    X(drag, "Nm s/rad", 0, 1, 8e-7, "c_tot: viscous friction + back-EMF")                                    \
+    X(coulomb, "Nm", 0, 1, 2e-5, "Coulomb friction of motor and gear")                                       \
+    X(spring_torque, "Nm", -1, 1, 8e-6, "torsion spring at output angle 0, positive: resists -")             \
+    X(spring_rate, "Nm/rad", -1, 1, -9e-10, "change of the spring torque per motor radian")                  \
+    X(cogging_torque, "Nm", 0, 1, 1e-5, "amplitude, two cycles per motor turn")                              \
+    X(cogging_phase, "rad", -7, 7, 0, "T_cog = amplitude sin(2 theta + phase), as met by the motor")         \
+    X(k_p, "Nm/rad", 0, 10, 1.9e-5, "proportional gain, Eq. 21")                                             \
+    X(k_i, "Nm/(rad s)", 0, 100, 4e-4, "integral gain")                                                      \
+    X(integral_limit, "Nm", 0, 1, 1.5e-5, "anti-windup bound T_I_max, Eq. 23")                               \
+    X(collision_torque, "Nm", 0, 1, 5.5e-5, "T_threshold, Eq. 22")                                           \
+    X(speed_default, "rpm", 1, 6000, 2000, "of go-to moves, until SET_SPEED")                                \
+    X(speed_max, "rpm", 1, 8000, 5000, "trajectories faster than this are refused")                          \
+    X(acceleration, "rad/s^2", 1, 1e6, 840, "of go-to moves, at the motor")                                  \
+    X(approach, "deg", 0, 3600, 840, "overshoot of the backlash-closing approach, motor degrees")            \
+    X(position_min, "deg", -720, 720, -4, "output angle; commands beyond are refused")                       \
+    X(position_max, "deg", -720, 720, 364, "")                                                               \
+    X(settle_tolerance, "deg", 0, 90, 0.5, "motor angle at which a move has ended")                          \
+    X(settle_time, "s", 0, 10, 0.02, "how long it must stay inside the tolerance")                           \
+    X(settle_timeout, "s", 0, 10, 0.5, "a move ends at the latest so long after its profile")                \
+    X(open_loop_voltage, "fraction", 0, 1, 1.0, "u_cmd/u_dc of the rotating field in open loop")             \
+    X(holding_voltage, "fraction", 0, 1, 0, "u_cmd/u_dc at standstill; 0 switches off after a move")         \
+    X(landing, "deg", 0, 360, 20, "the last motor degrees of a move are crept, so that nothing overshoots")  \
+    X(landing_speed, "deg/s", 1, 10000, 100, "motor speed of the landing")                                   \
+    X(settle_gain, "1", 1, 20, 5, "factor on both gains while landing and settling")                         \
+    X(datum_position, "deg", -720, 720, -4, "output angle of the hard stop the datum search meets")          \
+    X(datum_speed, "rpm", 1, 6000, 300, "motor speed of the datum search")                                   \
+    X(collision_speed_share, "1", 0, 1, 0.08,                                                                \
+      "share of drag * speed added to T_threshold: until it is learnt")                                      \
+    X(drag_learning_time, "s", 0, 100, 0.1, "time in which the drag is learnt at 2000 rpm; 0: never")        \
+    X(use_break_away, "1", 0, 1, 1, "share of the break-away feedforward, Eq. 21; 0 switches it off")        \
+    X(use_speed, "1", 0, 1, 1, "share of the speed feedforward")                                             \
+    X(use_inertia, "1", 0, 1, 1, "share of the inertia feedforward")
 
 typedef struct fl_axis_params {
 #define X(name, unit, min, max, def, doc) float name;

@@ -1,9 +1,138 @@
 #include "fl_positioner.h"
 
+#include "fl_boot.h"
+#include "fl_calibration.h"
+#include "fl_dispatch.h"
+#include "fl_status.h"
+#include "fl_storage.h"
+
+enum { BOTH_AXES = 3 };
+
+static bool params_good(const fl_positioner_t *p) {
+    return fl_params_fault(&p->params[FL_ALPHA]) < 0 && fl_params_fault(&p->params[FL_BETA]) < 0;
+}
+
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]) {
     p->port = *port;
     p->id = id;
-    for (int axis = 0; axis < FL_AXES; ++axis) p->params[axis] = params[axis];
-    p->status = 0;
+    for (int axis = 0; axis < FL_AXES; ++axis) {
+        p->params[axis] = params[axis];
+        fl_axis_init(&p->axis[axis], &p->params[axis]);
+        p->points[axis] = 0;
+    }
+    p->state = FL_STATE_IDLE;
+    p->collided = p->datum_known = p->cogging_calibrated = 0;
+    p->hall_calibrated = BOTH_AXES; /* the factory parameters describe this unit */
+    p->path_bad = p->settings_changed = p->led = false;
+    p->options = 0;
+    p->ticks = p->trajectories = 0;
+    p->temperature_raw = 1900;
+    p->tx.first = p->tx.count = 0;
+    p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
+    fl_storage_load(p);
+    p->params_good = params_good(p);
+    fl_positioner_refresh(p);
 }
+
+bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params) {
+    if (!fl_axis_rests(&p->axis[axis])) return false;
+    p->params[axis] = *params;
+    fl_axis_configure(&p->axis[axis], params);
+    p->params_good = params_good(p);
+    fl_positioner_refresh(p);
+    return true;
+}
+
+void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
+    for (int axis = 0; axis < FL_AXES; ++axis)
+        fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
+    p->datum_known = BOTH_AXES;
+    p->options &= ~(FL_STATUS_ESTIMATED_POSITION | FL_STATUS_POSITION_RESTORED);
+    fl_storage_note_position(p, false);
+    fl_positioner_refresh(p);
+}
+
+static bool axes_rest(const fl_positioner_t *p) {
+    return fl_axis_rests(&p->axis[FL_ALPHA]) && fl_axis_rests(&p->axis[FL_BETA]);
+}
+
+bool fl_positioner_at_rest(const fl_positioner_t *p) {
+    return axes_rest(p) && p->state != FL_STATE_BOOTLOADER && p->tx.count == 0 &&
+           p->axis[FL_ALPHA].voltage == 0.0f && p->axis[FL_BETA].voltage == 0.0f;
+}
+
+void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks) { p->ticks += ticks; }
+
+void fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
+    const bool rested = p->state <= FL_STATE_REFUSED;
+    p->state = state;
+    if (rested && state > FL_STATE_REFUSED) fl_storage_note_position(p, true);
+    fl_positioner_refresh(p);
+}
+
+void fl_positioner_apply(fl_positioner_t *p, fl_input_t input) {
+    p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_positioner_conditions(p, BOTH_AXES)).next;
+}
+
+void fl_positioner_brake(fl_positioner_t *p) {
+    for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_brake(&p->axis[axis], &p->port, axis);
+}
+
+/* Eq. 22 has fired: everything stops, the host is told. */
+static void collide(fl_positioner_t *p, int axis) {
+    const bool first = p->collided == 0;
+    p->collided |= (uint8_t)(1u << axis);
+    fl_positioner_brake(p);
+    fl_positioner_apply(p, FL_IN_COLLISION);
+    fl_positioner_refresh(p);
+    if (first) fl_positioner_report_collision(p);
+}
+
+static void axis_done(fl_positioner_t *p, int axis) {
+    fl_calibration_done(p, axis);
+    if (axes_rest(p)) {
+        fl_positioner_apply(p, FL_IN_DONE);
+        fl_storage_note_position(p, false);
+    }
+    fl_positioner_refresh(p);
+}
+
+void fl_positioner_tick(fl_positioner_t *p) {
+    ++p->ticks;
+    if (p->tx.count != 0) fl_positioner_flush(p);
+    if (p->state == FL_STATE_BOOTLOADER) {
+        fl_boot_tick(p);
+        return;
+    }
+    for (int i = 0; i < FL_AXES; ++i) {
+        if (fl_axis_rests(&p->axis[i])) continue;
+        switch (fl_axis_tick(&p->axis[i], &p->port, i)) {
+        case FL_AXIS_DONE:
+            axis_done(p, i);
+            break;
+        case FL_AXIS_BLOCKED:
+            collide(p, i);
+            break;
+        case FL_AXIS_NONE:
+            break;
+        }
+    }
+}
+
+fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis) {
+    const fl_axis_t *a = &p->axis[axis];
+    const float per_cnt = 1.0f / FL_CNT_PER_MOTOR_DEG;
+    const int32_t folded = (int32_t)((uint32_t)a->command.position_cnt << 8) >> 8;
+    const fl_axis_telemetry_t t = {
+        .command_deg = (float)folded * per_cnt,
+        .tracking_deg = (float)fl_sub_i32(a->command.position_cnt, a->position_cnt) * per_cnt,
+        .speed_rad_s = a->command.speed_rad_s,
+        .feedback_Nm = a->torque.watched_Nm,
+        .feedforward_Nm = a->torque.feedforward_Nm,
+        .voltage = a->voltage,
+    };
+    return t;
+}
+
+int32_t fl_positioner_position(const fl_positioner_t *p, int axis) { return p->axis[axis].position_cnt; }

@@ -5,24 +5,66 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "fl_axis.h"
 #include "fl_params.h"
 #include "fl_port.h"
+#include "fl_supervisor.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+/* Frames waiting for a mailbox of the bus. */
+enum { FL_TX_FRAMES = 16 };
+
+typedef struct fl_tx_queue {
+    fl_can_frame_t frame[FL_TX_FRAMES];
+    uint8_t first, count;
+} fl_tx_queue_t;
+
+/* What the bootloader knows of the image that arrives. */
+typedef struct fl_boot {
+    uint32_t status; /* FL_BOOT_... */
+    uint32_t size, crc_expected;
+    uint32_t received, crc;
+    uint32_t until_tick; /* then the main firmware starts */
+    /* Where a board puts the image; returns the bytes taken. NULL: received, checked, dropped. */
+    uint32_t (*image_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+} fl_boot_t;
 
 /* Visible, so that it can be placed, copied and inspected; only the functions below change it. */
 typedef struct fl_positioner {
     fl_port_t port;
     uint16_t id; /* 1..2047, bits 28..18 of the identifier */
     fl_axis_params_t params[FL_AXES];
-    uint64_t status;
+    uint64_t status; /* what command 3 reports */
+
+    fl_axis_t axis[FL_AXES];
+    uint8_t state;           /* fl_state_t */
+    uint8_t collided;        /* per axis, bit 0 = alpha: kept until STOP_TRAJECTORY */
+    uint8_t hall_calibrated; /* likewise */
+    uint8_t datum_known;
+    uint8_t cogging_calibrated;
+
+    uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
+    bool path_bad;            /* a point was out of order or too fast */
+    bool settings_changed;    /* since the last save */
+    uint64_t options;         /* status bits that are only remembered */
+    uint32_t ticks;           /* since power-up */
+    uint32_t trajectories;    /* started so far */
+    uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
+    bool led;                 /* as commanded: no LED on the port */
+    bool params_good;
+    fl_boot_t boot;
+    fl_tx_queue_t tx;
 } fl_positioner_t;
 
 /* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]);
+
+/* Into the bootloader, as at power-up of a real unit: it starts the main firmware after 10 s. */
+void fl_positioner_enter_bootloader(fl_positioner_t *p);
 
 /* The control interrupt: call every 0.5 ms. */
 void fl_positioner_tick(fl_positioner_t *p);
@@ -38,19 +80,26 @@ void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
 /* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set. */
 void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
 
+/* Replaces the parameters of an axis. False and no change while it moves. */
+bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params);
+
+/* The SYNC line rises: like START_TRAJECTORY without an answer. */
+void fl_positioner_sync(fl_positioner_t *p);
+
 /* For logs and the scope of a bench: what the control law saw and did in the last tick. */
 typedef struct fl_axis_telemetry {
-    float command_deg;     /* motor angle asked for, relative to the turn counter's zero, folded to the
-                            * last 2^24 of a degree: use differences to measured_deg */
-    float tracking_deg;    /* commanded minus measured motor angle */
-    float speed_rad_s;     /* commanded */
-    float feedback_Nm;     /* PI term, the one Eq. 22 watches */
+    float command_deg;  /* motor angle asked for, relative to the turn counter's zero, folded to the
+                         * last 2^24 of a degree: use differences to measured_deg */
+    float tracking_deg; /* commanded minus measured motor angle */
+    float speed_rad_s;  /* commanded */
+    float feedback_Nm;  /* PI term, the one Eq. 22 watches */
     float feedforward_Nm;
-    float voltage;         /* u_cmd / u_dc */
+    float voltage; /* u_cmd / u_dc */
 } fl_axis_telemetry_t;
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
 
-/* Measured position in 2^30 per output turn. */
+/* Position in 2^30 per output turn: measured in motion; at rest where the last move settled, for that
+ * is where the gear stands (without current the rotor may fall back inside the backlash). */
 int32_t fl_positioner_position(const fl_positioner_t *p, int axis);
 
 #ifdef __cplusplus

@@ -75,9 +75,11 @@ def test_limits_keep_one_elbow_and_every_turn_of_alpha():
 @given(angle, elbow)
 def test_the_jacobian_is_the_derivative(alpha, beta):
     h = 1e-6
-    numeric = np.column_stack([
-        (forward(alpha + h, beta) - forward(alpha - h, beta)) / (2 * h),
-        (forward(alpha, beta + h) - forward(alpha, beta - h)) / (2 * h),
-    ])
+    numeric = np.column_stack(
+        [
+            (forward(alpha + h, beta) - forward(alpha - h, beta)) / (2 * h),
+            (forward(alpha, beta + h) - forward(alpha, beta - h)) / (2 * h),
+        ]
+    )
     exact = geometry.jacobian(ARM, POINT, np.array([[alpha, beta]]))[0]
     np.testing.assert_allclose(exact, numeric, atol=1e-7)

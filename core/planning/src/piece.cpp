@@ -1,0 +1,84 @@
+#include "piece.hpp"
+
+namespace fl::planning {
+namespace {
+
+double clamp01(double t) { return t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t); }
+
+// Squared distance of the point r (seen from the segment's first end) from a segment d.
+double squared_to(Vec2 r, Vec2 d, double inverse) {
+    const double t = clamp01(dot(r, d) * inverse);
+    const double x = r.x - t * d.x, y = r.y - t * d.y;
+    return x * x + y * y;
+}
+
+// The distance of two segments whose ends run on straight lines from (p0, q0) to (p1, q1). d0 and d1
+// are the distances at the ends of the interval. Halves the interval until the answer is sure.
+bool chords_apart(const Segment &p0, const Segment &p1, const Segment &q0, const Segment &q1, double d0,
+                  double d1, double need, int depth) {
+    if (d0 < need || d1 < need) return false;
+    if (d0 + d1 - relative_way(p0, p1, q0, q1) >= 2.0 * need) return true;
+    if (depth == 0) return false;
+    const Segment p = middle(p0, p1), q = middle(q0, q1);
+    const double d = distance(p, q);
+    return chords_apart(p0, p, q0, q, d0, d, need, depth - 1) &&
+           chords_apart(p, p1, q, q1, d, d1, need, depth - 1);
+}
+
+} // namespace
+
+double squared_distance(const Segment &p, const Segment &q) {
+    const Vec2 dp = p.b - p.a, dq = q.b - q.a, r = p.a - q.a;
+    const Vec2 r1{r.x + dp.x, r.y + dp.y}; // p.b from q.a
+    const double side0 = cross(dq, r), side1 = cross(dq, r1);
+    if ((side0 < 0.0) != (side1 < 0.0)) {
+        // the ends of p lie on both sides of q's line; now those of q
+        const double other0 = cross(r, dp), other1 = cross({r.x - dq.x, r.y - dq.y}, dp);
+        if ((other0 < 0.0) != (other1 < 0.0)) return 0.0;
+    }
+    const double lp = dot(dp, dp), lq = dot(dq, dq);
+    const double ip = lp > 0.0 ? 1.0 / lp : 0.0, iq = lq > 0.0 ? 1.0 / lq : 0.0;
+    const double a = squared_to(r, dq, iq), b = squared_to(r1, dq, iq);
+    const double c = squared_to({-r.x, -r.y}, dp, ip), d = squared_to({dq.x - r.x, dq.y - r.y}, dp, ip);
+    return std::min(std::min(a, b), std::min(c, d));
+}
+
+double relative_way(const Segment &p0, const Segment &p1, const Segment &q0, const Segment &q1) {
+    const Vec2 pa = p1.a - p0.a, pb = p1.b - p0.b, qa = q1.a - q0.a, qb = q1.b - q0.b;
+    const Vec2 aa = pa - qa, ab = pa - qb, ba = pb - qa, bb = pb - qb;
+    return std::sqrt(std::max(std::max(dot(aa, aa), dot(ab, ab)), std::max(dot(ba, ba), dot(bb, bb))));
+}
+
+bool stay_apart(const Piece &p, const Piece &q, double need_mm) {
+    const double need = need_mm + p.bulge_mm + q.bulge_mm;
+    std::array<double, quarters + 1> d;
+    d[2] = distance(p.at[2], q.at[2]);
+    if (d[2] < need) return false;
+    if (d[2] - p.sway_mm - q.sway_mm >= need) return true;
+    for (size_t k : {size_t{0}, size_t{1}, size_t{3}, size_t{4}}) d[k] = distance(p.at[k], q.at[k]);
+    for (size_t k = 0; k < quarters; ++k)
+        if (!chords_apart(p.at[k], p.at[k + 1], q.at[k], q.at[k + 1], d[k], d[k + 1], need, 5)) return false;
+    return true;
+}
+
+Piece standing(const Segment &line) {
+    Piece piece;
+    piece.at.fill(line);
+    return piece;
+}
+
+void measure_sway(Piece &piece) {
+    double sway = 0.0;
+    for (int side : {-1, 1}) {
+        double a = 0.0, b = 0.0; // ways of the two ends, from mid-step outwards
+        for (int k = 0; k < quarters / 2; ++k) {
+            const auto from = static_cast<size_t>(2 + side * k), to = static_cast<size_t>(2 + side * (k + 1));
+            a += length(piece.at[to].a - piece.at[from].a);
+            b += length(piece.at[to].b - piece.at[from].b);
+        }
+        sway = std::max({sway, a, b});
+    }
+    piece.sway_mm = sway + piece.bulge_mm;
+}
+
+} // namespace fl::planning

@@ -1,0 +1,197 @@
+#include "repair.hpp"
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <numeric>
+
+namespace fl::planning {
+namespace {
+
+constexpr int any_cost = 1 << 25;   // more than any way costs
+constexpr int meeting_cost = 1000;  // per step
+constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
+constexpr int patience = 40;        // repairs around a pair without success before the deadline grows
+constexpr int rounds_per_robot = 8; // repairs before somebody is given up, per positioner, and at least ...
+constexpr int least_rounds = 2000;
+
+} // namespace
+
+void Repair::first_ways() {
+    std::vector<int> order(static_cast<size_t>(team_.size()));
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
+        return team_.at(i).robot.travel_steps() > team_.at(j).robot.travel_steps();
+    });
+    for (int i : order)
+        if (team_.at(i).still) team_.stand_still(i);
+    for (int i : order)
+        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, false, search_)) team_.extend(1);
+    for (int i : order) team_.count_meetings(i);
+    statistics_.first_conflicts = team_.meetings();
+}
+
+std::vector<std::pair<int, int>> Repair::pairs() const {
+    std::vector<std::pair<int, int>> out;
+    for (int i = 0; i < team_.size(); ++i)
+        for (const Meeting &m : team_.at(i).meetings)
+            if (m.other > i) out.emplace_back(i, m.other);
+    return out;
+}
+
+bool Repair::run(int last_steps) {
+    const auto most =
+        static_cast<std::int64_t>(settings_.effort * std::max(least_rounds, rounds_per_robot * team_.size()));
+    for (std::int64_t k = 0; k < most && team_.steps() <= last_steps; ++k) {
+        const auto all = pairs();
+        if (all.empty()) return true;
+        if (std::getenv("FLDBG") && k % 25 == 0) {
+            std::fprintf(stderr, "round %ld pairs %zu steps %d exp %ldk searches %ld:", (long)k, all.size(),
+                         team_.steps(), (long)search_.expansions() / 1000, (long)statistics_.searches);
+            for (auto [a, b] : all) std::fprintf(stderr, " %d-%d", a, b);
+            std::fprintf(stderr, "\n");
+            if (std::getenv("FLDBG2"))
+                for (auto [a, b] : all) {
+                    std::fprintf(stderr, "  %d travel %d, %d travel %d, steps ", a,
+                                 team_.at(a).robot.travel_steps(), b, team_.at(b).robot.travel_steps());
+                    for (int q = 0; q <= team_.steps(); ++q)
+                        if (!stay_apart(team_.at(a).pieces[q], team_.at(b).pieces[q], team_.need_mm()))
+                            std::fprintf(stderr, " %d", q);
+                    std::fprintf(stderr, "\n");
+                    if (k > 300)
+                        for (int q = 0; q <= team_.steps(); ++q) {
+                            auto &A = team_.at(a);
+                            auto &B = team_.at(b);
+                            std::fprintf(stderr, "   %d: %.1f %.1f | %.1f %.1f  d %.2f\n", q,
+                                         A.robot.alpha().angle(A.way[q].alpha) * 57.2958,
+                                         A.robot.beta().angle(A.way[q].beta) * 57.2958,
+                                         B.robot.alpha().angle(B.way[q].alpha) * 57.2958,
+                                         B.robot.beta().angle(B.way[q].beta) * 57.2958,
+                                         distance(A.pieces[q].at[2], B.pieces[q].at[2]));
+                        }
+                }
+        }
+        round(all[static_cast<size_t>(random_.below(static_cast<int>(all.size())))]);
+        ++statistics_.repairs;
+    }
+    return team_.meetings() == 0;
+}
+
+Repair::Group Repair::choose(std::pair<int, int> pair) {
+    Group group{{pair.first, pair.second}, {}, 0};
+    for (int more = random_.below(7); more > 0; --more) {
+        const auto &near = team_.at(random_.chance(50) ? pair.first : pair.second).neighbours;
+        const int among = std::min(static_cast<int>(near.size()), 8);
+        const int pick = near[static_cast<size_t>(random_.below(among))];
+        if (std::find(group.robots.begin(), group.robots.end(), pick) == group.robots.end())
+            group.robots.push_back(pick);
+    }
+    group.meetings = touching(group);
+    for (int i : group.robots) group.before.push_back(team_.remember(i));
+    if (random_.chance(50))
+        random_.shuffle(group.robots);
+    else
+        std::stable_sort(group.robots.begin(), group.robots.end(), [&](int i, int j) {
+            return team_.at(i).robot.travel_steps() > team_.at(j).robot.travel_steps();
+        });
+    return group;
+}
+
+// Pairs that meet with at least one of them in the group.
+int Repair::touching(const Group &group) const {
+    int sum = 0;
+    for (int i : group.robots)
+        for (const Meeting &m : team_.at(i).meetings) {
+            const bool inside =
+                std::find(group.robots.begin(), group.robots.end(), m.other) != group.robots.end();
+            sum += inside ? 1 : 2;
+        }
+    return sum / 2;
+}
+
+void Repair::forget_ways(const Group &group) {
+    const int choice = random_.below(4);
+    for (int i : group.robots) {
+        Member &m = team_.at(i);
+        m.presence = choice == 0 ? Presence::absent : choice == 1 ? Presence::standing : Presence::way;
+        m.cost = choice == 2 ? meeting_cost / 10 : meeting_cost;
+    }
+}
+
+// Half of the members now and then find it dear to stretch their arms: that leads to other ways.
+Costs Repair::random_costs(const Robot &robot) {
+    Costs costs;
+    const int dear = 1 + random_.below(20);
+    for (int line = 0; line < robot.beta().size(); ++line)
+        costs.beta.push_back(static_cast<int>(dear * (1.0 + robot.beta().turn(line).c)));
+    return costs;
+}
+
+bool Repair::replan(const Group &group, int most) {
+    const bool dice = random_.chance(60);
+    for (int i : group.robots) {
+        Member &m = team_.at(i);
+        const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
+        ++statistics_.searches;
+        if (!team_.seek(i, costs, most, random_.chance(50), search_)) return false;
+        m.cost = meeting_cost;
+    }
+    return true;
+}
+
+void Repair::take_back(Group &group) {
+    for (Memory &memory : group.before) {
+        team_.at(memory.robot).cost = meeting_cost;
+        team_.restore(std::move(memory));
+    }
+    for (int i : group.robots) team_.count_meetings(i);
+}
+
+void Repair::judge(std::pair<int, int> pair, const Group &group, int meetings_now) {
+    if (meetings_now < group.meetings) {
+        for (int i : group.robots) team_.at(i).tries = 0;
+        return;
+    }
+    for (int i : {pair.first, pair.second}) ++team_.at(i).tries;
+    if (std::min(team_.at(pair.first).tries, team_.at(pair.second).tries) < patience) return;
+    for (int i : {pair.first, pair.second}) team_.at(i).tries = 0;
+    team_.extend(std::max(1, team_.steps() / 32));
+}
+
+void Repair::round(std::pair<int, int> pair) {
+    Group group = choose(pair);
+    forget_ways(group);
+    if (!replan(group, any_cost)) {
+        take_back(group);
+        return judge(pair, group, group.meetings);
+    }
+    for (int i : group.robots) team_.count_meetings(i);
+    const int now = touching(group);
+    if (now > group.meetings) take_back(group);
+    judge(pair, group, now);
+}
+
+int Repair::way_cost(const Member &member, const Costs &costs) const {
+    int cost = 0;
+    Cell last{};
+    for (size_t k = 0; k < member.way.size(); ++k) {
+        const Cell here = member.way[k], next = member.way[std::min(k + 1, member.way.size() - 1)];
+        const Cell v{next.alpha - here.alpha, next.beta - here.beta};
+        cost += costs.move * (std::abs(v.alpha) + std::abs(v.beta));
+        cost += costs.bend * ((v.alpha != last.alpha) + (v.beta != last.beta));
+        last = v;
+    }
+    return cost;
+}
+
+void Repair::tidy() {
+    const Costs costs;
+    for (int i = 0; i < team_.size(); ++i) team_.at(i).cost = tidy_cost;
+    for (int i = 0; i < team_.size(); ++i) {
+        if (team_.at(i).still) continue;
+        ++statistics_.searches;
+        team_.seek(i, costs, way_cost(team_.at(i), costs), false, search_);
+    }
+}
+
+} // namespace fl::planning

@@ -1,0 +1,46 @@
+// From ways that meet to ways that do not: large-neighbourhood search over small groups of positioners.
+#pragma once
+
+#include "team.hpp"
+
+namespace fl::planning {
+
+class Repair {
+  public:
+    Repair(Team &team, const Settings &settings, Statistics &statistics)
+        : team_(team), settings_(settings), statistics_(statistics), random_(settings.seed) {}
+
+    // A way for everybody, longest first, encounters allowed where they cannot be avoided.
+    void first_ways();
+    // Replans groups until nobody meets anybody (true), or until effort or deadline are used up.
+    bool run(int last_steps);
+    // Replans each positioner alone for a shorter, straighter way that meets nobody.
+    void tidy();
+    std::int64_t expansions() const { return search_.expansions(); }
+
+  private:
+    struct Group {
+        std::vector<int> robots;
+        std::vector<Memory> before;
+        int meetings = 0;
+    };
+
+    std::vector<std::pair<int, int>> pairs() const;
+    void round(std::pair<int, int> pair);
+    Group choose(std::pair<int, int> pair);
+    int touching(const Group &group) const;
+    void forget_ways(const Group &group);
+    Costs random_costs(const Robot &robot);
+    bool replan(const Group &group, int most);
+    void take_back(Group &group);
+    void judge(std::pair<int, int> pair, const Group &group, int meetings_now);
+    int way_cost(const Member &member, const Costs &costs) const;
+
+    Team &team_;
+    const Settings &settings_;
+    Statistics &statistics_;
+    Random random_;
+    Search search_;
+};
+
+} // namespace fl::planning

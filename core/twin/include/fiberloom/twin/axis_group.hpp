@@ -1,0 +1,69 @@
+// Thirty-two axes (16 positioners, alpha and beta in turn) side by side: what one tick of the plant
+// touches, about 10 KB, so a group stays in the first-level cache while it is stepped.
+//
+// Everything that is a torque in the model is an impulse here: torque times the step h, in Nm s.
+#pragma once
+
+#include <cstdint>
+
+namespace fl::twin {
+
+inline constexpr int lane_count = 32;
+inline constexpr double tick_s = 0.0005; // 2 kHz control
+
+struct alignas(64) AxisGroup {
+    using Lanes = double[lane_count];
+
+    // state
+    Lanes theta_rad;    // motor
+    Lanes p_Nms;        // momentum of what moves with the rotor
+    Lanes gear_rad;     // motor angle at which negative contact is closed
+    Lanes sine, cosine; // of theta, exact at the start of a tick, turned along inside it
+
+    // transmission, linear inside the cell: positive contact at gear = (theta - backlash_0) backlash_scale
+    Lanes backlash_0_rad, backlash_scale;
+    Lanes cell_lo_rad, cell_hi_rad;
+
+    // drive: impulse = drive_sin sin(theta) + drive_cos cos(theta)
+    Lanes drive_sin_Nms, drive_cos_Nms;
+    Lanes drive_scale_Nms; // h lambda u_dc / (R pwm_steps), zero without supply
+    Lanes pwm_steps;
+
+    // cogging as resistance: c2s sin 2t + c2c cos 2t + (c4s/2) sin 4t + c4c cos 4t
+    Lanes cog_2s_Nms, cog_2c_Nms, cog_4s_Nms, cog_4c_Nms;
+
+    // friction, load of the gear (positive pushes to positive angles), drag and inertia
+    Lanes coulomb_motor_Nms, coulomb_gear_Nms;
+    Lanes resist_up_Nms, resist_down_Nms;     // what the gear takes from the rotor that moves it, this tick
+    Lanes load_0_Nms, load_1_Nms;             // spring and outside torque: load = load_0 + load_1 gear
+    Lanes stop_lo_rad, stop_hi_rad, stop_Nms; // gear angles; impulse per radian beyond
+    Lanes drag_free, drag_free_inverse;       // h d / 2J and 1/(1 + that), rotor alone
+    Lanes drag_push, drag_push_inverse;       // rotor with gear
+    Lanes step_per_p_free, step_per_p_push;   // h / J
+
+    // hall channels: offset + sin_a sine ; offset + cos_b cosine + sin_b sine ; noise
+    Lanes hall_offset_a, hall_sin_a, hall_offset_b, hall_cos_b, hall_sin_b, hall_noise;
+
+    float duty[3][lane_count]; // phases A, B, C as the firmware last set them
+    uint32_t noise_key[lane_count];
+    int32_t hall_cnt[2][lane_count];
+};
+
+// What happened in a tick, one bit per lane.
+struct TickEvents {
+    uint32_t left_cell = 0;
+};
+
+// One build of the inner loops for one instruction set. All builds do the same operations in the same
+// order without contraction, so they agree to the bit.
+struct Kernel {
+    const char *name;
+    void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
+    void (*drive)(AxisGroup &group);                // duties to drive impulses
+    TickEvents (*step)(AxisGroup &group, int substeps);
+};
+
+// The kernels this machine runs, slowest first; ends with a nullptr.
+const Kernel *const *kernels();
+
+} // namespace fl::twin

@@ -1,0 +1,99 @@
+// The hardware of many axes without firmware: motors, gears, springs, hall sensors. Duties in, hall
+// counts and output angles out. docs/twin.md derives the model.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "fiberloom/twin/axis_group.hpp"
+#include "fiberloom/twin/plant_params.hpp"
+#include "fiberloom/twin/transmission.hpp"
+
+namespace fl::twin {
+
+struct Unit { // one true axis
+    PlantParams params;
+    Transmission transmission;
+};
+
+// What may be broken in the hardware of an axis.
+struct AxisFaults {
+    bool dead = false;    // the bridge gets no supply: the rotor is not driven
+    bool blocked = false; // the rotor cannot turn
+    bool lying = false;   // rotor and gear turn, the arm does not follow (an open coupling)
+};
+
+struct AxisState {
+    double theta_rad, momentum_Nms, gear_rad, output_rad;
+};
+
+class Plant {
+  public:
+    // Axes stand still at output_rad in negative contact. Throws std::invalid_argument that names the axis
+    // and what is wrong with it. kernel: a name, or "" for the best of this machine.
+    Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
+          const char *kernel = "", int substeps = 10);
+
+    size_t axis_count() const { return axes_.size(); }
+    size_t group_count() const { return groups_.size(); }
+    const char *kernel_name() const { return kernel_->name; }
+
+    // One tick of one group: hall counts; then, once the duties are set, 0.5 ms of physics. Groups are
+    // independent: any thread may run any of them.
+    void sense(size_t group, uint32_t tick) { kernel_->sense(groups_[group], tick); }
+    void step(size_t group);
+
+    AxisGroup &group(size_t index) { return groups_[index]; }
+    const PlantParams &params(size_t axis) const { return axes_[axis].unit.params; }
+    bool standing(size_t axis) const { return lane(axis, &AxisGroup::p_Nms) == 0.0; }
+    double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
+
+    AxisState state(size_t axis) const;
+    void set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad);
+    double output_rad(size_t axis) const;         // where the arm is, deflected by outside torque, Eq. 5a
+    double output_at_rest_rad(size_t axis) const; // the same without the deflection
+    double backlash_rad(size_t axis) const;       // B where the gear is
+    double speed_limit_rad_s(size_t axis) const;  // of the rotor: nothing drives it faster
+    double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }
+
+    // At the output, positive towards positive angles.
+    void set_external_torque(size_t axis, double torque_Nm);
+    double external_torque_Nm(size_t axis) const { return axes_[axis].torque_Nm; }
+    const AxisFaults &faults(size_t axis) const { return axes_[axis].faults; }
+    void set_faults(size_t axis, AxisFaults faults);
+    // The gear wears: only at rest.
+    void set_transmission(size_t axis, const Transmission &transmission);
+
+  private:
+    struct Axis {
+        Unit unit;
+        Cell cell;
+        AxisFaults faults;
+        double torque_Nm = 0.0;
+        double slip_rad = 0.0; // arm against gear, left by an open coupling
+        double held_rad = 0.0; // where the arm stands while the coupling is open
+    };
+    using Field = AxisGroup::Lanes AxisGroup::*;
+    double lane(size_t axis, Field f) const { return (groups_[axis / lane_count].*f)[axis % lane_count]; }
+    double &lane(size_t axis, Field f) { return (groups_[axis / lane_count].*f)[axis % lane_count]; }
+
+    void place(size_t axis, double output_rad);
+    void configure(size_t axis);
+    void configure_drive(size_t axis);
+    void configure_cogging(size_t axis);
+    void configure_gear(size_t axis);
+    void configure_stops(size_t axis);
+    void configure_hall(size_t axis);
+    void load_cell(size_t axis);
+    void follow_cell(size_t axis);
+    double stop_torque_Nm(size_t axis) const;
+
+    const Kernel *kernel_;
+    int substeps_;
+    double h_s_;
+    std::vector<Axis> axes_;
+    std::vector<AxisGroup> groups_;
+};
+
+} // namespace fl::twin

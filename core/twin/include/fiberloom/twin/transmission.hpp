@@ -1,0 +1,71 @@
+// The true non-linear transmission of one axis, Kronig 2020 Eq. 6 and 7.
+//
+//   negative contact: theta_motor = T-(theta) = n (theta + delta(theta)) = gear angle
+//   positive contact: theta_motor = gear angle + B(theta)      (Eq. 3b, sign corrected)
+//
+// delta and B are harmonic series over the output turn plus a few local marks of wear. The truth is
+// what lies between `nodes_per_turn` nodes by straight lines: a node's value depends on its number
+// alone, so the truth is the same whatever way the axis took, and inverting it is exact.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "fiberloom/twin/plant_params.hpp"
+
+namespace fl::twin {
+
+inline constexpr int nodes_per_turn = 4096;
+
+// Cycles per output turn: eccentricities (1 to 3), the 36 tooth pairings of the last stage with
+// sidebands (teeth differ) and overtones (peaks are sharp), and an earlier stage, 36 x 5.66.
+inline constexpr std::array<int, 9> harmonic_orders = {1, 2, 3, 35, 36, 37, 72, 108, 204};
+inline constexpr int harmonic_count = static_cast<int>(harmonic_orders.size());
+inline constexpr int wear_count = 8;
+
+struct Harmonic {
+    double cos = 0.0, sin = 0.0;
+};
+
+// A raised cosine on delta, full width at its foot: what a worn tooth leaves.
+struct Wear {
+    double centre_rad = 0.0, width_rad = 0.0, height_rad = 0.0;
+};
+
+struct Transmission {
+    std::array<Harmonic, harmonic_count> delta_rad{};    // output angle
+    std::array<Harmonic, harmonic_count> backlash_rad{}; // motor angle
+    double backlash_mean_rad = 0.0;
+    std::array<Wear, wear_count> wear{};
+};
+static_assert(sizeof(Transmission) == (4 * harmonic_count + 1 + 3 * wear_count) * sizeof(double));
+
+struct Node {
+    double gear_rad = 0.0, backlash_rad = 0.0;
+};
+
+// Between two nodes everything is linear in the gear angle.
+struct Cell {
+    int32_t index = 0; // node at its lower end, any turn
+    Node lo, hi;
+    double output_lo_rad = 0.0;
+    double output_per_gear = 0.0; // d theta / d gear
+    double backlash_0_rad = 0.0;  // B = backlash_0 + backlash_1 gear
+    double backlash_1 = 0.0;
+};
+
+Node transmission_node(const Transmission &t, double gear_ratio, int32_t index);
+Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index);
+
+// The cell that holds a gear angle, sought from a cell of the same gear; an output angle's is known at once.
+Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near);
+Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad);
+
+// T-: gear angle of an output angle, without outside torque.
+double gear_of_output(const Cell &cell, double output_rad);
+double output_of_gear(const Cell &cell, double gear_rad);
+
+// Everywhere rising in both contacts, and B never negative: nullptr, or what is wrong.
+const char *transmission_fault(const Transmission &t, double gear_ratio);
+
+} // namespace fl::twin

@@ -1,0 +1,104 @@
+// A focal plane of positioners: the plant, the real firmware behind its port in each of them, the bus,
+// and neighbours that touch. The clock is virtual and counts control ticks.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+// C gives structs and functions the same name; C++ finds that worth a warning
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
+#include "fl_positioner.h"
+#pragma GCC diagnostic pop
+
+#include "fiberloom/twin/neighbours.hpp"
+#include "fiberloom/twin/plant.hpp"
+
+namespace fl::twin {
+
+// Arms exchange where they are at these ticks; contact forces hold in between. An arm's tip moves 9 um
+// meanwhile at 2000 rpm.
+inline constexpr uint64_t sync_ticks = 4;
+
+struct TwinSetup {
+    std::vector<uint16_t> ids;            // N, 1..2047, no two alike
+    std::vector<Unit> units;              // 2 N: alpha, beta of each
+    std::vector<fl_axis_params_t> params; // 2 N: what the firmware believes
+    std::vector<Angles> start;            // N, output angles
+    std::vector<Arm> arms;                // N, true
+    std::vector<Obstacle> obstacles;
+    Body body;
+    bool neighbours = true;
+    bool skip_resting = true;
+    uint64_t seed = 0;
+    int threads = 1;
+    int substeps = 10;
+    std::string kernel; // "" for the best
+};
+
+struct Reply {
+    uint64_t tick;
+    fl_can_frame_t frame;
+};
+
+// What one axis did in one tick.
+struct ScopeSample {
+    double time_s, motor_rad, gear_rad, output_rad, speed_rad_s;
+    double torque_out_Nm; // external, at the output
+    double duty[3];
+    double hall_cnt[2];
+    double command_deg, tracking_deg, command_speed_rad_s, feedback_Nm, feedforward_Nm, voltage;
+};
+
+struct PositionerFaults {
+    AxisFaults axes[FL_AXES];
+    bool stuck_hall[FL_AXES] = {false, false}; // the channels repeat what they showed
+    bool deaf = false;                         // frames to it are lost
+    bool mute = false;                         // frames from it are lost
+};
+
+class Twin {
+  public:
+    explicit Twin(const TwinSetup &setup);
+    ~Twin();
+    Twin(const Twin &) = delete;
+    Twin &operator=(const Twin &) = delete;
+
+    size_t positioner_count() const;
+    uint64_t tick() const;
+    Plant &plant();
+    const Neighbours &neighbours() const;
+    const char *kernel_name() const;
+
+    // A frame on the bus, now: for one positioner, or for all (identifier bits 28..18 zero).
+    void send(const fl_can_frame_t &frame);
+    // Ticks of 0.5 ms; returns what the positioners sent since the last call, by time, then by positioner.
+    std::vector<Reply> run(uint64_t ticks);
+
+    Angles output(size_t positioner) const;
+    const fl_positioner_t &firmware(size_t positioner) const;
+    bool asleep(size_t positioner) const;
+    // Ticks left out of the firmware so far, and ticks run, over all positioners.
+    uint64_t ticks_skipped() const;
+    uint64_t ticks_run() const;
+
+    void set_external_torque(size_t positioner, int axis, double torque_Nm);
+    void set_faults(size_t positioner, const PositionerFaults &faults);
+    const PositionerFaults &faults(size_t positioner) const;
+    void set_transmission(size_t positioner, int axis, const Transmission &transmission);
+    // Power off and on: the firmware starts anew with what its storage holds.
+    void power_cycle(size_t positioner);
+
+    void scope(size_t positioner, int axis, bool on);
+    std::vector<ScopeSample> take_scope(size_t positioner, int axis);
+    // First moments of contact since the last call.
+    std::vector<Touch> take_touches();
+
+  private:
+    struct State;
+    std::unique_ptr<State> s_;
+};
+
+} // namespace fl::twin

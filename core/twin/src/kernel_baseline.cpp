@@ -1,0 +1,4 @@
+#define FL_KERNEL_NAME "baseline"
+#define FL_KERNEL_SYMBOL kernel_baseline
+#define FL_KERNEL_WIDTH 2
+#include "kernel_body.hpp"

@@ -1,0 +1,266 @@
+#include "fiberloom/twin/plant.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace fl::twin {
+namespace {
+
+constexpr double blocked_Nm = 1.0; // a thousand times what these motors give
+
+const Kernel *kernel_by_name(const std::string &name) {
+    const Kernel *found = nullptr;
+    std::string known;
+    for (const Kernel *const *k = kernels(); *k != nullptr; ++k) {
+        if (name.empty() || name == (*k)->name) found = *k;
+        known += std::string(" ") + (*k)->name;
+    }
+    if (found == nullptr) throw std::invalid_argument("kernel '" + name + "': this machine has" + known);
+    return found;
+}
+
+[[noreturn]] void refuse(size_t axis, const std::string &what) {
+    throw std::invalid_argument("axis " + std::to_string(axis) + ": " + what);
+}
+
+void check_params(size_t axis, const PlantParams &params) {
+    const double *value = &params.inertia_motor;
+    for (const PlantParamInfo &info : plant_param_infos) {
+        if (!(*value >= info.min && *value <= info.max))
+            refuse(axis, std::string(info.name) + " = " + std::to_string(*value) + ", allowed " +
+                             std::to_string(info.min) + " to " + std::to_string(info.max) + " " + info.unit);
+        ++value;
+    }
+    if (params.stop_min >= params.stop_max) refuse(axis, "stop_min must be below stop_max");
+}
+
+void check(size_t axis, const Unit &unit) {
+    check_params(axis, unit.params);
+    if (const char *fault = transmission_fault(unit.transmission, unit.params.gear_ratio))
+        refuse(axis, fault);
+}
+
+// splitmix64: keys of neighbouring axes have nothing in common.
+uint32_t noise_key(uint64_t seed, uint64_t axis) {
+    uint64_t z = seed + (axis + 1) * 0x9E3779B97F4A7C15ULL;
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
+    return static_cast<uint32_t>((z ^ (z >> 31)) >> 16);
+}
+
+// Lanes without an axis must be harmless to step: nothing moves them, no division by zero.
+AxisGroup idle_group() {
+    AxisGroup g{};
+    for (size_t i = 0; i < lane_count; ++i) {
+        g.pwm_steps[i] = g.backlash_scale[i] = g.cosine[i] = 1.0;
+        g.coulomb_motor_Nms[i] = blocked_Nm;
+        g.cell_lo_rad[i] = g.stop_lo_rad[i] = -1.0;
+        g.cell_hi_rad[i] = g.stop_hi_rad[i] = 1.0;
+    }
+    return g;
+}
+
+} // namespace
+
+Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
+             const char *kernel, int substeps)
+    : kernel_(kernel_by_name(kernel)), substeps_(substeps), h_s_(tick_s / substeps) {
+    if (units.size() != output_rad.size()) throw std::invalid_argument("one output angle for every axis");
+    if (substeps < 1 || substeps > 100000) throw std::invalid_argument("substeps: 1 to 100000 a tick");
+    axes_.resize(units.size());
+    groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
+    for (size_t axis = 0; axis < units.size(); ++axis) {
+        check(axis, units[axis]);
+        axes_[axis].unit = units[axis];
+        groups_[axis / lane_count].noise_key[axis % lane_count] = noise_key(seed, axis);
+        configure(axis);
+        place(axis, output_rad[axis]);
+    }
+}
+
+void Plant::step(size_t group) {
+    AxisGroup &g = groups_[group];
+    kernel_->drive(g);
+    TickEvents events = kernel_->step(g, substeps_);
+    for (uint32_t left = events.left_cell; left != 0; left &= left - 1)
+        follow_cell(group * lane_count + static_cast<size_t>(__builtin_ctz(left)));
+}
+
+AxisState Plant::state(size_t axis) const {
+    return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms),
+            lane(axis, &AxisGroup::gear_rad), output_rad(axis)};
+}
+
+void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
+    lane(axis, &AxisGroup::theta_rad) = theta_rad;
+    lane(axis, &AxisGroup::p_Nms) = momentum_Nms;
+    lane(axis, &AxisGroup::gear_rad) = gear_rad;
+    axes_[axis].cell =
+        cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
+    load_cell(axis);
+}
+
+double Plant::output_at_rest_rad(size_t axis) const {
+    const Axis &a = axes_[axis];
+    if (a.faults.lying) return a.held_rad;
+    return output_of_gear(a.cell, lane(axis, &AxisGroup::gear_rad)) + a.slip_rad;
+}
+
+double Plant::output_rad(size_t axis) const {
+    const double torque_Nm = axes_[axis].torque_Nm + stop_torque_Nm(axis);
+    return output_at_rest_rad(axis) + torque_Nm * compliance_rad_per_Nm(axis);
+}
+
+double Plant::backlash_rad(size_t axis) const {
+    const Cell &cell = axes_[axis].cell;
+    return cell.backlash_0_rad + cell.backlash_1 * lane(axis, &AxisGroup::gear_rad);
+}
+
+double Plant::speed_limit_rad_s(size_t axis) const {
+    const PlantParams &p = params(axis);
+    const double constant = p.flux_linkage / p.coil_resistance;
+    const double torque_Nm = 1.5 * constant * p.supply + p.cogging_2 + p.cogging_4;
+    return torque_Nm / (1.5 * constant * p.flux_linkage + p.viscous_motor);
+}
+
+void Plant::set_external_torque(size_t axis, double torque_Nm) {
+    axes_[axis].torque_Nm = torque_Nm;
+    const PlantParams &p = params(axis);
+    const double spring_Nm = p.spring_rate * p.spring_free;
+    lane(axis, &AxisGroup::load_0_Nms) = h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio;
+}
+
+void Plant::set_faults(size_t axis, AxisFaults faults) {
+    Axis &a = axes_[axis];
+    if (faults.lying && !a.faults.lying) a.held_rad = output_at_rest_rad(axis);
+    if (!faults.lying && a.faults.lying)
+        a.slip_rad = a.held_rad - output_of_gear(a.cell, lane(axis, &AxisGroup::gear_rad));
+    a.faults = faults;
+    configure(axis);
+}
+
+void Plant::set_transmission(size_t axis, const Transmission &transmission) {
+    if (const char *fault = transmission_fault(transmission, params(axis).gear_ratio)) refuse(axis, fault);
+    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
+    axes_[axis].unit.transmission = transmission;
+    const Cell start = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
+    axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
+    load_cell(axis);
+    configure_stops(axis);
+    if (positive) lane(axis, &AxisGroup::theta_rad) = gear_rad + backlash_rad(axis);
+}
+
+void Plant::place(size_t axis, double output_rad) {
+    const PlantParams &p = params(axis);
+    if (!(output_rad >= p.stop_min && output_rad <= p.stop_max))
+        refuse(axis, "output angle " + std::to_string(output_rad) + " rad lies beyond the hard stops");
+    Axis &a = axes_[axis];
+    a.cell = cell_of_output(a.unit.transmission, p.gear_ratio, output_rad);
+    load_cell(axis);
+    lane(axis, &AxisGroup::gear_rad) = gear_of_output(a.cell, output_rad);
+    lane(axis, &AxisGroup::theta_rad) = lane(axis, &AxisGroup::gear_rad);
+}
+
+void Plant::configure(size_t axis) {
+    configure_drive(axis);
+    configure_cogging(axis);
+    configure_gear(axis);
+    configure_stops(axis);
+    configure_hall(axis);
+    set_external_torque(axis, axes_[axis].torque_Nm);
+}
+
+void Plant::configure_drive(size_t axis) {
+    const PlantParams &p = params(axis);
+    const double supply_V = axes_[axis].faults.dead ? 0.0 : p.supply;
+    lane(axis, &AxisGroup::drive_scale_Nms) =
+        h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps;
+    lane(axis, &AxisGroup::pwm_steps) = p.pwm_steps;
+}
+
+void Plant::configure_cogging(size_t axis) {
+    const PlantParams &p = params(axis);
+    lane(axis, &AxisGroup::cog_2s_Nms) = h_s_ * p.cogging_2 * std::cos(p.cogging_2_phase);
+    lane(axis, &AxisGroup::cog_2c_Nms) = h_s_ * p.cogging_2 * std::sin(p.cogging_2_phase);
+    lane(axis, &AxisGroup::cog_4s_Nms) = 2.0 * h_s_ * p.cogging_4 * std::cos(p.cogging_4_phase);
+    lane(axis, &AxisGroup::cog_4c_Nms) = h_s_ * p.cogging_4 * std::sin(p.cogging_4_phase);
+}
+
+void Plant::configure_gear(size_t axis) {
+    const PlantParams &p = params(axis);
+    const double back_emf =
+        1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance; // coils are always closed
+    const double inertia = p.inertia_motor + p.inertia_gear;
+    const double free = 0.5 * h_s_ * (back_emf + p.viscous_motor) / p.inertia_motor;
+    const double push = 0.5 * h_s_ * (back_emf + p.viscous_motor + p.viscous_gear) / inertia;
+    lane(axis, &AxisGroup::coulomb_motor_Nms) =
+        h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor);
+    lane(axis, &AxisGroup::coulomb_gear_Nms) = h_s_ * p.coulomb_gear;
+    lane(axis, &AxisGroup::load_1_Nms) = -h_s_ * p.spring_rate / (p.gear_ratio * p.gear_ratio);
+    lane(axis, &AxisGroup::drag_free) = free;
+    lane(axis, &AxisGroup::drag_free_inverse) = 1.0 / (1.0 + free);
+    lane(axis, &AxisGroup::drag_push) = push;
+    lane(axis, &AxisGroup::drag_push_inverse) = 1.0 / (1.0 + push);
+    lane(axis, &AxisGroup::step_per_p_free) = h_s_ / p.inertia_motor;
+    lane(axis, &AxisGroup::step_per_p_push) = h_s_ / inertia;
+}
+
+// A stop acts on the arm; seen from the gear it lies at T- of its angle, behind the gear's compliance.
+void Plant::configure_stops(size_t axis) {
+    const Axis &a = axes_[axis];
+    const PlantParams &p = params(axis);
+    const auto gear_at = [&](double theta) {
+        return gear_of_output(cell_of_output(a.unit.transmission, p.gear_ratio, theta), theta);
+    };
+    const double series = 1.0 / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
+    lane(axis, &AxisGroup::stop_lo_rad) = gear_at(p.stop_min - a.slip_rad);
+    lane(axis, &AxisGroup::stop_hi_rad) = gear_at(p.stop_max - a.slip_rad);
+    lane(axis, &AxisGroup::stop_Nms) = a.faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio);
+}
+
+void Plant::configure_hall(size_t axis) {
+    const PlantParams &p = params(axis);
+    lane(axis, &AxisGroup::hall_offset_a) = p.hall_offset_a;
+    lane(axis, &AxisGroup::hall_sin_a) = p.hall_amplitude_a;
+    lane(axis, &AxisGroup::hall_offset_b) = p.hall_offset_b;
+    lane(axis, &AxisGroup::hall_cos_b) = p.hall_amplitude_b * std::cos(p.hall_phase);
+    lane(axis, &AxisGroup::hall_sin_b) = -p.hall_amplitude_b * std::sin(p.hall_phase);
+    lane(axis, &AxisGroup::hall_noise) = p.hall_noise;
+}
+
+void Plant::load_cell(size_t axis) {
+    const Cell &cell = axes_[axis].cell;
+    lane(axis, &AxisGroup::backlash_0_rad) = cell.backlash_0_rad;
+    lane(axis, &AxisGroup::backlash_scale) = 1.0 / (1.0 + cell.backlash_1);
+    lane(axis, &AxisGroup::cell_lo_rad) = cell.lo.gear_rad;
+    lane(axis, &AxisGroup::cell_hi_rad) = cell.hi.gear_rad;
+}
+
+// The gear left its cell inside a tick. In positive contact the old cell's B placed it: the new one's
+// does now, so that where the gear is never depends on how it came there.
+void Plant::follow_cell(size_t axis) {
+    double &gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const double theta_rad = lane(axis, &AxisGroup::theta_rad);
+    const Cell old = axes_[axis].cell;
+    const double backlash_rad = old.backlash_0_rad + old.backlash_1 * gear_rad;
+    const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
+    axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old);
+    load_cell(axis);
+    if (positive)
+        gear_rad =
+            (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale);
+}
+
+double Plant::stop_torque_Nm(size_t axis) const {
+    if (axes_[axis].faults.lying) return 0.0;
+    const PlantParams &p = params(axis);
+    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const double over_rad = std::max(gear_rad - lane(axis, &AxisGroup::stop_hi_rad), 0.0) +
+                            std::min(gear_rad - lane(axis, &AxisGroup::stop_lo_rad), 0.0);
+    return -over_rad / p.gear_ratio / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
+}
+
+} // namespace fl::twin

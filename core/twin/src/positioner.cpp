@@ -1,0 +1,152 @@
+#include "positioner.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <numbers>
+#include <utility>
+
+namespace fl::twin {
+
+void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
+    group_ = &plant.group(2 * index / lane_count);
+    lane_ = static_cast<int>(2 * index % lane_count);
+    index_ = index;
+    outbox_ = &outbox;
+}
+
+fl_port_t Positioner::port() {
+    return {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+}
+
+void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
+    const fl_port_t hardware = port();
+    fl_positioner_init(&firmware_, &hardware, id, params);
+}
+
+void Positioner::power_cycle() {
+    const uint16_t id = firmware_.id;
+    fl_axis_params_t params[FL_AXES];
+    std::copy(std::begin(firmware_.params), std::end(firmware_.params), params);
+    const float off[3] = {0.0f, 0.0f, 0.0f};
+    for (int axis = 0; axis < FL_AXES; ++axis) set_phases(this, axis, off);
+    boot(id, params);
+}
+
+void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
+    if (faults.deaf) return;
+    wake(tick);
+    now_ = tick;
+    fl_positioner_receive(&firmware_, &frame);
+}
+
+void Positioner::tick_firmware(uint64_t tick) {
+    now_ = tick;
+    ++run_;
+    fl_positioner_tick(&firmware_);
+}
+
+bool Positioner::moved(const Plant &plant) {
+    bool moved = false;
+    for (size_t axis = 0; axis < FL_AXES; ++axis) {
+        const double motor_rad = plant.motor_rad(2 * index_ + axis);
+        moved |= motor_rad != last_motor_rad_[axis] || !plant.standing(2 * index_ + axis);
+        last_motor_rad_[axis] = motor_rad;
+    }
+    return moved;
+}
+
+void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
+    if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
+    if (moved(plant) || scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) return;
+    asleep_ = true;
+    asleep_since_ = tick + 1;
+}
+
+void Positioner::wake(uint64_t tick) {
+    if (!asleep_) return;
+    asleep_ = false;
+    const uint64_t ticks = tick - asleep_since_;
+    skipped_ += ticks;
+    if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));
+}
+
+void Positioner::start_scope(int axis, bool on) {
+    if (on && !scope_) scope_ = std::make_unique<std::array<std::vector<ScopeSample>, FL_AXES>>();
+    scope_on_[axis] = on;
+}
+
+std::vector<ScopeSample> Positioner::take_scope(int axis) {
+    if (!scope_) return {};
+    return std::exchange((*scope_)[static_cast<size_t>(axis)], {});
+}
+
+void Positioner::record(const Plant &plant, uint64_t tick) {
+    for (int axis = 0; axis < FL_AXES; ++axis)
+        if (scope_on_[axis]) (*scope_)[static_cast<size_t>(axis)].push_back(sample(plant, axis, tick));
+}
+
+ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) const {
+    const size_t number = 2 * index_ + static_cast<size_t>(axis);
+    const int lane = lane_ + axis;
+    const AxisState state = plant.state(number);
+    const fl_axis_telemetry_t t = fl_positioner_telemetry(&firmware_, axis);
+    ScopeSample s{};
+    s.time_s = tick_s * static_cast<double>(tick + 1);
+    s.motor_rad = state.theta_rad;
+    s.gear_rad = state.gear_rad;
+    s.output_rad = state.output_rad;
+    s.speed_rad_s =
+        state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
+    s.torque_out_Nm = plant.external_torque_Nm(number);
+    for (size_t k = 0; k < 3; ++k) s.duty[k] = static_cast<double>(group_->duty[k][lane]);
+    for (size_t k = 0; k < 2; ++k) s.hall_cnt[k] = group_->hall_cnt[k][lane];
+    s.command_deg = static_cast<double>(t.command_deg);
+    s.tracking_deg = static_cast<double>(t.tracking_deg);
+    s.command_speed_rad_s = static_cast<double>(t.speed_rad_s);
+    s.feedback_Nm = static_cast<double>(t.feedback_Nm);
+    s.feedforward_Nm = static_cast<double>(t.feedforward_Nm);
+    s.voltage = static_cast<double>(t.voltage);
+    return s;
+}
+
+void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
+    auto &p = *static_cast<Positioner *>(ctx);
+    uint16_t *last = p.last_hall_[axis];
+    if (!p.faults.stuck_hall[axis])
+        for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(p.group_->hall_cnt[k][p.lane_ + axis]);
+    adc_cnt[0] = last[0];
+    adc_cnt[1] = last[1];
+}
+
+void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
+    auto &p = *static_cast<Positioner *>(ctx);
+    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis] = duty[k];
+}
+
+bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
+    auto &p = *static_cast<Positioner *>(ctx);
+    if (!p.faults.mute) p.outbox_->frames.push_back({p.now_, *frame});
+    return true;
+}
+
+uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len) {
+    const auto &p = *static_cast<Positioner *>(ctx);
+    if (offset >= storage_bytes) return 0;
+    const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
+    if (p.storage_.empty())
+        std::memset(bytes, 0xff, held); // erased flash
+    else
+        std::memcpy(bytes, p.storage_.data() + offset, held);
+    return held;
+}
+
+uint32_t Positioner::storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
+    auto &p = *static_cast<Positioner *>(ctx);
+    if (offset >= storage_bytes) return 0;
+    if (p.storage_.empty()) p.storage_.assign(storage_bytes, 0xff);
+    const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
+    std::memcpy(p.storage_.data() + offset, bytes, held);
+    return held;
+}
+
+} // namespace fl::twin

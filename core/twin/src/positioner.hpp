@@ -1,0 +1,80 @@
+// One positioner of the twin: firmware on one side of the port, two axes of the plant on the other.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "fiberloom/twin/twin.hpp"
+
+namespace fl::twin {
+
+inline constexpr size_t storage_bytes = 4096;
+
+struct Outbox { // one per group of positioners: written by the thread that runs the group
+    std::vector<Reply> frames;
+    std::vector<Touch> touches;
+};
+
+class Positioner {
+  public:
+    Positioner() = default;
+    Positioner(const Positioner &) = delete; // the port points back here
+    Positioner &operator=(const Positioner &) = delete;
+
+    // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
+    void attach(Plant &plant, size_t index, Outbox &outbox);
+    void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
+    void power_cycle();
+    void set_position(const int32_t position_cnt[FL_AXES]) {
+        fl_positioner_set_position(&firmware_, position_cnt);
+    }
+
+    void receive(const fl_can_frame_t &frame, uint64_t tick);
+    void tick_firmware(uint64_t tick);
+    // After the plant's tick: falls asleep when nothing will change.
+    void rest(const Plant &plant, uint64_t tick, bool may_sleep);
+    void wake(uint64_t tick);
+    bool asleep() const { return asleep_; }
+    uint64_t skipped() const { return skipped_; }
+    uint64_t run() const { return run_; }
+
+    const fl_positioner_t &firmware() const { return firmware_; }
+    uint16_t id() const { return firmware_.id; }
+    PositionerFaults faults;
+
+    void start_scope(int axis, bool on);
+    std::vector<ScopeSample> take_scope(int axis);
+    void record(const Plant &plant, uint64_t tick);
+
+    // contact torque last applied, and who was touched
+    Push push;
+    Push user_push;
+    std::vector<uint32_t> touched, touched_before;
+
+  private:
+    static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
+    static void set_phases(void *ctx, int axis, const float duty[3]);
+    static bool send_frame(void *ctx, const fl_can_frame_t *frame);
+    static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
+    static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+    fl_port_t port();
+    bool moved(const Plant &plant);
+    ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
+
+    fl_positioner_t firmware_{};
+    AxisGroup *group_ = nullptr;
+    int lane_ = 0;
+    size_t index_ = 0;
+    Outbox *outbox_ = nullptr;
+    std::vector<uint8_t> storage_;
+    uint64_t now_ = 0; // tick of the call into the firmware
+    bool asleep_ = false;
+    uint64_t asleep_since_ = 0, skipped_ = 0, run_ = 0;
+    double last_motor_rad_[FL_AXES] = {0.0, 0.0};
+    uint16_t last_hall_[FL_AXES][2] = {};
+    std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;
+    bool scope_on_[FL_AXES] = {false, false};
+};
+
+} // namespace fl::twin

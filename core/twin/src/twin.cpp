@@ -1,0 +1,288 @@
+#include "fiberloom/twin/twin.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <numbers>
+#include <stdexcept>
+#include <string>
+#include <unordered_map>
+#include <utility>
+
+#include "positioner.hpp"
+#include "workers.hpp"
+
+namespace fl::twin {
+namespace {
+
+constexpr size_t group_size = lane_count / FL_AXES; // positioners
+constexpr double two_pi = 2.0 * std::numbers::pi;
+constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
+
+std::vector<double> flat(const std::vector<Angles> &angles) {
+    std::vector<double> out;
+    for (const Angles &a : angles) out.insert(out.end(), {a.alpha_rad, a.beta_rad});
+    return out;
+}
+
+void check_sizes(const TwinSetup &s) {
+    const size_t n = s.ids.size();
+    if (s.units.size() != 2 * n || s.params.size() != 2 * n || s.start.size() != n || s.arms.size() != n)
+        throw std::invalid_argument("ids, arms and start need N rows, units and params 2 N");
+    if (s.threads < 1 || s.threads > 256) throw std::invalid_argument("threads: 1 to 256");
+    for (uint16_t id : s.ids)
+        if (id < 1 || id > 2047) throw std::invalid_argument("positioner ids: 1 to 2047");
+}
+
+std::vector<Give> gives_of(const Plant &plant) {
+    std::vector<Give> gives(plant.axis_count() / 2);
+    for (size_t axis = 0; axis < plant.axis_count(); ++axis) {
+        Give &g = gives[axis / 2];
+        g.compliance_rad_per_Nm[axis % 2] = plant.compliance_rad_per_Nm(axis);
+        // the true ratio differs locally from n by the slope of delta, a few tenths at most
+        g.speed_limit_rad_s[axis % 2] = 1.5 * plant.speed_limit_rad_s(axis) / plant.params(axis).gear_ratio;
+    }
+    return gives;
+}
+
+int32_t wire_count(double motor_rad, double gear_ratio) {
+    return static_cast<int32_t>(std::lround(motor_rad / (two_pi * gear_ratio) * counts_per_turn));
+}
+
+} // namespace
+
+struct Twin::State {
+    explicit State(const TwinSetup &s);
+
+    void boot(const TwinSetup &s);
+    void run_slice(uint64_t ticks);
+    void run_group(size_t group, uint64_t ticks);
+    void tick_group(size_t group, size_t first, size_t last, uint64_t now);
+    void feel_neighbours(size_t i, Outbox &outbox);
+    void note_touches(size_t i, Outbox &outbox);
+    void apply_torque(size_t i, const Push &push);
+    void publish(size_t first, size_t last);
+    bool anybody_awake() const;
+    std::vector<Reply> collect();
+    Positioner &at(size_t i) {
+        if (i >= positioners.size())
+            throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
+        return positioners[i];
+    }
+
+    Plant plant;
+    std::deque<Positioner> positioners;
+    std::vector<Outbox> outboxes;
+    std::unordered_map<uint32_t, size_t> index_of_id;
+    Neighbours neighbours;
+    bool feel;
+    bool skip_resting;
+    uint64_t now = 0;
+    bool quiet = false; // a sync point has passed with everybody asleep: time alone goes on
+    // where everybody's gears are: as of the last sync point (read), and of the next (written)
+    std::vector<Angles> seen, next;
+    Workers workers;
+};
+
+Twin::State::State(const TwinSetup &s)
+    : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
+      outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
+      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.start), next(s.start), workers(s.threads) {
+    boot(s);
+    publish(0, positioners.size());
+    seen = next;
+}
+
+void Twin::State::boot(const TwinSetup &s) {
+    for (size_t i = 0; i < s.ids.size(); ++i) {
+        if (!index_of_id.emplace(s.ids[i], i).second)
+            throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
+        Positioner &p = positioners.emplace_back();
+        p.attach(plant, i, outboxes[i / group_size]);
+        p.boot(s.ids[i], &s.params[2 * i]);
+    }
+    for (size_t g = 0; g < plant.group_count(); ++g) plant.sense(g, 0); // the first hall reading is real
+    for (size_t i = 0; i < s.ids.size(); ++i) {
+        int32_t position[FL_AXES];
+        for (size_t axis = 0; axis < FL_AXES; ++axis)
+            position[axis] = wire_count(plant.motor_rad(2 * i + axis), plant.params(2 * i + axis).gear_ratio);
+        positioners[i].set_position(position);
+    }
+}
+
+void Twin::State::tick_group(size_t group, size_t first, size_t last, uint64_t tick) {
+    plant.sense(group, static_cast<uint32_t>(tick));
+    for (size_t i = first; i < last; ++i)
+        if (!positioners[i].asleep()) positioners[i].tick_firmware(tick);
+    plant.step(group);
+    for (size_t i = first; i < last; ++i) {
+        if (positioners[i].asleep()) continue;
+        positioners[i].record(plant, tick);
+        positioners[i].rest(plant, tick, skip_resting);
+    }
+}
+
+// One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
+void Twin::State::run_group(size_t group, uint64_t ticks) {
+    const size_t first = group * group_size, last = std::min(first + group_size, positioners.size());
+    if (feel && now % sync_ticks == 0)
+        for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
+    for (uint64_t tick = now; tick < now + ticks; ++tick) {
+        const auto awake = [this](size_t i) { return !positioners[i].asleep(); };
+        bool any = false;
+        for (size_t i = first; i < last && !any; ++i) any = awake(i);
+        if (!any) break;
+        tick_group(group, first, last, tick);
+    }
+    publish(first, last);
+}
+
+void Twin::State::publish(size_t first, size_t last) {
+    for (size_t i = first; i < last; ++i)
+        next[i] = {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
+}
+
+void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
+    Positioner &p = positioners[i];
+    const Push push = neighbours.push(i, seen, now, p.touched);
+    note_touches(i, outbox);
+    if (push.torque_Nm[0] != p.push.torque_Nm[0] || push.torque_Nm[1] != p.push.torque_Nm[1])
+        apply_torque(i, push);
+}
+
+void Twin::State::note_touches(size_t i, Outbox &outbox) {
+    Positioner &p = positioners[i];
+    for (uint32_t other : p.touched) {
+        const auto &before = p.touched_before;
+        const bool is_new = std::find(before.begin(), before.end(), other) == before.end();
+        if (is_new && i < other) outbox.touches.push_back({now, static_cast<uint32_t>(i), other});
+    }
+    p.touched_before = p.touched;
+}
+
+void Twin::State::apply_torque(size_t i, const Push &push) {
+    Positioner &p = positioners[i];
+    p.push = push;
+    p.wake(now); // the rotor may give way
+    for (size_t axis = 0; axis < FL_AXES; ++axis)
+        plant.set_external_torque(2 * i + axis, push.torque_Nm[axis] + p.user_push.torque_Nm[axis]);
+}
+
+bool Twin::State::anybody_awake() const {
+    return std::any_of(positioners.begin(), positioners.end(),
+                       [](const Positioner &p) { return !p.asleep(); });
+}
+
+void Twin::State::run_slice(uint64_t ticks) {
+    workers.run(plant.group_count(), [&](size_t group) { run_group(group, ticks); });
+    now += ticks;
+    if (now % sync_ticks == 0) seen = next;
+}
+
+std::vector<Reply> Twin::State::collect() {
+    std::vector<Reply> all;
+    for (Outbox &box : outboxes) {
+        all.insert(all.end(), box.frames.begin(), box.frames.end());
+        box.frames.clear();
+    }
+    std::stable_sort(all.begin(), all.end(), [](const Reply &a, const Reply &b) { return a.tick < b.tick; });
+    return all;
+}
+
+Twin::Twin(const TwinSetup &setup) : s_(std::make_unique<State>(setup)) {}
+Twin::~Twin() = default;
+
+size_t Twin::positioner_count() const { return s_->positioners.size(); }
+uint64_t Twin::tick() const { return s_->now; }
+Plant &Twin::plant() { return s_->plant; }
+const Neighbours &Twin::neighbours() const { return s_->neighbours; }
+const char *Twin::kernel_name() const { return s_->plant.kernel_name(); }
+
+void Twin::send(const fl_can_frame_t &frame) {
+    const uint32_t id = frame.id >> 18 & 0x7ff;
+    if (id == 0) {
+        for (Positioner &p : s_->positioners) p.receive(frame, s_->now);
+    } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
+        s_->positioners[found->second].receive(frame, s_->now);
+    }
+}
+
+std::vector<Reply> Twin::run(uint64_t ticks) {
+    const uint64_t end = s_->now + ticks;
+    while (s_->now < end) {
+        const bool resting = !s_->anybody_awake(), at_sync = s_->now % sync_ticks == 0;
+        if (resting && s_->quiet) {
+            s_->now = end;
+            break;
+        }
+        s_->run_slice(std::min(sync_ticks - s_->now % sync_ticks, end - s_->now));
+        s_->quiet = resting && at_sync && !s_->anybody_awake();
+    }
+    return s_->collect();
+}
+
+Angles Twin::output(size_t i) const {
+    s_->at(i);
+    return {s_->plant.output_rad(2 * i), s_->plant.output_rad(2 * i + 1)};
+}
+
+const fl_positioner_t &Twin::firmware(size_t i) const { return s_->at(i).firmware(); }
+bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
+
+uint64_t Twin::ticks_skipped() const {
+    uint64_t sum = 0;
+    for (const Positioner &p : s_->positioners) sum += p.skipped();
+    return sum;
+}
+
+uint64_t Twin::ticks_run() const {
+    uint64_t sum = 0;
+    for (const Positioner &p : s_->positioners) sum += p.run();
+    return sum;
+}
+
+void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
+    Positioner &p = s_->at(i);
+    p.user_push.torque_Nm[axis] = torque_Nm;
+    s_->apply_torque(i, p.push);
+}
+
+void Twin::set_faults(size_t i, const PositionerFaults &faults) {
+    Positioner &p = s_->at(i);
+    p.wake(s_->now);
+    p.faults = faults;
+    for (size_t axis = 0; axis < FL_AXES; ++axis) s_->plant.set_faults(2 * i + axis, faults.axes[axis]);
+}
+
+const PositionerFaults &Twin::faults(size_t i) const { return s_->at(i).faults; }
+
+void Twin::set_transmission(size_t i, int axis, const Transmission &transmission) {
+    s_->at(i).wake(s_->now);
+    s_->plant.set_transmission(2 * i + static_cast<size_t>(axis), transmission);
+}
+
+void Twin::power_cycle(size_t i) {
+    Positioner &p = s_->at(i);
+    p.wake(s_->now);
+    p.power_cycle();
+}
+
+void Twin::scope(size_t i, int axis, bool on) {
+    Positioner &p = s_->at(i);
+    p.wake(s_->now);
+    p.start_scope(axis, on);
+}
+
+std::vector<ScopeSample> Twin::take_scope(size_t i, int axis) { return s_->at(i).take_scope(axis); }
+
+std::vector<Touch> Twin::take_touches() {
+    std::vector<Touch> all;
+    for (Outbox &box : s_->outboxes) {
+        all.insert(all.end(), box.touches.begin(), box.touches.end());
+        box.touches.clear();
+    }
+    std::stable_sort(all.begin(), all.end(), [](const Touch &a, const Touch &b) { return a.tick < b.tick; });
+    return all;
+}
+
+} // namespace fl::twin

@@ -1,0 +1,24 @@
+/* Response codes, bits 3..0 of a reply's identifier. Numbers are the protocol's. */
+#ifndef FL_CODES_H
+#define FL_CODES_H
+
+typedef enum fl_code {
+    FL_ACCEPTED = 0,
+    FL_VALUE_OUT_OF_RANGE = 1,
+    FL_INVALID_TRAJECTORY = 2,
+    FL_ALREADY_IN_MOTION = 3,
+    FL_DATUM_NOT_INITIALIZED = 4,
+    FL_INCORRECT_AMOUNT_OF_DATA = 5,
+    FL_CALIBRATION_MODE_ACTIVE = 6,
+    FL_MOTOR_NOT_CALIBRATED = 7,
+    FL_COLLISION_DETECTED = 8,
+    FL_HALL_SENSOR_DISABLED = 9,
+    FL_INVALID_BROADCAST_COMMAND = 10,
+    FL_INVALID_BOOTLOADER_COMMAND = 11,
+    FL_INVALID_COMMAND = 12,
+    FL_UNKNOWN_COMMAND = 13,
+    FL_DATUM_NOT_CALIBRATED = 14,
+    FL_HALL_SENSORS_DISABLED = 15,
+} fl_code_t;
+
+#endif

@@ -1,0 +1,94 @@
+/* Arithmetic the laws share: float32 only, no libm, the same bits on every machine.
+ *
+ * Motor angles are integers, FL_TURN_CNT per motor turn, so that turns can be counted without drift.
+ */
+#ifndef FL_MATH_H
+#define FL_MATH_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define FL_TURN_BITS 20
+#define FL_TURN_CNT (1 << FL_TURN_BITS)      /* counts per motor turn */
+#define FL_RAD_PER_CNT 5.9921124e-6f         /* 2 pi / 2^20 */
+#define FL_CNT_PER_RAD 166886.05f            /* 2^20 / (2 pi) */
+#define FL_CNT_PER_MOTOR_DEG 2912.7111f      /* 2^20 / 360 */
+#define FL_CNT_PER_OUTPUT_DEG 2982616.2f     /* 2^30 / 360 */
+#define FL_RAD_S_PER_CNT_TICK 0.011984225f   /* 2 pi / 2^20 * 2000 Hz */
+#define FL_CNT_TICK_PER_RPM 8.7381333f       /* 2^20 / (60 * 2000 Hz) */
+#define FL_CNT_TICK2_PER_RAD_S2 0.041721513f /* 2^20 / (2 pi) / (2000 Hz)^2 */
+
+typedef struct fl_sincos {
+    float sin, cos;
+} fl_sincos_t;
+
+static inline int32_t fl_abs_i32(int32_t x) { return x < 0 ? -x : x; }
+static inline float fl_max(float a, float b) { return a > b ? a : b; }
+static inline float fl_min(float a, float b) { return a < b ? a : b; }
+static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max(x, lo), hi); }
+
+static inline float fl_abs(float x) { return fl_max(x, -x); }
+
+/* Sums and differences of positions wrap instead of overflowing. */
+static inline int32_t fl_add_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
+static inline int32_t fl_sub_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
+
+/* An angle folded to half a motor turn either side of zero. */
+static inline int32_t fl_fold_cnt(int32_t angle_cnt) {
+    return (int32_t)((uint32_t)angle_cnt << (32 - FL_TURN_BITS)) >> (32 - FL_TURN_BITS);
+}
+
+/* Rounds to nearest, halves away from zero; |x| < 2^31. */
+static inline int32_t fl_round_i32(float x) { return (int32_t)(x < 0.0f ? x - 0.5f : x + 0.5f); }
+
+/* Selections by arithmetic: which octant an angle is in cannot be predicted. */
+static inline float fl_select(bool first, float a, float b) {
+    union {
+        float f;
+        uint32_t u;
+    } x = {a}, y = {b};
+    const uint32_t mask = 0u - (uint32_t)first;
+    x.u = (x.u & mask) | (y.u & ~mask);
+    return x.f;
+}
+static inline int32_t fl_negate_if(bool negative, int32_t x) { return (x ^ -(int32_t)negative) + negative; }
+
+/* Sine and cosine of a motor angle. Largest error 7e-7 (tests/firmware/test_math.py). */
+static inline fl_sincos_t fl_sincos_cnt(int32_t angle_cnt) {
+    const int32_t quarter = (angle_cnt + (FL_TURN_CNT >> 3)) >> (FL_TURN_BITS - 2);
+    const int32_t rest = fl_fold_cnt(angle_cnt - (int32_t)((uint32_t)quarter << (FL_TURN_BITS - 2)));
+    const float x = (float)rest * FL_RAD_PER_CNT; /* -pi/4 .. pi/4 */
+    const float x2 = x * x;
+    /* minimax on [0, pi/4], fitted in float64: 5.6e-7 and 3.2e-8 before rounding */
+    const float s = x * ((0.99999499754f - 0.16660161968f * x2) + 0.00812155759f * (x2 * x2));
+    const float c = (1.0f - 0.49999894781f * x2) + (0.04165629454f - 0.00135978226f * x2) * (x2 * x2);
+    const bool odd = quarter & 1;
+    const fl_sincos_t out = {fl_select(odd, c, s) * (float)(1 - (quarter & 2)),
+                             fl_select(odd, s, c) * (float)(1 - ((quarter + 1) & 2))};
+    return out;
+}
+
+/* The angle of (cos, sin), 0 .. FL_TURN_CNT - 1, rounded to a count; (0, 0) gives 0. Largest error
+ * 1.1 counts (4e-4 motor degrees), of which 0.5 is rounding. */
+static inline int32_t fl_atan2_cnt(float s, float c) {
+    const float as = fl_abs(s), ac = fl_abs(c);
+    const float t = fl_min(as, ac) / fl_max(fl_max(as, ac), 1e-20f);
+    const float z = t * t, z2 = z * z;
+    /* odd minimax of atan on [0, 1], fitted in float64: 1.7e-6 rad = 0.28 counts */
+    const float a = t * ((0.999977219f - 0.332622823f * z) +
+                         z2 * ((0.193540348f - 0.116426412f * z) + z2 * (0.0526472765f - 0.0117191066f * z)));
+    const int32_t octant = (int32_t)(a * FL_CNT_PER_RAD + 0.5f);
+    const int32_t quadrant = (as > ac) * (FL_TURN_CNT / 4) + fl_negate_if(as > ac, octant);
+    const int32_t half = (c < 0.0f) * (FL_TURN_CNT / 2) + fl_negate_if(c < 0.0f, quadrant);
+    return fl_negate_if(s < 0.0f, half) & (FL_TURN_CNT - 1);
+}
+
+/* Largest integer whose square is at most x. */
+static inline uint32_t fl_isqrt_u64(uint64_t x) {
+    uint64_t root = 0;
+    for (uint64_t bit = 1ull << 31; bit != 0; bit >>= 1)
+        if ((root + bit) * (root + bit) <= x) root += bit;
+    return (uint32_t)root;
+}
+
+#endif

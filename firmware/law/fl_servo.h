@@ -1,0 +1,75 @@
+/* Feedforward and PI on the motor angle: Kronig 2020, Eq. 21, with every feedforward quantity taken
+ * from the command, never from a differentiated measurement.
+ *
+ *   T' = k_p e + I                                   feedback, I = integral of k_i e, |I| <= T_I_max
+ *      + T_cog(theta) - S(theta) + c_coulomb sgn(w)  break-away torque
+ *      + c_tot w + J dw/dt                           speed and inertia
+ *
+ * S is the spring's torque on the motor: EQUATIONS T_spring with the other sign. The Coulomb term
+ * keeps the sign of the last commanded direction at standstill. `stiffness` multiplies both gains;
+ * it is 1 in motion and settle_gain at the end of a move, where the drag no longer hides a small
+ * remaining error; Eq. 22 watches the term with stiffness 1.
+ */
+#ifndef FL_SERVO_H
+#define FL_SERVO_H
+
+#include "fl_math.h"
+
+#define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
+
+typedef struct fl_servo_config {
+    float k_p, k_i;                   /* Nm/rad, Nm/(rad s) */
+    float integral_limit;             /* Nm */
+    float drag, inertia;              /* Nm s/rad, kg m^2: zero switches the term off */
+    float learning;                   /* 1/(Nm rad): how fast the drag's scale follows the feedback */
+    float coulomb;                    /* Nm */
+    float spring_torque, spring_rate; /* Nm at output zero, Nm per motor rad */
+    float cogging_sin, cogging_cos;   /* Nm: amplitude sin(2 theta + phase) in parts */
+} fl_servo_config_t;
+
+typedef struct fl_servo_state {
+    float integral_Nm;
+    float direction;  /* -1, 0 or 1: the last commanded one */
+    float drag_scale; /* learnt: 1 as identified; grease is half as stiff or twice with temperature */
+} fl_servo_state_t;
+
+typedef struct fl_servo_in {
+    int32_t error_cnt;   /* commanded minus measured motor angle */
+    int32_t command_cnt; /* commanded position, zero at output zero */
+    int32_t rotor_cnt;   /* the same as the rotor's angle, whole turns free */
+    float speed_rad_s, acceleration_rad_s2;
+    float stiffness;
+} fl_servo_in_t;
+
+typedef struct fl_servo_out {
+    float torque_Nm, feedforward_Nm;
+    float watched_Nm; /* the feedback term of Eq. 22 */
+} fl_servo_out_t;
+
+static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_servo_in_t *in,
+                                        float direction) {
+    const fl_sincos_t twice = fl_sincos_cnt(fl_add_i32(in->rotor_cnt, in->rotor_cnt));
+    const float motor_rad = (float)in->command_cnt * FL_RAD_PER_CNT;
+    return cfg->coulomb * direction - cfg->spring_torque - cfg->spring_rate * motor_rad +
+           cfg->cogging_sin * twice.sin + cfg->cogging_cos * twice.cos;
+}
+
+static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_servo_state_t *st,
+                                           const fl_servo_in_t *in, float dt_s) {
+    const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
+    if (in->speed_rad_s != 0.0f) st->direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
+    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_rad,
+                               -cfg->integral_limit, cfg->integral_limit);
+    const float proportional = cfg->k_p * e_rad;
+    const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
+    st->drag_scale =
+        fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, 2.0f);
+    const float feedforward = fl_servo_break_away(cfg, in, st->direction) +
+                              cfg->drag * st->drag_scale * in->speed_rad_s +
+                              cfg->inertia * in->acceleration_rad_s2;
+    const fl_servo_out_t out = {proportional * in->stiffness + st->integral_Nm + feedforward, feedforward,
+                                proportional + st->integral_Nm};
+    return out;
+}
+
+#endif

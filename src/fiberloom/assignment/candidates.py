@@ -1,0 +1,113 @@
+"""Which positioner could take which target with which fibre."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..errors import InputError
+from ..instruments import FocalPlane
+from ..targets import TargetList
+from ..targets.target_list import FREE
+from .clearance import Bools, Floats, Ints
+
+SLACK_MM = 1.0
+"""Units differ from the nominal one by less; the exact test follows."""
+
+
+class Block(IntEnum):
+    """What keeps a candidate from being chosen; the later, the nearer it came."""
+
+    NONE = 0
+    OFFLINE = 1
+    BUSY = 2
+    STOPS = 3
+    BODY = 4
+    POCKET = 5
+    ARM = 6
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """C choices (positioner, target, fibre), sorted by positioner, and how each would stand."""
+
+    positioner: Ints
+    """(C,) row in the focal plane."""
+    target: Ints
+    """(C,) row in the target list."""
+    fibre: NDArray[np.str_]
+    goal_deg: Floats
+    """(C, 2)."""
+
+    def __len__(self) -> int:
+        return len(self.positioner)
+
+    def select(self, rows: Ints | Bools) -> "Candidates":
+        """Some of them."""
+        return replace(
+            self,
+            positioner=self.positioner[rows],
+            target=self.target[rows],
+            fibre=self.fibre[rows],
+            goal_deg=self.goal_deg[rows],
+        )
+
+
+def check_targets(plane: FocalPlane, targets: TargetList) -> None:
+    """Raise InputError where the list asks for a fibre or a positioner that does not exist."""
+    known = ("", *plane.science_fibres)
+    for row in np.flatnonzero(~np.isin(targets.fibre, known))[:1]:
+        raise InputError(
+            f"target {targets.target_id[row]}: fibre '{targets.fibre[row]}' is unknown; "
+            f"{plane.instrument.name} has {', '.join(plane.science_fibres)}"
+        )
+    demanded = targets.positioner_id[targets.positioner_id != FREE]
+    ids, count = np.unique(demanded, return_counts=True)
+    if len(ids):
+        plane.index_of(ids)
+    for positioner in ids[count > 1][:1]:
+        both = targets.target_id[targets.positioner_id == positioner][:2]
+        raise InputError(f"targets {' and '.join(both)}: both demand positioner {positioner}")
+
+
+def find_candidates(plane: FocalPlane, targets: TargetList) -> Candidates:
+    """Every choice that kinematics and axis limits allow, by exact inverse kinematics. Kronig 2020,
+    Eq. 2. Offline positioners included: they are told apart later, with a reason."""
+    near_positioner, near_target = _within_reach(plane, targets)
+    parts = [
+        _by_fibre(plane, targets, f, near_positioner, near_target) for f in plane.science_fibres
+    ]
+    positioner, target, fibre, goal = (np.concatenate(x) for x in zip(*parts, strict=True))
+    order = np.lexsort((target, positioner))
+    return Candidates(positioner, target, fibre, goal).select(order)
+
+
+def _within_reach(plane: FocalPlane, targets: TargetList) -> tuple[Ints, Ints]:
+    reach = plane.instrument.reach_mm[1] + SLACK_MM
+    lists = cKDTree(targets.xy_mm).query_ball_point(plane.centres_mm, reach, return_sorted=True)
+    positioner = np.repeat(np.arange(plane.n), [len(x) for x in lists])
+    target = np.concatenate([np.asarray(x, dtype=np.int64) for x in lists])
+    wanted = targets.positioner_id[target]
+    allowed = (wanted == FREE) | (wanted == plane.positioner_id[positioner])
+    return positioner[allowed], target[allowed]
+
+
+def _by_fibre(
+    plane: FocalPlane, targets: TargetList, fibre: str, positioner: Ints, target: Ints
+) -> tuple[Ints, Ints, NDArray[np.str_], Floats]:
+    asked = targets.fibre[target]
+    fits = ((asked == "") | (asked == fibre)) & plane.carries(fibre)[positioner]
+    positioner, target = positioner[fits], target[fits]
+    found = plane.inverse(targets.xy_mm[target], fibre, positioner)
+    ok = found.reachable
+    goal = np.column_stack([found.alpha_deg, found.beta_deg])[ok]
+    return positioner[ok], target[ok], np.full(len(goal), fibre), goal
+
+
+def inside_stops(plane: FocalPlane, goal_deg: Floats, approach_deg: float | Floats) -> Bools:
+    """Do goal and start of the approach lie between the hard stops?"""
+    low, high = plane.hard_stops_deg.T
+    start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
+    return ((goal_deg >= low) & (start <= high)).all(axis=1)

@@ -1,0 +1,141 @@
+"""The choice itself: a packing of candidates, solved to optimality as a mixed-integer programme.
+
+Each positioner takes at most one target, each target at most one positioner, and no two arms come
+too near. The last rule is written as cliques: a candidate against *all* that it conflicts with at
+one neighbour, of which one at most is taken anyway; with these the linear relaxation is nearly
+whole, and HiGHS closes 500 positioners and 1500 targets at the root.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
+from scipy.sparse import csr_array, vstack
+
+from ..instruments import FocalPlane
+from .clearance import Bools, Floats, Ints, places, too_near
+
+LEVEL_WEIGHT = 10.0
+"""One target of a priority level is worth ten of the next lower level."""
+LEVELS_AT_ONCE = 5
+"""Levels per solution: weights from 1 to 1e4 keep the sums exact for the solver."""
+MAX_LEVELS = 15
+"""More different priorities are put into so many bands of equal size."""
+PAIRS_AT_ONCE = 200_000
+MAX_NODES = 2000
+"""Bound on the search, not on time: the same answer on a slow machine."""
+
+
+def conflicts(
+    plane: FocalPlane, positioner: Ints, target: Ints, segments: Floats, limit_mm: float
+) -> tuple[Ints, Ints]:
+    """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit. Pairs on
+    the same target are left out: they exclude each other anyway."""
+    all_places = places(segments)
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for a, b in _neighbouring(plane, positioner):
+        other = target[a] != target[b]
+        a, b = a[other], b[other]
+        near = too_near(all_places, a, all_places, b, limit_mm)
+        found.append(np.column_stack([a[near], b[near]]))
+    first, second = np.concatenate(found).T
+    return first, second
+
+
+def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """All pairs of candidates of neighbours, in portions that fit the memory."""
+    start = np.searchsorted(positioner, np.arange(plane.n + 1)).tolist()
+    first, second, size = [], [], 0
+    for i, j in plane.neighbour_pairs(1.0).tolist():
+        a, b = np.arange(start[i], start[i + 1]), np.arange(start[j], start[j + 1])
+        first.append(np.repeat(a, len(b)))
+        second.append(np.tile(b, len(a)))
+        size += len(a) * len(b)
+        if size > PAIRS_AT_ONCE:
+            yield np.concatenate(first), np.concatenate(second)
+            first, second, size = [], [], 0
+    if first:
+        yield np.concatenate(first), np.concatenate(second)
+
+
+def levels_of(priority: Floats) -> Ints:
+    """Priority levels from 0 (lowest) up, at most MAX_LEVELS of them."""
+    values, level = np.unique(priority, return_inverse=True)
+    if len(values) <= MAX_LEVELS:
+        return level
+    rank = np.argsort(np.argsort(priority, kind="stable"), kind="stable")
+    band = rank * MAX_LEVELS // len(priority)
+    # equal priorities stay in one band: that of their first
+    lowest = np.full(len(values), MAX_LEVELS)
+    np.minimum.at(lowest, level, band)
+    return lowest[level]
+
+
+def pack(
+    positioner: Ints,
+    target: Ints,
+    level: Ints,
+    pairs: tuple[Ints, Ints],
+    rng: np.random.Generator,
+) -> tuple[Bools, bool]:
+    """(C,) the chosen candidates, and whether the choice is proven to be the best.
+
+    Solved from the highest levels down, LEVELS_AT_ONCE together; what one solution is worth, the
+    next ones keep. `rng` decides between equally good choices.
+    """
+    if not len(positioner):
+        return np.zeros(0, dtype=bool), True
+    order = rng.permutation(len(positioner))
+    rules = [LinearConstraint(_exclusions(positioner, target, pairs)[:, order], -np.inf, 1.0)]
+    chosen, proven = np.zeros(len(positioner), dtype=bool), True
+    top = int(level.max())
+    while top >= 0:
+        power = level - max(top - LEVELS_AT_ONCE + 1, 0)
+        value = np.power(LEVEL_WEIGHT, power.astype(np.float64))
+        value[(level > top) | (value < 1.0)] = 0.0
+        result = _solve(value[order], rules)
+        proven &= result.status == 0
+        if result.x is None:
+            return _greedy(positioner, target, level, pairs), False
+        chosen[order] = result.x > 0.5
+        kept = csr_array(value[order][None, :])
+        rules.append(LinearConstraint(kept, value[chosen].sum() - 0.5, np.inf))
+        top -= LEVELS_AT_ONCE
+    return chosen, proven
+
+
+def _solve(value: Floats, rules: list[LinearConstraint]) -> OptimizeResult:
+    return milp(
+        -value,
+        constraints=rules,
+        bounds=Bounds(0.0, 1.0),
+        integrality=np.ones(len(value)),
+        options={"node_limit": MAX_NODES, "mip_rel_gap": 0.0},
+    )
+
+
+def _exclusions(positioner: Ints, target: Ints, pairs: tuple[Ints, Ints]) -> csr_array:
+    """One row per set of candidates of which at most one may be taken."""
+    n = len(positioner)
+    a, b = np.concatenate(pairs), np.concatenate(pairs[::-1])
+    wide = int(positioner.max()) + 1
+    key, row = np.unique(a * wide + positioner[b], return_inverse=True)
+    ones = np.ones(len(key) + len(b))
+    rows = np.concatenate([np.arange(len(key)), row])
+    cliques = csr_array((ones, (rows, np.concatenate([key // wide, b]))), shape=(len(key), n))
+    each = np.arange(n)
+    singles = [csr_array((np.ones(n), (key, each))) for key in (positioner, target)]
+    return vstack([*singles, cliques], format="csc")
+
+
+def _greedy(positioner: Ints, target: Ints, level: Ints, pairs: tuple[Ints, Ints]) -> Bools:
+    """Highest level first, whatever is still free: only if the solver gives nothing."""
+    chosen = np.zeros(len(positioner), dtype=bool)
+    open_ = np.ones(len(positioner), dtype=bool)
+    a, b = np.concatenate(pairs), np.concatenate(pairs[::-1])
+    for c in np.argsort(-level, kind="stable").tolist():
+        if open_[c]:
+            chosen[c] = True
+            open_ &= (positioner != positioner[c]) & (target != target[c])
+            open_[b[a == c]] = False
+    return chosen

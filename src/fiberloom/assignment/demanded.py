@@ -1,0 +1,70 @@
+"""Targets that demand their positioner: honoured before all others."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..instruments import FocalPlane
+from ..targets import TargetList
+from .candidates import Block, Candidates
+from .choose import conflicts, levels_of, pack
+from .clearance import Floats, Ints, dip_mm, obstacles, sweep
+from .escape import Escape
+from .floor import Floor, Rules
+from .screen import screen
+
+OVER_BACKLASH = 1.2
+"""The shortest approach still closes the largest backlash, with a fifth to spare."""
+
+
+def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
+    """The shortest overshoot that closes every backlash; never more than the usual one."""
+    backlash = max(plane.instrument.alpha.backlash_deg, plane.instrument.beta.backlash_deg)
+    return min(approach_deg, OVER_BACKLASH * backlash) if backlash else approach_deg
+
+
+def place_demanded(
+    floor: Floor, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
+) -> Ints:
+    """Place them on the floor; (C,) what blocks each candidate (`Block`).
+
+    The operator chose these places, so they need the collision buffer and no margin. Where the
+    approach is too long for that, it shrinks to what closes the backlash.
+    """
+    plane = floor.plane
+    bare = replace(
+        rules,
+        pair_mm=2 * plane.collision_buffer_mm + dip_mm(plane, rules.approach_deg),
+        gap_mm=dip_mm(plane, rules.approach_deg, bodies=1),
+        escape=Escape(plane, obstacles(plane, 0.0)),
+    )
+    approach = np.full(len(found), rules.approach_deg)
+    approach[_crowded(plane, found, approach, bare)] = least_approach_deg(plane, bare.approach_deg)
+    segments = sweep(plane, found.positioner, found.goal_deg, approach)
+    block = screen(plane, found, segments, approach, bare)
+    ok = np.flatnonzero(block == Block.NONE)
+    some = found.select(ok)
+    pairs = conflicts(plane, some.positioner, some.target, segments[ok], bare.pair_mm)
+    level = levels_of(targets.priority)[some.target]
+    chosen, proven = pack(some.positioner, some.target, level, pairs, rng)
+    block[ok[~chosen]] = Block.ARM
+    rows = ok[chosen]
+    floor.put(
+        found.positioner[rows],
+        found.goal_deg[rows],
+        segments[rows],
+        approach[rows],
+        found.target[rows],
+        found.fibre[rows],
+    )
+    if not proven:
+        floor.notes.append("demanded targets: the choice among colliding ones may not be the best")
+    return block
+
+
+def _crowded(plane: FocalPlane, found: Candidates, approach: Floats, rules: Rules) -> Ints:
+    """Candidates that the usual approach would bring into collision."""
+    segments = sweep(plane, found.positioner, found.goal_deg, approach)
+    block = screen(plane, found, segments, approach, rules)
+    pairs = conflicts(plane, found.positioner, found.target, segments, rules.pair_mm)
+    return np.unique(np.concatenate([np.flatnonzero(block != Block.NONE), *pairs]))

@@ -1,0 +1,103 @@
+"""Places for positioners without a target: folded, and out of everybody's way."""
+
+import numpy as np
+
+from ..instruments import FocalPlane
+from .candidates import inside_stops
+from .clearance import Floats, Ints, obstacle_gap_mm, sweep
+from .floor import NOBODY, Floor, Rules
+
+STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
+"""Grid of places to try."""
+
+
+def park(floor: Floor, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int]:
+    """Place these positioners. Returns the targets given up, and for whom (row) each was.
+
+    First all that can stand in the instrument's folded place, then one by one the first free place
+    of a grid. Where none is free, the neighbours in the way of the place that costs least (`worth`
+    (N,) of each neighbour, summed) make room and are parked in their turn.
+    """
+    queue = _park_folded(floor, rows, rules)
+    worth = worth.copy()
+    given_up: dict[int, int] = {}
+    while queue:
+        row = queue.pop(0)
+        goals, segments = _places(floor.plane, row, rules)
+        near, hit = floor.hits(row, segments, rules.pair_mm)
+        best = _cheapest(row, goals, hit @ worth[near], rules)
+        if best is None:
+            _leave_folded(floor, row)
+            continue
+        for other in near[hit[best]].tolist():
+            target = floor.take_away(other)
+            if target != NOBODY:
+                given_up[target] = row
+            # so that two of them cannot push each other out for ever
+            worth[other] *= 10.0
+            queue.append(other)
+        floor.put(row, goals[best], segments[best], rules.approach_deg)
+    return given_up
+
+
+def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
+    """Goals (C, 2) and segments that only fixed bodies limit, the most folded first."""
+    goals = _grid_deg(plane)
+    rows = np.full(len(goals), row)
+    segments = sweep(plane, rows, goals, rules.approach_deg)
+    gap = obstacle_gap_mm(plane, rows, segments, rules.bodies)
+    ok = (gap >= rules.gap_mm) & inside_stops(plane, goals, rules.approach_deg)
+    return goals[ok], segments[ok]
+
+
+def _cheapest(row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None:
+    """The first of the cheapest places that can be left again."""
+    for k in np.argsort(cost, kind="stable").tolist():
+        if rules.escape.can_fold(np.array([row]), goals[k : k + 1])[0]:
+            return k
+    return None
+
+
+def _leave_folded(floor: Floor, row: int) -> None:
+    """Nothing that moves could help: the positioner is walled in by what does not move."""
+    plane = floor.plane
+    goal = np.array([plane.instrument.positioner.park_deg])
+    floor.put(row, goal[0], sweep(plane, np.array([row]), goal, 0.0)[0], 0.0)
+    floor.notes.append(
+        f"positioner {plane.positioner_id[row]}: no place free of fiducials, guide cameras and "
+        "offline neighbours; left folded, in collision"
+    )
+
+
+def _park_folded(floor: Floor, rows: Ints, rules: Rules) -> list[int]:
+    """Put into the folded place whoever can stand there; the others."""
+    plane = floor.plane
+    goals = np.tile(plane.instrument.positioner.park_deg, (len(rows), 1))
+    segments = sweep(plane, rows, goals, rules.approach_deg)
+    free = obstacle_gap_mm(plane, rows, segments, rules.bodies) >= rules.gap_mm
+    others = []
+    for k, row in enumerate(rows.tolist()):
+        if free[k] and not floor.hits(row, segments[k : k + 1], rules.pair_mm)[1].any():
+            floor.put(row, goals[k], segments[k], rules.approach_deg)
+        else:
+            others.append(row)
+    return others
+
+
+def _grid_deg(plane: FocalPlane) -> Floats:
+    """Places to try, those nearest to the folded one in beta first, then in alpha."""
+    park = np.array(plane.instrument.positioner.park_deg)
+    axes = [
+        _steps(p, low, high, step)
+        for p, (low, high), step in zip(
+            park, plane.limits_deg, (STEP_ALPHA_DEG, STEP_BETA_DEG), strict=True
+        )
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    away = np.abs(grid - park)
+    return grid[np.lexsort((away[:, 0], away[:, 1]))]
+
+
+def _steps(middle: float, low: float, high: float, step: float) -> Floats:
+    below, above = np.ceil((low - middle) / step), np.floor((high - middle) / step)
+    return middle + step * np.arange(below, above + 1)

@@ -1,0 +1,111 @@
+"""Why a target has no positioner, in words."""
+
+import numpy as np
+
+from ..instruments import FocalPlane
+from ..targets import TargetList
+from ..targets.target_list import FREE
+from .candidates import Block, Candidates
+from .clearance import sweep
+from .floor import Floor
+
+WORDS = {
+    Block.OFFLINE: "is offline",
+    Block.BUSY: "has a target of its own, demanded by the list",
+    Block.STOPS: "would run into a hard stop on the approach",
+    Block.BODY: "would touch a fiducial, a guide camera or an offline neighbour",
+    Block.POCKET: "could not get there past what does not move",
+    Block.ARM: "would touch a neighbour whose target the list demands",
+}
+
+
+def explain(
+    floor: Floor,
+    targets: TargetList,
+    found: Candidates,
+    block: np.ndarray,
+    given_up: dict[int, int],
+    limit_mm: float,
+) -> dict[int, str]:
+    """Row of each target that nobody takes: the reason."""
+    plane = floor.plane
+    taken = np.zeros(len(targets), dtype=bool)
+    taken[floor.target[floor.target >= 0]] = True
+    by_target = np.argsort(found.target, kind="stable")
+    ends = np.searchsorted(found.target[by_target], np.arange(len(targets) + 1))
+    out = {}
+    for row in np.flatnonzero(~taken).tolist():
+        mine = by_target[ends[row] : ends[row + 1]]
+        if row in given_up:
+            for_whom = plane.positioner_id[given_up[row]]
+            out[row] = f"given up: positioner {for_whom} has no safe place otherwise"
+        elif not len(mine):
+            out[row] = _out_of_reach(plane, targets, row)
+        elif block[mine].all():
+            out[row] = _blocked(plane, found, block, mine)
+        else:
+            open_ = mine[block[mine] == Block.NONE]
+            out[row] = _lost(floor, targets, found.select(open_), limit_mm)
+    return out
+
+
+def _out_of_reach(plane: FocalPlane, targets: TargetList, row: int) -> str:
+    rows = np.arange(plane.n)
+    if targets.positioner_id[row] != FREE:
+        rows = plane.index_of(targets.positioner_id[row : row + 1])
+    asked = str(targets.fibre[row])
+    gaps = {fibre: _gaps(plane, targets, row, fibre, rows) for fibre in plane.science_fibres}
+    wanted = gaps[asked] if asked else np.minimum.reduce(list(gaps.values()))
+    if asked and any((gap == 0).any() for gap in gaps.values()) and not (wanted == 0).any():
+        return f"no positioner with fibre {asked} in reach"
+    if not len(rows) or not np.isfinite(wanted).any():
+        return f"no positioner with fibre {asked or 'for science'}"
+    nearest = int(np.argmin(wanted))
+    name = f"positioner {plane.positioner_id[rows[nearest]]}"
+    if wanted[nearest] == 0:
+        return f"out of the axis limits of {name}"
+    whom = f"of every positioner: {name} is the nearest" if len(rows) > 1 else f"of {name}"
+    return f"out of reach {whom}, gap {wanted[nearest]:.3f} mm"
+
+
+def _gaps(
+    plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: np.ndarray
+) -> np.ndarray:
+    return plane.inverse(targets.xy_mm[row], fibre, rows).gap_mm
+
+
+def _blocked(plane: FocalPlane, found: Candidates, block: np.ndarray, mine: np.ndarray) -> str:
+    nearest = mine[np.argmax(block[mine])]
+    positioner = plane.positioner_id[found.positioner[nearest]]
+    others = len(np.unique(found.positioner[mine])) - 1
+    more = f"; {others} more in reach are ruled out too" if others else ""
+    return f"positioner {positioner} {WORDS[Block(block[nearest])]}{more}"
+
+
+def _lost(floor: Floor, targets: TargetList, mine: Candidates, limit_mm: float) -> str:
+    """Positioners that could take it have another target, or are kept off by a neighbour."""
+    plane = floor.plane
+    idle = np.flatnonzero(floor.target[mine.positioner] < 0)
+    for k in idle.tolist():
+        row = int(mine.positioner[k])
+        segments = sweep(plane, mine.positioner[k : k + 1], mine.goal_deg[k : k + 1],
+                         floor.approach_deg[row])  # fmt: skip
+        near, hit = floor.hits(row, segments, limit_mm)
+        if hit.any():
+            other = int(near[np.argmax(hit[0])])
+            return (
+                f"collision: positioner {plane.positioner_id[row]} would touch positioner "
+                f"{plane.positioner_id[other]}{_busy_with(floor, targets, other)}"
+            )
+    best = int(np.argmax(targets.priority[floor.target[mine.positioner]]))
+    row = int(mine.positioner[best])
+    return f"lost to another target: positioner {plane.positioner_id[row]}" + _busy_with(
+        floor, targets, row
+    )
+
+
+def _busy_with(floor: Floor, targets: TargetList, row: int) -> str:
+    target = int(floor.target[row])
+    if target < 0:
+        return ", which is parked"
+    return f", which has {targets.target_id[target]} (priority {targets.priority[target]:g})"

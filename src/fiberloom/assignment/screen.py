@@ -1,0 +1,38 @@
+"""What rules a candidate out by itself, whatever the others do."""
+
+import numpy as np
+
+from ..instruments import FocalPlane
+from .candidates import Block, Candidates, inside_stops
+from .clearance import Floats, Ints, obstacle_gap_mm, places, too_near
+from .floor import Floor, Rules
+
+
+def screen(
+    plane: FocalPlane, found: Candidates, segments: Floats, approach: float | Floats, rules: Rules
+) -> Ints:
+    """(C,) `Block` of each candidate: offline, beyond a stop, on a fixed body, or in a pocket."""
+    block = np.full(len(found), Block.NONE, dtype=np.int64)
+    gap = obstacle_gap_mm(plane, found.positioner, segments, rules.bodies)
+    block[gap < rules.gap_mm] = Block.BODY
+    block[~inside_stops(plane, found.goal_deg, approach)] = Block.STOPS
+    block[plane.offline[found.positioner]] = Block.OFFLINE
+    ok = np.flatnonzero(block == Block.NONE)
+    folds = rules.escape.can_fold(found.positioner[ok], found.goal_deg[ok])
+    block[ok[~folds]] = Block.POCKET
+    return block
+
+
+def screen_placed(
+    floor: Floor, found: Candidates, segments: Floats, block: Ints, limit_mm: float
+) -> None:
+    """Block also what is taken, or too near to somebody who stands already."""
+    moving = floor.placed & ~floor.plane.offline
+    block[(block == Block.NONE) & moving[found.positioner]] = Block.BUSY
+    ok = np.flatnonzero(block == Block.NONE)
+    near = [floor.neighbours[row][moving[floor.neighbours[row]]] for row in range(floor.plane.n)]
+    mine = np.repeat(ok, [len(near[row]) for row in found.positioner[ok]])
+    others = np.concatenate([*(near[row] for row in found.positioner[ok]), np.empty(0, np.int64)])
+    others = others.astype(np.int64)
+    bad = too_near(places(segments), mine, places(floor.segments), others, limit_mm)
+    block[np.unique(mine[bad])] = Block.ARM

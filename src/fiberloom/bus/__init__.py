@@ -1,0 +1,25 @@
+"""CAN frames in the SDSS-V positioner protocol: codec, transports, and the client."""
+
+from fiberloom.bus.cannet import CanNetTransport
+from fiberloom.bus.client import Client, Collision
+from fiberloom.bus.outcome import Outcome, Result, Results
+from fiberloom.bus.protocol import Command, Response, Status
+from fiberloom.bus.trajectory import Trajectory
+from fiberloom.bus.transport import Frame, PythonCanTransport, Transport, TransportLost
+
+__all__ = [
+    "CanNetTransport",
+    "Client",
+    "Collision",
+    "Command",
+    "Frame",
+    "Outcome",
+    "PythonCanTransport",
+    "Response",
+    "Result",
+    "Results",
+    "Status",
+    "Trajectory",
+    "Transport",
+    "TransportLost",
+]

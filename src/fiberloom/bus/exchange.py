@@ -1,0 +1,233 @@
+"""Requests and their replies: who waits for what, on one transport.
+
+A unicast request is matched by (positioner, command, uid), a broadcast by (command, uid 0). Uids
+rotate through 1 to 63, so that a reply that comes after its request was given up meets no newer
+request. Whoever waits reads the transport for all others too; every wait ends at a deadline in the
+transport's time, or at once when the connection is lost.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
+
+from fiberloom.bus.identifier import MAX_POSITIONER, MAX_UID, Identifier, decode, encode
+from fiberloom.bus.protocol import Command
+from fiberloom.bus.transport import Frame, Transport
+
+# A transport whose clock has not moved after this many empty receives will never reach a deadline.
+_STANDSTILL_LIMIT = 1000
+# A transport may count in ticks: less than this could be no time at all for it.
+_SHORTEST_WAIT_S = 1e-3
+
+
+class _Waiter:
+    """The replies to one bundle of unicast requests."""
+
+    __slots__ = ("missing", "replies")
+
+    def __init__(self, count: int) -> None:
+        self.replies: list[Frame | None] = [None] * count
+        self.missing = count
+
+
+class _BroadcastWaiter:
+    """The replies to one broadcast, by positioner."""
+
+    __slots__ = ("replies", "waited_for")
+
+    def __init__(self, expected: Iterable[int] | None) -> None:
+        self.replies: dict[int, Frame] = {}
+        self.waited_for = None if expected is None else set(expected)
+
+    def take(self, positioner: int, frame: Frame) -> None:
+        self.replies.setdefault(positioner, frame)
+        if self.waited_for is not None:
+            self.waited_for.discard(positioner)
+
+    def complete(self) -> bool:
+        return self.waited_for is not None and not self.waited_for
+
+
+class Exchange:
+    """Sends requests over a transport and hands each its reply."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.lost: str | None = None
+        """Why the connection is gone; None while it stands."""
+        self.strays = 0
+        """Frames that nobody waited for: late, doubled, with a foreign uid."""
+        self.on_unsolicited: Callable[[Identifier, Frame], None] = lambda identifier, frame: None
+        self._pending: dict[int, tuple[_Waiter, int]] = {}  # by identifier >> 4
+        self._broadcasts: dict[int, _BroadcastWaiter] = {}  # by command
+        self._broadcast_locks: dict[int, asyncio.Lock] = {}
+        self._last_uid: dict[int, int] = {}  # by (identifier >> 4) with uid 0
+        self._deadlines: list[float] = []
+        self._reader = asyncio.Lock()
+        self._standstill = 0
+
+    @property
+    def time_s(self) -> float:
+        """The transport's clock."""
+        return self.transport.time_s
+
+    async def unicast(
+        self,
+        command: int,
+        positioners: Sequence[int],
+        payloads: Sequence[bytes],
+        timeout_s: float,
+    ) -> list[Frame | None]:
+        """Sends one frame per row and returns each one's reply, None where none came in time.
+
+        A positioner may be named several times; its frames keep their order.
+        """
+        waiter = _Waiter(len(positioners))
+        deadline_s = self.time_s + timeout_s
+        keys: list[int] = []
+        try:
+            await self._send_all(waiter, keys, command, positioners, payloads, deadline_s)
+            await self.wait(lambda: waiter.missing == 0, deadline_s)
+        finally:
+            for key in keys:
+                if (entry := self._pending.get(key)) is not None and entry[0] is waiter:
+                    del self._pending[key]
+        return waiter.replies
+
+    async def _send_all(
+        self,
+        waiter: _Waiter,
+        keys: list[int],
+        command: int,
+        positioners: Sequence[int],
+        payloads: Sequence[bytes],
+        deadline_s: float,
+    ) -> None:
+        frames: list[tuple[int, bytes]] = []
+        for row, (positioner, payload) in enumerate(zip(positioners, payloads, strict=True)):
+            key = self._free_key(command, positioner)
+            if key is None:  # 63 requests in flight: these go out, then we wait for a uid
+                await self._send(frames)
+                frames = []
+                key = await self._wait_for_key(command, positioner, deadline_s)
+            if key is None:
+                break
+            self._pending[key] = (waiter, row)
+            keys.append(key)
+            frames.append((key << 4, payload))
+        await self._send(frames)
+
+    def _free_key(self, command: int, positioner: int) -> int | None:
+        """The next unused uid of this command and positioner, as identifier >> 4."""
+        if not 1 <= positioner <= MAX_POSITIONER:
+            raise ValueError(f"positioner {positioner}: identifiers hold 1 to {MAX_POSITIONER}")
+        base = positioner << 14 | command << 6
+        uid = self._last_uid.get(base, 0)
+        for _ in range(MAX_UID):
+            uid = uid % MAX_UID + 1
+            if base | uid not in self._pending:
+                self._last_uid[base] = uid
+                return base | uid
+        return None
+
+    async def _wait_for_key(self, command: int, positioner: int, deadline_s: float) -> int | None:
+        base = positioner << 14 | command << 6
+
+        def one_is_free() -> bool:
+            return any(base | uid not in self._pending for uid in range(1, MAX_UID + 1))
+
+        await self.wait(one_is_free, deadline_s)
+        return self._free_key(command, positioner) if one_is_free() else None
+
+    async def broadcast(
+        self,
+        command: int,
+        payload: bytes,
+        timeout_s: float,
+        expected: Iterable[int] | None = None,
+    ) -> dict[int, Frame]:
+        """Sends one frame to everyone; returns the replies by positioner.
+
+        Ends when all expected positioners have answered, else at the timeout. One broadcast per
+        command is in flight at a time, because all of them share uid 0.
+        """
+        async with self._broadcast_locks.setdefault(command, asyncio.Lock()):
+            waiter = _BroadcastWaiter(expected)
+            self._broadcasts[command] = waiter
+            try:
+                deadline_s = self.time_s + timeout_s
+                await self._send([(encode(0, command), payload)])
+                await self.wait(waiter.complete, deadline_s)
+            finally:
+                del self._broadcasts[command]
+            return waiter.replies
+
+    async def sleep(self, duration_s: float) -> None:
+        """Lets the transport's time pass, still listening."""
+        await self.wait(lambda: False, self.time_s + duration_s)
+
+    async def wait(self, done: Callable[[], bool], deadline_s: float) -> bool:
+        """Listens until `done()` or the deadline; True when done."""
+        self._deadlines.append(deadline_s)
+        try:
+            while not done():
+                if self.lost or self.time_s >= deadline_s:
+                    return False
+                async with self._reader:
+                    if not done() and not self.lost:
+                        await self._receive()
+            return True
+        finally:
+            self._deadlines.remove(deadline_s)
+
+    async def _send(self, frames: list[tuple[int, bytes]]) -> None:
+        if self.lost or not frames:
+            return
+        try:
+            await self.transport.send(frames)
+        except OSError as error:
+            self.lost = str(error) or type(error).__name__
+
+    async def _receive(self) -> None:
+        # everyone who is ready speaks first: on a virtual clock, receiving makes time pass
+        await asyncio.sleep(0)
+        # no longer than the most impatient of those who wait
+        before_s = self.time_s
+        try:
+            left_s = min(self._deadlines) - before_s
+            frames = await self.transport.receive(max(left_s, _SHORTEST_WAIT_S))
+        except OSError as error:
+            self.lost = str(error) or type(error).__name__
+            return
+        self._watch_clock(bool(frames) or self.time_s > before_s)
+        self._dispatch(frames)
+
+    def _watch_clock(self, progress: bool) -> None:
+        self._standstill = 0 if progress else self._standstill + 1
+        if self._standstill > _STANDSTILL_LIMIT:
+            self.lost = "the transport's clock stands still"
+
+    def _dispatch(self, frames: Sequence[Frame]) -> None:
+        pending = self._pending
+        for frame in frames:
+            entry = pending.pop(frame[0] >> 4, None)
+            if entry is None:
+                self._dispatch_other(frame)
+            else:
+                waiter, row = entry
+                waiter.replies[row] = frame
+                waiter.missing -= 1
+
+    def _dispatch_other(self, frame: Frame) -> None:
+        """Replies to broadcasts, collisions, and what nobody waits for."""
+        number = frame[0]
+        positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
+        if not 0 < positioner <= MAX_POSITIONER:
+            self.strays += 1
+        elif command == Command.COLLISION_DETECTED:
+            self.on_unsolicited(decode(number), frame)
+        elif uid == 0 and (broadcast := self._broadcasts.get(command)) is not None:
+            broadcast.take(positioner, frame)
+        else:
+            self.strays += 1

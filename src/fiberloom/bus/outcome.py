@@ -1,0 +1,94 @@
+"""How a request to a positioner, or a move, ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.bus.protocol import COMMANDS, Command, Response
+from fiberloom.bus.transport import Frame
+
+
+class Outcome(Enum):
+    """Every request and every move ends in one of these."""
+
+    DONE = "done"
+    REFUSED = "refused"  # the positioner answered with a response code
+    TIMED_OUT = "timed out"  # no answer, or no end of the motion, in time
+    COLLIDED = "collided"
+    STOPPED = "stopped"  # stopped or held back by the host because of another positioner
+    MISPLACED = "misplaced"  # reports the end of its motion, but not the position asked for
+    DISCONNECTED = "disconnected"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of one positioner's request; `values` are the integers of its reply."""
+
+    positioner: int
+    outcome: Outcome
+    code: Response | None = None
+    values: tuple[int, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """True when it did what it was asked."""
+        return self.outcome is Outcome.DONE
+
+    def __str__(self) -> str:
+        why = f" ({self.code.name})" if self.code else ""
+        return f"positioner {self.positioner}: {self.outcome.value}{why}"
+
+
+class Results(dict[int, Result]):
+    """Results by positioner, in the order in which they were asked."""
+
+    @property
+    def failed(self) -> Results:
+        """Those that did not end in DONE."""
+        return Results({i: r for i, r in self.items() if not r.ok})
+
+    @property
+    def ok_ids(self) -> list[int]:
+        """The positioners that ended in DONE."""
+        return [i for i, r in self.items() if r.ok]
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Row by row: True where DONE."""
+        return np.array([r.ok for r in self.values()], dtype=bool)
+
+    def values_array(self, width: int) -> NDArray[np.int64]:
+        """The integers of the replies, one row per positioner; zeros where there is no reply."""
+        rows = [
+            r.values if r.ok and len(r.values) == width else (0,) * width for r in self.values()
+        ]
+        return np.array(rows, dtype=np.int64).reshape(len(self), width)
+
+    def __str__(self) -> str:
+        failed = self.failed
+        if not failed:
+            return f"{len(self)} positioners done"
+        return f"{len(failed)} of {len(self)} failed: " + "; ".join(map(str, failed.values()))
+
+
+def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool) -> Result:
+    """Judges one reply; None is a reply that never came."""
+    if reply is None:
+        return Result(positioner, Outcome.DISCONNECTED if lost else Outcome.TIMED_OUT)
+    code = reply[0] & 0xF
+    if code:
+        return Result(positioner, Outcome.REFUSED, Response(code))
+    values = COMMANDS[command].unpack(reply[1])
+    if values is None:  # accepted, but not with what the table promises
+        return Result(positioner, Outcome.REFUSED, Response.INCORRECT_AMOUNT_OF_DATA)
+    return Result(positioner, Outcome.DONE, Response.ACCEPTED, values)
+
+
+def all_of(positioners: Iterable[int], outcome: Outcome) -> Results:
+    """The same outcome for all."""
+    return Results({i: Result(i, outcome) for i in positioners})

@@ -1,0 +1,134 @@
+"""Trajectories as they go over the wire, and their upload to many positioners at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiberloom import units
+from fiberloom.bus.exchange import Exchange
+from fiberloom.bus.outcome import Result, Results, result_of
+from fiberloom.bus.protocol import COMMANDS, Command
+from fiberloom.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Points of both axes: rows of (position in counts, time in ticks), straight in between.
+
+    Times count from the start signal and grow strictly. The axes may have different points.
+    """
+
+    alpha: NDArray[np.int32]
+    beta: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        for name, points in (("alpha", self.alpha), ("beta", self.beta)):
+            if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+                raise InputError(f"trajectory, {name}: needs rows of (counts, ticks), at least one")
+            if points[0, 1] < 0 or (np.diff(points[:, 1]) <= 0).any():
+                raise InputError(
+                    f"trajectory, {name}: times must grow from point to point by at least one "
+                    f"tick of {units.TICK_S * 1e3} ms"
+                )
+
+    @classmethod
+    def from_deg(cls, time_s: ArrayLike, alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Trajectory:
+        """Rounds wire positions in deg and times in s to counts and ticks."""
+        return cls(_points("alpha", time_s, alpha_deg), _points("beta", time_s, beta_deg))
+
+    @property
+    def duration_s(self) -> float:
+        """From the start signal to the last point."""
+        return float(max(self.alpha[-1, 1], self.beta[-1, 1])) * units.TICK_S
+
+    @property
+    def end_counts(self) -> tuple[int, int]:
+        """The last point of both axes."""
+        return int(self.alpha[-1, 0]), int(self.beta[-1, 0])
+
+
+def _points(name: str, time_s: ArrayLike, angle_deg: ArrayLike) -> NDArray[np.int32]:
+    ticks = np.rint(np.atleast_1d(np.asarray(time_s, dtype=float)) / units.TICK_S)
+    counts = np.rint(np.atleast_1d(np.asarray(angle_deg, dtype=float)) * units.COUNTS_PER_DEG)
+    if ticks.shape != counts.shape:
+        raise InputError(f"trajectory, {name}: {ticks.size} times but {counts.size} angles")
+    points = np.column_stack([counts, ticks])
+    if not (np.isfinite(points) & (np.abs(points) < 2.0**31)).all():
+        raise InputError(f"trajectory, {name}: angles must be within -720 to 720 deg, and finite")
+    return points.astype(np.int32)
+
+
+async def upload(
+    exchange: Exchange,
+    trajectories: Mapping[int, Trajectory],
+    bite: int,
+    timeout_s: float,
+) -> Results:
+    """Sends trajectories to all their positioners concurrently (commands 10, 11, 12).
+
+    Per positioner: the point counts, then all alpha and all beta points in bites of `bite` frames,
+    each bite fully answered before the next, then the end mark. One that refuses or does not
+    answer is left out from there on; it may hold part of a trajectory, to be dropped by an abort.
+    """
+    ids = list(trajectories)
+    results = Results()
+    new = COMMANDS[Command.SEND_NEW_TRAJECTORY]
+    counts = [new.pack(len(t.alpha), len(t.beta)) for t in trajectories.values()]
+    alive = await _step(exchange, Command.SEND_NEW_TRAJECTORY, ids, counts, timeout_s, results)
+    alive = await _send_points(exchange, trajectories, alive, bite, timeout_s, results)
+    ends = [b""] * len(alive)
+    await _step(exchange, Command.TRAJECTORY_DATA_END, alive, ends, timeout_s, results)
+    return Results({i: results[i] for i in ids})
+
+
+async def _step(
+    exchange: Exchange,
+    command: Command,
+    ids: Sequence[int],
+    payloads: Sequence[bytes],
+    timeout_s: float,
+    results: Results,
+) -> list[int]:
+    """One round of frames; records each positioner's worst result, returns those all of whose
+    frames were accepted."""
+    replies = await exchange.unicast(command, ids, payloads, timeout_s)
+    lost = exchange.lost is not None
+    bad: dict[int, Result] = {}
+    for positioner, reply in zip(ids, replies, strict=True):
+        if reply is None or reply[0] & 0xF:
+            bad.setdefault(positioner, result_of(positioner, command, reply, lost))
+    results.update(bad)
+    for positioner, reply in zip(ids, replies, strict=True):
+        if positioner not in bad and positioner not in results:
+            results[positioner] = result_of(positioner, command, reply, lost)
+    return [i for i in dict.fromkeys(ids) if i not in bad]
+
+
+async def _send_points(
+    exchange: Exchange,
+    trajectories: Mapping[int, Trajectory],
+    alive: list[int],
+    bite: int,
+    timeout_s: float,
+    results: Results,
+) -> list[int]:
+    points = {i: np.concatenate([trajectories[i].alpha, trajectories[i].beta]) for i in alive}
+    longest = max((len(p) for p in points.values()), default=0)
+    waiting = alive
+    for first in range(0, longest, bite):
+        waiting = [i for i in waiting if len(points[i]) > first]
+        bites = [points[i][first : first + bite] for i in waiting]
+        owners = np.repeat(waiting, [len(b) for b in bites]).tolist()
+        raw = np.concatenate(bites).astype("<i4").tobytes()
+        payloads = [raw[k : k + 8] for k in range(0, len(raw), 8)]
+        good = await _step(
+            exchange, Command.SEND_TRAJECTORY_DATA, owners, payloads, timeout_s, results
+        )
+        failed = set(waiting) - set(good)
+        alive = [i for i in alive if i not in failed]
+        waiting = good
+    return alive

@@ -1,0 +1,36 @@
+"""What is measured on a bench and used on every move: transmission maps."""
+
+from fiberloom.calibration.cache import cache_path
+from fiberloom.calibration.evaluate import CalibrationReport, evaluate
+from fiberloom.calibration.sweep import (
+    Calibration,
+    SweepData,
+    SweepSettings,
+    calibrate_transmission,
+    measure_sweeps,
+)
+from fiberloom.calibration.transmission import (
+    NEGATIVE,
+    POSITIVE,
+    Provenance,
+    TransmissionMaps,
+    identity,
+    load,
+)
+
+__all__ = [
+    "NEGATIVE",
+    "POSITIVE",
+    "Calibration",
+    "CalibrationReport",
+    "Provenance",
+    "SweepData",
+    "SweepSettings",
+    "TransmissionMaps",
+    "cache_path",
+    "calibrate_transmission",
+    "evaluate",
+    "identity",
+    "load",
+    "measure_sweeps",
+]

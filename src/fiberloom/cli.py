@@ -1,0 +1,260 @@
+"""The command `fiberloom`: parses, calls, prints. Everything it does can be done from Python too."""
+
+from __future__ import annotations
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from fiberloom.errors import InputError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="From a target list to fibres on target, for alpha-beta fibre positioners.",
+)
+calibrate = typer.Typer(no_args_is_help=True, help="Measure what is particular to each positioner.")
+app.add_typer(calibrate, name="calibrate")
+
+InstrumentOption = Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")]
+LayoutOption = Annotated[
+    Path | None, typer.Option(help="Folder with the layout: ours, or SDSS-V calibration files.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="The one seed of everything random.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+PositionersOption = Annotated[
+    int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
+]
+
+
+class Correction(StrEnum):
+    """How corrections weigh what the camera says."""
+
+    filtered = "filtered"
+    plain = "plain"
+
+
+class CameraKind(StrEnum):
+    """Where measured positions come from."""
+
+    noise = "noise"
+    image = "image"
+
+
+def _version(show: bool) -> None:
+    if show:
+        from fiberloom import __version__
+
+        typer.echo(f"fiberloom {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | None = None) -> Any:
+    from fiberloom.instruments import generate, load_instrument, read_layout
+
+    model = load_instrument(instrument)
+    if layout is None:
+        return generate(model, seed, n_positioners=positioners)
+    if positioners is not None:
+        raise InputError(
+            "--positioners goes with a preset; a --layout says itself how many there are"
+        )
+    return read_layout(layout, model)
+
+
+@app.command()
+def observe(
+    targets: Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS confSummary file.")],
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    moves: Annotated[
+        int | None, typer.Option(min=1, help="Blind move + corrections; default: the instrument's.")
+    ] = None,
+    correction: Annotated[
+        Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
+    ] = Correction.filtered,
+    camera: Annotated[
+        CameraKind, typer.Option(help="Camera images, or a noise model.")
+    ] = CameraKind.noise,
+    faults: Annotated[
+        str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")
+    ] = "",
+    compare_linear: Annotated[
+        bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
+    ] = False,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/latest"),
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put fibres on the targets of a list, and say how near each one came."""
+    from fiberloom.commands.observe import ObserveRequest, run_observe
+
+    request = ObserveRequest(
+        targets=targets,
+        moves=moves,
+        correction=correction.value,
+        camera=camera.value,
+        faults=faults,
+        compare_linear=compare_linear,
+        seed=seed,
+        out=out,
+        calibration=calibration,
+        quiet=as_json,
+    )
+    summary = run_observe(_plane(instrument, layout, seed, positioners), request)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2))
+    missed = summary["n_valid"] - summary["n_within_requirement"]
+    raise typer.Exit(1 if missed or summary["collisions_verified"] else 0)
+
+
+@app.command()
+def assign(
+    targets: Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS confSummary file.")],
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    out: Annotated[Path, typer.Option(help="Configuration to write.")] = Path("goal.csv"),
+    as_json: JsonOption = False,
+) -> None:
+    """Choose a target for each positioner; write the configuration as CSV."""
+    from fiberloom.commands.steps import assign_step
+
+    report = assign_step(_plane(instrument, layout, seed, positioners), targets, seed, out)
+    _print_report(report, as_json)
+
+
+@app.command()
+def plan(
+    start: Annotated[
+        Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")
+    ],
+    goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")],
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    out: Annotated[Path, typer.Option(help="Trajectories to write.")] = Path("trajectories.json"),
+    as_json: JsonOption = False,
+) -> None:
+    """Plan collision-free trajectories from one configuration to another."""
+    from fiberloom.commands.steps import plan_step
+
+    report = plan_step(_plane(instrument, layout, seed, positioners), start, goal, seed, out)
+    _print_report(report, as_json)
+    raise typer.Exit(0 if report["arrived"] == report["robots"] and report["verified"] else 1)
+
+
+@app.command()
+def verify(
+    trajectories: Annotated[Path, typer.Argument(help="trajectories.json of `plan` or `observe`.")],
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check trajectories in continuous time: clearances, limits, speeds, accelerations."""
+    from fiberloom.commands.steps import verify_step
+
+    report = verify_step(_plane(instrument, layout, seed, positioners), trajectories)
+    _print_report(report, as_json)
+    raise typer.Exit(0 if report["verified"] else 1)
+
+
+@calibrate.command()
+def transmission(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200,
+    out: Annotated[Path, typer.Option(help="Folder for the maps.")] = Path("runs/transmission"),
+    as_json: JsonOption = False,
+) -> None:
+    """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7)."""
+    from fiberloom.commands.transmission import run_calibrate_transmission
+
+    plane = _plane(instrument, layout, seed, positioners)
+    report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
+    _print_report(report, as_json)
+    raise typer.Exit(1 if report["refused"] else 0)
+
+
+@app.command()
+def instruments(
+    name: Annotated[str | None, typer.Argument(help="Show one preset in full.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the presets, or show one."""
+    from fiberloom.commands.steps import instruments_step
+
+    _print_report(instruments_step(name), as_json)
+
+
+@app.command()
+def runs(
+    where: Annotated[
+        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
+    ] = "runs",
+    as_json: JsonOption = False,
+) -> None:
+    """Show what was observed, and how it ended."""
+    from fiberloom.commands.steps import runs_step
+
+    _print_report(runs_step(where), as_json)
+
+
+def _print_report(report: Any, as_json: bool) -> None:
+    from fiberloom.report.tables import print_report
+
+    if as_json:
+        typer.echo(json.dumps(report, indent=2, default=str))
+    else:
+        print_report(report)
+
+
+def main() -> None:
+    """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except InputError as error:
+        _fail(str(error), 2)
+    except click.exceptions.Abort:
+        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
+    except KeyboardInterrupt:
+        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
+    except click.ClickException as error:
+        _fail(error.format_message(), 2)
+    except OSError as error:
+        _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
+
+
+def _fail(message: str, code: int) -> None:
+    print(f"fiberloom: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

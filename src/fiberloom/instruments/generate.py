@@ -1,0 +1,192 @@
+"""Focal planes from an instrument alone: a hexagonal array with seeded, realistic units."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import truncnorm
+
+from ..errors import InputError
+from ..units import deg_to_rad
+from .focal_plane import Floats, FocalPlane, Ints
+from .model import METROLOGY, Instrument, Layout, Scatter
+
+SQRT_3_2 = math.sqrt(3.0) / 2.0
+
+
+@dataclass(frozen=True)
+class Holes:
+    """Holes of a hexagon, row by row from the bottom, each row from the left."""
+
+    q: Ints
+    """Steps along x."""
+    r: Ints
+    """Steps along the lattice direction at 60 deg."""
+    rings: int
+
+    def xy_mm(self, pitch_mm: float) -> Floats:
+        """(n, 2) centres."""
+        return pitch_mm * np.column_stack([self.q + 0.5 * self.r, SQRT_3_2 * self.r])
+
+    def names(self) -> list[str]:
+        """R+3C7: row 3 above the central one, seventh hole from the left."""
+        first = -self.rings - np.minimum(self.r, 0)
+        return [
+            f"R{r:+d}C{c}" if r else f"R0C{c}"
+            for r, c in zip(self.r, self.q - first + 1, strict=True)
+        ]
+
+
+def hexagon(rings: int) -> Holes:
+    """All holes within `rings` steps of the central one."""
+    rows = [
+        (q, r)
+        for r in range(-rings, rings + 1)
+        for q in range(-rings, rings + 1)
+        if abs(q + r) <= rings
+    ]
+    q, r = np.array(rows, dtype=np.int64).T
+    return Holes(q, r, rings)
+
+
+def generate(instrument: Instrument, seed: int, n_positioners: int | None = None) -> FocalPlane:
+    """A focal plane of this instrument with units drawn from its scatter.
+
+    `n_positioners` below the instrument's number takes the positioners nearest to the centre: the
+    same units that the whole plane has there. Above it, the hexagon grows, and fiducials and guide
+    cameras around the field move out with it. The same seed gives the same plane.
+    """
+    layout = _grown(instrument.layout, n_positioners)
+    holes = hexagon(layout.rings)
+    xy = holes.xy_mm(layout.pitch_mm)
+    free = np.flatnonzero(~_is_fiducial(holes, layout))
+    if len(free) < layout.n_positioners:
+        raise InputError(
+            f"{instrument.name}: layout.rings = {layout.rings} leaves {len(free)} holes "
+            f"for n_positioners = {layout.n_positioners}"
+        )
+    full = _nearest(xy, free, layout.n_positioners)
+    number = np.searchsorted(full, _nearest(xy, free, n_positioners or layout.n_positioners))
+    units = _draw(instrument, xy[full], np.random.default_rng(seed))
+    plane = FocalPlane(
+        instrument=instrument,
+        positioner_id=np.arange(1, len(full) + 1),
+        hole=np.array(holes.names())[full],
+        arms=units[0],
+        points=units[1],
+        fiducials=_fiducials(instrument, layout, xy[_is_fiducial(holes, layout)]),
+        guide_cameras=guide_camera_capsules(instrument, layout),
+        offline=np.zeros(len(full), dtype=bool),
+        offline_position_deg=np.tile(instrument.positioner.park_deg, (len(full), 1)),
+    )
+    return plane.select(number)
+
+
+def guide_camera_capsules(instrument: Instrument, layout: Layout) -> Floats:
+    """(G, 5) capsules along the edges of the guide cameras that face the field."""
+    cameras = layout.guide_cameras
+    if cameras is None:
+        return np.empty((0, 5))
+    turn = 360.0 / max(cameras.number, 1)
+    angle = deg_to_rad(cameras.first_direction_deg + turn * np.arange(cameras.number))
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    along = cameras.half_width_mm * np.column_stack([-out[:, 1], out[:, 0]])
+    edge = cameras.face_distance_mm * out
+    radius = np.full((cameras.number, 1), instrument.bodies.guide_camera_radius_mm)
+    return np.hstack([edge - along, edge + along, radius])
+
+
+def _grown(layout: Layout, n_positioners: int | None) -> Layout:
+    """The layout with as many rings as the positioners need, and all around it moved out."""
+    if n_positioners is None or n_positioners <= layout.n_positioners:
+        if n_positioners is not None and n_positioners < 1:
+            raise InputError(f"n_positioners = {n_positioners}: must be at least 1")
+        return layout
+    rings = layout.rings
+    while np.count_nonzero(~_is_fiducial(hexagon(rings), layout)) < n_positioners:
+        rings += 1
+    step = (rings - layout.rings) * layout.pitch_mm
+    update: dict[str, object] = {"rings": rings, "n_positioners": n_positioners}
+    if layout.outer_fiducial_radius_mm is not None:
+        update["outer_fiducial_radius_mm"] = layout.outer_fiducial_radius_mm + step
+    if (cameras := layout.guide_cameras) is not None:
+        moved = {k: getattr(cameras, k) + step for k in ("face_distance_mm", "centre_distance_mm")}
+        update["guide_cameras"] = cameras.model_copy(update=moved)
+    return layout.model_copy(update=update)
+
+
+def _is_fiducial(holes: Holes, layout: Layout) -> np.ndarray:
+    """Holes on the sublattice spanned by (a, b) and its turn by 60 deg, (-b, a + b)."""
+    if layout.fiducial_lattice is None:
+        return np.zeros(len(holes.q), dtype=bool)
+    a, b = layout.fiducial_lattice
+    index = a * a + a * b + b * b
+    first = (a + b) * holes.q + b * holes.r
+    second = a * holes.r - b * holes.q
+    return (first % index == 0) & (second % index == 0)
+
+
+def _nearest(xy: Floats, candidates: Ints, n: int) -> Ints:
+    """The n candidates nearest to the centre, in the order of the holes."""
+    # rounded, so that holes at equal distance stay in the order of their names on any machine
+    distance = np.round(np.hypot(*xy[candidates].T), 6)
+    return np.sort(candidates[np.argsort(distance, kind="stable")[:n]])
+
+
+def _draw(
+    instrument: Instrument, xy: Floats, rng: np.random.Generator
+) -> tuple[Floats, dict[str, Floats]]:
+    """Arms and points of one unit per hole."""
+    n, scatter = len(xy), instrument.scatter
+    orientation = deg_to_rad(instrument.layout.orientation_deg)
+    arms = np.empty((n, 5))
+    arms[:, 2] = _sample(scatter.l_alpha_mm, n, rng)
+    arms[:, 3] = orientation + deg_to_rad(_sample(scatter.alpha_offset_deg, n, rng))
+    arms[:, 4] = deg_to_rad(_sample(scatter.beta_offset_deg, n, rng))
+    shift = _sample(scatter.base_x_mm, n, rng), _sample(scatter.base_y_mm, n, rng)
+    arms[:, :2] = xy + _turned(*shift, float(orientation))
+    stretch = _sample(scatter.beta_length_mm, n, rng)
+    return arms, {
+        name: _draw_point(instrument, name, stretch, rng) for name in instrument.positioner.points
+    }
+
+
+def _draw_point(
+    instrument: Instrument, name: str, stretch: Floats, rng: np.random.Generator
+) -> Floats:
+    point, scatter, n = instrument.positioner.points[name], instrument.scatter, len(stretch)
+    xy = np.column_stack([point.x_mm + stretch, np.full(n, point.y_mm)])
+    if name != METROLOGY:
+        xy[:, 0] += _sample(scatter.point_x_mm, n, rng)
+        xy[:, 1] += _sample(scatter.point_y_mm, n, rng)
+    xy[~spread(n, point.fraction)] = np.nan
+    return xy
+
+
+def spread(n: int, fraction: float) -> np.ndarray:
+    """(n,) round(n fraction) times True, as evenly as whole numbers allow."""
+    count = round(n * fraction)
+    steps = np.arange(n + 1) * count // n
+    return np.diff(steps) > 0
+
+
+def _turned(x: Floats, y: Floats, angle_rad: float) -> Floats:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
+def _sample(scatter: Scatter, n: int, rng: np.random.Generator) -> Floats:
+    """Normal numbers cut at the bounds, by inverting the distribution: one draw per unit."""
+    uniform = rng.random(n)
+    if scatter.sd == 0.0:
+        return np.full(n, scatter.mean)
+    low, high = ((b - scatter.mean) / scatter.sd for b in scatter.bounds)
+    return truncnorm.ppf(uniform, low, high, loc=scatter.mean, scale=scatter.sd)
+
+
+def _fiducials(instrument: Instrument, layout: Layout, inner: Floats) -> Floats:
+    angle = deg_to_rad(np.array(layout.outer_fiducial_directions_deg, dtype=np.float64))
+    radius = layout.outer_fiducial_radius_mm or 0.0
+    outer = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    xy = np.vstack([inner, outer])
+    return np.column_stack([xy, np.full(len(xy), instrument.bodies.fiducial_radius_mm)])

@@ -1,0 +1,134 @@
+"""Focal planes from folders: our own TOML + ECSV, or the calibration tables of SDSS-V."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..errors import InputError
+from ..tables import TableFile, read_table
+from ..units import deg_to_rad, rad_to_deg
+from .focal_plane import ALPHA_OFF, BETA_OFF, L_ALPHA, Floats, FocalPlane
+from .layout_sdssv import read_sdssv
+from .model import Instrument
+
+FORMAT = 1
+INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"
+FIDUCIALS, GUIDE_CAMERAS = "fiducials.ecsv", "guide_cameras.ecsv"
+
+
+def read_layout(directory: str | Path, instrument: Instrument) -> FocalPlane:
+    """The focal plane in a folder: one that `write_layout` wrote, or SDSS-V calibrations."""
+    folder = Path(directory)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such directory; a layout is a folder of tables")
+    if (folder / INDEX).is_file():
+        return _read_own(folder, instrument)
+    if (folder / "positionerTable.csv").is_file():
+        return read_sdssv(folder, instrument)
+    raise InputError(
+        f"{folder}: neither {INDEX} (a layout of fiberloom) nor positionerTable.csv (SDSS-V) in it"
+    )
+
+
+def write_layout(plane: FocalPlane, directory: str | Path) -> None:
+    """Write a focal plane as layout.toml and three ECSV tables, to be read by `read_layout`."""
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / INDEX).write_text(
+        f"format = {FORMAT}\n"
+        f'instrument = "{plane.instrument.name}"\n'
+        f'version = "{__version__}"\n'
+        f'config_hash = "{plane.config_hash()}"\n'
+    )
+    _write(folder / POSITIONERS, _positioner_columns(plane))
+    _write(folder / FIDUCIALS, dict(zip(_FIDUCIAL, plane.fiducials.T, strict=True)))
+    _write(folder / GUIDE_CAMERAS, dict(zip(_CAMERA, plane.guide_cameras.T, strict=True)))
+
+
+_FIDUCIAL = ("x_mm", "y_mm", "radius_mm")
+_CAMERA = ("x0_mm", "y0_mm", "x1_mm", "y1_mm", "radius_mm")
+
+
+def _positioner_columns(plane: FocalPlane) -> dict[str, np.ndarray]:
+    columns: dict[str, np.ndarray] = {
+        "positioner_id": plane.positioner_id,
+        "hole": plane.hole,
+        "centre_x_mm": plane.arms[:, 0],
+        "centre_y_mm": plane.arms[:, 1],
+        "l_alpha_mm": plane.arms[:, L_ALPHA],
+        "alpha_off_deg": rad_to_deg(plane.arms[:, ALPHA_OFF]),
+        "beta_off_deg": rad_to_deg(plane.arms[:, BETA_OFF]),
+        "offline": plane.offline.astype(np.int64),
+        "offline_alpha_deg": plane.offline_position_deg[:, 0],
+        "offline_beta_deg": plane.offline_position_deg[:, 1],
+    }
+    for name, xy in plane.points.items():
+        columns[f"has_{name}"] = plane.carries(name).astype(np.int64)
+        columns |= {f"{name}_{c}_mm": np.nan_to_num(xy[:, i]) for i, c in enumerate("xy")}
+    return columns
+
+
+def _write(path: Path, columns: dict[str, np.ndarray]) -> None:
+    from astropy.table import Table
+
+    Table(columns).write(path, format="ascii.ecsv", overwrite=True)
+
+
+def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
+    _check_format(folder / INDEX)
+    table = read_table(folder / POSITIONERS)
+    names = tuple(instrument.positioner.points)
+    table.require(
+        "positioner_id",
+        "hole",
+        "centre_x_mm",
+        "centre_y_mm",
+        "l_alpha_mm",
+        "alpha_off_deg",
+        "beta_off_deg",
+        "offline",
+        "offline_alpha_deg",
+        "offline_beta_deg",
+        *(f"{n}_x_mm" for n in names),
+    )
+    table.unique("positioner_id")
+    arms = [table.numbers(c) for c in ("centre_x_mm", "centre_y_mm", "l_alpha_mm")]
+    angles = [deg_to_rad(table.numbers(f"{axis}_off_deg")) for axis in ("alpha", "beta")]
+    stand = [table.numbers(f"offline_{axis}_deg") for axis in ("alpha", "beta")]
+    return FocalPlane(
+        instrument=instrument,
+        positioner_id=table.integers("positioner_id"),
+        hole=table.strings("hole"),
+        arms=np.column_stack([*arms, *angles]),
+        points={name: _read_point(table, name) for name in names},
+        fiducials=_read_bodies(folder / FIDUCIALS, _FIDUCIAL),
+        guide_cameras=_read_bodies(folder / GUIDE_CAMERAS, _CAMERA),
+        offline=table.integers("offline") != 0,
+        offline_position_deg=np.column_stack(stand),
+    )
+
+
+def _check_format(path: Path) -> None:
+    try:
+        found = tomllib.loads(path.read_text()).get("format")
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    if found != FORMAT:
+        raise InputError(f"{path}: format = {found}, this version reads format = {FORMAT}")
+
+
+def _read_point(table: TableFile, name: str) -> Floats:
+    table.require(f"has_{name}", f"{name}_x_mm", f"{name}_y_mm")
+    xy = np.column_stack([table.numbers(f"{name}_{c}_mm") for c in "xy"])
+    xy[table.integers(f"has_{name}") == 0] = np.nan
+    return xy
+
+
+def _read_bodies(path: Path, names: tuple[str, ...]) -> Floats:
+    table = read_table(path)
+    if not len(table):
+        return np.empty((0, len(names)))
+    table.require(*names)
+    return np.column_stack([table.numbers(name) for name in names])

@@ -1,0 +1,319 @@
+"""What an instrument is: the numbers that a designer chooses, checked against each other.
+
+Nothing here knows a particular instrument. Lengths in mm, angles in deg, errors in um; the frames
+are those of docs/conventions.md.
+"""
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Range = tuple[Finite, Finite]
+
+METROLOGY = "metrology"
+"""Name of the point that the camera sees, in every plane that has one."""
+
+
+class Table(BaseModel):
+    """A table of the TOML file: constant once read, and no key that we do not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Scatter(Table):
+    """A normal distribution, cut off at [min, max]; by default at 4 standard deviations."""
+
+    mean: Finite
+    sd: NotNegative
+    min: Finite | None = None
+    max: Finite | None = None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Where the distribution is cut."""
+        low = self.mean - 4 * self.sd if self.min is None else self.min
+        high = self.mean + 4 * self.sd if self.max is None else self.max
+        return low, high
+
+    @model_validator(mode="after")
+    def _mean_inside(self) -> Self:
+        low, high = self.bounds
+        if not low <= self.mean <= high:
+            raise ValueError(f"mean {self.mean} must lie between min {low} and max {high}")
+        return self
+
+
+class Point(Table):
+    """A fibre tip on the beta arm: x along the arm from the beta axis, y to its left."""
+
+    x_mm: Finite
+    y_mm: Finite = 0.0
+    role: Literal["metrology", "science"]
+    fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of the positioners that carry this fibre."""
+
+
+class Axis(Table):
+    """One rotation axis: how far it turns and what turns it."""
+
+    target_range_deg: Range
+    """Angles that targets may ask for."""
+    hard_stop_deg: Range
+    """Angles at which the mechanism ends."""
+    kind: Literal["bldc", "stepper", "piezo"]
+    gear: Positive
+    """Motor turns per output turn (1 for a direct drive)."""
+    closed_loop: bool
+    """Does the motor know its own angle?"""
+    step_deg: NotNegative = 0.0
+    """Smallest step at the output; 0: continuous."""
+    speed_deg_s: Positive
+    acceleration_deg_s2: Positive
+    backlash_deg: NotNegative = 0.0
+    """Largest backlash at the output."""
+    approach_deg: NotNegative = 0.0
+    """Overshoot from which the last move comes, in the negative direction; 0: no such approach."""
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for key in ("target_range_deg", "hard_stop_deg"):
+            low, high = getattr(self, key)
+            if not low < high:
+                raise ValueError(f"{key} {[low, high]}: low must be below high")
+        (low, high), (stop_low, stop_high) = self.target_range_deg, self.hard_stop_deg
+        if low < stop_low or high + self.approach_deg > stop_high:
+            raise ValueError(
+                f"hard_stop_deg {[stop_low, stop_high]} must contain target_range_deg "
+                f"{[low, high]} and the approach of {self.approach_deg} deg above it"
+            )
+        if 0 < self.approach_deg < self.backlash_deg:
+            raise ValueError(
+                f"approach_deg {self.approach_deg} must exceed backlash_deg {self.backlash_deg}"
+            )
+        if high - low > 720.0:
+            raise ValueError(
+                f"target_range_deg {[low, high]}: more than two turns are not supported"
+            )
+        return self
+
+
+class Positioner(Table):
+    """Geometry of the nominal positioner."""
+
+    l_alpha_mm: Positive
+    """Distance between the two axes."""
+    park_deg: Range
+    """Folded place (alpha, beta) of a positioner that has nothing to do."""
+    points: dict[str, Point]
+    """Fibre tips by name."""
+
+    @model_validator(mode="after")
+    def _points(self) -> Self:
+        roles = [p.role for p in self.points.values()]
+        if "science" not in roles:
+            raise ValueError("points: at least one fibre needs role = 'science'")
+        for name, point in self.points.items():
+            if point.role == METROLOGY and (name != METROLOGY or point.fraction != 1.0):
+                raise ValueError(
+                    f"points.{name}: the one metrology fibre is named 'metrology' and "
+                    "every positioner has it (fraction 1)"
+                )
+            if point.role == "science" and name == METROLOGY:
+                raise ValueError("points.metrology: role must be 'metrology'")
+        return self
+
+
+class Bodies(Table):
+    """What can collide, seen from above: capsules and discs in the focal plane."""
+
+    beta_segment_mm: Range
+    """Centre line of the beta arm's capsule, from and to, along the arm from the beta axis."""
+    collision_buffer_mm: Positive
+    """Radius of that capsule."""
+    fiducial_radius_mm: Positive
+    guide_camera_radius_mm: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _segment(self) -> Self:
+        if not self.beta_segment_mm[0] < self.beta_segment_mm[1]:
+            raise ValueError(f"beta_segment_mm {list(self.beta_segment_mm)}: from must be below to")
+        return self
+
+
+class Metrology(Table):
+    """The camera that looks at the fibres."""
+
+    present: bool
+    noise_rms_um: NotNegative = 0.0
+    """Repeatability on a static fibre, two-dimensional rms."""
+    sees: str = METROLOGY
+    """Name of the point it sees."""
+
+
+class Operation(Table):
+    """What counts as done, and how to get there."""
+
+    requirement_um: Positive
+    """Largest distance of a fibre from its target that the instrument accepts."""
+    corrections_max: Annotated[int, Field(ge=0)]
+    """Correction moves after the blind move, at most; 0 without a camera."""
+    stop_rule: Literal["fixed", "percentile"] = "fixed"
+    """fixed: always corrections_max. percentile: stop once the measured percentile is good."""
+    stop_percentile: Annotated[float, Field(gt=0, le=100)] = 100.0
+    stop_below_um: Positive | None = None
+    """Measured distance that ends the loop; the requirement when left out."""
+    correction: Literal["plain", "filtered"] = "filtered"
+    """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
+
+
+class GuideCameras(Table):
+    """Cameras in a ring around the field; only the edge that faces the field can be touched."""
+
+    number: Annotated[int, Field(ge=0)]
+    first_direction_deg: Finite
+    """Direction of the first one from the centre of the field."""
+    face_distance_mm: Positive
+    """From the centre of the field to the edge."""
+    half_width_mm: Positive
+    centre_distance_mm: Positive
+    """From the centre of the field to the centre of the chip (calibration files give that)."""
+
+
+class Layout(Table):
+    """A hexagonal array of holes with positioners and fiducials in it."""
+
+    pitch_mm: Positive
+    rings: Annotated[int, Field(ge=0)]
+    """Rings of holes around the central one."""
+    n_positioners: Annotated[int, Field(ge=1)]
+    orientation_deg: Finite
+    """Direction of alpha = 0 in the focal plane."""
+    fiducial_lattice: tuple[int, int] | None = None
+    """Fiducials sit in the holes that are whole combinations of this step and the one 60 deg from
+    it, counted from the centre in steps along the two lattice directions."""
+    outer_fiducial_radius_mm: Positive | None = None
+    outer_fiducial_directions_deg: tuple[Finite, ...] = ()
+    guide_cameras: GuideCameras | None = None
+
+    @property
+    def n_holes(self) -> int:
+        """Holes of the full hexagon."""
+        return 3 * self.rings * (self.rings + 1) + 1
+
+    @model_validator(mode="after")
+    def _enough_holes(self) -> Self:
+        if self.n_positioners > self.n_holes:
+            raise ValueError(
+                f"n_positioners {self.n_positioners}: {self.rings} rings have only "
+                f"{self.n_holes} holes"
+            )
+        if self.fiducial_lattice == (0, 0):
+            raise ValueError("fiducial_lattice [0, 0] is no step")
+        if bool(self.outer_fiducial_directions_deg) != (self.outer_fiducial_radius_mm is not None):
+            raise ValueError(
+                "give outer_fiducial_radius_mm and outer_fiducial_directions_deg, or neither"
+            )
+        return self
+
+
+class UnitScatter(Table):
+    """How units differ from the nominal one. Points: x of all fibres shifts by the spread of the
+    metrology fibre (one arm, one length); the others have a scatter of their own beside it."""
+
+    l_alpha_mm: Scatter
+    alpha_offset_deg: Scatter
+    """Zero of the alpha axis."""
+    beta_offset_deg: Scatter
+    base_x_mm: Scatter
+    """Shift of the centre, in the positioner's own frame."""
+    base_y_mm: Scatter
+    beta_length_mm: Scatter
+    """Shift in x of every point of the arm."""
+    point_x_mm: Scatter
+    """Own shift in x of each science fibre."""
+    point_y_mm: Scatter
+    """Own shift in y of each science fibre."""
+
+
+class Instrument(Table):
+    """A whole instrument. `twin` belongs to the twin, which checks it when it draws units."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    description: str
+    reference: str
+    """Where the numbers come from."""
+    positioner: Positioner
+    alpha: Axis
+    beta: Axis
+    bodies: Bodies
+    metrology: Metrology
+    operation: Operation
+    layout: Layout
+    scatter: UnitScatter
+    twin: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _camera(self) -> Self:
+        if self.metrology.present and self.metrology.sees not in self.positioner.points:
+            raise ValueError(
+                f"metrology.sees = '{self.metrology.sees}': no such point in "
+                f"positioner.points {sorted(self.positioner.points)}"
+            )
+        if self.metrology.present and self.positioner.points[self.metrology.sees].fraction < 1:
+            raise ValueError(
+                f"metrology.sees = '{self.metrology.sees}': only a part of the "
+                "positioners carries that fibre (fraction below 1)"
+            )
+        if not self.metrology.present and self.operation.corrections_max > 0:
+            raise ValueError(
+                f"operation.corrections_max = {self.operation.corrections_max}: "
+                "corrections need a camera (metrology.present = true)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _park(self) -> Self:
+        for axis, angle in zip(["alpha", "beta"], self.positioner.park_deg, strict=True):
+            low, high = getattr(self, axis).target_range_deg
+            if not low <= angle <= high:
+                raise ValueError(
+                    f"positioner.park_deg: {axis} {angle} is outside "
+                    f"{axis}.target_range_deg {[low, high]}"
+                )
+        return self
+
+    @property
+    def science_fibres(self) -> tuple[str, ...]:
+        """Names of the fibres that targets can ask for, in the order of the file."""
+        return tuple(k for k, p in self.positioner.points.items() if p.role == "science")
+
+    @property
+    def seen_point(self) -> str:
+        """Name of the point that stands for the positioner in measurements."""
+        points = self.positioner.points
+        return self.metrology.sees if self.metrology.sees in points else self.science_fibres[0]
+
+    @property
+    def reach_mm(self) -> tuple[float, float]:
+        """Inner and outer radius that the nominal science fibres reach over all beta in range."""
+        radii = [
+            self._radius_mm(p, b)
+            for p in self.positioner.points.values()
+            for b in self._extreme_beta_deg()
+            if p.role == "science"
+        ]
+        return min(radii), max(radii)
+
+    def _extreme_beta_deg(self) -> list[float]:
+        low, high = self.beta.target_range_deg
+        return [low, high, *(b for b in (-180.0, 0.0, 180.0) if low < b < high)]
+
+    def _radius_mm(self, point: Point, beta_deg: float) -> float:
+        direction = math.radians(beta_deg) + math.atan2(point.y_mm, point.x_mm)
+        length = math.hypot(point.x_mm, point.y_mm)
+        x = self.positioner.l_alpha_mm + length * math.cos(direction)
+        return math.hypot(x, length * math.sin(direction))

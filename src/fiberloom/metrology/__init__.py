@@ -1,0 +1,5 @@
+"""Where the camera sees the fibres."""
+
+from fiberloom.metrology.camera import Camera, Measurement
+
+__all__ = ["Camera", "Measurement"]

@@ -1,0 +1,1 @@
+"""Moving whole focal planes: blind move, camera, corrections, decisions."""

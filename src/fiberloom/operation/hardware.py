@@ -1,0 +1,29 @@
+"""What an observation needs of the outside world; where it comes from is not its business."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.bus.transport import Transport
+from fiberloom.metrology import Camera
+
+
+class Truth(Protocol):
+    """Where the fibres really are: only a twin knows, and only reports may ask."""
+
+    def fibre_xy(self, fibre: str) -> NDArray[np.float64]:
+        """Position (N, 2) in mm of the named fibre of every positioner."""
+        ...
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """A bus with positioners on it and a camera that looks at them."""
+
+    transport: Transport
+    camera: Camera
+    truth: Truth | None = None

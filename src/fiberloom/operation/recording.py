@@ -1,0 +1,65 @@
+"""Every move and every flag goes into the store before the loop goes on."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from fiberloom.assignment import Assignment
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.loop import Move
+from fiberloom.planning import Plan
+from fiberloom.store import Run
+from fiberloom.targets import TargetList
+
+
+class StoreRecorder:
+    """Implements `operation.loop.Recorder` on a run of the store."""
+
+    def __init__(
+        self, run: Run, plane: FocalPlane, targets: TargetList, assignment: Assignment
+    ) -> None:
+        self._run, self._plane = run, plane
+        names = np.append(np.asarray(targets.target_id, dtype=object), None)  # -1: no target
+        x_mm, y_mm = np.append(targets.x_mm, np.nan), np.append(targets.y_mm, np.nan)
+        chosen = assignment.target
+        self._targets = {
+            "target_id": names[chosen],
+            "x_target_mm": x_mm[chosen],
+            "y_target_mm": y_mm[chosen],
+        }
+
+    def move(self, move: Move) -> None:
+        """One row for the move, one for each positioner."""
+        measured = {
+            "positioner_id": self._plane.positioner_id,
+            "x_mm": move.measurement.x_mm,
+            "y_mm": move.measurement.y_mm,
+            "seen": move.measurement.seen,
+            "alpha_deg": move.commanded_deg[:, 0],
+            "beta_deg": move.commanded_deg[:, 1],
+            "wire_alpha_deg": move.wire_deg[:, 0],
+            "wire_beta_deg": move.wire_deg[:, 1],
+            "error_um": move.measured_error_um,
+            "status": np.array([str(s) for s in move.status], dtype=object),
+        }
+        self._run.record_move(
+            move.number,
+            move.label,
+            measured | self._targets,
+            time_s=move.measurement.time_s,
+            plan_digest=_digest(move.plan),
+        )
+
+    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
+        """A flag or a remark."""
+        self._run.record_event(kind, text, positioner_id=positioner_id)
+
+
+def _digest(plan: Plan) -> str:
+    digest = hashlib.sha256()
+    for robot in plan.robots:
+        for values in (robot.time_s, robot.alpha_deg, robot.beta_deg):
+            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Figures and tables of what was done: nothing here decides anything."""

@@ -1,0 +1,78 @@
+"""Closing tables for people at a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+
+def print_report(report: Any) -> None:
+    """Print a mapping as two columns, a list of mappings as a table."""
+    console = Console()
+    if isinstance(report, Mapping):
+        console.print(_pairs(report))
+    elif report:
+        console.print(_rows(report))
+    else:
+        console.print("nothing to show")
+
+
+def _pairs(report: Mapping[str, Any]) -> Table:
+    table = Table(box=box.SIMPLE, show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for key, value in report.items():
+        table.add_row(key.replace("_", " "), _text(value))
+    return table
+
+
+def _rows(rows: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(box=box.SIMPLE)
+    for key in rows[0]:
+        table.add_column(key.replace("_", " "))
+    for row in rows:
+        table.add_row(*(_text(value) for value in row.values()))
+    return table
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return "\n".join(f"{k}: {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return "\n".join(_text(v) for v in value)
+    return str(value)
+
+
+def observation_table(summary: Mapping[str, Any]) -> Table:
+    """Return the table that closes an observation: one row per move."""
+    table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left")
+    for name in ("move", "as measured\nrms [µm]", "true\nrms [µm]", "95 % below\n[µm]", "worst\n[µm]",
+                 f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
+        table.add_column(name, justify="left" if name == "move" else "right")
+    for move in summary["moves"]:
+        table.add_row(
+            move["label"],
+            _um(move["measured_rms_um"]),
+            _um(move["true_rms_um"]),
+            _um(move["p95_um"]),
+            _um(move["max_um"]),
+            f"{move['n_within_requirement']} of {move['n_fibres']}",
+        )
+    return table
+
+
+def _headline(summary: Mapping[str, Any]) -> str:
+    return (
+        f"{summary['n_within_requirement']} of {summary['n_assigned']} assigned fibres within "
+        f"{summary['requirement_um']:g} µm of their targets"
+    )
+
+
+def _um(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,208 @@
+"""Opening a store, and reading what is in it."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select
+from sqlalchemy.exc import ArgumentError, DatabaseError, SQLAlchemyError
+
+from fiberloom.errors import InputError
+from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
+from fiberloom.store.schema import (
+    SCHEMA_VERSION,
+    Base,
+    CalibrationRow,
+    EventRow,
+    MeasurementRow,
+    MoveRow,
+    RunRow,
+    SchemaRow,
+)
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Store:
+    """A database of runs. What is recorded is committed before the call returns."""
+
+    def __init__(self, engine: Engine, name: str) -> None:
+        self._engine = engine
+        self.name = name
+
+    @classmethod
+    def open(cls, path_or_url: str | Path, *, create: bool = True) -> Store:
+        """Opens (and if need be makes) a store: the path of an SQLite file, or a database URL.
+
+        Everything that stands in the way is an InputError: no permission, a full disk, a file
+        that is something else, tables of another version, and with `create=False` no store there.
+        """
+        name = str(path_or_url)
+        engine = _url_engine(name) if "://" in name else _file_engine(Path(name), create)
+        store = cls(engine, name)
+        try:
+            with store.transaction() as connection:
+                _prepare(connection, name)
+        except BaseException:
+            store.close()
+            raise
+        return store
+
+    def close(self) -> None:
+        """Lets go of the database."""
+        self._engine.dispose()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        """One transaction; what the database objects to becomes an InputError."""
+        try:
+            with self._engine.begin() as connection:
+                yield connection
+        except SQLAlchemyError as error:
+            raise _readable(self.name, error) from None
+
+    def start_run(
+        self,
+        *,
+        command_line: str,
+        instrument: str,
+        config_hash: str = "",
+        seed: int | None = None,
+        note: str = "",
+    ) -> Run:
+        """Begins a run: a context manager that books how it ended."""
+        values = new_run_values(command_line, instrument, config_hash, seed, note)
+        with self.transaction() as connection:
+            run_id = connection.execute(insert(RunRow).returning(RunRow.id), values).scalar_one()
+        return Run(self.transaction, run_id)
+
+    def runs(self) -> list[RunInfo]:
+        """All runs, oldest first. One whose process is gone shows as interrupted."""
+        moves = select(func.count()).where(MoveRow.run_id == RunRow.id).scalar_subquery()
+        measured = select(func.count()).where(MeasurementRow.run_id == RunRow.id).scalar_subquery()
+        query = select(RunRow.__table__, moves.label("n_moves"), measured.label("n_measurements"))
+        with self.transaction() as connection:
+            rows = connection.execute(query.order_by(RunRow.id)).mappings().all()
+        return [info_of(dict(row)) for row in rows]
+
+    def measurements(self, run_id: int) -> Columns:
+        """Columns of a run's measurements in the order in which they were made.
+
+        `move` and `kind` are those of the move; numbers that are not known are NaN, texts empty.
+        """
+        table = MeasurementRow.__table__
+        query = (
+            select(MoveRow.number.label("move"), MoveRow.kind, *table.columns)
+            .join(MoveRow, MoveRow.id == MeasurementRow.move_id)
+            .where(MeasurementRow.run_id == run_id)
+            .order_by(MeasurementRow.id)
+        )
+        return self._columns(run_id, query)
+
+    def moves(self, run_id: int) -> Columns:
+        """Columns of a run's moves."""
+        return self._columns(run_id, _rows_of(MoveRow, run_id))
+
+    def events(self, run_id: int) -> Columns:
+        """Columns of a run's events."""
+        return self._columns(run_id, _rows_of(EventRow, run_id))
+
+    def calibrations(self, run_id: int) -> Columns:
+        """Columns of the calibrations that a run made or used."""
+        return self._columns(run_id, _rows_of(CalibrationRow, run_id))
+
+    def _columns(self, run_id: int, query: Any) -> Columns:
+        with self.transaction() as connection:
+            if connection.execute(select(RunRow.id).where(RunRow.id == run_id)).first() is None:
+                raise InputError(f"{self.name}: no run {run_id}; 'fiberloom runs' lists them")
+            result = connection.execute(query)
+            names, rows = list(result.keys()), result.all()
+        return {name: _column([row[k] for row in rows]) for k, name in enumerate(names)}
+
+
+def _rows_of(table: type[Base], run_id: int) -> Any:
+    columns = table.__table__.columns
+    return select(*columns).where(columns.run_id == run_id).order_by(columns.id)
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    """None becomes NaN among numbers and empty among texts."""
+    known = next((v for v in values if v is not None), None)
+    if isinstance(known, str):
+        return np.array([v or "" for v in values], dtype=str)
+    if known is None or isinstance(known, float) or None in values:
+        return np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+    return np.array(values)
+
+
+def _url_engine(url: str) -> Engine:
+    try:
+        return create_engine(url, pool_pre_ping=True)
+    except (ArgumentError, ImportError) as error:
+        raise InputError(f"store '{url}': {str(error).splitlines()[0]}") from None
+
+
+def _file_engine(path: Path, create: bool) -> Engine:
+    if path.is_dir():
+        raise InputError(f"store '{path}': is a directory; name a file in it")
+    if not create and not path.exists():
+        raise InputError(f"store '{path}': no such file; name the store of an earlier run")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"store '{path}': {error.strerror}; choose another place") from None
+    engine = create_engine(f"sqlite:///{path}")
+
+    @event.listens_for(engine, "connect")
+    def settings(connection: sqlite3.Connection, record: object) -> None:
+        for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+        connection.execute("PRAGMA busy_timeout=10000")
+
+    return engine
+
+
+def _prepare(connection: Connection, name: str) -> None:
+    """Makes the tables where there are none; refuses those of another version."""
+    Base.metadata.create_all(connection, tables=[Base.metadata.tables[SchemaRow.__tablename__]])
+    found = connection.execute(select(SchemaRow.version)).scalar()
+    if found is None:
+        Base.metadata.create_all(connection)
+        connection.execute(insert(SchemaRow), {"version": SCHEMA_VERSION})
+    elif found != SCHEMA_VERSION:
+        raise InputError(
+            f"store '{name}': its tables are of version {found}, this program writes "
+            f"{SCHEMA_VERSION}; name another store"
+        )
+
+
+_ADVICE = {
+    "readonly": "cannot be written; check the permissions or name another store",
+    "unable to open": "cannot be opened; check the path and its permissions",
+    "disk is full": "the disk is full; what was recorded before is safe",
+    "disk I/O": "the disk does not work as it should; what was recorded before may be damaged",
+    "not a database": "is not a database; name another file",
+    "malformed": "is damaged; recover what can be read with 'sqlite3 FILE .recover'",
+    "locked": "another process holds it; try again when that has ended",
+}
+
+
+def _readable(name: str, error: SQLAlchemyError) -> InputError:
+    cause = str(error.orig if isinstance(error, DatabaseError) and error.orig else error)
+    first = cause.strip().splitlines()[0]
+    for sign, advice in _ADVICE.items():
+        if sign in first:
+            return InputError(f"store '{name}': {advice} ({first})")
+    return InputError(f"store '{name}': {first}")

@@ -1,0 +1,116 @@
+"""The tables. Lengths in mm, errors in um, angles in deg, times in UTC or in s of the run's clock.
+
+NULL is "not known": a fibre that was not seen has no place, a parked positioner no target.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import DateTime, ForeignKey, Index, MetaData
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+SCHEMA_VERSION = 1
+
+
+class Base(DeclarativeBase):
+    """Common metadata of all tables."""
+
+    metadata = MetaData()
+
+
+class SchemaRow(Base):
+    """One row: the version of the tables."""
+
+    __tablename__ = "fiberloom_schema"
+
+    version: Mapped[int] = mapped_column(primary_key=True)
+
+
+class RunRow(Base):
+    """One command that moved or measured something."""
+
+    __tablename__ = "runs"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    command_line: Mapped[str]
+    instrument: Mapped[str]
+    config_hash: Mapped[str]
+    seed: Mapped[int | None]
+    version: Mapped[str]
+    status: Mapped[str]  # running, finished, failed, interrupted
+    note: Mapped[str]
+    # who is running: tells a run that goes on from one whose process was killed
+    host: Mapped[str]
+    pid: Mapped[int]
+    process_start: Mapped[str]
+
+
+class MoveRow(Base):
+    """One move of the whole field."""
+
+    __tablename__ = "moves"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
+    number: Mapped[int]
+    kind: Mapped[str]
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    time_s: Mapped[float | None]  # of the twin or bus
+    plan_digest: Mapped[str]
+
+
+class MeasurementRow(Base):
+    """One positioner after one move."""
+
+    __tablename__ = "measurements"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"))
+    move_id: Mapped[int] = mapped_column(ForeignKey("moves.id"), index=True)
+    positioner_id: Mapped[int]
+    x_mm: Mapped[float | None]
+    y_mm: Mapped[float | None]
+    seen: Mapped[bool]
+    alpha_deg: Mapped[float | None]  # commanded
+    beta_deg: Mapped[float | None]
+    wire_alpha_deg: Mapped[float | None]
+    wire_beta_deg: Mapped[float | None]
+    target_id: Mapped[str | None]
+    x_target_mm: Mapped[float | None]
+    y_target_mm: Mapped[float | None]
+    error_um: Mapped[float | None]
+    status: Mapped[str | None]
+
+    __table_args__ = (Index("measurements_of_positioner", "run_id", "positioner_id"),)
+
+
+class CalibrationRow(Base):
+    """Which calibration of a positioner's axis a run made or used."""
+
+    __tablename__ = "calibrations"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
+    positioner_id: Mapped[int]
+    axis: Mapped[str]
+    kind: Mapped[str]
+    file: Mapped[str]
+    hash: Mapped[str]
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+
+
+class EventRow(Base):
+    """Something an operator wants to know later: a collision, a flag, a remark."""
+
+    __tablename__ = "events"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    time_s: Mapped[float | None]
+    positioner_id: Mapped[int | None]
+    kind: Mapped[str]
+    text: Mapped[str]

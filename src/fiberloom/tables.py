@@ -1,0 +1,155 @@
+"""Tables that people write: CSV, ECSV, FITS. Every complaint names file, row and column."""
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """A table as read, and where each of its rows came from."""
+
+    path: Path
+    columns: Mapping[str, Sequence[Any]]
+    places: Sequence[str]
+    """For each row, how to find it: `line 12` of a text, `row 3` otherwise."""
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def require(self, *names: str) -> None:
+        """Raise InputError unless all these columns are there and at least one row is."""
+        missing = [n for n in names if n not in self.columns]
+        if missing:
+            raise InputError(
+                f"{self.path}: no column {', '.join(missing)}; the columns are "
+                f"{', '.join(self.columns) or 'none'}"
+            )
+        if not len(self):
+            raise InputError(f"{self.path}: no rows below the header")
+
+    def error(self, row: int, name: str, problem: str) -> InputError:
+        """The complaint about one cell."""
+        return InputError(f"{self.path}, {self.places[row]}: {name} {problem}")
+
+    def strings(self, name: str) -> NDArray[np.str_]:
+        """A column as text without surrounding blanks; masked cells are empty."""
+        cells = [_text(value) for value in self.columns[name]]
+        return np.array(cells, dtype=np.str_)
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """A column as finite numbers."""
+        values = self._convert(name, float, np.float64, "a number")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise self.error(bad[0], name, f"= {self.columns[name][bad[0]]} is not finite")
+        return values
+
+    def integers(self, name: str) -> NDArray[np.int64]:
+        """A column as whole numbers."""
+        return self._convert(name, _whole, np.int64, "a whole number")
+
+    def unique(self, name: str) -> None:
+        """Raise InputError where a value of this column appears twice."""
+        first: dict[str, int] = {}
+        for row, value in enumerate(self.strings(name)):
+            if value in first:
+                earlier = self.places[first[value]]
+                raise self.error(row, name, f"= {value} was used before, in {earlier}")
+            first[value] = row
+
+    def _convert(self, name: str, kind: Callable, dtype: type, noun: str) -> NDArray:
+        out: NDArray = np.empty(len(self), dtype=dtype)
+        for row, value in enumerate(self.columns[name]):
+            try:
+                out[row] = kind(value)
+            except (TypeError, ValueError, OverflowError):
+                shown = _text(value)
+                raise self.error(row, name, f"= '{shown}' is not {noun}") from None
+        return out
+
+
+def read_table(path: str | Path) -> TableFile:
+    """Read a table, by the suffix of its name. In CSV, lines that start with # are comments."""
+    path = Path(path)
+    suffix = "".join(path.suffixes[-2:]).lower() if path.suffix == ".gz" else path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}"
+        )
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if suffix == ".csv" and not _is_ecsv(path):
+        return read_csv(path)
+    return _read_astropy(path, "ascii.ecsv" if suffix in (".csv", ".ecsv") else "fits")
+
+
+def read_csv(path: Path) -> TableFile:
+    """A CSV file: a header, then rows; # starts a comment line; blank lines do not count."""
+    lines = list(_lines(path))
+    rows = list(csv.reader(line for _, line in lines))
+    if not rows:
+        raise InputError(f"{path}: the file is empty")
+    if len(rows) != len(lines):
+        raise InputError(f"{path}: a quoted cell runs over several lines")
+    header = [cell.strip() for cell in rows[0]]
+    places = [f"line {number}" for number, _ in lines[1:]]
+    for place, row in zip(places, rows[1:], strict=True):
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns"
+            )
+    columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
+    return TableFile(path, columns, places)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file (UTF-8)") from None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.startswith("#"):
+            yield number, line
+
+
+def _is_ecsv(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(16).replace(b" ", b"").startswith(b"#%ECSV")
+
+
+def _read_astropy(path: Path, kind: str) -> TableFile:
+    from astropy.table import Table  # takes a third of a second: only where it is needed
+
+    try:
+        table = Table.read(path, format=kind)
+    except Exception as error:  # astropy raises many kinds for a broken file
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as {kind}: {reason}") from None
+    columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
+    return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
+
+
+def _whole(value: Any) -> int:
+    number = float(value)
+    if number != int(number):
+        raise ValueError
+    return int(number)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace").strip()
+    return str(value).strip()

@@ -1,0 +1,268 @@
+"""Draws units: every positioner its own motor, gear, sensors and firmware parameters.
+
+Sizes are TUNED, not measured, where the paper prints no number: the gear so that at SDSS-V arms
+(7.4 and 14.3 mm) a linear ratio leaves about 36 um rms and a 200-point map about 10 um rms in the
+focal plane (Kronig 2020, Fig. 19 and 26), inside SDSS-V's acceptance (non-linearity 0.6 deg,
+derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which number comes from where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fiberloom._core import firmware as _firmware
+from fiberloom._core import twin as _core
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.twin.units import (
+    FIRMWARE_DTYPE,
+    GEAR,
+    GEAR_DTYPE,
+    ORDERS,
+    PLANT_DTYPE,
+    Units,
+    defaults,
+    plain,
+)
+from fiberloom.units import RAD_PER_DEG
+
+Rng = np.random.Generator
+
+BETA_SHARE = 0.1
+"""Torques and inertia of the beta axis over alpha's: the ratio of the stiffnesses is 25/337, of the
+motors' diameters 6/12 mm (assumed; the paper prints alpha's only)."""
+SCALED = [
+    "inertia_motor",
+    "inertia_gear",
+    "coulomb_motor",
+    "coulomb_gear",
+    "viscous_motor",
+    "viscous_gear",
+    "cogging_2",
+    "cogging_4",
+    "spring_rate",
+]
+STIFFNESS_NM_PER_RAD = (0.337 / RAD_PER_DEG, 0.025 / RAD_PER_DEG)  # Kronig 2020, Fig. 13
+
+RELATIVE_SD: dict[str, float] = {
+    # unit to unit, assumed: tolerances usual for small motors and gears
+    "inertia_motor": 0.02,
+    "coulomb_motor": 0.10,
+    "coulomb_gear": 0.08,
+    "viscous_motor": 0.10,
+    "viscous_gear": 0.10,
+    "flux_linkage": 0.02,
+    "coil_resistance": 0.02,
+    "supply": 0.005,
+    "cogging_2": 0.15,
+    "cogging_4": 0.25,
+    "spring_rate": 0.05,
+    "spring_free": 0.01,
+    "stiffness": 0.05,
+    "hall_amplitude_a": 0.03,
+    "hall_amplitude_b": 0.03,
+}
+ABSOLUTE_SD: dict[str, float] = {"hall_offset_a": 25.0, "hall_offset_b": 25.0, "hall_phase": 0.02}
+PHASES = ("cogging_2_phase", "cogging_4_phase")
+
+IDENTIFICATION_SD: dict[str, float] = {
+    # relative error of what the firmware knows: a few percent, as measured friction and inertia repeat
+    "torque_per_volt": 0.01,
+    "inertia": 0.02,
+    "drag": 0.02,
+    "coulomb": 0.03,
+    "spring_torque": 0.03,
+    "spring_rate": 0.03,
+    "cogging_torque": 0.05,
+    "hall_amplitude_a": 0.002,
+    "hall_amplitude_b": 0.002,
+}
+IDENTIFICATION_ABSOLUTE_SD: dict[str, float] = {
+    "cogging_phase": 0.05,
+    "hall_offset_a": 1.5,
+    "hall_offset_b": 1.5,
+    "hall_phase": 0.001,
+}
+ARM_SD = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5])
+"""True arms against the layout: about 1 um in centre and length, 50 urad in the angles' zeros."""
+
+# Gear: amplitude of each order, alpha and beta, in output rad. TUNED, see above.
+DELTA_AMPLITUDE_RAD = {
+    1: (1.9e-3, 2.9e-3),
+    2: (1.15e-3, 1.4e-3),
+    3: (6.5e-4, 8e-4),
+    35: (9e-5, 9e-5),
+    36: (4.0e-4, 4.0e-4),
+    37: (9e-5, 9e-5),
+    72: (1.6e-4, 1.6e-4),
+    108: (8e-5, 8e-5),
+    204: (3.6e-4, 3.6e-4),
+}
+# Shape of the backlash, relative; scaled to the extremes drawn from Fig. 10's range.
+BACKLASH_SHAPE = {
+    1: 1.0,
+    2: 0.55,
+    3: 0.35,
+    35: 0.05,
+    36: 0.22,
+    37: 0.05,
+    72: 0.08,
+    108: 0.04,
+    204: 0.06,
+}
+BACKLASH_LOWEST_DEG = (40.0, 70.0)
+BACKLASH_HIGHEST_DEG = (190.0, 250.0)
+
+
+def draw_units(plane: FocalPlane, seed: int) -> Units:
+    """True units for every positioner of the plane.
+
+    A unit depends on the seed and its number alone, so a part of a plane has the same units. The
+    instrument's `[twin.alpha]` and `[twin.beta]` tables override nominal plant parameters by name.
+    """
+    n = len(plane)
+    units = Units(
+        plant=np.zeros((n, 2), PLANT_DTYPE),
+        gear=np.zeros((n, 2), GEAR_DTYPE),
+        firmware=np.zeros((n, 2), FIRMWARE_DTYPE),
+        arms=plane.arms.copy(),
+        seed=seed,
+    )
+    nominal = [_nominal(plane, axis) for axis in (0, 1)]
+    for row, number in enumerate(plane.positioner_id):
+        rng = np.random.default_rng([seed, int(number)])
+        units.arms[row] += ARM_SD * rng.standard_normal(5)
+        for axis in (0, 1):
+            units.plant[row, axis] = _scatter(nominal[axis], rng)
+            units.gear[row, axis] = _gear(axis, rng)
+            units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
+    return units
+
+
+def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
+    record = defaults(_core.PLANT_PARAMS, PLANT_DTYPE)
+    if axis == 1:
+        for name in SCALED:
+            record[name] *= BETA_SHARE
+        # a coil of ten times the resistance: torque per volt and back-EMF drag a tenth
+        record["coil_resistance"] /= BETA_SHARE
+    record["stiffness"] = STIFFNESS_NM_PER_RAD[axis]
+    record["stop_min"], record["stop_max"] = plane.hard_stops_deg[axis] * RAD_PER_DEG
+    overrides = plane.instrument.twin.get(("alpha", "beta")[axis], {})
+    return _override(record, overrides, f"{plane.instrument.name}: twin.{('alpha', 'beta')[axis]}")
+
+
+def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
+    for name, value in overrides.items():
+        if name not in PLANT_DTYPE.names:
+            raise InputError(
+                f"{where}.{name}: no such plant parameter; see docs/twin.md for the list"
+            )
+        record[name] = value
+    return record
+
+
+def _scatter(nominal: np.ndarray, rng: Rng) -> np.ndarray:
+    record = nominal.copy()
+    for name, sd in RELATIVE_SD.items():
+        record[name] *= 1.0 + sd * _held(rng)
+    for name, sd in ABSOLUTE_SD.items():
+        record[name] += sd * _held(rng)
+    for name in PHASES:
+        record[name] = rng.uniform(-np.pi, np.pi)
+    return record
+
+
+def _held(rng: Rng) -> float:
+    """A standard normal cut at three: no unit that acceptance would not have refused."""
+    return float(np.clip(rng.standard_normal(), -3.0, 3.0))
+
+
+def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    size = amplitude * (1.0 + 0.25 * _held(rng))
+    return size * np.cos(phase), size * np.sin(phase)
+
+
+def _gear(axis: int, rng: Rng) -> np.ndarray:
+    record = np.zeros((), GEAR_DTYPE)
+    record["delta_rad"] = [_wave(DELTA_AMPLITUDE_RAD[m][axis], rng) for m in ORDERS]
+    record["backlash_rad"] = [_wave(BACKLASH_SHAPE[m], rng) for m in ORDERS]
+    lowest, highest = rng.uniform(*BACKLASH_LOWEST_DEG), rng.uniform(*BACKLASH_HIGHEST_DEG)
+    _scale_backlash(record, lowest * RAD_PER_DEG, highest * RAD_PER_DEG)
+    return record
+
+
+def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -> None:
+    """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
+    nodes = np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN)
+    shape = _core.transmission(plain(record).ravel(), GEAR, nodes)[1]
+    stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
+    record["backlash_rad"] *= stretch
+    record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
+
+
+def firmware_truth(plant: np.ndarray) -> dict[str, float]:
+    """What a perfect identification of an axis would tell its firmware."""
+    torque_constant = float(
+        plant["flux_linkage"] / plant["coil_resistance"]
+    )  # Nm per volt and coil
+    spring_Nm = float(plant["spring_rate"] / GEAR)
+    return {
+        "hall_offset_a": plant["hall_offset_a"],
+        "hall_offset_b": plant["hall_offset_b"],
+        "hall_amplitude_a": plant["hall_amplitude_a"],
+        "hall_amplitude_b": plant["hall_amplitude_b"],
+        "hall_phase": plant["hall_phase"],
+        "u_dc": plant["supply"],
+        "torque_per_volt": 1.5 * np.sqrt(0.75) * torque_constant,  # Eq. 19
+        "inertia": plant["inertia_motor"] + plant["inertia_gear"],
+        "drag": plant["viscous_motor"]
+        + plant["viscous_gear"]
+        + 1.5 * torque_constant * plant["flux_linkage"],
+        "coulomb": plant["coulomb_motor"] + plant["coulomb_gear"],
+        "spring_torque": spring_Nm * plant["spring_free"],
+        "spring_rate": -spring_Nm / GEAR,
+        "cogging_torque": plant["cogging_2"],
+        "cogging_phase": plant["cogging_2_phase"],
+    }
+
+
+def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
+    """Gains follow the size of the motor: the defaults are those of an inertia of 3.5e-9 kg m^2."""
+    size = truth["inertia"] / 3.5e-9
+    given = {p[0]: p[4] for p in _firmware.AXIS_PARAMS}
+    return {k: given[k] * size for k in ("k_p", "k_i", "integral_limit", "collision_torque")}
+
+
+def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np.ndarray:
+    record = defaults(_firmware.AXIS_PARAMS, FIRMWARE_DTYPE)
+    truth = firmware_truth(plant)
+    for name, value in truth.items():
+        error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * _held(rng)
+        record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * _held(rng)
+    for name, value in control_gains(truth).items():
+        record[name] = value
+    record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
+    return record
+
+
+def put_in(plane: FocalPlane) -> dict[str, str]:
+    """What was put into the twin, for reports: everything else came out."""
+    first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
+    return {
+        "camera": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
+        f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
+        f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
+        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, "
+        "given (Fig. 10)",
+        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given "
+        "(Fig. 20)",
+        "firmware parameters": "identified within 1 to 5 % (assumed)",
+        "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
+        f"{BETA_SHARE:g} of alpha's (assumed)",
+    }

@@ -1,0 +1,45 @@
+"""The twin as a bus, in this process: time passes while somebody waits for an answer."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from fiberloom.bus.transport import Frame
+from fiberloom.twin.twin import Twin
+from fiberloom.units import TICK_S
+
+
+class TwinTransport:
+    """Implements `fiberloom.bus.transport.Transport` on the twin's virtual clock.
+
+    `slice_s`: how long the twin runs before it is asked again whether something came; an answer is
+    delivered at most so late, and carries the time at which it was sent.
+    """
+
+    def __init__(self, twin: Twin, slice_s: float = 0.005) -> None:
+        self._twin = twin
+        self._slice_s = slice_s
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time."""
+        return self._twin.time_s
+
+    async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
+        """Puts frames on the bus now."""
+        self._twin.send(frames)
+
+    async def receive(self, timeout_s: float) -> list[Frame]:
+        """Runs the twin until a frame comes or the time has passed."""
+        end_s = self._twin.time_s + timeout_s
+        while True:
+            left_s = end_s - self._twin.time_s
+            await asyncio.sleep(0)  # others may have something to send
+            # a whole tick at least: a clock that stands still would never reach the end
+            replies = self._twin.run(min(max(left_s, TICK_S), self._slice_s))
+            if replies or left_s <= self._slice_s:
+                return [Frame(*r) for r in replies]
+
+    async def close(self) -> None:
+        """Nothing to let go of."""

@@ -1,0 +1,196 @@
+"""The twin of a focal plane: `Twin` wraps `_core.twin.Twin` in public units."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiberloom._core import geometry
+from fiberloom._core import twin as _core
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.twin.units import Units, plain
+from fiberloom.units import deg_to_rad, rad_to_deg
+
+Floats = NDArray[np.float64]
+
+BODY_SHARE = 0.75
+"""Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
+SDSS-V (assumed; the arm's tube)."""
+
+SCOPE_DTYPE = np.dtype([(name, np.float64) for name in _core.SCOPE_FIELDS])
+
+
+class Reply(NamedTuple):
+    """A frame that a positioner sent, and when (virtual seconds)."""
+
+    id: int
+    data: bytes
+    time_s: float
+
+
+class Touch(NamedTuple):
+    """Two bodies came into contact: positioner numbers, `other` None for what stands fast."""
+
+    time_s: float
+    positioner_id: int
+    other: int | None
+
+
+class Twin:
+    """Positioners with their firmware on a virtual bus; the clock stands still between calls.
+
+    `start_deg` (N, 2): output angles at power-up, told to the firmware as after a datum; folded by
+    default. Without `neighbours` arms pass through each other (the bench). The same arguments
+    give the same bytes for any number of `threads`.
+    """
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        units: Units,
+        *,
+        seed: int = 0,
+        threads: int | None = None,
+        neighbours: bool = True,
+        start_deg: ArrayLike | None = None,
+        skip_resting: bool = True,
+        substeps: int = 10,
+        kernel: str = "",
+    ) -> None:
+        if len(units) != len(plane):
+            raise InputError(
+                f"twin: {len(units)} units for {len(plane)} positioners; draw them anew"
+            )
+        self.plane = plane
+        self.units = units
+        self.dark = np.zeros(len(plane), dtype=bool)
+        try:
+            self._core = _core.Twin(
+                ids=np.ascontiguousarray(plane.positioner_id, dtype=np.uint16),
+                plant=plain(units.plant),
+                transmission=plain(units.gear),
+                firmware=plain(units.firmware, np.float32),
+                start_rad=deg_to_rad(_start(plane, start_deg)),
+                arms=units.arms,
+                obstacles=_obstacles(plane),
+                body_mm=(*plane.beta_segment_mm, BODY_SHARE * plane.collision_buffer_mm),
+                seed=seed,
+                threads=threads or os.cpu_count() or 1,
+                neighbours=neighbours,
+                skip_resting=skip_resting,
+                substeps=substeps,
+                kernel=kernel,
+            )
+        except ValueError as error:
+            raise InputError(f"twin: {error}") from None
+        for number in plane.positioner_id[plane.offline]:
+            self.inject(Fault(FaultKind.DEAF, int(number)))
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time since power-up."""
+        return self._core.tick * _core.TICK_S
+
+    @property
+    def kernel(self) -> str:
+        """Instruction set of the inner loops."""
+        return self._core.kernel
+
+    def send(self, frames: Iterable[Sequence]) -> None:
+        """Puts frames (identifier, data, ...) on the bus now, in order."""
+        for frame in frames:
+            self._core.send(frame[0], bytes(frame[1]))
+
+    def run(self, duration_s: float) -> list[Reply]:
+        """Lets time pass, to the nearest tick of 0.5 ms; what the positioners sent since last time."""
+        if not 0.0 <= duration_s < 1e6:
+            raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
+        return [Reply(*r) for r in self._core.run(round(duration_s / _core.TICK_S))]
+
+    def truth(self) -> Floats:
+        """Output angles (N, 2) in deg: alpha, beta."""
+        return rad_to_deg(self._core.outputs_rad())
+
+    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
+        """True position (N, 2) in mm of a fibre; NaN where a positioner lacks it."""
+        if fibre not in self.plane.points:
+            raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
+        return geometry.forward(self.units.arms, self.plane.points[fibre], self._core.outputs_rad())
+
+    def inject(self, fault: Fault) -> None:
+        """Breaks something, until `clear`."""
+        self._set(fault, True)
+
+    def clear(self, fault: Fault) -> None:
+        """Repairs it. An arm that did not follow its motor stays where the fault left it."""
+        self._set(fault, False)
+
+    def _set(self, fault: Fault, on: bool) -> None:
+        row = int(self.plane.index_of(fault.positioner_id))
+        kind = FaultKind(fault.kind)
+        if kind is FaultKind.DARK:
+            self.dark[row] = on
+            return
+        for axis in fault.axes:
+            self._core.fault(row, axis, str(kind), on)
+
+    def power_cycle(self, positioner_id: int) -> None:
+        """Power off and on: the firmware starts anew with what it has stored."""
+        self._core.power_cycle(int(self.plane.index_of(positioner_id)))
+
+    def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
+        """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""
+        self._core.set_external_torque(index, axis, torque_Nm)
+
+    def scope(self, index: int, axis: int) -> Scope:
+        """Logs every tick of one axis from now on."""
+        return Scope(self._core, index, axis)
+
+    def touches(self) -> list[Touch]:
+        """First moments of contact between bodies since the last call."""
+        n, ids = len(self.plane), self.plane.positioner_id
+        return [
+            Touch(t, int(ids[i]), int(ids[j]) if j < n else None)
+            for t, i, j in self._core.take_touches()
+        ]
+
+
+class Scope:
+    """What one axis does, tick by tick (fields: SCOPE_DTYPE). A context manager; stops at its end."""
+
+    def __init__(self, core: _core.Twin, index: int, axis: int) -> None:
+        self._core, self._index, self._axis = core, index, axis
+        core.scope(index, axis, True)
+
+    def take(self) -> np.ndarray:
+        """The samples since the last call, and forgets them."""
+        return self._core.take_scope(self._index, self._axis).view(SCOPE_DTYPE)[:, 0]
+
+    def close(self) -> None:
+        """Stops logging."""
+        self._core.scope(self._index, self._axis, False)
+
+    def __enter__(self) -> Scope:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _start(plane: FocalPlane, start_deg: ArrayLike | None) -> Floats:
+    folded = plane.instrument.positioner.park_deg if start_deg is None else start_deg
+    start = np.array(np.broadcast_to(np.asarray(folded, dtype=np.float64), (len(plane), 2)))
+    start[plane.offline] = plane.offline_position_deg[plane.offline]
+    return start
+
+
+def _obstacles(plane: FocalPlane) -> Floats:
+    discs = plane.fiducials.reshape(-1, 3)[:, [0, 1, 0, 1, 2]]
+    return np.ascontiguousarray(np.vstack([discs, plane.guide_cameras.reshape(-1, 5)]))

@@ -1,0 +1,99 @@
+"""The true units of a twin: plant parameters, gears, and what their firmware was told of them."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiberloom._core import firmware as _firmware
+from fiberloom._core import twin as _core
+from fiberloom.errors import InputError
+
+Floats = NDArray[np.float64]
+
+GEAR = 1024.0
+"""Motor turns per output turn: the firmware counts 2**20 per motor turn and 2**30 per output turn."""
+ORDERS = np.array(_core.HARMONIC_ORDERS)
+"""Cycles per output turn of the harmonic series of a gear."""
+
+PLANT_DTYPE = np.dtype([(p[0], np.float64) for p in _core.PLANT_PARAMS])
+FIRMWARE_DTYPE = np.dtype([(p[0], np.float32) for p in _firmware.AXIS_PARAMS])
+GEAR_DTYPE = np.dtype(
+    [
+        ("delta_rad", np.float64, (len(ORDERS), 2)),  # output angle: cosine, sine
+        ("backlash_rad", np.float64, (len(ORDERS), 2)),  # motor angle: cosine, sine
+        ("backlash_mean_rad", np.float64),
+        ("wear", np.float64, (_core.WEAR_COUNT, 3)),  # centre, width, height, output rad
+    ]
+)
+assert GEAR_DTYPE.itemsize == 8 * _core.TRANSMISSION_SIZE
+
+
+def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
+    """One record with every parameter at its default."""
+    return np.array(tuple(p[4] for p in params), dtype=dtype)
+
+
+def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
+    """The same numbers without names: one more axis, contiguous."""
+    flat = np.ascontiguousarray(records).view(kind)
+    return flat.reshape(*records.shape, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """N units; axis 0 of the second dimension is alpha, 1 is beta. SI and rad, as in the plant."""
+
+    plant: np.ndarray
+    """(N, 2) PLANT_DTYPE: the truth."""
+    gear: np.ndarray
+    """(N, 2) GEAR_DTYPE: the true transmission, Kronig 2020 Eq. 7, as harmonic series."""
+    firmware: np.ndarray
+    """(N, 2) FIRMWARE_DTYPE: what the firmware believes, truth with identification errors."""
+    arms: Floats
+    """(N, 5) true arms: columns of FocalPlane.arms."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        n = len(self.plant)
+        for name, shape in {
+            "plant": (n, 2),
+            "gear": (n, 2),
+            "firmware": (n, 2),
+            "arms": (n, 5),
+        }.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(
+                    f"units: {name} has shape {getattr(self, name).shape}, {n} units need {shape}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.plant)
+
+    def digest(self) -> str:
+        """16 hex digits that change with any number of any unit."""
+        digest = hashlib.sha256()
+        for values in (self.plant, self.gear, self.firmware, self.arms):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()[:16]
+
+    def transmission(self, index: int, axis: int, output_deg: ArrayLike) -> tuple[Floats, Floats]:
+        """True wire angle T-(theta)/n_bar in deg, and backlash B in motor deg. Eq. 6 and 7."""
+        theta = np.ascontiguousarray(np.deg2rad(np.atleast_1d(np.asarray(output_deg, float))))
+        row = plain(self.gear[index, axis]).ravel()
+        gear, backlash = _core.transmission(row, GEAR, theta)
+        return np.rad2deg(gear) / GEAR, np.rad2deg(backlash)
+
+    def select(self, index: ArrayLike) -> Units:
+        """Some of the units."""
+        rows = np.atleast_1d(np.asarray(index))
+        return replace(
+            self,
+            plant=self.plant[rows],
+            gear=self.gear[rows],
+            firmware=self.firmware[rows],
+            arms=self.arms[rows],
+        )
