@@ -57,6 +57,8 @@ class Move:
     true_mm: Floats | None
     """The science fibre (metrology fibre where parked); a twin only."""
     status: list[Status]
+    interrupted: bool = False
+    """Stopped before its end, because somebody collided or would not go."""
     comparison: bool = False
     """Not part of the observation: shows what another model would give."""
 
@@ -268,6 +270,7 @@ class Loop:
             measured_error_um=error_um,
             true_mm=self._truth(),
             status=self._status(error_um),
+            interrupted=bool(interrupted.any()),
             comparison=comparison,
         )
         self.moves.append(move)
