@@ -82,6 +82,7 @@ typedef struct fl_axis {
     bool datum_found;     /* by the search under way or the last one */
     bool datum_calibrate; /* that search defines the reference */
     uint32_t leg_ticks, calm_ticks;
+    int32_t lag_cnt;  /* behind the command while settling, averaged */
     int32_t calm_cnt; /* rotor angle at which it was last calm */
 
     int32_t zero_cnt;      /* position - rotor angle */
