@@ -265,8 +265,11 @@ static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
-        const float driving = a->torque.torque_Nm - a->law.servo.drag * a->command.speed_rad_s;
+        /* the measured speed: noisy, but it knows where cogging slows the rotor, and sums forgive noise */
+        const float speed = (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt) * FL_RAD_S_PER_CNT_TICK;
+        const float driving = a->torque.torque_Nm - a->law.servo.drag * speed;
         fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
+        a->calm_cnt = a->hall.angle_cnt;
     }
 }
 

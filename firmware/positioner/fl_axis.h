@@ -83,7 +83,7 @@ typedef struct fl_axis {
     bool datum_calibrate; /* that search defines the reference */
     uint32_t leg_ticks, calm_ticks;
     int32_t lag_cnt;  /* behind the command while settling, averaged */
-    int32_t calm_cnt; /* rotor angle at which it was last calm */
+    int32_t calm_cnt; /* rotor angle at which it was last calm; in a sweep a tick ago */
 
     int32_t zero_cnt;      /* position - rotor angle */
     int32_t datum_ref_cnt; /* rotor angle of the datum within its turn */
