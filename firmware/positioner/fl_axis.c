@@ -121,6 +121,11 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index) {
     phases_off(a, port, index);
 }
 
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index) {
+    plan_clear(a);
+    phases_off(a, port, index);
+}
+
 /* -- positions ----------------------------------------------------------------------------------- */
 
 static fl_hall_out_t look(fl_axis_t *a, const fl_port_t *port, int index) {

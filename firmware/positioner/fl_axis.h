@@ -124,6 +124,9 @@ void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 
+/* Phases off and no plan, whatever it was doing. */
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
+
 /* One control period. Only while the axis does not rest. */
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index);
 
