@@ -37,8 +37,10 @@ def ramps(speeds_rpm, dwell_s, acceleration=840.0):
     speed, path = 0.0, []
     for target in [*(2 * np.pi / 60 * np.array(speeds_rpm)), 0.0]:
         ticks = max(int(abs(target - speed) / acceleration / TICK_S), 1)
-        path += [(speed + (target - speed) * k / ticks, (target - speed) / ticks / TICK_S)
-                 for k in range(1, ticks + 1)]
+        path += [
+            (speed + (target - speed) * k / ticks, (target - speed) / ticks / TICK_S)
+            for k in range(1, ticks + 1)
+        ]
         path += [(target, 0.0)] * int(dwell_s / TICK_S)
         speed = target
     w, a = np.array(path).T

@@ -54,7 +54,7 @@ void Cast::find_near() {
 }
 
 Piece Cast::leg(int i, Angles goal, bool stands) const {
-    return approach_leg(arm(i), bodies_.from_mm, bodies_.to_mm, goal, stands ? 0.0 : settings_.approach_rad);
+    return approach_leg(arm(i), bodies_.from_mm, bodies_.to_mm, goal, stands ? 0.0 : approach(i));
 }
 
 // What stands still in the way of a leg: a positioner, or -1 for a fiducial or guide camera.
@@ -88,9 +88,9 @@ void Cast::freeze(int i) {
     for (int j : near(i)) part(j).settled = part(j).stuck; // to be looked at again
 }
 
-bool Cast::inside_travel(Angles goal) const {
+bool Cast::inside_travel(int i, Angles goal) const {
     const Limits &t = task_.travel;
-    const double high = settings_.approach_rad;
+    const double high = approach(i);
     return goal.alpha_rad >= t.alpha_min_rad && goal.beta_rad >= t.beta_min_rad &&
            goal.alpha_rad + high <= t.alpha_max_rad && goal.beta_rad + high <= t.beta_max_rad;
 }
@@ -98,7 +98,7 @@ bool Cast::inside_travel(Angles goal) const {
 Robot Cast::make_robot(int i) const {
     const Part &p = part(i);
     const Limits &t = task_.travel;
-    const double step = clock_.grid_rad / p.finer, high = settings_.approach_rad;
+    const double step = clock_.grid_rad / p.finer, high = approach(i);
     AxisGrid alpha(start(i).alpha_rad, p.goal.alpha_rad + high, step, t.alpha_min_rad, t.alpha_max_rad,
                    arm(i).alpha_off_rad);
     AxisGrid beta(start(i).beta_rad, p.goal.beta_rad + high, step, t.beta_min_rad, t.beta_max_rad,
@@ -125,10 +125,11 @@ bool Cast::settle_alone(int i) {
     p.settled = true;
     if (p.still) {
         // it may be asked to step aside and come back, if it can
-        if (!inside_travel(p.goal) || blocked_by(i, leg(i, p.goal, false)) || !find_way_alone(i)) freeze(i);
+        if (!inside_travel(i, p.goal) || blocked_by(i, leg(i, p.goal, false)) || !find_way_alone(i))
+            freeze(i);
         return true;
     }
-    if (!inside_travel(p.goal)) return send_to_safe_place(i, Refusal::goal_beyond_travel, -1);
+    if (!inside_travel(i, p.goal)) return send_to_safe_place(i, Refusal::goal_beyond_travel, -1);
     if (const auto other = blocked_by(i, leg(i, p.goal, false)))
         return send_to_safe_place(i, Refusal::goal_blocked, *other);
     return find_way_alone(i) || send_to_safe_place(i, Refusal::no_way_alone, -1);
@@ -182,7 +183,7 @@ void Cast::settle() {
 }
 
 bool Cast::safe(int i, Angles place, bool stands) const {
-    if (!stands && !inside_travel(place)) return false;
+    if (!stands && !inside_travel(i, place)) return false;
     const Piece down = leg(i, place, false), rest = leg(i, place, true);
     if (blocked_by(i, stands ? rest : down)) return false;
     for (int j : near(i)) {

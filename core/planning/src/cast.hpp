@@ -21,6 +21,7 @@ class Cast {
     int size() const { return static_cast<int>(parts_.size()); }
     bool acts(int i) const { return !part(i).stuck; }
     bool still(int i) const { return part(i).still; }
+    double approach(int i) const { return task_.approach_rad[static_cast<size_t>(i)]; }
     int steps_alone(int i) const { return part(i).steps_alone; }
     double need_mm() const { return need_mm_; }
     const std::vector<Refused> &refused() const { return refused_; }
@@ -50,7 +51,7 @@ class Cast {
     void find_near();
     void freeze_tangled();
     void freeze(int i);
-    bool inside_travel(Angles goal) const;
+    bool inside_travel(int i, Angles goal) const;
     Piece leg(int i, Angles goal, bool stands) const;
     std::optional<int> blocked_by(int i, const Piece &leg) const;
     bool legs_meet(int i, int j) const;

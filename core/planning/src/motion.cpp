@@ -36,7 +36,12 @@ Bends bends_at(const std::vector<Cell> &way, int step) {
 
 } // namespace
 
-Clock::Clock(const Settings &s) {
+Clock::Clock(const Settings &s, const Task &task)
+    : Clock(s, task.approach_rad.empty()
+                   ? 0.0
+                   : *std::max_element(task.approach_rad.begin(), task.approach_rad.end())) {}
+
+Clock::Clock(const Settings &s, double highest_approach_rad) {
     const double step_s =
         std::max(s.grid_rad / s.speed_rad_s, std::sqrt(2.0 * s.grid_rad / s.acceleration_rad_s2));
     const double ticks = std::ceil(step_s / (quarters * s.tick_s) - 1e-6);
@@ -44,9 +49,9 @@ Clock::Clock(const Settings &s) {
     grid_rad = within * std::min({s.grid_rad, s.speed_rad_s * this->step_s(),
                                   0.5 * s.acceleration_rad_s2 * this->step_s() * this->step_s()});
     // thirds of the approach cover 1/4, 1/2, 1/4 of it
-    const double by_speed = 0.5 * s.approach_rad / (within * s.speed_rad_s * quarter_s);
+    const double by_speed = 0.5 * highest_approach_rad / (within * s.speed_rad_s * quarter_s);
     const double by_acceleration =
-        std::sqrt(0.25 * s.approach_rad / (within * s.acceleration_rad_s2)) / quarter_s;
+        std::sqrt(0.25 * highest_approach_rad / (within * s.acceleration_rad_s2)) / quarter_s;
     leg_quarters = std::max(1, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
 }
 
@@ -65,6 +70,7 @@ Motion motion_of(const Robot &robot, const std::vector<Cell> &way, int steps, co
     const int end = 4 * steps + 2; // in quarters: the last cut corner ends here
     const Angles high = angles_at(robot, cell_at(way, steps), {}, 2);
     if (motion.time_s.back() < end * clock.quarter_s) add_point(motion, end * clock.quarter_s, high);
+    if (approach_rad == 0.0) return motion;
     const double down[] = {0.25, 0.75, 1.0};
     for (int k = 0; k < 3; ++k)
         add_point(motion, (end + (k + 1) * clock.leg_quarters) * clock.quarter_s,

@@ -16,7 +16,7 @@ constexpr int give_up_rounds = 20;
 class Planner {
   public:
     Planner(const Bodies &bodies, const Task &task, const Settings &settings)
-        : bodies_(bodies), settings_(settings), task_(task), clock_(settings),
+        : bodies_(bodies), settings_(settings), task_(task), clock_(settings, task),
           cast_(bodies, task, settings, clock_) {}
 
     Outcome run() {
@@ -114,7 +114,8 @@ void Planner::keep(const Team &team) {
     for (int m = 0; m < team.size(); ++m)
         if (!team.at(m).still)
             motions_[static_cast<size_t>(robot_of_[static_cast<size_t>(m)])] =
-                motion_of(team.at(m).robot, team.at(m).way, last, clock_, settings_.approach_rad);
+                motion_of(team.at(m).robot, team.at(m).way, last, clock_,
+                          cast_.approach(robot_of_[static_cast<size_t>(m)]));
 }
 
 Outcome Planner::outcome() { return {motions_, cast_.refused(), statistics_}; }

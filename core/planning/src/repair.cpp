@@ -1,6 +1,8 @@
 #include "repair.hpp"
 
 #include <algorithm>
+#include <cstdio>
+#include <cstdlib>
 #include <numeric>
 
 namespace fl::planning {
@@ -9,6 +11,7 @@ namespace {
 constexpr int any_cost = 1 << 25;   // more than any way costs
 constexpr int meeting_cost = 1000;  // per step
 constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
+constexpr int longest_hold = 24;     // steps
 constexpr int patience = 40;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before somebody is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -24,7 +27,7 @@ void Repair::first_ways() {
     for (int i : order)
         if (team_.at(i).still) team_.stand_still(i);
     for (int i : order)
-        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, search_)) team_.extend(1);
+        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, {}, search_)) team_.extend(1);
     for (int i : order) team_.count_meetings(i);
     statistics_.first_conflicts = team_.meetings();
 }
@@ -43,6 +46,32 @@ bool Repair::run(int last_steps) {
     for (std::int64_t k = 0; k < most && team_.steps() <= last_steps; ++k) {
         const auto all = pairs();
         if (all.empty()) return true;
+        if (std::getenv("FLDBG") && k % 25 == 0) {
+            std::fprintf(stderr, "round %ld pairs %zu steps %d exp %ldk searches %ld:", (long)k, all.size(),
+                         team_.steps(), (long)search_.expansions() / 1000, (long)statistics_.searches);
+            for (auto [a, b] : all) std::fprintf(stderr, " %d-%d", a, b);
+            std::fprintf(stderr, "\n");
+            if (std::getenv("FLDBG2"))
+                for (auto [a, b] : all) {
+                    std::fprintf(stderr, "  %d travel %d, %d travel %d, steps ", a,
+                                 team_.at(a).robot.travel_steps(), b, team_.at(b).robot.travel_steps());
+                    for (int q = 0; q <= team_.steps(); ++q)
+                        if (!stay_apart(team_.at(a).pieces[q], team_.at(b).pieces[q], team_.need_mm()))
+                            std::fprintf(stderr, " %d", q);
+                    std::fprintf(stderr, "\n");
+                    if (k > 300)
+                        for (int q = 0; q <= team_.steps(); ++q) {
+                            auto &A = team_.at(a);
+                            auto &B = team_.at(b);
+                            std::fprintf(stderr, "   %d: %.1f %.1f | %.1f %.1f  d %.2f\n", q,
+                                         A.robot.alpha().angle(A.way[q].alpha) * 57.2958,
+                                         A.robot.beta().angle(A.way[q].beta) * 57.2958,
+                                         B.robot.alpha().angle(B.way[q].alpha) * 57.2958,
+                                         B.robot.beta().angle(B.way[q].beta) * 57.2958,
+                                         distance(A.pieces[q].at[2], B.pieces[q].at[2]));
+                        }
+                }
+        }
         round(all[static_cast<size_t>(random_.below(static_cast<int>(all.size())))]);
         ++statistics_.repairs;
     }
@@ -99,13 +128,21 @@ Costs Repair::random_costs(const Robot &robot) {
     return costs;
 }
 
+// Early or late, and now and then with a wait at one end: who interlock need the right order in time.
+Mode Repair::random_mode(const Robot &robot) {
+    Mode mode{random_.chance(50), 0};
+    const int slack = std::min(team_.steps() - robot.travel_steps(), longest_hold);
+    if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
+    return mode;
+}
+
 bool Repair::replan(const Group &group, int most) {
     const bool dice = random_.chance(60);
     for (int i : group.robots) {
         Member &m = team_.at(i);
         const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
         ++statistics_.searches;
-        if (!team_.seek(i, costs, most, search_)) return false;
+        if (!team_.seek(i, costs, most, random_mode(m.robot), search_)) return false;
         m.cost = meeting_cost;
     }
     return true;
@@ -162,7 +199,7 @@ void Repair::tidy() {
     for (int i = 0; i < team_.size(); ++i) {
         if (team_.at(i).still) continue;
         ++statistics_.searches;
-        team_.seek(i, costs, way_cost(team_.at(i), costs), search_);
+        team_.seek(i, costs, way_cost(team_.at(i), costs), {}, search_);
     }
 }
 

@@ -13,9 +13,7 @@ Cell moved(Cell c, int move) { return {c.alpha + move % 3 - 1, c.beta + move / 3
 // How an axis bends around a line it reached by one move and leaves by another (-1, 0, 1 each).
 Bend bend(int in, int out) { return {-in, out}; }
 
-Bends bends_of(int move_in, int move_out) {
-    return {bend(move_in % 3 - 1, move_out % 3 - 1), bend(move_in / 3 - 1, move_out / 3 - 1)};
-}
+Bend reversed(Bend b) { return {b.to, b.from}; }
 
 } // namespace
 
@@ -23,6 +21,17 @@ void Crowd::add(int robot, const Piece &piece, int cost) {
     const Segment &mid = piece.at[2];
     const double radius = 0.5 * length(mid.b - mid.a) + piece.sway_mm;
     entries_.push_back({middle(mid.a, mid.b), radius, &piece, robot, cost});
+}
+
+// The bends of the true motion, whatever the direction of the search.
+Bends Search::bends(int move_in, int move_out) const {
+    const Bends b{bend(move_in % 3 - 1, move_out % 3 - 1), bend(move_in / 3 - 1, move_out / 3 - 1)};
+    return ask_.backward ? Bends{reversed(b.alpha), reversed(b.beta)} : b;
+}
+
+int Search::steps_to_go(Cell c) const {
+    const Cell end = last_cell();
+    return std::max(std::abs(c.alpha - end.alpha), std::abs(c.beta - end.beta));
 }
 
 std::uint32_t Search::id(Place at) const {
@@ -42,8 +51,8 @@ Search::Node &Search::node(std::uint32_t id) {
 }
 
 int Search::heuristic(Cell c) const {
-    const Cell goal = ask_.robot->goal();
-    return ask_.costs->move * (std::abs(c.alpha - goal.alpha) + std::abs(c.beta - goal.beta));
+    const Cell end = last_cell();
+    return ask_.costs->move * (std::abs(c.alpha - end.alpha) + std::abs(c.beta - end.beta));
 }
 
 void Search::push(std::uint32_t id, int cost, int to_go) {
@@ -62,16 +71,26 @@ void Search::begin() {
     queue_.clear();
     path_.clear();
     best_ = ask_.give_up;
-    prepare_goal();
+    prepare_end();
 }
 
-// What it costs to stand at the goal from each step to the end.
-void Search::prepare_goal() {
-    const Piece rest = ask_.robot->piece(ask_.robot->goal(), {});
-    goal_cost_.assign(static_cast<size_t>(ask_.steps + 2), 0);
+int Search::hold_cost() {
+    const Piece rest = ask_.robot->piece(first_cell(), {});
+    int cost = 0;
+    for (int step = 0; step < ask_.hold; ++step) {
+        gather_near({first_cell(), step});
+        cost += encounters(rest);
+    }
+    return cost;
+}
+
+// What it costs to stand at the last cell from each step to the end.
+void Search::prepare_end() {
+    const Piece rest = ask_.robot->piece(last_cell(), {});
+    end_cost_.assign(static_cast<size_t>(ask_.steps + 2), 0);
     for (int step = ask_.steps; step >= 0; --step) {
-        gather_near({ask_.robot->goal(), step});
-        goal_cost_[static_cast<size_t>(step)] = goal_cost_[static_cast<size_t>(step + 1)] + encounters(rest);
+        gather_near({last_cell(), step});
+        end_cost_[static_cast<size_t>(step)] = end_cost_[static_cast<size_t>(step + 1)] + encounters(rest);
     }
 }
 
@@ -82,7 +101,7 @@ void Search::gather_near(Place at) {
     const Vec2 centre = middle(here.a, here.b);
     const double room = ask_.need_mm + ask_.robot->widest_sway_mm();
     const double radius = 0.5 * length(here.b - here.a) + room;
-    for (const Crowd::Entry &e : ask_.crowd->at(at.step)) {
+    for (const Crowd::Entry &e : ask_.crowd->at(ask_.backward ? ask_.steps - at.step : at.step)) {
         const Vec2 gap = e.centre - centre;
         const double touch = radius + e.radius_mm;
         if (dot(gap, gap) >= touch * touch) continue;
@@ -102,21 +121,21 @@ int Search::encounters(Place at, Bends bends) {
     return near_.empty() ? 0 : encounters(ask_.robot->piece(at.cell, bends));
 }
 
-int Search::base_cost(Place at, Bends bends) const {
+int Search::base_cost(Place at, Bends turn, int move) const {
     const Costs &c = *ask_.costs;
-    const int moves = std::abs(bends.alpha.to) + std::abs(bends.beta.to);
-    const int changes = (bends.alpha.from != -bends.alpha.to) + (bends.beta.from != -bends.beta.to);
+    const int moves = std::abs(move % 3 - 1) + std::abs(move / 3 - 1);
+    const int changes = (turn.alpha.from != -turn.alpha.to) + (turn.beta.from != -turn.beta.to);
     const int here = c.beta.empty() ? 0 : c.beta[static_cast<size_t>(at.cell.beta)];
     return c.move * moves + c.bend * changes + here;
 }
 
-// To stand at the goal from here to the end.
+// To stand at the last cell from here to the end.
 void Search::finish(std::uint32_t from, Place at) {
     const Node n = node(from);
-    const Bends bends = bends_of(n.move, stay);
-    if (!ask_.robot->clear(at.cell, bends)) return;
-    const int cost =
-        n.cost + base_cost(at, bends) + encounters(at, bends) + goal_cost_[static_cast<size_t>(at.step + 1)];
+    const Bends turn = bends(n.move, stay);
+    if (!ask_.robot->clear(at.cell, turn)) return;
+    const int cost = n.cost + base_cost(at, turn, stay) + encounters(at, turn) +
+                     end_cost_[static_cast<size_t>(at.step + 1)];
     if (cost >= best_) return;
     best_ = cost;
     last_ = from;
@@ -124,18 +143,17 @@ void Search::finish(std::uint32_t from, Place at) {
 
 void Search::relax(std::uint32_t from, Place at, int move) {
     const Node n = node(from);
-    const Bends bends = bends_of(n.move, move);
-    if (bends.alpha.reverses() || bends.beta.reverses()) return;
+    const Bends turn = bends(n.move, move);
+    if (turn.alpha.reverses() || turn.beta.reverses()) return;
     const Place next{moved(at.cell, move), at.step + 1};
-    const Robot &robot = *ask_.robot;
-    if (!robot.inside(next.cell) || next.step + robot.steps_to_goal(next.cell) > ask_.steps) return;
+    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > ask_.steps) return;
     const std::uint32_t to = id(next);
     const int to_go = heuristic(next.cell);
     Node &m = node(to);
-    int cost = n.cost + base_cost(at, bends);
+    int cost = n.cost + base_cost(at, turn, move);
     if (m.closed || cost >= m.cost || cost + to_go >= best_) return;
-    if (!ask_.robot->clear(at.cell, bends)) return;
-    cost += encounters(at, bends);
+    if (!ask_.robot->clear(at.cell, turn)) return;
+    cost += encounters(at, turn);
     if (cost >= m.cost || cost + to_go >= best_) return;
     m.cost = cost;
     m.move = static_cast<std::uint8_t>(move);
@@ -146,28 +164,30 @@ void Search::expand(std::uint32_t from) {
     ++expansions_;
     const Place at = place(from);
     gather_near(at);
-    if (at.cell == ask_.robot->goal()) finish(from, at);
+    if (at.cell == last_cell()) finish(from, at);
     if (at.step == ask_.steps) return;
     for (int move = 0; move < 9; ++move) relax(from, at, move);
 }
 
 void Search::trace() {
-    path_.assign(static_cast<size_t>(ask_.steps + 1), ask_.robot->goal());
+    path_.assign(static_cast<size_t>(ask_.steps + 1), last_cell());
     Place at = place(last_);
     while (true) {
         path_[static_cast<size_t>(at.step)] = at.cell;
-        if (at.step == 0) return;
+        if (at.step == ask_.hold) break;
         const int back = 8 - node(id(at)).move; // the opposite move
         at = {moved(at.cell, back), at.step - 1};
     }
+    std::fill(path_.begin(), path_.begin() + ask_.hold, first_cell());
+    if (ask_.backward) std::reverse(path_.begin(), path_.end());
 }
 
 const std::vector<Cell> &Search::run(const Request &request) {
     ask_ = request;
     begin();
-    const std::uint32_t first = id({ask_.robot->start(), 0});
-    node(first).cost = 0;
-    push(first, 0, heuristic(ask_.robot->start()));
+    const std::uint32_t first = id({first_cell(), ask_.hold});
+    node(first).cost = hold_cost();
+    push(first, node(first).cost, heuristic(first_cell()));
     while (!queue_.empty()) {
         const std::uint64_t top = queue_.front();
         if (static_cast<int>(top >> 38) >= best_) break;

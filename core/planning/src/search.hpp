@@ -58,6 +58,10 @@ struct Request {
     int steps = 0;        // the deadline
     int give_up = 0;      // a way that costs so much or more is not wanted
     double need_mm = 0.0; // between centre lines
+    // From the goal back in time: the same ways, but of equals it finds the one that moves last, not first.
+    // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
+    bool backward = false;
+    int hold = 0; // for so many steps it stands at the end where the search begins
 };
 
 class Search {
@@ -76,18 +80,23 @@ class Search {
     };
     struct Place {
         Cell cell;
-        int step;
+        int step; // counted in the direction of the search
     };
 
     void begin();
-    void prepare_goal();
+    void prepare_end();
+    int hold_cost();
+    Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
+    Cell last_cell() const { return ask_.backward ? ask_.robot->start() : ask_.robot->goal(); }
+    Bends bends(int move_in, int move_out) const;
+    int steps_to_go(Cell c) const;
     void expand(std::uint32_t id);
     void finish(std::uint32_t id, Place at);
     void relax(std::uint32_t id, Place at, int move);
     void gather_near(Place at);
     int encounters(const Piece &step) const;
     int encounters(Place at, Bends bends);
-    int base_cost(Place at, Bends bends) const;
+    int base_cost(Place at, Bends turn, int move) const;
     int heuristic(Cell c) const;
     void push(std::uint32_t id, int cost, int to_go);
     std::uint32_t id(Place at) const;
@@ -99,7 +108,7 @@ class Search {
     std::vector<Node> nodes_;
     std::vector<std::uint64_t> queue_; // a heap of cost, way to go, node
     std::vector<const Crowd::Entry *> near_;
-    std::vector<int> goal_cost_; // of standing at the goal from a step to the end
+    std::vector<int> end_cost_; // of standing at the last cell from a step to the end
     std::vector<Cell> path_;
     std::uint32_t round_ = 0;
     std::uint32_t last_ = 0;

@@ -79,15 +79,16 @@ struct Twin::State {
     bool skip_resting;
     uint64_t now = 0;
     bool quiet = false; // a sync point has passed with everybody asleep: time alone goes on
-    // where everybody's gears are: as of the last sync point (read), and of the next (written)
-    std::vector<Angles> seen, next;
+    // where everybody's arms are: as of the last sync point (read), and of the next (written)
+    std::vector<Pose> seen, next;
     Workers workers;
 };
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
       outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
-      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.start), next(s.start), workers(s.threads) {
+      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
+      workers(s.threads) {
     boot(s);
     publish(0, positioners.size());
     seen = next;
@@ -139,25 +140,27 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
 
 void Twin::State::publish(size_t first, size_t last) {
     for (size_t i = first; i < last; ++i)
-        next[i] = {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
+        next[i] = {{plant.output_rad(2 * i), plant.output_rad(2 * i + 1)},
+                   {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)}};
 }
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    const Push push = neighbours.push(i, seen, now, p.touched);
+    p.contacts_before = p.contacts;
+    const Push push = neighbours.push(i, seen, now, p.contacts);
     note_touches(i, outbox);
-    if (push.torque_Nm[0] != p.push.torque_Nm[0] || push.torque_Nm[1] != p.push.torque_Nm[1])
-        apply_torque(i, push);
+    if (push != p.push) apply_torque(i, push);
 }
 
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    for (uint32_t other : p.touched) {
-        const auto &before = p.touched_before;
-        const bool is_new = std::find(before.begin(), before.end(), other) == before.end();
-        if (is_new && i < other) outbox.touches.push_back({now, static_cast<uint32_t>(i), other});
+    for (const Contact &c : p.contacts) {
+        const auto same = [&c](const Contact &b) { return b.other == c.other; };
+        const bool is_new = std::none_of(p.contacts_before.begin(), p.contacts_before.end(), same);
+        const bool is_first = &c == &*std::find_if(p.contacts.begin(), p.contacts.end(), same);
+        if (is_new && is_first && i < c.other)
+            outbox.touches.push_back({now, static_cast<uint32_t>(i), c.other});
     }
-    p.touched_before = p.touched;
 }
 
 void Twin::State::apply_torque(size_t i, const Push &push) {
@@ -239,6 +242,12 @@ uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
     for (const Positioner &p : s_->positioners) sum += p.run();
     return sum;
+}
+
+// The firmware's own state is a board's business; neighbour lists are counted by their longest.
+size_t Twin::bytes_per_positioner() const {
+    return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
+           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose);
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {

@@ -109,7 +109,7 @@ class Twin:
             self._core.send(frame[0], bytes(frame[1]))
 
     def run(self, duration_s: float) -> list[Reply]:
-        """Lets time pass, to the nearest tick of 0.5 ms; what the positioners sent since last time."""
+        """Lets time pass, to the nearest tick of 0.5 ms; what was sent since the last call."""
         if not 0.0 <= duration_s < 1e6:
             raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
         return [Reply(*r) for r in self._core.run(round(duration_s / _core.TICK_S))]
@@ -163,7 +163,7 @@ class Twin:
 
 
 class Scope:
-    """What one axis does, tick by tick (fields: SCOPE_DTYPE). A context manager; stops at its end."""
+    """What one axis does, tick by tick (fields: SCOPE_DTYPE). Stops at the end of a `with`."""
 
     def __init__(self, core: _core.Twin, index: int, axis: int) -> None:
         self._core, self._index, self._axis = core, index, axis

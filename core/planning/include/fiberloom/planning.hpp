@@ -37,7 +37,6 @@ struct Motion {
 struct Settings {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
-    double approach_rad = 0.0;    // the last leg starts here above the goal, on both axes
     double grid_rad = 0.0;        // widest step of the search grid
     double tick_s = 0.0005;       // times are multiples of this
     double clearance_mm = 0.001;  // kept beyond touching, for rounding on the bus
@@ -47,12 +46,27 @@ struct Settings {
     std::uint64_t seed = 0;
 };
 
-// Where each positioner is and shall be, the room its axes have, and who does not move at all.
+// Where each positioner is and shall be, how far above the goal its last leg starts on both axes, who does
+// not move at all, and the room the axes have.
 struct Task {
     std::vector<Angles> start;
     std::vector<Angles> goal;
+    std::vector<double> approach_rad;
     std::vector<std::uint8_t> fixed;
     Limits travel{};
+};
+
+// The common clock of a plan. A step lasts four quarters; all times are multiples of a quarter, and
+// a quarter of the tick of the bus.
+struct Clock {
+    double quarter_s = 0.0;
+    double grid_rad = 0.0; // widest move in a step
+    int leg_quarters = 0;  // how long each third of the approach lasts
+
+    // The shortest steps of about settings.grid_rad that speed and acceleration allow.
+    Clock(const Settings &settings, double highest_approach_rad);
+    Clock(const Settings &settings, const Task &task);
+    double step_s() const { return 4 * quarter_s; }
 };
 
 // Why a positioner does not arrive. `other` is the positioner in its way, -1 if none.

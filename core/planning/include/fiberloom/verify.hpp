@@ -1,0 +1,71 @@
+// Proof that a plan is safe, by other code and another method than the planner's.
+//
+// Between two moments no point of an arm moves farther than its way: the integral of
+// l_a |d alpha| + far |d alpha + d beta|. So the gap of two bodies with gaps g0 and g1 at the ends of an
+// interval and ways w_i, w_j in it is never below (g0 + g1 - w_i - w_j) / 2. Intervals are halved until
+// this bound shows that the bodies stay apart, or a moment is found at which they do not.
+#pragma once
+
+#include "fiberloom/planning.hpp"
+
+#include <vector>
+
+namespace fl::planning {
+
+enum class Fault {
+    robots,           // two positioners, at least one of which moves, come too close
+    obstacle,         // a positioner that moves comes too close to a fiducial or guide camera
+    contact,          // two positioners that do not move in this plan are too close
+    obstacle_contact, // one that does not move is too close to a fiducial or guide camera
+    points,           // times do not rise from 0, or something is not a finite number
+    travel,           // beyond the travel of an axis
+    speed,            // faster than allowed
+    acceleration,     // speed changes faster than allowed
+    start,            // does not begin where the positioner is
+    goal,             // does not end where it shall
+    approach,         // does not end with the approach
+};
+const char *to_string(Fault fault);
+
+// depth: mm below the clearance, or rad, rad/s, rad/s^2 beyond the limit. other: the positioner, or the index
+// of the obstacle; -1 if there is none.
+struct Violation {
+    Fault fault;
+    int robot = -1;
+    int other = -1;
+    double time_s = 0.0;
+    double depth = 0.0;
+};
+
+struct Rules {
+    double speed_rad_s = 0.0;
+    double acceleration_rad_s2 = 0.0;
+    Limits travel{};
+    double rounding_rad = 0.0; // how far angles may be off by rounding
+    // empty: not checked. goal: only for those whose flag in `arrives` is set.
+    std::vector<Angles> start;
+    std::vector<Angles> goal;
+    std::vector<std::uint8_t> arrives;
+    std::vector<double> approach_rad;
+};
+
+// The smallest gap between surfaces found, and where; 1e-4 mm true.
+struct Gap {
+    double gap_mm = 1e9;
+    double time_s = 0.0;
+    int robot = -1;
+    int other = -1;
+};
+
+struct Verification {
+    std::vector<Violation> violations;
+    Gap robots;
+    Gap obstacles;
+    double top_speed_rad_s = 0.0;
+    double top_acceleration_rad_s2 = 0.0;
+    double top_jump_rad_s = 0.0; // largest change of speed at a point
+};
+
+Verification verify(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules);
+
+} // namespace fl::planning

@@ -1,0 +1,76 @@
+"""What the compiled planner and verifier need of a focal plane: plain arrays in mm and rad."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..instruments import FocalPlane
+from ..units import deg_to_rad
+
+Floats = NDArray[np.float64]
+
+ROUNDING_RAD = 1e-8
+"""Angles that differ by less are the same: a count of the bus is 5.9e-9 rad, a digit of the JSON
+form 1.7e-11 rad."""
+
+BEYOND_RANGE_DEG = np.array([-4.0, 10.0])
+"""How far beyond the range of targets an axis may go on its way, if the hard stops allow: for the
+approach, and to fold a little more than fully. All of 360 deg for beta would double the search."""
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """First arguments of `_core.planning`."""
+
+    arms: Floats
+    segment_mm: tuple[float, float]
+    radius_mm: float
+    obstacles: Floats
+
+    @classmethod
+    def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "Bodies":
+        """The bodies of a plane; its own collision buffer when left out."""
+        discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
+        radius = plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
+        obstacles = np.vstack([discs, plane.guide_cameras.reshape(-1, 5)])
+        return cls(plane.arms, plane.beta_segment_mm, float(radius), obstacles)
+
+    @property
+    def arguments(self) -> tuple[Floats, tuple[float, float], float, Floats]:
+        """In the order of the compiled functions."""
+        return self.arms, self.segment_mm, self.radius_mm, self.obstacles
+
+
+def travel_rad(plane: FocalPlane) -> Floats:
+    """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
+    stops, wanted = plane.hard_stops_deg, plane.limits_deg + BEYOND_RANGE_DEG
+    low = np.maximum(stops[:, 0], wanted[:, 0])
+    high = np.minimum(stops[:, 1], wanted[:, 1])
+    return deg_to_rad(np.column_stack([low, high]))
+
+
+def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:
+    """(N, 2) rad, checked."""
+    angles = np.array(angles_deg, dtype=np.float64)
+    if angles.shape != (plane.n, 2):
+        raise InputError(f"{name}: shape {angles.shape}, {plane.n} positioners need ({plane.n}, 2)")
+    bad = np.flatnonzero(~np.isfinite(angles).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{name}: positioner {plane.positioner_id[bad[0]]} has {angles[bad[0]]}; "
+            "angles must be finite numbers"
+        )
+    return deg_to_rad(angles)
+
+
+def approach_rad(plane: FocalPlane, approach_deg: ArrayLike | None) -> Floats:
+    """(N,) rad: the instrument's approach when left out."""
+    if approach_deg is None:
+        axes = (plane.instrument.alpha, plane.instrument.beta)
+        approach_deg = max(axis.approach_deg for axis in axes)
+    approach = np.broadcast_to(np.asarray(approach_deg, dtype=np.float64), (plane.n,))
+    if not (np.isfinite(approach) & (approach >= 0.0)).all():
+        raise InputError("approach_deg: must be finite and not below 0")
+    return np.ascontiguousarray(deg_to_rad(approach))

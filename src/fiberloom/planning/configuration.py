@@ -1,0 +1,45 @@
+"""Configurations: where every positioner stands, as CSV `positioner_id,alpha_deg,beta_deg`."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..instruments import FocalPlane
+from ..tables import read_table
+
+COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
+
+
+def read_configuration(path: str | Path, plane: FocalPlane) -> NDArray[np.float64]:
+    """(N, 2) alpha and beta in deg, in the order of the plane.
+
+    Every positioner once; offline ones may be left out and stand where the plane says.
+    """
+    table = read_table(path)
+    table.require(*COLUMNS)
+    table.unique(COLUMNS[0])
+    ids, angles = table.integers(COLUMNS[0]), [table.numbers(name) for name in COLUMNS[1:]]
+    known = np.isin(ids, plane.positioner_id)
+    if not known.all():
+        row = int(np.flatnonzero(~known)[0])
+        raise table.error(
+            row, COLUMNS[0], f"= {ids[row]}: not in this focal plane of {plane.n} positioners"
+        )
+    missing = ~np.isin(plane.positioner_id, ids) & ~plane.offline
+    if missing.any():
+        raise InputError(
+            f"{path}: no row for positioner {plane.positioner_id[missing][0]} "
+            f"({int(missing.sum())} missing); every positioner needs one"
+        )
+    out = plane.offline_position_deg.astype(np.float64)
+    out[plane.index_of(ids)] = np.column_stack(angles)
+    return out
+
+
+def write_configuration(path: str | Path, positioner_id: ArrayLike, angles_deg: ArrayLike) -> None:
+    """Write a configuration; angles with 9 decimals (a count of the bus is 3e-7 deg)."""
+    rows = zip(np.asarray(positioner_id), np.asarray(angles_deg, dtype=np.float64), strict=True)
+    lines = [f"{int(number)},{alpha:.9f},{beta:.9f}" for number, (alpha, beta) in rows]
+    Path(path).write_text("\n".join([",".join(COLUMNS), *lines]) + "\n")

@@ -1,0 +1,252 @@
+"""Plans whole fields and small corrections; what leaves here has passed the verifier."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._core import planning as core
+from ..instruments import FocalPlane
+from ..units import deg_to_rad, rad_to_deg
+from .bodies import Bodies, angles_rad, approach_rad, travel_rad
+from .trajectories import Plan, Robot
+from .verification import Verification, verify
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SPEED_SHARE = 0.975
+"""Part of the instrument's speed that plans use. The motor must go faster than the output where the
+transmission is not linear; 12 deg/s become 11.7, 2000 rpm at a gear of 1024."""
+
+DECIMALS_DEG = 9
+"""Angles are rounded to this before they are verified: the JSON form says exactly what was."""
+
+_RETRIES = 3
+_UNVERIFIED = "its motion did not pass the verifier; please report this"
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """How to plan. The instrument decides what is left out (None)."""
+
+    speed_deg_s: float | None = None
+    acceleration_deg_s2: float | None = None
+    collision_buffer_mm: float | None = None
+    grid_deg: float = 5.85
+    """Widest step of the search. Coarse is good: eight times fewer states than half of it."""
+    clearance_mm: float = 0.001
+    """Kept beyond touching, so that rounding on the bus does not matter."""
+    first_deadline: float = 1.05
+    """Time allowed at first, over what the longest way needs."""
+    last_deadline: float = 2.0
+    """Beyond this over the first, a positioner that still meets another is given up."""
+    effort: float = 1.0
+    """Scales how many repairs are tried before somebody is given up."""
+
+    def of(self, plane: FocalPlane) -> "PlanSettings":
+        """With the instrument's numbers filled in."""
+        axes = (plane.instrument.alpha, plane.instrument.beta)
+        return replace(
+            self,
+            speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
+            acceleration_deg_s2=self.acceleration_deg_s2
+            or min(a.acceleration_deg_s2 for a in axes),
+            collision_buffer_mm=self.collision_buffer_mm or plane.collision_buffer_mm,
+        )
+
+    @property
+    def dynamics(self) -> dict[str, float]:
+        """Arguments of the compiled functions, in rad."""
+        return {
+            "speed": float(deg_to_rad(self.speed_deg_s or 0.0)),
+            "acceleration": float(deg_to_rad(self.acceleration_deg_s2 or 0.0)),
+            "grid": float(deg_to_rad(self.grid_deg)),
+        }
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One call, checked and in rad."""
+
+    plane: FocalPlane
+    start: Floats
+    goal: Floats
+    approach: Floats
+    settings: PlanSettings
+
+    @classmethod
+    def of(
+        cls,
+        plane: FocalPlane,
+        start_deg: ArrayLike,
+        goal_deg: ArrayLike,
+        approach_deg: ArrayLike | None,
+        settings: PlanSettings | None,
+    ) -> "_Task":
+        still = deg_to_rad(plane.offline_position_deg)
+        start, goal = (
+            np.where(plane.offline[:, None], still, angles_rad(name, angles, plane))
+            for name, angles in (("start_deg", start_deg), ("goal_deg", goal_deg))
+        )
+        approach = approach_rad(plane, approach_deg)
+        return cls(plane, start, goal, approach, (settings or PlanSettings()).of(plane))
+
+    @property
+    def bodies(self) -> Bodies:
+        return Bodies.of(self.plane, self.settings.collision_buffer_mm)
+
+    @property
+    def moving(self) -> Bools:
+        return ~self.plane.offline & (np.abs(self.goal - self.start).sum(axis=1) > 1e-12)
+
+    def verify(self, plan: Plan) -> Verification:
+        return verify(
+            self.plane,
+            plan,
+            start_deg=rad_to_deg(self.start),
+            goal_deg=rad_to_deg(self.goal),
+            approach_deg=rad_to_deg(self.approach),
+            speed_deg_s=self.settings.speed_deg_s,
+            acceleration_deg_s2=self.settings.acceleration_deg_s2,
+        )
+
+
+def plan(
+    plane: FocalPlane,
+    start_deg: ArrayLike,
+    goal_deg: ArrayLike,
+    *,
+    seed: int = 0,
+    approach_deg: ArrayLike | None = None,
+    settings: PlanSettings | None = None,
+) -> Plan:
+    """Trajectories (N, 2) -> (N, 2) in deg for everybody at once, direct, free of collisions.
+
+    Each positioner that moves comes to its goal from approach_deg above on both axes, in the
+    negative direction, after all its other motion; approach_deg is one number or one per
+    positioner, the instrument's when left out. Who is at its goal already stays, unless it is in
+    the way. Who cannot arrive is named in `Plan.refused`, stands or goes out of the way, and all
+    others are planned round it. The same input and seed give the same plan on every platform.
+    Angles: within the hard stops; lengths and speeds: the instrument's.
+    """
+    return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
+
+
+def _plan(task: _Task, seed: int) -> Plan:
+    begin = time.thread_time()
+    fixed = task.plane.offline.copy()
+    unsafe: dict[int, str] = {}
+    for _ in range(_RETRIES):
+        made = _planned(task, fixed, seed, unsafe)
+        checked = task.verify(made)
+        if checked.ok:
+            return replace(made, cpu_s=time.thread_time() - begin)
+        # has not been seen; whoever is involved stands, and the rest is planned anew
+        for violation in checked.violations:
+            for number in {str(violation.positioner_id), violation.other}:
+                if number.isdigit():
+                    unsafe[int(number)] = f"positioner {number}: {_UNVERIFIED}"
+        fixed[task.plane.index_of(list(unsafe))] = True
+    return replace(_nobody_moves(task), cpu_s=time.thread_time() - begin)
+
+
+def _planned(task: _Task, fixed: Bools, seed: int, unsafe: dict[int, str]) -> Plan:
+    chosen = task.settings
+    motions, refused, statistics = core.plan(
+        *task.bodies.arguments,
+        task.start,
+        task.goal,
+        task.approach,
+        fixed,
+        travel_rad(task.plane),
+        **chosen.dynamics,
+        clearance_mm=chosen.clearance_mm,
+        first_deadline=chosen.first_deadline,
+        last_deadline=chosen.last_deadline,
+        effort=chosen.effort,
+        seed=seed,
+    )
+    names = task.plane.positioner_id
+    why = {int(names[i]): _reason(names, i, text, other) for i, text, other in refused}
+    return _assembled(task, motions, unsafe | why, statistics)
+
+
+def _reason(names: NDArray[np.int64], row: int, why: str, other: int) -> str:
+    return f"positioner {names[row]}: {why}" + (
+        f" (positioner {names[other]})" if other >= 0 else ""
+    )
+
+
+def _assembled(
+    task: _Task, motions: list[Floats], refused: dict[int, str], statistics: dict[str, Any]
+) -> Plan:
+    robots = []
+    for number, points in zip(task.plane.positioner_id, motions, strict=True):
+        alpha_deg, beta_deg = np.round(rad_to_deg(points[:, 1:]), DECIMALS_DEG).T
+        robots.append(Robot(int(number), np.round(points[:, 0], 6), alpha_deg, beta_deg))
+    return Plan(
+        instrument=task.plane.instrument.name,
+        collision_buffer_mm=task.bodies.radius_mm,
+        robots=tuple(robots),
+        refused=refused,
+        statistics=statistics,
+    )
+
+
+def _nobody_moves(task: _Task) -> Plan:
+    names = task.plane.positioner_id
+    motions = [np.array([[0.0, *angles]]) for angles in task.start]
+    refused = {int(p): f"positioner {p}: {_UNVERIFIED}" for p in names[task.moving]}
+    return _assembled(task, motions, refused, {})
+
+
+def plan_corrections(
+    plane: FocalPlane,
+    start_deg: ArrayLike,
+    goal_deg: ArrayLike,
+    *,
+    seed: int = 0,
+    approach_deg: ArrayLike | None = None,
+    settings: PlanSettings | None = None,
+) -> Plan:
+    """Small moves, all at once: up to approach_deg above the goal and down again.
+
+    Who shall not move has the same start and goal. If anything would touch when all move straight
+    and together, `plan` finds an order or a way round.
+    """
+    task = _Task.of(plane, start_deg, goal_deg, approach_deg, settings)
+    begin = time.thread_time()
+    together = _all_together(task)
+    if task.verify(together).ok:
+        return replace(together, cpu_s=time.thread_time() - begin)
+    return _plan(task, seed)
+
+
+def _all_together(task: _Task) -> Plan:
+    """Everybody straight to the place above its goal within the same steps, then the approach."""
+    quarter_s, grid, leg = core.clock(
+        **task.settings.dynamics, highest_approach=float(task.approach.max(initial=0.0))
+    )
+    high = task.goal + task.approach[:, None]
+    way = np.where(task.moving[:, None], high - task.start, 0.0)
+    steps = max(1, int(np.ceil(np.abs(way).max(initial=0.0) / grid - 1e-9)))
+    # corners cut over half a step, as in the planner: quarters of a step and the way done by then
+    rise = np.array([0.0, 1 / 16, 1 / 4]) / steps
+    quarters = [0, 1, 2, 4 * steps, 4 * steps + 1, 4 * steps + 2]
+    done = np.concatenate([rise, 1.0 - rise[::-1]])
+    fall = np.array([0.25, 0.75, 1.0])
+    down = [quarters[-1] + leg * k for k in (1, 2, 3)]
+    motions = []
+    for i in range(task.plane.n):
+        if not task.moving[i]:
+            motions.append(np.array([[0.0, *task.start[i]]]))
+            continue
+        times, angles = np.array(quarters), task.start[i] + done[:, None] * way[i]
+        if task.approach[i] > 0.0:
+            times = np.concatenate([times, down])
+            angles = np.vstack([angles, high[i] - fall[:, None] * task.approach[i]])
+        motions.append(np.column_stack([times * quarter_s, angles]))
+    return _assembled(task, motions, {}, {"steps": steps})

@@ -1,0 +1,190 @@
+"""A plan: the trajectory of every positioner, and its JSON form."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..instruments import FocalPlane
+
+Floats = NDArray[np.float64]
+
+KEYS = ("time_s", "alpha_deg", "beta_deg")
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """The trajectory of one positioner: linear between points; one point if it does not move."""
+
+    positioner_id: int
+    time_s: Floats
+    alpha_deg: Floats
+    beta_deg: Floats
+
+    @property
+    def moves(self) -> bool:
+        """Does it go anywhere?"""
+        return len(self.time_s) > 1
+
+    @property
+    def points_deg(self) -> Floats:
+        """(n, 2) alpha and beta at its points."""
+        return np.column_stack([self.alpha_deg, self.beta_deg])
+
+    def at(self, time_s: ArrayLike) -> Floats:
+        """(n, 2) alpha and beta in deg at these times; before and after it stands."""
+        when = np.asarray(time_s, dtype=np.float64)
+        angles = (self.alpha_deg, self.beta_deg)
+        return np.stack([np.interp(when, self.time_s, a) for a in angles], axis=-1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON file."""
+        arrays = {k: getattr(self, k).tolist() for k in KEYS}
+        return {"positioner_id": self.positioner_id} | arrays
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Trajectories of all positioners of a focal plane on a common clock."""
+
+    instrument: str
+    collision_buffer_mm: float
+    robots: tuple[Robot, ...]
+    refused: dict[int, str] = field(default_factory=dict)
+    """Who does not arrive, by positioner_id, and why. It stands, or goes out of the way."""
+    cpu_s: float = 0.0
+    """What it took to plan and verify; not part of the JSON form."""
+    statistics: dict[str, Any] = field(default_factory=dict)
+    """How hard it was; not part of the JSON form."""
+
+    @property
+    def duration_s(self) -> float:
+        """When the last positioner stands."""
+        return max((float(r.time_s[-1]) for r in self.robots), default=0.0)
+
+    @property
+    def end_deg(self) -> Floats:
+        """(N, 2) where everybody stands afterwards, in the order of `robots`."""
+        return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The object of trajectories.json."""
+        return {
+            "instrument": self.instrument,
+            "collision_buffer_mm": self.collision_buffer_mm,
+            "robots": [robot.to_dict() for robot in self.robots],
+            "not_arrived": {str(k): why for k, why in self.refused.items()},
+        }
+
+    def to_json(self) -> str:
+        """One line of JSON: the same plan gives the same bytes."""
+        return json.dumps(self.to_dict(), separators=(",", ":"))
+
+    def save(self, path: str | Path, **marks: Any) -> None:
+        """Write the JSON form; `marks` (version, seed, ...) are added to the object."""
+        document = marks | self.to_dict()
+        Path(path).write_text(json.dumps(document, separators=(",", ":")) + "\n")
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], where: str = "plan") -> "Plan":
+        """From the object of trajectories.json; keys that it does not know are left out."""
+        robots = tuple(
+            _robot(entry, f"{where}, robots[{k}]")
+            for k, entry in enumerate(_get(document, "robots", list, where))
+        )
+        ids = [robot.positioner_id for robot in robots]
+        twice = sorted({p for p in ids if ids.count(p) > 1}) if len(set(ids)) < len(ids) else []
+        if twice:
+            raise InputError(f"{where}: positioner {twice[0]} appears twice; keep one of them")
+        buffer_mm = float(_get(document, "collision_buffer_mm", (int, float), where))
+        if not 0.0 < buffer_mm < np.inf:
+            raise InputError(f"{where}: collision_buffer_mm = {buffer_mm} must be above 0")
+        refused = document.get("not_arrived") or {}
+        return cls(
+            instrument=str(_get(document, "instrument", str, where)),
+            collision_buffer_mm=buffer_mm,
+            robots=robots,
+            refused={int(k): str(why) for k, why in refused.items()},
+        )
+
+    @classmethod
+    def from_json(cls, text: str, where: str = "plan") -> "Plan":
+        """From one JSON object."""
+        return cls.from_dict(_parse(text, where), where)
+
+
+def read_plans(path: str | Path, plane: FocalPlane | None = None) -> list[Plan]:
+    """All plans of a trajectories.json: one object, or {"plans": [...]} as `observe` writes it.
+
+    With a focal plane: every positioner of a plan must be in it.
+    """
+    where = str(path)
+    try:
+        text = Path(path).read_text()
+    except OSError as error:
+        raise InputError(f"{where}: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{where}: not a text file; trajectories are JSON") from None
+    document = _parse(text, where)
+    if "plans" not in document:
+        plans = [Plan.from_dict(document, where)]
+    else:
+        entries = _get(document, "plans", list, where)
+        plans = [Plan.from_dict(e, f"{where}, plans[{k}]") for k, e in enumerate(entries)]
+    if plane is not None:
+        for made in plans:
+            plane.index_of([robot.positioner_id for robot in made.robots])
+    return plans
+
+
+def _parse(text: str, where: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{where}, line {error.lineno}, column {error.colno}: not JSON ({error.msg})"
+        ) from None
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: a JSON object is expected, found {type(document).__name__}")
+    return document
+
+
+def _get(document: Mapping[str, Any], key: str, kind: type | tuple[type, ...], where: str) -> Any:
+    if not isinstance(document, Mapping):
+        raise InputError(f"{where}: a JSON object is expected")
+    if key not in document:
+        raise InputError(
+            f"{where}: no '{key}'; it has {', '.join(map(str, document)) or 'nothing'}"
+        )
+    value = document[key]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise InputError(f"{where}: '{key}' has the wrong type ({type(value).__name__})")
+    return value
+
+
+def _robot(entry: Any, where: str) -> Robot:
+    number = int(_get(entry, "positioner_id", int, where))
+    where = f"{where} (positioner {number})"
+    time_s, alpha_deg, beta_deg = (_array(entry, key, where) for key in KEYS)
+    if not len(time_s) == len(alpha_deg) == len(beta_deg) > 0:
+        raise InputError(
+            f"{where}: {len(time_s)} times, {len(alpha_deg)} alphas, {len(beta_deg)} betas; "
+            "there must be as many of each, at least one"
+        )
+    return Robot(number, time_s, alpha_deg, beta_deg)
+
+
+def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:
+    values = _get(entry, key, list, where)
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: '{key}' must be a list of numbers") from None
+    if array.ndim != 1 or not np.isfinite(array).all():
+        raise InputError(f"{where}: '{key}' must be a flat list of finite numbers")
+    return array
