@@ -167,6 +167,16 @@ void bind_bench(nb::module_ &m) {
                 return out.cast();
             },
             nb::arg("axis"))
+        .def(
+            "set_params",
+            [](Bench &b, int axis,
+               nb::ndarray<const float, nb::shape<param_count>, nb::c_contig, nb::device::cpu> row) {
+                fl_axis_params_t p;
+                std::copy_n(row.data(), param_count, reinterpret_cast<float *>(&p));
+                axis_index(axis);
+                return fl_positioner_set_params(&b.firmware, axis, &p);
+            },
+            nb::arg("axis"), nb::arg("row"), "The firmware's parameters, not the bench's sensors.")
         .def("sync", [](Bench &b) { fl_positioner_sync(&b.firmware); })
         .def("at_rest", [](const Bench &b) { return fl_positioner_at_rest(&b.firmware); })
         .def("skip", [](Bench &b, uint32_t n) { fl_positioner_skip(&b.firmware, n); })

@@ -85,7 +85,7 @@ class Rig:
         if known:
             self.unit.declare_position()
         self.uid = 0
-        self.unsolicited = []
+        self._unsolicited = []
 
     def place(self, position_deg):
         for axis, deg in enumerate(position_deg):
@@ -105,10 +105,16 @@ class Rig:
             sender, command, uid, code = fw.decode_identifier(identifier)
             assert sender == self.number
             if command == 18 and uid == 0:
-                self.unsolicited.append((command, data))
+                self._unsolicited.append((command, data))
             else:
                 out.append((command, uid, code, data))
         return out
+
+    @property
+    def unsolicited(self):
+        """Frames 18 so far."""
+        self.frames()
+        return self._unsolicited
 
     def ask(self, command, data=b"", *, to=None):
         """Code and payload of the one reply."""

@@ -156,9 +156,8 @@ def reference_servo(p, rows, stiffness):
         e = (command - measured) / CNT_PER_RAD
         theta = command / CNT_PER_RAD
         direction = np.sign(speed) if speed else direction
-        integral = np.clip(
-            integral + v["k_i"] * stiffness * 0.0005 * e, -v["integral_limit"], v["integral_limit"]
-        )
+        charge = v["k_i"] * stiffness * 0.0005 * (np.clip(e, -0.05, 0.05) if stiffness > 1 else e)
+        integral = np.clip(integral + charge, -v["integral_limit"], v["integral_limit"])
         watched = v["k_p"] * e + integral
         pace = np.clip(speed, -209.44, 209.44)
         if v["drag_learning_time"]:
