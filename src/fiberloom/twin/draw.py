@@ -25,7 +25,6 @@ from fiberloom.twin.units import (
     PLANT_DTYPE,
     Units,
     defaults,
-    plain,
 )
 from fiberloom.units import RAD_PER_DEG
 
@@ -201,10 +200,13 @@ def _gear(axis: int, rng: Rng) -> np.ndarray:
     return record
 
 
+_WAVES = np.outer(ORDERS, np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN))
+_WAVES = np.stack([np.cos(_WAVES), np.sin(_WAVES)], axis=1).reshape(2 * len(ORDERS), -1)
+
+
 def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -> None:
     """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
-    nodes = np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN)
-    shape = _core.transmission(plain(record).ravel(), GEAR, nodes)[1]
+    shape = record["backlash_rad"].ravel() @ _WAVES
     stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
     record["backlash_rad"] *= stretch
     record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
