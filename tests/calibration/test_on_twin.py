@@ -25,13 +25,11 @@ def test_the_calibration_finds_the_true_gear():
 
     async def run():
         await client.discover()
-        settings = SweepSettings(calming_moves=20)
-        return await calibrate_transmission(client, camera, plane, 40, settings)
+        return await calibrate_transmission(client, camera, plane, 40)
 
     found = asyncio.run(run())
     assert found.report.ok.all(), found.report.reason
-    # the measured geometry is the true unit's, not the layout's: 0.1 um noise, 160 points, and
-    # an arm at rest that still creeps by up to a motor degree or so
+    # the measured geometry is the true unit's, not the layout's: 0.1 um noise, 160 points
     np.testing.assert_allclose(found.report.l_alpha_mm, units.arms[:, 2], atol=4e-4)
     np.testing.assert_allclose(found.report.centre_mm, units.arms[:, :2], atol=4e-4)
     for axis in range(2):
@@ -78,5 +76,6 @@ def test_trajectories_run_on_the_twin():
     np.testing.assert_allclose(
         where_deg[:4], np.tile(start + np.array([30.0, -30.0]), (4, 1)), atol=0.01
     )
-    np.testing.assert_allclose(where_deg[4], start, atol=0.2)  # at rest, as powered up
+    # at rest, as powered up: the motor of a gear whose non-linearity is accepted up to 0.6 deg
+    np.testing.assert_allclose(where_deg[4], start, atol=0.6)
     assert 6.0 < twin.time_s < 8.0
