@@ -60,8 +60,7 @@ void fl_axis_goto(fl_axis_t *a, int32_t target_cnt) {
         plan_goto(a, a->position_cnt, target_cnt);
 }
 
-void fl_axis_follow(fl_axis_t *a) {
-    fl_path_t *path = &a->path;
+void fl_axis_follow(fl_axis_t *a, fl_path_t *path) {
     const bool flat = path->plateau_slot == 0;
     const int32_t before =
         flat ? a->position_cnt : (int32_t)fl_path_value(path, (uint16_t)(path->plateau_slot - 1));
@@ -245,12 +244,12 @@ static bool creep(fl_axis_t *a, int32_t target_cnt, int32_t step_cnt) {
 }
 
 /* Moves the raw command on by one tick; true when the leg's way has ended. */
-static bool leg_step(fl_axis_t *a) {
+static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     const fl_leg_t leg = a->plan[a->leg];
     switch (leg.kind) {
     case FL_LEG_FOLLOW:
-        a->raw_cnt = fl_path_step(&a->path, &a->cursor);
-        return fl_path_done(&a->path, &a->cursor);
+        a->raw_cnt = fl_path_step(path, &a->cursor);
+        return fl_path_done(path, &a->cursor);
     case FL_LEG_GOTO:
         a->raw_cnt = fl_profile_step(&a->profile);
         return fl_profile_done(&a->profile);
@@ -367,7 +366,7 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index) {
+fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     const uint8_t kind = a->plan[a->leg].kind;
@@ -375,7 +374,7 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index) {
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const bool ended = leg_step(a);
+    const bool ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
     fl_duty_t duty;
     const bool spin = spinning(kind);
