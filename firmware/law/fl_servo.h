@@ -15,6 +15,7 @@
 
 #include "fl_math.h"
 
+#define FL_SETTLE_RAD 0.05f       /* 3 motor degrees */
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
@@ -58,7 +59,9 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
                                            const fl_servo_in_t *in, float dt_s) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
     if (in->speed_rad_s != 0.0f) st->direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
-    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_rad,
+    /* with the higher gain, what is left of a fast arrival must not fill the integral */
+    const float e_integral = in->stiffness > 1.0f ? fl_clamp(e_rad, -FL_SETTLE_RAD, FL_SETTLE_RAD) : e_rad;
+    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_integral,
                                -cfg->integral_limit, cfg->integral_limit);
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);

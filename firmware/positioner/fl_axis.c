@@ -121,6 +121,11 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index) {
     phases_off(a, port, index);
 }
 
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index) {
+    plan_clear(a);
+    phases_off(a, port, index);
+}
+
 /* -- positions ----------------------------------------------------------------------------------- */
 
 static fl_hall_out_t look(fl_axis_t *a, const fl_port_t *port, int index) {
@@ -186,10 +191,13 @@ uint32_t fl_axis_goto_ticks(const fl_axis_t *a, int32_t target_cnt) {
 
 static void leg_enter(fl_axis_t *a) {
     a->leg_ticks = a->calm_ticks = 0;
+    a->lag_cnt = 0;
     a->calm_cnt = a->hall.angle_cnt;
     if (fl_axis_rests(a)) return;
     const fl_leg_t leg = a->plan[a->leg];
     if (leg.kind == FL_LEG_GOTO) fl_profile_start(&a->profile, a->raw_cnt, leg.target_cnt, goto_limits(a));
+    /* what the integral made up for in motion is gone at standstill */
+    if (leg.kind == FL_LEG_LAND) a->servo.integral_Nm = 0.0f;
     if (leg.kind == FL_LEG_FOLLOW) fl_path_start(&a->cursor, a->raw_cnt);
 }
 
@@ -207,6 +215,12 @@ static void plan_begin(fl_axis_t *a) {
     a->start_cnt = a->position_cnt;
     for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];
     leg_enter(a);
+}
+
+/* Slower and slower: 64 ms times the remaining way, and the landing speed. */
+static int32_t landing_step(const fl_axis_t *a, int32_t target_cnt) {
+    const int32_t way = fl_abs_i32(fl_sub_i32(target_cnt, a->raw_cnt));
+    return a->law.landing_step_cnt + (way >> 7);
 }
 
 /* One step of at most step_cnt towards the target; true when there. */
@@ -228,7 +242,7 @@ static bool leg_step(fl_axis_t *a) {
         a->raw_cnt = fl_profile_step(&a->profile);
         return fl_profile_done(&a->profile);
     case FL_LEG_LAND:
-        return creep(a, leg.target_cnt, a->law.landing_step_cnt);
+        return creep(a, leg.target_cnt, landing_step(a, leg.target_cnt));
     case FL_LEG_SEARCH:
         a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
         return false;
@@ -238,7 +252,7 @@ static bool leg_step(fl_axis_t *a) {
         return creep(a, leg.target_cnt, SPIN_STEP_CNT);
     case FL_LEG_SWEEP_IN:
     case FL_LEG_SWEEP:
-        return creep(a, leg.target_cnt, 2 * a->law.landing_step_cnt);
+        return creep(a, leg.target_cnt, 4 * a->law.landing_step_cnt);
     default:
         return false;
     }
@@ -256,8 +270,11 @@ static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
-        const float driving = a->torque.torque_Nm - a->law.servo.drag * a->command.speed_rad_s;
+        /* the measured speed: noisy, but it knows where cogging slows the rotor, and sums forgive noise */
+        const float speed = (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt) * FL_RAD_S_PER_CNT_TICK;
+        const float driving = a->torque.torque_Nm - a->law.servo.drag * speed;
         fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
+        a->calm_cnt = a->hall.angle_cnt;
     }
 }
 
@@ -318,12 +335,14 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-/* The command has stood still and the error has been small for the settle time, or never mind. */
+/* The command stands still and the rotor does not lag, for the settle time; or never mind. The error
+ * is averaged over some 4 ms against the noise of the sensors. Beyond the target counts as arrived:
+ * the backlash lies between the rotor and any way back. */
 static bool settled(fl_axis_t *a) {
-    ++a->leg_ticks;
-    if (a->leg_ticks <= FL_SMOOTH_TICKS) return false;
-    const int32_t error = fl_abs_i32(fl_sub_i32(a->command.position_cnt, a->position_cnt));
-    const bool calm = error <= a->law.tolerance_cnt || !a->closed_loop;
+    if (++a->leg_ticks <= FL_SMOOTH_TICKS) return false;
+    const int32_t error = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    a->lag_cnt += ((a->servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
+    const bool calm = a->lag_cnt <= a->law.tolerance_cnt || !a->closed_loop;
     a->calm_ticks = calm ? a->calm_ticks + 1 : 0;
     return a->calm_ticks > a->law.settle_ticks || a->leg_ticks > a->law.timeout_ticks + FL_SMOOTH_TICKS;
 }

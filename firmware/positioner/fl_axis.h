@@ -82,7 +82,8 @@ typedef struct fl_axis {
     bool datum_found;     /* by the search under way or the last one */
     bool datum_calibrate; /* that search defines the reference */
     uint32_t leg_ticks, calm_ticks;
-    int32_t calm_cnt; /* rotor angle at which it was last calm */
+    int32_t lag_cnt;  /* behind the command while settling, averaged */
+    int32_t calm_cnt; /* rotor angle at which it was last calm; in a sweep a tick ago */
 
     int32_t zero_cnt;      /* position - rotor angle */
     int32_t datum_ref_cnt; /* rotor angle of the datum within its turn */
@@ -122,6 +123,9 @@ void fl_axis_calibrate_hall(fl_axis_t *a);
 void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
+
+/* Phases off and no plan, whatever it was doing. */
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
 
 /* One control period. Only while the axis does not rest. */
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index);

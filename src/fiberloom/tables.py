@@ -105,6 +105,9 @@ def read_csv(path: Path) -> TableFile:
     if len(rows) != len(lines):
         raise InputError(f"{path}: a quoted cell runs over several lines")
     header = [cell.strip() for cell in rows[0]]
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise InputError(f"{path}, line {lines[0][0]}: column {twice} appears twice")
     places = [f"line {number}" for number, _ in lines[1:]]
     for place, row in zip(places, rows[1:], strict=True):
         if len(row) != len(header):

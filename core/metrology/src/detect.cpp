@@ -50,14 +50,6 @@ template <class P> class Hills {
 
     Ground ground(int x, int y) const { return {background_.level_at(x, y), background_.noise_at(x, y)}; }
 
-    // A pixel that is the top of its 3 x 3.
-    bool peak(int x, int y) const {
-        const Block b = block(x, y, ground(x, y));
-        for (int k = 0; k < 4; ++k)
-            if (b[k] > b[4] || b[8 - k] > b[4]) return false;
-        return true;
-    }
-
     // A hot pixel is lonely, a spot is not; on the flank of a spot it may hide the top and must not hide the spot.
     bool lit(int x, int y) const {
         const Ground g = ground(x, y);
@@ -189,16 +181,17 @@ template <class P> class Hills {
     float threshold_;
 };
 
-// Per row of tiles: what a pixel of each chunk must exceed.
-std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
-    const int n = (image.width + chunk_px - 1) / chunk_px;
+// What a pixel must exceed, in ADU; sixteen bits cannot exceed more than they hold.
+float threshold_at(const ImageView &image, const Background &b, double threshold, double x, double y) {
+    const float bar = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
     const bool sixteen_bits = image.type == PixelType::U16 || image.type == PixelType::U16Fits;
-    std::vector<float> out(static_cast<std::size_t>(n));
-    for (int c = 0; c < n; ++c) {
-        const double x = (c + 0.5) * chunk_px;
-        out[c] = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
-        if (sixteen_bits) out[c] = std::clamp(out[c], 0.0f, 65535.0f);
-    }
+    return sixteen_bits ? std::clamp(bar, 0.0f, 65535.0f) : bar;
+}
+
+std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
+    std::vector<float> out;
+    for (int x = chunk_px / 2; x < image.width + chunk_px / 2; x += chunk_px)
+        out.push_back(threshold_at(image, b, threshold, x, y));
     return out;
 }
 
@@ -225,19 +218,30 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
 template <class P>
 bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, double x_px,
              double y_px, double radius_px, Seed &best) {
+    const ImageView &image = pixels.image;
     const Hills<P> hills(pixels, background, settings);
-    const float bar = background.level_at(x_px, y_px) +
-                      static_cast<float>(settings.threshold) * background.noise_at(x_px, y_px);
+    // one pixel more on the left and right, which the scan leaves alone
+    const int x0 = std::max(static_cast<int>(std::floor(x_px - radius_px)) - 1, 0);
+    const int x1 = std::min(static_cast<int>(std::ceil(x_px + radius_px)) + 1, image.width - 1);
+    const int y0 = std::max(static_cast<int>(std::floor(y_px - radius_px)), 1);
+    const int y1 = std::min(static_cast<int>(std::ceil(y_px + radius_px)), image.height - 2);
+    if (x1 - x0 < 2) return false;
+    const std::vector<float> thresholds(static_cast<std::size_t>((x1 - x0) / chunk_px + 1),
+                                        threshold_at(image, background, settings.threshold, x_px, y_px));
+    std::vector<int> peaks;
     double nearest = radius_px;
-    for (int y = static_cast<int>(std::floor(y_px - radius_px)); y <= y_px + radius_px; ++y)
-        for (int x = static_cast<int>(std::floor(x_px - radius_px)); x <= x_px + radius_px; ++x) {
-            if (!pixels.inside(x, y) || !(pixels.at(x, y) > bar) || !hills.peak(x, y) || !hills.lit(x, y)) continue;
+    bool found = false;
+    for (int y = y0; y <= y1; ++y) {
+        const auto *row = reinterpret_cast<const std::byte *>(pixels.row(y) + x0);
+        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, x1 - x0 + 1, thresholds.data(), peaks);
+        for (const int x : peaks) {
             Seed seed;
-            hills.climb(x, y, nullptr, seed);
+            if (!hills.lit(x0 + x, y) || !hills.climb(x0 + x, y, nullptr, seed)) continue;
             const double distance = std::hypot(seed.x - x_px, seed.y - y_px);
-            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed;
+            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed, found = true;
         }
-    return nearest < radius_px;
+    }
+    return found;
 }
 
 } // namespace

@@ -4,6 +4,12 @@
 #include <algorithm>
 
 namespace fl::metrology {
+
+std::array<double, Profile::terms> polynomial_terms(double u, double v) {
+    const double u2 = u * u, v2 = v * v;
+    return {1, u, v, u2, u * v, v2, u2 * u, u2 * v, u * v2, v2 * v, u2 * u2, u2 * u * v, u2 * v2, u * v2 * v, v2 * v2};
+}
+
 namespace {
 
 constexpr int most_iterations = 15;
@@ -14,7 +20,10 @@ constexpr double pi = 3.14159265358979323846;
 constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
 double polynomial(const std::array<double, Profile::terms> &c, double u, double v) {
-    return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v;
+    const auto t = polynomial_terms(u, v);
+    double sum = 0;
+    for (std::size_t k = 0; k < t.size(); ++k) sum += c[k] * t[k];
+    return sum;
 }
 
 // Cholesky of the 4 x 4 Fisher matrix in place of a library: fixed size, and singular is an answer.

@@ -15,6 +15,7 @@ struct Ellipse {
     double half_height(double q_max) const;
 };
 
+std::array<double, Profile::terms> polynomial_terms(double u, double v);
 Ellipse ellipse_at(const Profile &profile, double x_px, double y_px);
 Shape shape_of(const Profile &profile, const Ellipse &ellipse);
 
@@ -37,6 +38,7 @@ class Reach {
 };
 
 struct Fit {
+    std::size_t seed = 0; // which of the frame's seeds
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;

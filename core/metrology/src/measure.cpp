@@ -29,6 +29,8 @@ class Frame {
     void add(const Seed &seed) {
         const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
         Fit fit;
+        fit.seed = same_as_.size();
+        same_as_.push_back(fit.seed);
         fit.x = seed.x, fit.y = seed.y, fit.height = seed.height, fit.saturated = seed.saturated;
         // the mean over 3 x 3 pixels sees the profile at about q = (2/3) / S
         fit.flux = seed.height * e.area() / profile_value(profile_, 0.67 / e.area());
@@ -42,7 +44,7 @@ class Frame {
         std::vector<char> keep(fits_.size(), 1);
         for (std::size_t i = 0; i < fits_.size(); ++i)
             for (const std::size_t j : near_[i])
-                if (keep[j] != 0 && brighter(j, i)) keep[i] = 0;
+                if (keep[j] != 0 && brighter(j, i)) forget(i, j, keep);
         erase_unless(keep);
     }
 
@@ -72,9 +74,23 @@ class Frame {
         return out;
     }
 
-    const std::vector<Fit> &fits() const { return fits_; }
+    // For each seed the index of its spot, or -1.
+    std::vector<std::ptrdiff_t> spot_of_seeds() const {
+        std::vector<std::ptrdiff_t> out(same_as_.size(), -1);
+        for (std::size_t i = 0; i < fits_.size(); ++i) out[fits_[i].seed] = static_cast<std::ptrdiff_t>(i);
+        for (std::size_t k = 0; k < out.size(); ++k) {
+            std::size_t other = k;
+            while (same_as_[other] != other) other = same_as_[other];
+            out[k] = out[other];
+        }
+        return out;
+    }
 
   private:
+    void forget(std::size_t i, std::size_t for_j, std::vector<char> &keep) {
+        keep[i] = 0;
+        same_as_[fits_[i].seed] = fits_[for_j].seed;
+    }
     bool brighter(std::size_t a, std::size_t b) const {
         return fits_[a].height > fits_[b].height || (fits_[a].height == fits_[b].height && a < b);
     }
@@ -136,7 +152,7 @@ class Frame {
         for (std::size_t i = 0; i < fits_.size(); ++i)
             for (const std::size_t j : near_[i]) {
                 const bool one = distance(fits_[i], fits_[j]) < same_fwhm * typical_fwhm_;
-                if (one && keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) keep[i] = 0;
+                if (one && keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) forget(i, j, keep);
             }
         // what was taken off for a spot that is none must be given back
         for (std::size_t i = 0; i < fits_.size(); ++i)
@@ -188,6 +204,7 @@ class Frame {
     double typical_fwhm_;
     Stamp stamp_;
     std::vector<Fit> fits_;
+    std::vector<std::size_t> same_as_; // seed that turned out to be the same spot, itself otherwise
     std::vector<std::vector<std::size_t>> near_;
 };
 
@@ -200,9 +217,10 @@ double Profile::fwhm_px(double x_px, double y_px) const {
     return 2 * std::sqrt(low * ellipse_at(*this, x_px, y_px).area());
 }
 
-Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
-    const Background background = measure_background(image);
-    const std::vector<Seed> seeds = detect(image, background, settings);
+namespace {
+
+Result measure(const ImageView &image, const Background &background, const Settings &settings,
+               const std::vector<Seed> &seeds, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
     Result result;
     result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
     result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
@@ -211,7 +229,15 @@ Result find_spots(const ImageView &image, const Settings &settings, const Profil
     frame.drop_doubles();
     frame.fit_all();
     result.spots = frame.spots();
+    if (of_seeds != nullptr) *of_seeds = frame.spot_of_seeds();
     return result;
+}
+
+} // namespace
+
+Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
+    const Background background = measure_background(image);
+    return measure(image, background, settings, detect(image, background, settings), known, nullptr);
 }
 
 Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
@@ -221,37 +247,23 @@ Result find_expected(const ImageView &image, const Settings &settings, std::span
     std::vector<Seed> seeds;
     std::vector<std::size_t> owner;
     for (std::size_t i = 0; i < n; ++i) {
-        Seed seed;
-        if (!detect_near(image, background, settings, expected_xy_px[2 * i], expected_xy_px[2 * i + 1], radius_px,
-                         seed))
-            continue;
-        seeds.push_back(seed), owner.push_back(i);
+        const double x = expected_xy_px[2 * i], y = expected_xy_px[2 * i + 1];
+        if (Seed seed; detect_near(image, background, settings, x, y, radius_px, seed))
+            seeds.push_back(seed), owner.push_back(i);
     }
-    Result result;
-    result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
-    result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
-    Frame frame(image, background, settings, result.profile);
-    for (const Seed &s : seeds) frame.add(s);
-    frame.drop_doubles();
-    frame.fit_all();
-    const std::vector<Spot> found = frame.spots();
-    result.spots.assign(n, Spot{});
-    std::vector<int> claims(found.size(), 0);
-    std::vector<std::ptrdiff_t> taken(n, -1);
+    std::vector<std::ptrdiff_t> of_seeds;
+    Result result = measure(image, background, settings, seeds, known, &of_seeds);
+    std::vector<int> claims(result.spots.size(), 0);
+    for (const std::ptrdiff_t j : of_seeds)
+        if (j >= 0) ++claims[static_cast<std::size_t>(j)];
+    std::vector<Spot> found(n);
     for (std::size_t k = 0; k < owner.size(); ++k) {
-        double nearest = same_fwhm * result.profile.fwhm_px(seeds[k].x, seeds[k].y) + 1.0;
-        for (std::size_t j = 0; j < found.size(); ++j) {
-            const double d = std::hypot(found[j].x_px - seeds[k].x, found[j].y_px - seeds[k].y);
-            if (d < nearest) nearest = d, taken[owner[k]] = static_cast<std::ptrdiff_t>(j);
-        }
-        if (taken[owner[k]] >= 0) ++claims[static_cast<std::size_t>(taken[owner[k]])];
+        if (of_seeds[k] < 0) continue;
+        const auto j = static_cast<std::size_t>(of_seeds[k]);
+        found[owner[k]] = result.spots[j];
+        if (claims[j] > 1) found[owner[k]].flags |= shared;
     }
-    for (std::size_t i = 0; i < n; ++i) {
-        if (taken[i] < 0) continue;
-        const auto j = static_cast<std::size_t>(taken[i]);
-        result.spots[i] = found[j];
-        if (claims[j] > 1) result.spots[i].flags |= shared;
-    }
+    result.spots = std::move(found);
     return result;
 }
 

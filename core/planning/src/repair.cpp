@@ -11,6 +11,7 @@ namespace {
 constexpr int any_cost = 1 << 25;   // more than any way costs
 constexpr int meeting_cost = 1000;  // per step
 constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
+constexpr int longest_hold = 24;     // steps
 constexpr int patience = 40;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before somebody is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -26,7 +27,7 @@ void Repair::first_ways() {
     for (int i : order)
         if (team_.at(i).still) team_.stand_still(i);
     for (int i : order)
-        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, false, search_)) team_.extend(1);
+        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, {}, search_)) team_.extend(1);
     for (int i : order) team_.count_meetings(i);
     statistics_.first_conflicts = team_.meetings();
 }
@@ -127,13 +128,21 @@ Costs Repair::random_costs(const Robot &robot) {
     return costs;
 }
 
+// Early or late, and now and then with a wait at one end: who interlock need the right order in time.
+Mode Repair::random_mode(const Robot &robot) {
+    Mode mode{random_.chance(50), 0};
+    const int slack = std::min(team_.steps() - robot.travel_steps(), longest_hold);
+    if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
+    return mode;
+}
+
 bool Repair::replan(const Group &group, int most) {
     const bool dice = random_.chance(60);
     for (int i : group.robots) {
         Member &m = team_.at(i);
         const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
         ++statistics_.searches;
-        if (!team_.seek(i, costs, most, random_.chance(50), search_)) return false;
+        if (!team_.seek(i, costs, most, random_mode(m.robot), search_)) return false;
         m.cost = meeting_cost;
     }
     return true;
@@ -190,7 +199,7 @@ void Repair::tidy() {
     for (int i = 0; i < team_.size(); ++i) {
         if (team_.at(i).still) continue;
         ++statistics_.searches;
-        team_.seek(i, costs, way_cost(team_.at(i), costs), false, search_);
+        team_.seek(i, costs, way_cost(team_.at(i), costs), {}, search_);
     }
 }
 

@@ -31,6 +31,7 @@ class Repair {
     int touching(const Group &group) const;
     void forget_ways(const Group &group);
     Costs random_costs(const Robot &robot);
+    Mode random_mode(const Robot &robot);
     bool replan(const Group &group, int most);
     void take_back(Group &group);
     void judge(std::pair<int, int> pair, const Group &group, int meetings_now);

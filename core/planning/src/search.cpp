@@ -74,6 +74,16 @@ void Search::begin() {
     prepare_end();
 }
 
+int Search::hold_cost() {
+    const Piece rest = ask_.robot->piece(first_cell(), {});
+    int cost = 0;
+    for (int step = 0; step < ask_.hold; ++step) {
+        gather_near({first_cell(), step});
+        cost += encounters(rest);
+    }
+    return cost;
+}
+
 // What it costs to stand at the last cell from each step to the end.
 void Search::prepare_end() {
     const Piece rest = ask_.robot->piece(last_cell(), {});
@@ -164,19 +174,20 @@ void Search::trace() {
     Place at = place(last_);
     while (true) {
         path_[static_cast<size_t>(at.step)] = at.cell;
-        if (at.step == 0) break;
+        if (at.step == ask_.hold) break;
         const int back = 8 - node(id(at)).move; // the opposite move
         at = {moved(at.cell, back), at.step - 1};
     }
+    std::fill(path_.begin(), path_.begin() + ask_.hold, first_cell());
     if (ask_.backward) std::reverse(path_.begin(), path_.end());
 }
 
 const std::vector<Cell> &Search::run(const Request &request) {
     ask_ = request;
     begin();
-    const std::uint32_t first = id({first_cell(), 0});
-    node(first).cost = 0;
-    push(first, 0, heuristic(first_cell()));
+    const std::uint32_t first = id({first_cell(), ask_.hold});
+    node(first).cost = hold_cost();
+    push(first, node(first).cost, heuristic(first_cell()));
     while (!queue_.empty()) {
         const std::uint64_t top = queue_.front();
         if (static_cast<int>(top >> 38) >= best_) break;

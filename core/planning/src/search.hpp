@@ -61,6 +61,7 @@ struct Request {
     // From the goal back in time: the same ways, but of equals it finds the one that moves last, not first.
     // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
     bool backward = false;
+    int hold = 0; // for so many steps it stands at the end where the search begins
 };
 
 class Search {
@@ -84,6 +85,7 @@ class Search {
 
     void begin();
     void prepare_end();
+    int hold_cost();
     Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
     Cell last_cell() const { return ask_.backward ? ask_.robot->start() : ask_.robot->goal(); }
     Bends bends(int move_in, int move_out) const;

@@ -89,9 +89,9 @@ void Team::gather(int robot) {
     for (int step = 0; step <= steps_; ++step) gather_step(at(robot), step);
 }
 
-bool Team::seek(int robot, const Costs &costs, int give_up, bool backward, Search &search) {
+bool Team::seek(int robot, const Costs &costs, int give_up, Mode mode, Search &search) {
     gather(robot);
-    const auto &way = search.run({&at(robot).robot, &crowd_, &costs, steps_, give_up, need_mm_, backward});
+    const auto &way = search.run({&at(robot).robot, &crowd_, &costs, steps_, give_up, need_mm_, mode.backward, mode.hold});
     if (way.empty()) return false;
     at(robot).still = false;
     set_way(robot, way);

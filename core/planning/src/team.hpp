@@ -39,6 +39,12 @@ struct Member {
     int tries = 0;      // repairs around it since the last one that helped
 };
 
+// In which direction of time a way is sought, and for how many steps it stands first.
+struct Mode {
+    bool backward = false;
+    int hold = 0;
+};
+
 // What a repair may have to take back.
 struct Memory {
     int robot;
@@ -64,7 +70,7 @@ class Team {
     void extend(int steps);
 
     // Seeks a way of one positioner among the others as they are now; false if there is none below give_up.
-    bool seek(int robot, const Costs &costs, int give_up, bool backward, Search &search);
+    bool seek(int robot, const Costs &costs, int give_up, Mode mode, Search &search);
     void stand_still(int robot);
     // Counts anew whom a positioner meets.
     void count_meetings(int robot);
