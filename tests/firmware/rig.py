@@ -167,4 +167,4 @@ def pair(alpha_deg, beta_deg):
 
 
 def point(time_s, deg):
-    return struct.pack("<ii", int(deg * COUNTS_PER_DEG), int(round(time_s * TICKS_PER_S)))
+    return struct.pack("<ii", int(deg * COUNTS_PER_DEG), round(time_s * TICKS_PER_S))

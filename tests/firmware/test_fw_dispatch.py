@@ -361,7 +361,9 @@ def test_bad_parameters_are_seen_and_nothing_moves():
 
 @given(
     st.lists(
-        st.tuples(st.sampled_from(NUMBERS + [0, 16, 222]), st.binary(max_size=8), st.booleans(), st.integers(0, 40)),
+        st.tuples(
+            st.sampled_from([*NUMBERS, 0, 16, 222]), st.binary(max_size=8), st.booleans(), st.integers(0, 40)
+        ),
         max_size=40,
     )
 )
@@ -380,7 +382,12 @@ def test_any_frames_in_any_order_get_one_reply_each_and_never_break_it(frames):
 
 # Of three frames out of the commands of motion, all that may move something: GOTO, datum search and
 # calibrations. START alone, points, ends: never.
-@given(st.lists(st.sampled_from([1, 2, 3, 10, 11, 12, 13, 14, 15, 18, 32, 33, 40, 53, 111, 118, 125, 200, 201]), max_size=12))
+@given(
+    st.lists(
+        st.sampled_from([1, 2, 3, 10, 11, 12, 13, 14, 15, 18, 32, 33, 40, 53, 111, 118, 125, 200, 201]),
+        max_size=12,
+    )
+)
 @settings(max_examples=100, deadline=None)
 def test_nothing_moves_without_a_valid_sequence(numbers):
     unit = Rig()

@@ -156,7 +156,7 @@ def reference_servo(p, rows, stiffness):
         e = (command - measured) / CNT_PER_RAD
         theta = command / CNT_PER_RAD
         direction = np.sign(speed) if speed else direction
-        charge = v["k_i"] * stiffness * 0.0005 * (np.clip(e, -0.05, 0.05) if stiffness > 1 else e)
+        charge = v["k_i"] * stiffness * 0.0005 * (np.clip(e, -0.05, 0.05) if np.float32(stiffness) > 1 else e)
         integral = np.clip(integral + charge, -v["integral_limit"], v["integral_limit"])
         watched = v["k_p"] * e + integral
         pace = np.clip(speed, -209.44, 209.44)
@@ -282,9 +282,7 @@ def test_a_profile_keeps_its_limits_and_ends_exactly(start, target, rpm, acceler
     assert len(track) <= ideal + 4
 
 
-points = st.lists(
-    st.tuples(st.integers(-(2**29), 2**29), st.integers(1, 70_000)), min_size=1, max_size=12
-)
+points = st.lists(st.tuples(st.integers(-(2**29), 2**29), st.integers(1, 70_000)), min_size=1, max_size=12)
 
 
 @given(points, st.integers(-(2**29), 2**29))

@@ -370,4 +370,4 @@ def test_tracking_is_reported_in_motor_degrees():
     lag = np.diff(log[:, 0])[-1]
     assert log[-1, 0] - log[-1, 1] + lag == pytest.approx(true[-1] % 5760, abs=2.0)
     assert NAMES[0] == "hall_offset_a"
-    assert MOTOR_DEG == pytest.approx(2912.71, abs=0.01)
+    assert pytest.approx(2912.71, abs=0.01) == MOTOR_DEG

@@ -8,7 +8,7 @@ from rig import ACCEPTED
 
 from fiberloom._core import firmware as fw
 
-S, I, C = fw.STATES, fw.INPUTS, fw.CONDITIONS
+S, INPUT, C = fw.STATES, fw.INPUTS, fw.CONDITIONS
 RESTING = ("IDLE", "LOADING", "LOADED", "REFUSED")
 TRAVELLING = ("MOVING", "STOPPING")
 CALIBRATING = ("HOMING", "HALL_CALIBRATION", "DATUM_CALIBRATION", "COGGING_CALIBRATION")
@@ -20,11 +20,11 @@ CONDITIONS = [sum(c) for n in range(6) for c in itertools.combinations(C.values(
 
 
 def ask(state, name, conditions=0):
-    following, code = fw.supervisor(S[state], I[name], conditions)
+    following, code = fw.supervisor(S[state], INPUT[name], conditions)
     return {v: k for k, v in S.items()}[following], code
 
 
-def every(states=S, inputs=I, conditions=CONDITIONS):
+def every(states=S, inputs=INPUT, conditions=CONDITIONS):
     return itertools.product(states, inputs, conditions)
 
 
@@ -126,7 +126,7 @@ def test_events_from_inside():
 
 
 def test_the_bootloader_knows_its_own_commands_only():
-    for name, conditions in itertools.product(I, CONDITIONS):
+    for name, conditions in itertools.product(INPUT, CONDITIONS):
         code = ACCEPTED if name in ("BOOT", "QUERY") else rig.INVALID_BOOTLOADER
         assert ask("BOOTLOADER", name, conditions) == ("BOOTLOADER", code)
     for state in set(S) - {"BOOTLOADER"}:
