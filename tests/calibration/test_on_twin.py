@@ -78,5 +78,5 @@ def test_trajectories_run_on_the_twin():
     np.testing.assert_allclose(
         where_deg[:4], np.tile(start + np.array([30.0, -30.0]), (4, 1)), atol=0.01
     )
-    np.testing.assert_allclose(where_deg[4], start, atol=0.2)  # at rest, as powered up
+    np.testing.assert_allclose(where_deg[4], start, atol=0.6)  # at rest, as powered up: delta
     assert 6.0 < twin.time_s < 8.0
