@@ -71,9 +71,7 @@ def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | N
     if layout is None:
         return generate(model, seed, n_positioners=positioners)
     if positioners is not None:
-        raise InputError(
-            "--positioners goes with a preset; a --layout says itself how many there are"
-        )
+        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
     return read_layout(layout, model)
 
 
@@ -88,12 +86,8 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[
-        CameraKind, typer.Option(help="Camera images, or a noise model.")
-    ] = CameraKind.noise,
-    faults: Annotated[
-        str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")
-    ] = "",
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False,
@@ -147,9 +141,7 @@ def assign(
 
 @app.command()
 def plan(
-    start: Annotated[
-        Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")
-    ],
+    start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")],
     goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")],
     instrument: InstrumentOption = "sdssv",
     layout: LayoutOption = None,
