@@ -136,7 +136,7 @@ def reaching_over(plane) -> tuple[int, int, np.ndarray]:
     second = int(np.argsort(np.hypot(*(plane.centres_mm - plane.centres_mm[first]).T))[1])
     towards = plane.centres_mm[second] - plane.centres_mm[first]
     alpha = np.degrees(np.arctan2(towards[1], towards[0]) - plane.arms[first, 3])
-    return first, second, np.array([alpha % 360.0, 20.0])
+    return first, second, np.array([alpha % 360.0, 0.5])
 
 
 def test_who_cannot_arrive_is_named_and_the_others_do():
@@ -145,6 +145,7 @@ def test_who_cannot_arrive_is_named_and_the_others_do():
     first, second, over = reaching_over(plane)
     blocked = plane.with_offline([plane.positioner_id[second]], [[0.0, 180.0]])
     start_deg = np.tile([10.0, 170.0], (37, 1))
+    start_deg[second] = [0.0, 180.0]
     goal_deg = random_configuration(blocked, 3)
     goal_deg[first] = over
     made = plan(blocked, start_deg, goal_deg)
@@ -255,17 +256,15 @@ def test_corrections_move_everybody_at_once():
 def test_corrections_that_meet_when_all_move_at_once_are_put_in_order():
     """One must leave before its neighbour comes: together they would touch."""
     plane = replace(field(2), fiducials=np.zeros((0, 3)), guide_cameras=np.zeros((0, 5)))
-    for seed in range(300):
-        rng = np.random.default_rng(seed)
-        start_deg = random_configuration(plane, seed, margin_mm=0.02)
-        goal_deg = start_deg + rng.uniform(-25.0, 25.0, (2, 2))
-        goal_deg[:, 1] = goal_deg[:, 1].clip(0.0, 178.0)
-        goal_deg[:, 0] = goal_deg[:, 0].clip(0.0, 360.0)
+    straight = []
+    for seed in range(12):
+        start_deg, goal_deg = random_pair(plane, seed)
         made = plan_corrections(plane, start_deg, goal_deg)
+        assert made.refused == {}
         assert_sound(plane, start_deg, goal_deg, made)
-        if "searches" in made.statistics and not made.refused:
-            return
-    pytest.fail("no pair that met; the fallback was not reached")
+        straight.append("searches" not in made.statistics)
+    assert any(straight)
+    assert not all(straight)
 
 
 def test_a_real_field_of_five_hundred():
@@ -295,7 +294,7 @@ def test_a_motion_that_fails_its_verification_is_never_given_out(monkeypatch):
     """Whoever is involved stands and is named; the rest is planned anew."""
     from fiberloom.planning import planner
 
-    plane, start_deg, goal_deg, good = solved(37, 5)
+    plane, start_deg, goal_deg, _ = solved(37, 5)
     real, wrong = planner.core.plan, []
 
     def spoiled(*args, **kwargs):
