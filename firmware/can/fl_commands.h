@@ -56,6 +56,10 @@ FL_HANDLER(fl_handle_id);
 FL_HANDLER(fl_handle_version);
 FL_HANDLER(fl_handle_status);
 FL_HANDLER(fl_handle_position);
+FL_HANDLER(fl_handle_hall_error);
+FL_HANDLER(fl_handle_hall_range);
+FL_HANDLER(fl_handle_temperature);
+FL_HANDLER(fl_handle_trajectories);
 
 /* fl_handle_motion.c */
 FL_HANDLER(fl_handle_new_trajectory);
@@ -64,12 +68,25 @@ FL_HANDLER(fl_handle_end);
 FL_HANDLER(fl_handle_start);
 FL_HANDLER(fl_handle_stop);
 FL_HANDLER(fl_handle_goto);
-FL_HANDLER(fl_handle_home);
+FL_HANDLER(fl_handle_calibrate);
 
 /* fl_handle_settings.c */
 FL_HANDLER(fl_handle_set_position);
+FL_HANDLER(fl_handle_get_offsets);
+FL_HANDLER(fl_handle_set_offsets);
 FL_HANDLER(fl_handle_set_speed);
+FL_HANDLER(fl_handle_set_current);
+FL_HANDLER(fl_handle_get_current);
+FL_HANDLER(fl_handle_collision_margin);
 FL_HANDLER(fl_handle_loop);
 FL_HANDLER(fl_handle_precise);
+FL_HANDLER(fl_handle_hall_power);
+FL_HANDLER(fl_handle_led);
+FL_HANDLER(fl_handle_save);
+FL_HANDLER(fl_handle_set_trajectories);
+
+/* fl_boot.c */
+FL_HANDLER(fl_handle_upgrade);
+FL_HANDLER(fl_handle_image);
 
 #endif

@@ -43,13 +43,21 @@ static uint64_t mode_status(const fl_positioner_t *p) {
 static uint64_t path_status(const fl_positioner_t *p) {
     if (p->state != FL_STATE_LOADING && p->state != FL_STATE_LOADED) return 0;
     uint64_t s = 0;
-    if (p->axis[FL_ALPHA].path.points == p->points[FL_ALPHA]) s |= FL_STATUS_TRAJECTORY_ALPHA_RECEIVED;
-    if (p->axis[FL_BETA].path.points == p->points[FL_BETA]) s |= FL_STATUS_TRAJECTORY_BETA_RECEIVED;
+    if (p->path[FL_ALPHA].points == p->points[FL_ALPHA]) s |= FL_STATUS_TRAJECTORY_ALPHA_RECEIVED;
+    if (p->path[FL_BETA].points == p->points[FL_BETA]) s |= FL_STATUS_TRAJECTORY_BETA_RECEIVED;
     return s;
 }
 
+/* After a move: off, or held with less than the full field. */
+static uint64_t power_status(const fl_positioner_t *p) {
+    const float hold = fl_max(p->params[FL_ALPHA].holding_voltage, p->params[FL_BETA].holding_voltage);
+    return hold > 0.0f ? FL_STATUS_LOW_POWER_AFTER_MOVE : FL_STATUS_SWITCH_OFF_AFTER_MOVE;
+}
+
 void fl_positioner_refresh(fl_positioner_t *p) {
-    uint64_t s = FL_STATUS_SYSTEM_INITIALIZED | p->options | mode_status(p) | path_status(p);
+    uint64_t s = p->options | mode_status(p) | path_status(p) | power_status(p);
+    if (p->params_good) s |= FL_STATUS_SYSTEM_INITIALIZED;
+    if (p->settings_changed) s |= FL_STATUS_CONFIG_CHANGED;
     for (int i = 0; i < FL_AXES; ++i) s |= axis_status(p, i);
     const uint64_t both = FL_STATUS_AXIS_COMPLETED(0) | FL_STATUS_AXIS_COMPLETED(1);
     if ((s & both) == both) s |= FL_STATUS_DISPLACEMENT_COMPLETED;
@@ -58,6 +66,7 @@ void fl_positioner_refresh(fl_positioner_t *p) {
 
 uint32_t fl_positioner_conditions(const fl_positioner_t *p, uint8_t axes) {
     uint32_t c = p->collided ? FL_IF_COLLIDED : 0;
+    if (!p->params_good) c |= FL_IF_BAD_PARAMETERS;
     for (int i = 0; i < FL_AXES; ++i) {
         if (!has(axes, i)) continue;
         if (!has(p->hall_calibrated, i)) c |= FL_IF_HALL_UNCALIBRATED;
@@ -99,10 +108,7 @@ static fl_code_t execute(fl_positioner_t *p, const fl_command_row_t *row, const 
     if (verdict.code != FL_ACCEPTED) return (fl_code_t)verdict.code;
     const fl_request_t rq = {f->data, f->len, row->axes, row->arg};
     const fl_code_t code = row->handler(p, &rq, re);
-    if (code == FL_ACCEPTED && input != FL_IN_QUERY) {
-        p->state = verdict.next;
-        fl_positioner_refresh(p);
-    }
+    if (code == FL_ACCEPTED && input != FL_IN_QUERY) fl_positioner_enter(p, verdict.next);
     return code;
 }
 

@@ -40,7 +40,7 @@ typedef struct fl_port {
     bool (*send_frame)(void *ctx, const fl_can_frame_t *frame);
 
     /* Non-volatile storage, byte addressed. Return the number of bytes transferred. A write may be
-     * cut short by a power loss at any byte. */
+     * cut short by a power loss at any byte. Both NULL: nothing is kept. */
     uint32_t (*storage_read)(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     uint32_t (*storage_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
 } fl_port_t;

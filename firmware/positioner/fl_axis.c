@@ -1,5 +1,8 @@
 #include "fl_axis.h"
 
+/* Field speed of the hall calibration: 240 rpm */
+enum { SPIN_STEP_CNT = 2097 };
+
 static const float off[3] = {0.0f, 0.0f, 0.0f};
 
 /* -- plans --------------------------------------------------------------------------------------- */
@@ -33,6 +36,12 @@ static void plan_precise(fl_axis_t *a, int32_t target_cnt) {
     plan_arrival(a, target_cnt);
 }
 
+/* An axis that is to stay where it is does not start its motor: landing and settling on the spot again and
+ * again would let it creep. */
+static bool stays(const fl_axis_t *a, int32_t way_cnt) {
+    return !a->precise && fl_abs_i32(way_cnt) <= a->law.tolerance_cnt;
+}
+
 static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
     if (a->precise) {
         plan_precise(a, target_cnt);
@@ -45,15 +54,21 @@ static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
 
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt) {
     plan_clear(a);
-    plan_goto(a, a->position_cnt, target_cnt);
+    if (stays(a, fl_sub_i32(target_cnt, a->position_cnt)))
+        plan_add(a, FL_LEG_REST, target_cnt);
+    else
+        plan_goto(a, a->position_cnt, target_cnt);
 }
 
-void fl_axis_follow(fl_axis_t *a) {
-    fl_path_t *path = &a->path;
+void fl_axis_follow(fl_axis_t *a, fl_path_t *path) {
     const bool flat = path->plateau_slot == 0;
     const int32_t before =
         flat ? a->position_cnt : (int32_t)fl_path_value(path, (uint16_t)(path->plateau_slot - 1));
     plan_clear(a);
+    if (flat && stays(a, fl_sub_i32(path->last_cnt, a->position_cnt))) {
+        plan_add(a, FL_LEG_REST, path->last_cnt);
+        return;
+    }
     plan_add(a, FL_LEG_FOLLOW, path->last_cnt);
     path->landing_cnt = 0;
     if (a->precise) {
@@ -64,11 +79,45 @@ void fl_axis_follow(fl_axis_t *a) {
     }
 }
 
-void fl_axis_home(fl_axis_t *a) {
+static int32_t datum(const fl_axis_t *a) { return fl_add_i32(a->law.datum_cnt, a->offset_cnt); }
+
+void fl_axis_home(fl_axis_t *a, bool calibrate) {
     plan_clear(a);
     plan_add(a, FL_LEG_SEARCH, 0);
     plan_add(a, FL_LEG_DATUM, 0);
-    plan_goto(a, a->law.datum_cnt, 0);
+    plan_goto(a, datum(a), 0);
+    a->datum_found = false;
+    a->datum_calibrate = calibrate;
+}
+
+/* Towards the middle of the range, where calibrations find room. */
+static int32_t inward(const fl_axis_t *a, float turns) {
+    const int64_t middle = ((int64_t)a->law.position_min_cnt + a->law.position_max_cnt) / 2;
+    const int32_t way = fl_round_i32(turns * (float)FL_TURN_CNT);
+    return fl_add_i32(a->position_cnt, a->position_cnt < middle ? way : -way);
+}
+
+/* Two turns for the range, four for the shape, back to the start; then the field holds until the
+ * rotor stands. */
+void fl_axis_calibrate_hall(fl_axis_t *a) {
+    plan_clear(a);
+    plan_add(a, FL_LEG_SPIN_RANGE, inward(a, 2.0f));
+    plan_add(a, FL_LEG_SPIN_FIT, inward(a, 4.0f));
+    plan_add(a, FL_LEG_SPIN_FIT, inward(a, 2.0f));
+    plan_add(a, FL_LEG_SPIN, a->position_cnt);
+    plan_add(a, FL_LEG_BRAKE, a->position_cnt);
+    fl_hall_fit_reset(&a->fit.hall);
+}
+
+/* A turn and a half closes any backlash; four turns are measured each way. */
+void fl_axis_calibrate_cogging(fl_axis_t *a) {
+    plan_clear(a);
+    plan_add(a, FL_LEG_SWEEP_IN, inward(a, 1.5f));
+    plan_add(a, FL_LEG_SWEEP, inward(a, 5.5f));
+    plan_add(a, FL_LEG_SWEEP_IN, inward(a, 4.0f));
+    plan_add(a, FL_LEG_SWEEP, a->position_cnt);
+    plan_add(a, FL_LEG_SETTLE, a->position_cnt);
+    fl_friction_fit_reset(&a->fit.friction);
 }
 
 static void phases_off(fl_axis_t *a, const fl_port_t *port, int index) {
@@ -84,31 +133,44 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index) {
     phases_off(a, port, index);
 }
 
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index) {
+    plan_clear(a);
+    phases_off(a, port, index);
+}
+
 /* -- positions ----------------------------------------------------------------------------------- */
 
 static fl_hall_out_t look(fl_axis_t *a, const fl_port_t *port, int index) {
-    uint16_t adc_cnt[2];
-    port->read_hall(port->ctx, index, adc_cnt);
-    return fl_hall_step(&a->law.hall, &a->hall, adc_cnt);
+    port->read_hall(port->ctx, index, a->adc_cnt);
+    return fl_hall_step(&a->law.hall, &a->hall, a->adc_cnt);
+}
+
+int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index) {
+    return look(a, port, index).angle_cnt;
 }
 
 static void declare(fl_axis_t *a, int32_t position_cnt) {
     a->zero_cnt = fl_sub_i32(position_cnt, a->hall.angle_cnt);
-    a->position_cnt = position_cnt;
+    a->position_cnt = a->command.position_cnt = position_cnt;
 }
 
 void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt) {
     look(a, port, index);
     declare(a, position_cnt);
-    a->datum_ref_cnt = fl_sub_i32(a->law.datum_cnt, a->zero_cnt) & (FL_TURN_CNT - 1);
+    a->datum_ref_cnt = fl_sub_i32(datum(a), a->zero_cnt) & (FL_TURN_CNT - 1);
     a->datum_calibrated = true;
 }
 
 /* The datum is the calibrated rotor angle nearest to where the axis came to stand, so that it does
  * not depend on how hard the stop was pressed. */
 static void declare_datum(fl_axis_t *a) {
+    if (a->datum_calibrate) {
+        a->datum_ref_cnt = a->hall.angle_cnt & (FL_TURN_CNT - 1);
+        a->datum_calibrated = true;
+    }
+    a->datum_found = true;
     const int32_t past = fl_fold_cnt(fl_sub_i32(a->hall.angle_cnt, a->datum_ref_cnt));
-    declare(a, fl_add_i32(a->law.datum_cnt, past));
+    declare(a, fl_add_i32(datum(a), past));
 }
 
 bool fl_axis_in_range(const fl_axis_t *a, int32_t position_cnt) {
@@ -141,10 +203,13 @@ uint32_t fl_axis_goto_ticks(const fl_axis_t *a, int32_t target_cnt) {
 
 static void leg_enter(fl_axis_t *a) {
     a->leg_ticks = a->calm_ticks = 0;
+    a->lag_cnt = 0;
     a->calm_cnt = a->hall.angle_cnt;
     if (fl_axis_rests(a)) return;
     const fl_leg_t leg = a->plan[a->leg];
     if (leg.kind == FL_LEG_GOTO) fl_profile_start(&a->profile, a->raw_cnt, leg.target_cnt, goto_limits(a));
+    /* what the integral made up for in motion is gone at standstill */
+    if (leg.kind == FL_LEG_LAND) a->servo.integral_Nm = 0.0f;
     if (leg.kind == FL_LEG_FOLLOW) fl_path_start(&a->cursor, a->raw_cnt);
 }
 
@@ -157,9 +222,17 @@ static void leg_next(fl_axis_t *a) {
 static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
-    a->servo = (fl_servo_state_t){0.0f, 0.0f};
+    a->servo.integral_Nm = a->servo.direction = 0.0f;
     a->fresh = false;
+    a->start_cnt = a->position_cnt;
+    for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];
     leg_enter(a);
+}
+
+/* Slower and slower: 64 ms times the remaining way, and the landing speed. */
+static int32_t landing_step(const fl_axis_t *a, int32_t target_cnt) {
+    const int32_t way = fl_abs_i32(fl_sub_i32(target_cnt, a->raw_cnt));
+    return a->law.landing_step_cnt + (way >> 7);
 }
 
 /* One step of at most step_cnt towards the target; true when there. */
@@ -171,28 +244,50 @@ static bool creep(fl_axis_t *a, int32_t target_cnt, int32_t step_cnt) {
 }
 
 /* Moves the raw command on by one tick; true when the leg's way has ended. */
-static bool leg_step(fl_axis_t *a) {
+static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     const fl_leg_t leg = a->plan[a->leg];
     switch (leg.kind) {
     case FL_LEG_FOLLOW:
-        a->raw_cnt = fl_path_step(&a->path, &a->cursor);
-        return fl_path_done(&a->path, &a->cursor);
+        a->raw_cnt = fl_path_step(path, &a->cursor);
+        return fl_path_done(path, &a->cursor);
     case FL_LEG_GOTO:
         a->raw_cnt = fl_profile_step(&a->profile);
         return fl_profile_done(&a->profile);
     case FL_LEG_LAND:
-        return creep(a, leg.target_cnt, a->law.landing_step_cnt);
+        return creep(a, leg.target_cnt, landing_step(a, leg.target_cnt));
     case FL_LEG_SEARCH:
-        a->raw_cnt = fl_sub_i32(a->raw_cnt, (int32_t)a->law.datum_speed_cnt_tick);
+        a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
         return false;
+    case FL_LEG_SPIN:
+    case FL_LEG_SPIN_RANGE:
+    case FL_LEG_SPIN_FIT:
+        return creep(a, leg.target_cnt, SPIN_STEP_CNT);
+    case FL_LEG_SWEEP_IN:
+    case FL_LEG_SWEEP:
+        return creep(a, leg.target_cnt, 4 * a->law.landing_step_cnt);
     default:
         return false;
     }
 }
 
-static bool arriving(const fl_axis_t *a) {
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
+/* Legs at creep speed, where the higher gain holds. */
+static bool stiff(uint8_t kind) {
+    return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
+}
+
+static bool spinning(uint8_t kind) { return kind >= FL_LEG_SPIN && kind <= FL_LEG_SPIN_FIT; }
+
+/* What the calibrating legs are there for. */
+static void observe(fl_axis_t *a, uint8_t kind) {
+    if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
+    if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
+    if (kind == FL_LEG_SWEEP) {
+        /* the measured speed: noisy, but it knows where cogging slows the rotor, and sums forgive noise */
+        const float speed = (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt) * FL_RAD_S_PER_CNT_TICK;
+        const float driving = a->torque.torque_Nm - a->law.servo.drag * speed;
+        fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
+        a->calm_cnt = a->hall.angle_cnt;
+    }
 }
 
 /* Eq. 20 to 22; true when something blocks. */
@@ -203,12 +298,12 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
         .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
         .speed_rad_s = a->command.speed_rad_s,
         .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = arriving(a) ? a->law.settle_gain : 1.0f,
+        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
     };
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
     *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm);
+    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm, in.speed_rad_s);
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
@@ -243,6 +338,7 @@ static bool stands(fl_axis_t *a) {
 }
 
 static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
+    a->command.position_cnt = a->position_cnt;
     if (!stands(a)) return FL_AXIS_NONE;
     if (a->plan[a->leg].kind == FL_LEG_BRAKE) return finish(a, port, index);
     declare_datum(a);
@@ -251,12 +347,14 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-/* The command has stood still and the error has been small for the settle time, or never mind. */
+/* The command stands still and the rotor does not lag, for the settle time; or never mind. The error
+ * is averaged over some 4 ms against the noise of the sensors. Beyond the target counts as arrived:
+ * the backlash lies between the rotor and any way back. */
 static bool settled(fl_axis_t *a) {
-    ++a->leg_ticks;
-    if (a->leg_ticks <= FL_SMOOTH_TICKS) return false;
-    const int32_t error = fl_abs_i32(fl_sub_i32(a->command.position_cnt, a->position_cnt));
-    const bool calm = error <= a->law.tolerance_cnt || !a->closed_loop;
+    if (++a->leg_ticks <= FL_SMOOTH_TICKS) return false;
+    const int32_t error = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    a->lag_cnt += ((a->servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
+    const bool calm = a->lag_cnt <= a->law.tolerance_cnt || !a->closed_loop;
     a->calm_ticks = calm ? a->calm_ticks + 1 : 0;
     return a->calm_ticks > a->law.settle_ticks || a->leg_ticks > a->law.timeout_ticks + FL_SMOOTH_TICKS;
 }
@@ -268,20 +366,25 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index) {
+fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     const uint8_t kind = a->plan[a->leg].kind;
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const bool ended = leg_step(a);
+    const bool ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
     fl_duty_t duty;
-    const bool stuck = a->closed_loop ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
-    if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    const bool spin = spinning(kind);
+    const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
+    const bool stuck = closed ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
+    if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
     if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
+    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
     if (ended) leg_next(a);
     return FL_AXIS_NONE;
 }

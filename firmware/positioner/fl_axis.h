@@ -9,7 +9,9 @@
 
 #include "fl_collision.h"
 #include "fl_commutation.h"
+#include "fl_friction_fit.h"
 #include "fl_hall.h"
+#include "fl_hall_fit.h"
 #include "fl_params.h"
 #include "fl_path.h"
 #include "fl_port.h"
@@ -25,7 +27,8 @@ typedef struct fl_axis_law {
     float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
     float settle_gain, open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
-    float datum_speed_cnt_tick;
+    int32_t datum_step_cnt;
+    uint32_t search_ticks;
     int32_t approach_cnt, landing_cnt, landing_step_cnt;
     int32_t tolerance_cnt;
     uint32_t settle_ticks, timeout_ticks;
@@ -34,14 +37,19 @@ typedef struct fl_axis_law {
 } fl_axis_law_t;
 
 typedef enum fl_leg_kind {
-    FL_LEG_REST,   /* nothing to do; the phases are off or hold */
-    FL_LEG_FOLLOW, /* the stored trajectory */
-    FL_LEG_GOTO,   /* trapezoid to the target */
-    FL_LEG_LAND,   /* creep to the target */
-    FL_LEG_SETTLE, /* stand until the error is small */
-    FL_LEG_SEARCH, /* turn in the negative direction until something blocks */
-    FL_LEG_DATUM,  /* coast to a standstill, which is the datum */
-    FL_LEG_BRAKE,  /* coast to a standstill */
+    FL_LEG_REST,       /* nothing to do; the phases are off or hold */
+    FL_LEG_FOLLOW,     /* the stored trajectory */
+    FL_LEG_GOTO,       /* trapezoid to the target */
+    FL_LEG_LAND,       /* creep to the target */
+    FL_LEG_SETTLE,     /* stand until the error is small */
+    FL_LEG_SEARCH,     /* turn in the negative direction until something blocks */
+    FL_LEG_DATUM,      /* coast to a standstill, which is the datum */
+    FL_LEG_BRAKE,      /* coast to a standstill */
+    FL_LEG_SPIN,       /* the field turns slowly to the target, whatever the sensors say */
+    FL_LEG_SPIN_RANGE, /* the same, looking at the range of the hall channels */
+    FL_LEG_SPIN_FIT,   /* the same, fitting their shape */
+    FL_LEG_SWEEP_IN,   /* closed loop at creep speed, until the backlash is closed */
+    FL_LEG_SWEEP,      /* the same, measuring the torque */
 } fl_leg_kind_t;
 
 typedef struct fl_leg {
@@ -64,21 +72,34 @@ typedef struct fl_axis {
     fl_servo_state_t servo;
     fl_profile_state_t profile;
     fl_path_cursor_t cursor;
-    fl_path_t path;
 
     fl_leg_t plan[FL_PLAN_LEGS];
     uint8_t leg, legs;
     bool fresh; /* the next tick starts from where the rotor is */
     bool closed_loop, detect, precise;
     bool datum_calibrated;
+    bool datum_found;     /* by the search under way or the last one */
+    bool datum_calibrate; /* that search defines the reference */
     uint32_t leg_ticks, calm_ticks;
-    int32_t calm_cnt; /* rotor angle at which it was last calm */
+    int32_t lag_cnt;  /* behind the command while settling, averaged */
+    int32_t calm_cnt; /* rotor angle at which it was last calm; in a sweep a tick ago */
 
     int32_t zero_cnt;      /* position - rotor angle */
     int32_t datum_ref_cnt; /* rotor angle of the datum within its turn */
     int32_t position_cnt;  /* last measured; at rest where the move settled */
     int32_t raw_cnt;
-    uint32_t speed_rpm; /* of go-to moves */
+    int32_t start_cnt;       /* where the plan began */
+    float margin_rad;        /* SET_INCREASE_COLLISION_MARGIN */
+    int32_t hall_error_mdeg; /* rms residual of the last hall calibration, motor millidegrees */
+    int32_t offset_cnt;      /* SET_OFFSETS: added to the position of the datum */
+    uint32_t speed_rpm;      /* of go-to moves */
+    uint16_t adc_cnt[2];     /* the hall channels, last */
+
+    uint16_t start_adc_cnt[2]; /* where a hall calibration began */
+    union {
+        fl_hall_fit_t hall;
+        fl_friction_fit_t friction;
+    } fit;
 
     /* the last tick, for logs */
     fl_command_t command;
@@ -93,15 +114,23 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *params);
 
 static inline bool fl_axis_rests(const fl_axis_t *a) { return a->leg >= a->legs; }
 
-/* Start a plan. The first tick starts from the measured position. */
+/* Start a plan. The first tick starts from the measured position. A path has at least one point. */
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt);
-void fl_axis_follow(fl_axis_t *a);
-void fl_axis_home(fl_axis_t *a);
+void fl_axis_follow(fl_axis_t *a, fl_path_t *path);
+void fl_axis_home(fl_axis_t *a, bool calibrate);
+void fl_axis_calibrate_hall(fl_axis_t *a);
+void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* One control period. Only while the axis does not rest. */
-fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index);
+/* Phases off and no plan, whatever it was doing. */
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
+
+/* One control period. Only while the axis does not rest. The path is the one it was told to follow. */
+fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index);
+
+/* Reads the sensors outside the tick; the unwrapped rotor angle. */
+int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);
 
 /* Declares the position of the rotor as it stands now. */
 void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt);

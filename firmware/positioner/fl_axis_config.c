@@ -12,30 +12,37 @@ static fl_hall_config_t hall_config(const fl_axis_params_t *p) {
     return cfg;
 }
 
+/* So that a feedback torque t at 2000 rpm adds t/T_learn per second to the drag torque. */
+static float drag_learning(const fl_axis_params_t *p) {
+    const float drag = p->use_speed * p->drag;
+    if (!(drag > 0.0f && p->drag_learning_time > 0.0f)) return 0.0f;
+    return 1.0f / (p->drag_learning_time * drag * (FL_LEARNING_RAD_S * FL_LEARNING_RAD_S));
+}
+
 static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
-    const fl_sincos_t cogging = sincos_rad(p->cogging_phase);
     const float ba = p->use_break_away;
     const fl_servo_config_t cfg = {
         .k_p = p->k_p,
         .k_i = p->k_i,
         .integral_limit = p->integral_limit,
         .drag = p->use_speed * p->drag,
+        .learning = drag_learning(p),
         .inertia = p->use_inertia * p->inertia,
         .coulomb = ba * p->coulomb,
         .spring_torque = ba * p->spring_torque,
         .spring_rate = ba * p->spring_rate,
-        /* sin(2 theta + phase) = sin(2 theta) cos(phase) + cos(2 theta) sin(phase) */
-        .cogging_sin = ba * p->cogging_torque * cogging.cos,
-        .cogging_cos = ba * p->cogging_torque * cogging.sin,
+        .cogging = ba * p->cogging_torque,
+        .cogging_phase_cnt = fl_round_i32(p->cogging_phase * FL_CNT_PER_RAD),
     };
     return cfg;
 }
 
 /* Eq. 23, lower bound, in counts; without a gain nothing is ever too far. */
-static fl_collision_config_t collision_config(const fl_axis_params_t *p) {
-    const float error_rad = (p->collision_torque - p->integral_limit) / fl_max(p->k_p, 1e-12f);
+static fl_collision_config_t collision_config(const fl_axis_params_t *p, float margin_rad) {
+    const float threshold = fl_max(p->collision_torque + p->k_p * margin_rad, 0.0f);
+    const float error_rad = (threshold - p->integral_limit) / fl_max(p->k_p, 1e-12f);
     const float error_cnt = fl_clamp(error_rad * FL_CNT_PER_RAD, 0.0f, 1e9f);
-    const fl_collision_config_t cfg = {p->collision_torque, (int32_t)error_cnt};
+    const fl_collision_config_t cfg = {threshold, p->collision_speed_share * p->drag, (int32_t)error_cnt};
     return cfg;
 }
 
@@ -48,18 +55,25 @@ static int32_t output_deg(float deg) {
 
 static uint32_t ticks(float s) { return (uint32_t)(s * (float)FL_TICK_HZ + 0.5f); }
 
+/* The way from one limit to the other and 30 degrees more: then nothing is there to be found. */
+static uint32_t search_ticks(const fl_axis_params_t *p) {
+    const float way_cnt = (p->position_max - p->position_min + 30.0f) * FL_CNT_PER_OUTPUT_DEG;
+    return (uint32_t)(way_cnt / (p->datum_speed * FL_CNT_TICK_PER_RPM));
+}
+
 void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
     const float per_tick = FL_CNT_PER_MOTOR_DEG * FL_TICK_S;
     const fl_axis_law_t law = {
         .hall = hall_config(p),
         .servo = servo_config(p),
-        .collision = collision_config(p),
+        .collision = collision_config(p, a->margin_rad),
         .voltage_per_Nm = 1.0f / (p->torque_per_volt * p->u_dc),
         .settle_gain = p->settle_gain,
         .open_loop_voltage = p->open_loop_voltage,
         .holding_voltage = p->holding_voltage,
         .acceleration_cnt_tick2 = p->acceleration * FL_CNT_TICK2_PER_RAD_S2,
-        .datum_speed_cnt_tick = p->datum_speed * FL_CNT_TICK_PER_RPM,
+        .datum_step_cnt = 1 + (int32_t)(p->datum_speed * FL_CNT_TICK_PER_RPM),
+        .search_ticks = search_ticks(p),
         .approach_cnt = motor_deg(p->approach),
         .landing_cnt = motor_deg(p->landing),
         .landing_step_cnt = 1 + (int32_t)(p->landing_speed * per_tick),
@@ -75,13 +89,16 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
 }
 
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
+    a->margin_rad = 0.0f;
+    a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
-    fl_path_clear(&a->path);
+    a->servo = (fl_servo_state_t){0.0f, 0.0f, 1.0f};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;
-    a->precise = a->datum_calibrated = false;
-    a->zero_cnt = a->datum_ref_cnt = a->position_cnt = a->raw_cnt = 0;
+    a->precise = a->datum_calibrated = a->datum_found = a->datum_calibrate = false;
+    a->zero_cnt = a->datum_ref_cnt = a->offset_cnt = a->position_cnt = a->raw_cnt = a->start_cnt =
+        a->lag_cnt = a->calm_cnt = 0;
     a->speed_rpm = (uint32_t)p->speed_default;
     a->command = (fl_command_t){0, 0.0f, 0.0f};
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};

@@ -1,9 +1,16 @@
 #include "fl_positioner.h"
 
+#include "fl_boot.h"
+#include "fl_calibration.h"
 #include "fl_dispatch.h"
 #include "fl_status.h"
+#include "fl_storage.h"
 
 enum { BOTH_AXES = 3 };
+
+static bool params_good(const fl_positioner_t *p) {
+    return fl_params_fault(&p->params[FL_ALPHA]) < 0 && fl_params_fault(&p->params[FL_BETA]) < 0;
+}
 
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]) {
@@ -13,14 +20,19 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
         p->params[axis] = params[axis];
         fl_axis_init(&p->axis[axis], &p->params[axis]);
         p->points[axis] = 0;
+        fl_path_clear(&p->path[axis]);
     }
     p->state = FL_STATE_IDLE;
-    p->collided = p->datum_known = p->cogging_calibrated = p->homing = 0;
+    p->collided = p->datum_known = p->cogging_calibrated = 0;
     p->hall_calibrated = BOTH_AXES; /* the factory parameters describe this unit */
-    p->path_bad = p->settings_changed = false;
+    p->path_bad = p->settings_changed = p->led = false;
     p->options = 0;
-    p->ticks = 0;
+    p->ticks = p->trajectories = 0;
+    p->temperature_raw = 1900;
     p->tx.first = p->tx.count = 0;
+    p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
+    fl_storage_load(p);
+    p->params_good = params_good(p);
     fl_positioner_refresh(p);
 }
 
@@ -28,6 +40,8 @@ bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params
     if (!fl_axis_rests(&p->axis[axis])) return false;
     p->params[axis] = *params;
     fl_axis_configure(&p->axis[axis], params);
+    p->params_good = params_good(p);
+    fl_positioner_refresh(p);
     return true;
 }
 
@@ -35,6 +49,8 @@ void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[F
     for (int axis = 0; axis < FL_AXES; ++axis)
         fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
     p->datum_known = BOTH_AXES;
+    p->options &= ~(FL_STATUS_ESTIMATED_POSITION | FL_STATUS_POSITION_RESTORED);
+    fl_storage_note_position(p, false);
     fl_positioner_refresh(p);
 }
 
@@ -43,11 +59,18 @@ static bool axes_rest(const fl_positioner_t *p) {
 }
 
 bool fl_positioner_at_rest(const fl_positioner_t *p) {
-    return axes_rest(p) && p->tx.count == 0 && p->axis[FL_ALPHA].voltage == 0.0f &&
-           p->axis[FL_BETA].voltage == 0.0f;
+    return axes_rest(p) && p->state != FL_STATE_BOOTLOADER && p->tx.count == 0 &&
+           p->axis[FL_ALPHA].voltage == 0.0f && p->axis[FL_BETA].voltage == 0.0f;
 }
 
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks) { p->ticks += ticks; }
+
+void fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
+    const bool rested = p->state <= FL_STATE_REFUSED;
+    p->state = state;
+    if (rested && state > FL_STATE_REFUSED) fl_storage_note_position(p, true);
+    fl_positioner_refresh(p);
+}
 
 void fl_positioner_apply(fl_positioner_t *p, fl_input_t input) {
     p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_positioner_conditions(p, BOTH_AXES)).next;
@@ -67,20 +90,27 @@ static void collide(fl_positioner_t *p, int axis) {
     if (first) fl_positioner_report_collision(p);
 }
 
-static void axis_done(fl_positioner_t *p) {
-    if (p->state == FL_STATE_HOMING && axes_rest(p)) fl_positioner_homed(p);
-    if (axes_rest(p)) fl_positioner_apply(p, FL_IN_DONE);
+static void axis_done(fl_positioner_t *p, int axis) {
+    fl_calibration_done(p, axis);
+    if (axes_rest(p)) {
+        fl_positioner_apply(p, FL_IN_DONE);
+        fl_storage_note_position(p, false);
+    }
     fl_positioner_refresh(p);
 }
 
 void fl_positioner_tick(fl_positioner_t *p) {
     ++p->ticks;
     if (p->tx.count != 0) fl_positioner_flush(p);
+    if (p->state == FL_STATE_BOOTLOADER) {
+        fl_boot_tick(p);
+        return;
+    }
     for (int i = 0; i < FL_AXES; ++i) {
         if (fl_axis_rests(&p->axis[i])) continue;
-        switch (fl_axis_tick(&p->axis[i], &p->port, i)) {
+        switch (fl_axis_tick(&p->axis[i], &p->path[i], &p->port, i)) {
         case FL_AXIS_DONE:
-            axis_done(p);
+            axis_done(p, i);
             break;
         case FL_AXIS_BLOCKED:
             collide(p, i);

@@ -22,6 +22,16 @@ typedef struct fl_tx_queue {
     uint8_t first, count;
 } fl_tx_queue_t;
 
+/* What the bootloader knows of the image that arrives. */
+typedef struct fl_boot {
+    uint32_t status; /* FL_BOOT_... */
+    uint32_t size, crc_expected;
+    uint32_t received, crc;
+    uint32_t until_tick; /* then the main firmware starts */
+    /* Where a board puts the image; returns the bytes taken. NULL: received, checked, dropped. */
+    uint32_t (*image_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+} fl_boot_t;
+
 /* Visible, so that it can be placed, copied and inspected; only the functions below change it. */
 typedef struct fl_positioner {
     fl_port_t port;
@@ -35,18 +45,27 @@ typedef struct fl_positioner {
     uint8_t hall_calibrated; /* likewise */
     uint8_t datum_known;
     uint8_t cogging_calibrated;
-    uint8_t homing;           /* axes of the datum search under way */
+
     uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
     bool path_bad;            /* a point was out of order or too fast */
     bool settings_changed;    /* since the last save */
     uint64_t options;         /* status bits that are only remembered */
     uint32_t ticks;           /* since power-up */
+    uint32_t trajectories;    /* started so far */
+    uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
+    bool led;                 /* as commanded: no LED on the port */
+    bool params_good;
+    fl_boot_t boot;
     fl_tx_queue_t tx;
+    fl_path_t path[FL_AXES]; /* last: large and seldom looked at */
 } fl_positioner_t;
 
 /* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]);
+
+/* Into the bootloader, as at power-up of a real unit: it starts the main firmware after 10 s. */
+void fl_positioner_enter_bootloader(fl_positioner_t *p);
 
 /* The control interrupt: call every 0.5 ms. */
 void fl_positioner_tick(fl_positioner_t *p);

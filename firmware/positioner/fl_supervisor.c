@@ -45,6 +45,9 @@ static const rule_t rules[] = {
     {TRAVELLING, AT_REST_ONLY, 0, SAME, FL_ALREADY_IN_MOTION},
     {RESTING, I(SETTING), 0, SAME, FL_ACCEPTED},
 
+    /* nothing moves on parameters that cannot be */
+    {RESTING, I(NEW) | I(START) | MOVE, FL_IF_BAD_PARAMETERS, SAME, FL_INVALID_COMMAND},
+
     /* a collision is cleared first, by STOP_TRAJECTORY */
     {RESTING, I(NEW) | I(START) | MOVE, FL_IF_COLLIDED, SAME, FL_COLLISION_DETECTED},
 

@@ -53,7 +53,8 @@ enum {
     FL_IF_HALL_UNCALIBRATED = 1 << 1,
     FL_IF_DATUM_UNCALIBRATED = 1 << 2,
     FL_IF_DATUM_UNKNOWN = 1 << 3,
-    FL_IF_COUNT = 4
+    FL_IF_BAD_PARAMETERS = 1 << 4,
+    FL_IF_COUNT = 5
 };
 
 typedef struct fl_verdict {

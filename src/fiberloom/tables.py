@@ -105,6 +105,9 @@ def read_csv(path: Path) -> TableFile:
     if len(rows) != len(lines):
         raise InputError(f"{path}: a quoted cell runs over several lines")
     header = [cell.strip() for cell in rows[0]]
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise InputError(f"{path}, line {lines[0][0]}: column {twice} appears twice")
     places = [f"line {number}" for number, _ in lines[1:]]
     for place, row in zip(places, rows[1:], strict=True):
         if len(row) != len(header):
@@ -138,7 +141,7 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
     except Exception as error:  # astropy raises many kinds for a broken file
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: cannot be read as {kind}: {reason}") from None
-    columns = {n: list(table[n]) for n in table.colnames}
+    columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
     return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
 
 
@@ -152,4 +155,4 @@ def _whole(value: Any) -> int:
 def _text(value: Any) -> str:
     if isinstance(value, bytes):
         return value.decode("utf-8", errors="replace").strip()
-    return "" if value is np.ma.masked else str(value).strip()
+    return str(value).strip()

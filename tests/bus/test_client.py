@@ -368,7 +368,7 @@ def test_concurrent_requests_keep_their_own_deadlines():
         await asyncio.gather(timed(silent), timed(quick))
         return ends
 
-    assert asyncio.run(run()) == pytest.approx([0.5, 5.0])
+    assert asyncio.run(run()) == pytest.approx([0.5, 5.0], abs=2e-3)  # the shortest wait is 1 ms
 
 
 def test_unfit_trajectories_are_named():

@@ -128,7 +128,7 @@ def test_those_who_do_not_play_along_are_flagged_and_the_rest_goes_on():
 
 def test_an_axis_that_gets_stuck_halfway_is_found():
     bench = Bench(small_plane(2), noise_rms_um=0.669)
-    stop_at = 2 + 30  # two moves to the start, then points of the upward pass
+    stop_at = 2 + 30 + 30  # moves to the start, then points of the upward pass
 
     async def goto(ids, alpha, beta, free=bench.goto):
         bench.stuck[0, 0] = bench.moves > stop_at
@@ -164,7 +164,7 @@ def test_progress_is_told_and_images_are_averaged():
     found = calibrate(
         bench,
         n_points=50,
-        settings=SweepSettings(images=16, rest_images=4),
+        settings=SweepSettings(images=16),
         progress=lambda done, total: steps.append((done, total)),
     )
     assert steps[0] == (1, 200)

@@ -7,7 +7,7 @@ namespace fl::metrology {
 namespace {
 
 constexpr int rows_per_tile = 8;
-constexpr int columns_per_tile = 16;
+constexpr int columns_per_tile = 8;
 // what a Gaussian loses of its standard deviation when cut at 3 sigma: 1 / 0.98657
 constexpr float cut_correction = 1.01361f;
 

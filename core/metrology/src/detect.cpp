@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <set>
+#include <type_traits>
 
 namespace fl::metrology {
 namespace {
@@ -35,25 +36,34 @@ class Visited {
     std::vector<std::uint64_t> bits_;
 };
 
+// Level and noise of the background where a hill stands: looked up once for all its pixels.
+struct Ground {
+    float level;
+    float noise;
+};
+
 template <class P> class Hills {
   public:
     Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings)
         : pixels_(pixels), background_(background), saturation_(static_cast<float>(settings.saturation_adu)),
           threshold_(static_cast<float>(settings.threshold)) {}
 
-    // A pixel not lower than its neighbours, with enough of them lit.
-    bool starts(int x, int y) const {
-        const float value = pixels_.at(x, y);
-        const Block b = block(x, y);
-        for (int k = 0; k < 4; ++k)
-            if (b[k] > value) return false;
-        for (int k = 5; k < 9; ++k)
-            if (b[k] >= value && value < saturation_) return false;
-        return lit(b, x, y);
+    Ground ground(int x, int y) const { return {background_.level_at(x, y), background_.noise_at(x, y)}; }
+
+    // A hot pixel is lonely, a spot is not; on the flank of a spot it may hide the top and must not hide the spot.
+    bool lit(int x, int y) const {
+        const Ground g = ground(x, y);
+        const Block b = block(x, y, g);
+        const auto above = [&](float bar) {
+            return std::count_if(b.begin(), b.end(), [&](float v) { return v > g.level + bar; });
+        };
+        return above(std::max(neighbour_share * (b[4] - g.level), 1.5f * g.noise)) > neighbours_needed ||
+               above(3.0f * g.noise) >= 5;
     }
 
     // Uphill on the sum of 5 x 5 clipped pixels. False: this hill was climbed before.
     bool climb(int x, int y, Visited *visited, Seed &seed) const {
+        const Ground g = ground(x, y);
         std::array<std::pair<int, int>, longest_climb_px> path;
         for (std::size_t n = 0; n < path.size(); ++n) {
             if (visited != nullptr && visited->mark(x, y)) {
@@ -63,7 +73,7 @@ template <class P> class Hills {
             }
             path[n] = {x, y};
             int dx = 0, dy = 0;
-            uphill(x, y, dx, dy);
+            uphill(x, y, g, dx, dy);
             if (dx == 0 && dy == 0) break;
             x += dx, y += dy;
         }
@@ -77,67 +87,73 @@ template <class P> class Hills {
     }
 
   private:
-    Block block(int x, int y) const {
+    // A square of pixels; outside the image the nearest inside, and no light where the image holds none.
+    template <int radius> void square(int x, int y, const Ground &g, float *out) const {
+        constexpr int n = 2 * radius + 1;
+        if (pixels_.inside(x, y, radius)) {
+            for (int j = 0; j < n; ++j) {
+                const auto *row = pixels_.row(y + j - radius) + x - radius;
+                for (int i = 0; i < n; ++i) out[n * j + i] = static_cast<float>(P::key(row[i]));
+            }
+        } else {
+            for (int j = 0; j < n; ++j)
+                for (int i = 0; i < n; ++i)
+                    out[n * j + i] = pixels_.at(std::clamp(x + i - radius, 0, pixels_.image.width - 1),
+                                                std::clamp(y + j - radius, 0, pixels_.image.height - 1));
+        }
+        if constexpr (std::is_floating_point_v<typename P::Key>)
+            for (int k = 0; k < n * n; ++k)
+                if (!std::isfinite(out[k])) out[k] = g.level;
+    }
+
+    Block block(int x, int y, const Ground &g) const {
         Block b;
-        for (int j = 0; j < 3; ++j)
-            for (int i = 0; i < 3; ++i)
-                b[static_cast<std::size_t>(3 * j + i)] = at(x + i - 1, y + j - 1);
+        square<1>(x, y, g, b.data());
         return b;
     }
 
-    float at(int x, int y) const {
-        const int u = std::clamp(x, 0, pixels_.image.width - 1), v = std::clamp(y, 0, pixels_.image.height - 1);
-        const float value = pixels_.at(u, v);
-        return std::isfinite(value) ? value : background_.level_at(x, y);
-    }
-
-    bool lit(const Block &b, int x, int y) const {
-        const float level = background_.level_at(x, y), noise = background_.noise_at(x, y);
-        const float bar = level + std::max(neighbour_share * (b[4] - level), 1.5f * noise);
-        return std::count_if(b.begin(), b.end(), [&](float v) { return v > bar; }) > neighbours_needed;
-    }
-
     // Pixels brighter than the neighbourhood can explain count as the brightest that it can.
-    float clip_level(int x, int y) const {
-        Block b = block(x, y);
+    static float clip_level(Block b, const Ground &g) {
         std::nth_element(b.begin(), b.begin() + 4, b.end());
-        const float level = background_.level_at(x, y), noise = background_.noise_at(x, y);
-        return level + std::max(peak_over_median * (b[4] - level), 4.0f * noise);
+        return g.level + std::max(peak_over_median * (b[4] - g.level), 4.0f * g.noise);
     }
 
-    void uphill(int x, int y, int &dx, int &dy) const {
-        const float clip = clip_level(x, y);
-        std::array<float, 7 * 5> sums{}; // of five pixels in a row
-        for (int j = 0; j < 7; ++j) {
-            std::array<float, 7> v;
-            for (int i = 0; i < 7; ++i) v[i] = std::min(at(x + i - 3, y + j - 3), clip);
-            for (int i = 1; i < 4; ++i) sums[j * 5 + i] = v[i - 1] + v[i] + v[i + 1] + v[i + 2] + v[i + 3];
-        }
-        float best = box(sums, 0, 0);
-        for (int v = -1; v <= 1; ++v)
+    void uphill(int x, int y, const Ground &g, int &dx, int &dy) const {
+        std::array<float, 49> v;
+        square<3>(x, y, g, v.data());
+        const float clip = clip_level({v[16], v[17], v[18], v[23], v[24], v[25], v[30], v[31], v[32]}, g);
+        for (float &value : v) value = std::min(value, clip);
+        std::array<float, 7> column{}; // sums of rows 1 to 5, then moved up and down
+        for (int i = 0; i < 7; ++i)
+            for (int j = 1; j < 6; ++j) column[i] += v[7 * j + i];
+        float best = five(column, 1);
+        for (int move = -1; move <= 1; ++move) {
+            std::array<float, 7> moved = column;
+            for (int i = 0; i < 7 && move != 0; ++i)
+                moved[i] += move > 0 ? v[42 + i] - v[7 + i] : v[i] - v[35 + i];
             for (int u = -1; u <= 1; ++u)
-                if (const float s = box(sums, u, v); s > best) best = s, dx = u, dy = v;
+                if (const float s = five(moved, u + 1); s > best) best = s, dx = u, dy = move;
+        }
         if (!pixels_.inside(x + dx, y + dy)) dx = dy = 0;
     }
 
-    static float box(const std::array<float, 7 * 5> &sums, int u, int v) {
-        float s = 0;
-        for (int j = 1; j < 6; ++j) s += sums[(j + v) * 5 + u + 2];
-        return s;
+    static float five(const std::array<float, 7> &c, int from) {
+        return ((c[from] + c[from + 1]) + (c[from + 2] + c[from + 3])) + c[from + 4];
     }
 
     Seed at_top(int x, int y) const {
         if (pixels_.at(x, y) >= saturation_) return flat_top(x, y);
-        const float level = background_.level_at(x, y), clip = clip_level(x, y);
-        Block b = block(x, y);
+        const Ground g = ground(x, y);
+        Block b = block(x, y, g);
+        const float clip = clip_level(b, g);
         double sum = 0, sx = 0, sy = 0;
         for (int k = 0; k < 9; ++k) {
-            const double v = std::max(std::min(b[k], clip) - level, 0.0f);
+            const double v = std::max(std::min(b[k], clip) - g.level, 0.0f);
             sum += v, sx += v * (k % 3 - 1), sy += v * (k / 3 - 1);
         }
         std::nth_element(b.begin(), b.begin() + 2, b.end());
         const double scale = sum > 0 ? 1.0 / sum : 0.0;
-        return {x + sx * scale, y + sy * scale, static_cast<float>(sum / 9), b[2] - level, false};
+        return {x + sx * scale, y + sy * scale, static_cast<float>(sum / 9), b[2] - g.level, false};
     }
 
     // The middle of the connected saturated pixels.
@@ -165,16 +181,17 @@ template <class P> class Hills {
     float threshold_;
 };
 
-// Per row of tiles: what a pixel of each chunk must exceed.
-std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
-    const int n = (image.width + chunk_px - 1) / chunk_px;
+// What a pixel must exceed, in ADU; sixteen bits cannot exceed more than they hold.
+float threshold_at(const ImageView &image, const Background &b, double threshold, double x, double y) {
+    const float bar = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
     const bool sixteen_bits = image.type == PixelType::U16 || image.type == PixelType::U16Fits;
-    std::vector<float> out(static_cast<std::size_t>(n));
-    for (int c = 0; c < n; ++c) {
-        const double x = (c + 0.5) * chunk_px;
-        out[c] = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
-        if (sixteen_bits) out[c] = std::clamp(out[c], 0.0f, 65535.0f);
-    }
+    return sixteen_bits ? std::clamp(bar, 0.0f, 65535.0f) : bar;
+}
+
+std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
+    std::vector<float> out;
+    for (int x = chunk_px / 2; x < image.width + chunk_px / 2; x += chunk_px)
+        out.push_back(threshold_at(image, b, threshold, x, y));
     return out;
 }
 
@@ -184,20 +201,16 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
     const Hills<P> hills(pixels, background, settings);
     Visited visited(image.width, image.height);
     std::vector<float> thresholds;
-    std::vector<int> chunks;
+    std::vector<int> peaks;
     std::vector<Seed> seeds;
-    for (int y = 0; y < image.height; ++y) {
-        if (y % 16 == 0) thresholds = chunk_thresholds(image, background, settings.threshold, y + 8);
-        bright_chunks(image.type, image.data + y * image.row_bytes, image.width, thresholds.data(), chunks);
-        for (const int c : chunks) {
-            const int end = std::min((c + 1) * chunk_px, image.width);
-            for (int x = c * chunk_px; x < end; ++x) {
-                Seed seed;
-                if (pixels.at(x, y) > thresholds[c] && hills.starts(x, y) &&
-                    hills.climb(x, y, &visited, seed) && hills.significant(seed))
-                    seeds.push_back(seed);
-            }
-        }
+    // a spot on the outermost row or column is half a spot: its top is looked for from the next one inwards
+    for (int y = 1; y + 1 < image.height; ++y) {
+        if (y % 16 == 1) thresholds = chunk_thresholds(image, background, settings.threshold, y + 8);
+        const std::byte *row = image.data + y * image.row_bytes;
+        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, image.width, thresholds.data(), peaks);
+        for (const int x : peaks)
+            if (Seed seed; hills.lit(x, y) && hills.climb(x, y, &visited, seed) && hills.significant(seed))
+                seeds.push_back(seed);
     }
     return seeds;
 }
@@ -205,19 +218,30 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
 template <class P>
 bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, double x_px,
              double y_px, double radius_px, Seed &best) {
+    const ImageView &image = pixels.image;
     const Hills<P> hills(pixels, background, settings);
-    const float bar = background.level_at(x_px, y_px) +
-                      static_cast<float>(settings.threshold) * background.noise_at(x_px, y_px);
+    // one pixel more on the left and right, which the scan leaves alone
+    const int x0 = std::max(static_cast<int>(std::floor(x_px - radius_px)) - 1, 0);
+    const int x1 = std::min(static_cast<int>(std::ceil(x_px + radius_px)) + 1, image.width - 1);
+    const int y0 = std::max(static_cast<int>(std::floor(y_px - radius_px)), 1);
+    const int y1 = std::min(static_cast<int>(std::ceil(y_px + radius_px)), image.height - 2);
+    if (x1 - x0 < 2) return false;
+    const std::vector<float> thresholds(static_cast<std::size_t>((x1 - x0) / chunk_px + 1),
+                                        threshold_at(image, background, settings.threshold, x_px, y_px));
+    std::vector<int> peaks;
     double nearest = radius_px;
-    for (int y = static_cast<int>(std::floor(y_px - radius_px)); y <= y_px + radius_px; ++y)
-        for (int x = static_cast<int>(std::floor(x_px - radius_px)); x <= x_px + radius_px; ++x) {
-            if (!pixels.inside(x, y) || !(pixels.at(x, y) > bar) || !hills.starts(x, y)) continue;
+    bool found = false;
+    for (int y = y0; y <= y1; ++y) {
+        const auto *row = reinterpret_cast<const std::byte *>(pixels.row(y) + x0);
+        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, x1 - x0 + 1, thresholds.data(), peaks);
+        for (const int x : peaks) {
             Seed seed;
-            hills.climb(x, y, nullptr, seed);
+            if (!hills.lit(x0 + x, y) || !hills.climb(x0 + x, y, nullptr, seed)) continue;
             const double distance = std::hypot(seed.x - x_px, seed.y - y_px);
-            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed;
+            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed, found = true;
         }
-    return nearest < radius_px;
+    }
+    return found;
 }
 
 } // namespace

@@ -4,17 +4,26 @@
 #include <algorithm>
 
 namespace fl::metrology {
+
+std::array<double, Profile::terms> polynomial_terms(double u, double v) {
+    const double u2 = u * u, v2 = v * v;
+    return {1, u, v, u2, u * v, v2, u2 * u, u2 * v, u * v2, v2 * v, u2 * u2, u2 * u * v, u2 * v2, u * v2 * v, v2 * v2};
+}
+
 namespace {
 
 constexpr int most_iterations = 15;
-constexpr double enough = 0.01;       // of the statistical error: nothing is gained by a smaller step
+constexpr double enough = 0.1;        // of the statistical error: the step after would be a tenth of it again
 constexpr float cut_sigma = 5.0f;     // a Poisson pixel beyond this is rarer than a cosmic ray
-constexpr double kept_knowledge = 0.995;
+constexpr double kept_knowledge = 0.99;
 constexpr double pi = 3.14159265358979323846;
 constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
 double polynomial(const std::array<double, Profile::terms> &c, double u, double v) {
-    return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v;
+    const auto t = polynomial_terms(u, v);
+    double sum = 0;
+    for (std::size_t k = 0; k < t.size(); ++k) sum += c[k] * t[k];
+    return sum;
 }
 
 // Cholesky of the 4 x 4 Fisher matrix in place of a library: fixed size, and singular is an answer.
@@ -51,23 +60,26 @@ struct Solver {
     }
 };
 
-// Wide open while the position is rough, then as strict as the profile is good.
+// Wide open and on the core alone while the position is rough, then as strict as the profile is good.
+constexpr int rough_iterations = 2;
+constexpr double core_q = 5.0;
+
 Judge judge_at(int iteration, const Profile &profile, const Settings &settings, double peak, double q_max) {
-    constexpr std::array<double, 3> slack{0.20, 0.06, 0.02}; // of the peak, for a wrong position
-    constexpr std::array<double, 3> trust{0.50, 0.20, 0.08}; // of the pixel, for a wrong flux
+    constexpr std::array<double, rough_iterations> slack{0.20, 0.03}; // of the peak, for a wrong position
+    constexpr std::array<double, rough_iterations> trust{0.50, 0.15}; // of the pixel, for a wrong flux
     const double fine = std::max(0.003, 3 * profile.misfit);
-    const bool rough = iteration < 3;
-    const double floor = rough ? slack[static_cast<std::size_t>(iteration)] * peak : 0.0;
-    const double tolerance = rough ? std::max(trust[static_cast<std::size_t>(iteration)], fine) : fine;
+    const bool rough = iteration < rough_iterations;
+    const double floor = rough ? slack[iteration] * peak : 0.0;
+    const double tolerance = rough ? std::max(trust[iteration], fine) : fine;
     return {cut_sigma, static_cast<float>(tolerance), static_cast<float>(floor * floor),
-            static_cast<float>(1 / settings.gain_e_adu), static_cast<float>(q_max)};
+            static_cast<float>(1 / settings.gain_e_adu), static_cast<float>(rough ? core_q : q_max)};
 }
 
 void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
     const auto cx = solver.solve({0, 1, 0, 0}), cy = solver.solve({0, 0, 1, 0}), cf = solver.solve({1, 0, 0, 0});
     fit.var_x = cx[1], fit.cov_xy = cx[2], fit.var_y = cy[2], fit.var_flux = cf[0];
-    const double freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
-    fit.chi2 = normal.sum[Normal::chi2] / freedom;
+    fit.freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
+    fit.chi2 = normal.sum[Normal::chi2] / fit.freedom;
     fit.left_out = normal.sum[Normal::left_out];
     fit.lost = normal.sum[Normal::light_lost] / std::max(normal.sum[Normal::light], 1e-300);
 }
@@ -121,7 +133,7 @@ double reach(const Profile &profile, double contrast) {
         inside[static_cast<std::size_t>(k)] = sum;
     }
     const auto at = std::lower_bound(inside.begin(), inside.end(), kept_knowledge * sum);
-    return std::clamp(static_cast<double>(at - inside.begin() + 1) * step, 9.0, 30.0);
+    return std::clamp(static_cast<double>(at - inside.begin() + 1) * step, 7.0, 30.0);
 }
 
 Reach::Reach(const Profile &profile) {
@@ -135,25 +147,35 @@ double Reach::operator()(double contrast) const {
 
 namespace {
 
+// One row: pixels less a sloping background, 1 where they may be used; returns whether one is saturated.
+template <class P>
+bool copy_row(const typename P::Raw *row, int width, float left, float slope, float saturation, float *value,
+              float *usable) {
+    unsigned any = 0;
+    for (int i = 0; i < width; ++i) {
+        const float v = static_cast<float>(P::key(row[i]));
+        const bool good = v < saturation && v > -std::numeric_limits<float>::infinity(); // false for NaN
+        any |= static_cast<unsigned>(v >= saturation);
+        usable[i] = good ? 1.0f : 0.0f;
+        value[i] = good ? v - left - slope * static_cast<float>(i) : 0.0f;
+    }
+    return any != 0;
+}
+
+// The background of the stamp is a plane: its tiles are far wider.
 template <class P>
 Cut copy_pixels(const Pixels<P> &pixels, const Background &background, const Settings &settings, Stamp &stamp,
                 int width) {
     Cut cut;
+    const double x1 = stamp.x0 + width - 1, y1 = stamp.y0 + stamp.height - 1;
+    const float corner = background.level_at(stamp.x0, stamp.y0);
+    const float across = (background.level_at(x1, stamp.y0) - corner) / static_cast<float>(std::max(width - 1, 1));
+    const float down = (background.level_at(stamp.x0, y1) - corner) / static_cast<float>(std::max(stamp.height - 1, 1));
     const auto saturation = static_cast<float>(settings.saturation_adu);
-    const double x1 = stamp.x0 + width - 1;
     for (int j = 0; j < stamp.height; ++j) {
-        const int y = stamp.y0 + j;
-        const float left = background.level_at(stamp.x0, y);
-        const float slope = width > 1 ? (background.level_at(x1, y) - left) / static_cast<float>(width - 1) : 0.0f;
-        const auto *row = pixels.row(y) + stamp.x0;
         const std::size_t at = static_cast<std::size_t>(j * stamp.width);
-        for (int i = 0; i < width; ++i) {
-            const float v = static_cast<float>(P::key(row[i]));
-            const bool good = std::isfinite(v) && v < saturation;
-            cut.saturated |= v >= saturation;
-            stamp.value[at + i] = good ? v - left - slope * static_cast<float>(i) : 0.0f;
-            stamp.usable[at + i] = good ? 1.0f : 0.0f;
-        }
+        cut.saturated |= copy_row<P>(pixels.row(stamp.y0 + j) + stamp.x0, width, corner + down * static_cast<float>(j),
+                                     across, saturation, &stamp.value[at], &stamp.usable[at]);
     }
     return cut;
 }
@@ -167,13 +189,30 @@ Cut cut_out(const ImageView &image, const Background &background, const Settings
     const int left = std::clamp(x0, 0, image.width - 1), right = std::clamp(x1, left, image.width - 1);
     const int top = std::clamp(y0, 0, image.height - 1), bottom = std::clamp(y1, top, image.height - 1);
     stamp.resize(left, top, right - left + 1, bottom - top + 1);
+    const float noise = background.noise_at(x, y);
+    std::fill(stamp.variance.begin(), stamp.variance.end(), noise * noise);
     Cut cut = with_pixels(image, [&](const auto &pixels) {
         return copy_pixels(pixels, background, settings, stamp, right - left + 1);
     });
-    const float noise = background.noise_at(x, y);
-    std::fill(stamp.variance.begin(), stamp.variance.end(), noise * noise);
     cut.truncated = left != x0 || right != x1 || top != y0 || bottom != y1;
     return cut;
+}
+
+void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height) {
+    constexpr int line_bytes = 64;
+    const auto pixel_bytes = [&] {
+        if (image.type == PixelType::F64) return 8;
+        return image.type == PixelType::U16 || image.type == PixelType::U16Fits ? 2 : 4;
+    }();
+    const int x0 = std::clamp(static_cast<int>(x - half_width), 0, image.width - 1);
+    const int x1 = std::clamp(static_cast<int>(x + half_width) + 1, 0, image.width - 1);
+    const int y0 = std::clamp(static_cast<int>(y - half_height), 0, image.height - 1);
+    const int y1 = std::clamp(static_cast<int>(y + half_height) + 1, 0, image.height - 1);
+    for (int j = y0; j <= y1; ++j) {
+        const std::byte *row = image.data + j * image.row_bytes;
+        for (int b = x0 * pixel_bytes; b <= x1 * pixel_bytes; b += line_bytes) __builtin_prefetch(row + b);
+        __builtin_prefetch(row + x1 * pixel_bytes);
+    }
 }
 
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit) {
@@ -186,15 +225,15 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
     for (int k = 0; k < most_iterations && !fit.converged; ++k) {
         const Judge judge = judge_at(k, profile, settings, std::max(state.flux, 0.0) * peak_share, fit.q_max);
         const Normal n = normal_equations(stamp, shape, state, judge);
-        const Solver solver(n, free_background ? 4 : 3);
+        const Solver solver(n, free_background && k >= rough_iterations ? 4 : 3);
         if (!solver.regular) break;
         const auto step = solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
         const double size = std::hypot(step[1], step[2]), brake = size > longest ? longest / size : 1.0;
         state.flux = std::max(state.flux + step[0], 0.3 * state.flux); // a flux below zero has no gradient
         state.x += brake * step[1], state.y += brake * step[2];
-        if (free_background) state.background += step[3];
+        if (solver.n == 4) state.background += step[3];
         take_covariance(n, solver, fit);
-        fit.converged = k >= 3 && size * size < enough * enough * (fit.var_x + fit.var_y);
+        fit.converged = k >= rough_iterations && size * size < enough * enough * (fit.var_x + fit.var_y);
     }
     fit.flux = state.flux, fit.background = state.background;
     fit.x = stamp.x0 + state.x, fit.y = stamp.y0 + state.y;

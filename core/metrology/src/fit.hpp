@@ -15,6 +15,7 @@ struct Ellipse {
     double half_height(double q_max) const;
 };
 
+std::array<double, Profile::terms> polynomial_terms(double u, double v);
 Ellipse ellipse_at(const Profile &profile, double x_px, double y_px);
 Shape shape_of(const Profile &profile, const Ellipse &ellipse);
 
@@ -37,10 +38,12 @@ class Reach {
 };
 
 struct Fit {
+    std::size_t seed = 0; // which of the frame's seeds
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
-    double chi2 = 0;
+    double chi2 = 0;   // per degree of freedom
+    double freedom = 1;
     double lost = 0;   // share of the profile's squared light without a say
     double left_out = 0; // pixels
     double q_max = 0;
@@ -48,6 +51,7 @@ struct Fit {
     bool saturated = false;
     bool truncated = false;
     bool converged = false;
+    bool orphaned = false; // a neighbour that was taken off turned out to be none
     float height = 0; // ADU, of the seed
 };
 
@@ -58,6 +62,9 @@ struct Cut {
 };
 Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
             double half_width, double half_height, Stamp &stamp);
+
+// Asks the memory for the pixels of the next spot while this one is fitted: spots lie far apart.
+void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height);
 
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit);

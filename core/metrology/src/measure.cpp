@@ -12,19 +12,25 @@ namespace {
 constexpr double blend_fwhm = 2.0;   // nearer than this, two spots share their pixels
 constexpr double same_fwhm = 0.4;    // nearer than this, it is one
 constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
+constexpr double most_unexplained = 0.04; // of what the profile explains
+constexpr double most_ragged = 0.2;   // of the pixels, left out where the others do not fit either
 constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
 constexpr double poor_chi2 = 2.0;
+constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
+constexpr double close_fwhm = 3.0;   // nearer than this, one fit moves the other
 constexpr int neighbour_rounds = 4;
 
 // Spots of one image and who stands near whom.
 class Frame {
   public:
     Frame(const ImageView &image, const Background &background, const Settings &settings, const Profile &profile)
-        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile) {}
+        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile), typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
 
     void add(const Seed &seed) {
         const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
         Fit fit;
+        fit.seed = same_as_.size();
+        same_as_.push_back(fit.seed);
         fit.x = seed.x, fit.y = seed.y, fit.height = seed.height, fit.saturated = seed.saturated;
         // the mean over 3 x 3 pixels sees the profile at about q = (2/3) / S
         fit.flux = seed.height * e.area() / profile_value(profile_, 0.67 / e.area());
@@ -34,47 +40,78 @@ class Frame {
     }
 
     void drop_doubles() {
-        link(same_fwhm * typical_fwhm());
+        link(same_fwhm * typical_fwhm_);
         std::vector<char> keep(fits_.size(), 1);
         for (std::size_t i = 0; i < fits_.size(); ++i)
             for (const std::size_t j : near_[i])
-                if (keep[j] != 0 && brighter(j, i)) keep[i] = 0;
+                if (keep[j] != 0 && brighter(j, i)) forget(i, j, keep);
         erase_unless(keep);
     }
 
+    // Brightest first, each with the light of its neighbours taken off; those that share pixels again and again.
     void fit_all() {
-        link(neighbour_reach());
+        link(wing_fwhm * typical_fwhm_);
         std::vector<std::size_t> order(fits_.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         std::sort(order.begin(), order.end(), [this](auto a, auto b) { return brighter(a, b); });
-        for (const std::size_t i : order) fit_one(i);
+        for (std::size_t k = 0; k < order.size(); ++k) {
+            if (k + 1 < order.size()) fetch(fits_[order[k + 1]]);
+            fit_one(order[k]);
+        }
         for (int round = 1; round < neighbour_rounds; ++round) {
             drop_what_is_none();
-            link(neighbour_reach());
+            link(wing_fwhm * typical_fwhm_);
             for (std::size_t i = 0; i < fits_.size(); ++i)
-                if (!near_[i].empty()) fit_one(i);
+                if (fits_[i].orphaned || shares_pixels(i)) fit_one(i);
         }
         drop_what_is_none();
     }
 
     std::vector<Spot> spots() {
-        link(blend_fwhm * typical_fwhm());
+        link(blend_fwhm * typical_fwhm_);
         std::vector<Spot> out;
         for (std::size_t i = 0; i < fits_.size(); ++i) out.push_back(spot(fits_[i], !near_[i].empty()));
         return out;
     }
 
-    const std::vector<Fit> &fits() const { return fits_; }
+    // For each seed the index of its spot, or -1.
+    std::vector<std::ptrdiff_t> spot_of_seeds() const {
+        std::vector<std::ptrdiff_t> out(same_as_.size(), -1);
+        for (std::size_t i = 0; i < fits_.size(); ++i) out[fits_[i].seed] = static_cast<std::ptrdiff_t>(i);
+        for (std::size_t k = 0; k < out.size(); ++k) {
+            std::size_t other = k;
+            while (same_as_[other] != other) other = same_as_[other];
+            out[k] = out[other];
+        }
+        return out;
+    }
 
   private:
+    void forget(std::size_t i, std::size_t for_j, std::vector<char> &keep) {
+        keep[i] = 0;
+        same_as_[fits_[i].seed] = fits_[for_j].seed;
+    }
     bool brighter(std::size_t a, std::size_t b) const {
         return fits_[a].height > fits_[b].height || (fits_[a].height == fits_[b].height && a < b);
     }
-    double typical_fwhm() const {
-        return profile_.fwhm_px(profile_.half_width_px, profile_.half_height_px);
+    bool shares_pixels(std::size_t i) const {
+        return std::any_of(near_[i].begin(), near_[i].end(), [&](std::size_t j) {
+            return distance(fits_[i], fits_[j]) < close_fwhm * typical_fwhm_;
+        });
     }
-    // wings of a spot matter to this distance
-    double neighbour_reach() const { return 6.0 * typical_fwhm(); }
+    static double distance(const Fit &a, const Fit &b) { return std::hypot(a.x - b.x, a.y - b.y); }
+
+    // Does the light of `other` reach into the pixels of a spot, a tenth of the noise of one of them?
+    bool reaches(const Fit &other, const Fit &fit, const Ellipse &e, float noise) const {
+        const double gap = std::max(distance(other, fit) - std::sqrt(fit.q_max * std::max(e.xx, e.yy)), 0.0);
+        const double light = other.flux * profile_value(profile_, gap * gap / e.area()) / e.area();
+        return light > 0.1 * noise;
+    }
+
+    void fetch(const Fit &fit) const {
+        const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
+        fetch_ahead(image_, fit.x, fit.y, e.half_width(fit.q_max), e.half_height(fit.q_max));
+    }
 
     void fit_one(std::size_t i) {
         Fit &fit = fits_[i];
@@ -83,28 +120,44 @@ class Frame {
                                 e.half_height(fit.q_max), stamp_);
         fit.truncated = cut.truncated;
         fit.saturated = cut.saturated;
+        const float noise = background_.noise_at(fit.x, fit.y);
         for (const std::size_t j : near_[i]) {
             const Fit &n = fits_[j];
+            if (!reaches(n, fit, e, noise)) continue;
             subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux, n.x - stamp_.x0,
                              n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
         }
         solve(stamp_, profile_, settings_, true, fit);
+        fit.orphaned = false;
     }
 
     bool is_spot(const Fit &f) const {
         const double sigma = f.flux / std::sqrt(f.var_flux);
         const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
-        return f.converged && sigma > settings_.threshold && f.lost < cap && f.x > -0.5 && f.y > -0.5 &&
-               f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+        return f.converged && sigma > settings_.threshold && f.lost < cap && has_the_shape(f, sigma) &&
+               f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+    }
+
+    // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots.
+    static bool has_the_shape(const Fit &f, double sigma) {
+        const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
+        // a spot hit by a cosmic ray loses pixels and fits well with the others; a track does neither
+        const bool ragged = f.chi2 > poor_chi2 && f.left_out > most_ragged * (f.left_out + f.freedom);
+        return left_over < most_unexplained * sigma * sigma && !ragged;
     }
 
     void drop_what_is_none() {
-        link(same_fwhm * typical_fwhm());
         std::vector<char> keep(fits_.size(), 1);
         for (std::size_t i = 0; i < fits_.size(); ++i) keep[i] = is_spot(fits_[i]);
         for (std::size_t i = 0; i < fits_.size(); ++i)
-            for (const std::size_t j : near_[i])
-                if (keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) keep[i] = 0;
+            for (const std::size_t j : near_[i]) {
+                const bool one = distance(fits_[i], fits_[j]) < same_fwhm * typical_fwhm_;
+                if (one && keep[i] != 0 && keep[j] != 0 && fits_[j].flux > fits_[i].flux) forget(i, j, keep);
+            }
+        // what was taken off for a spot that is none must be given back
+        for (std::size_t i = 0; i < fits_.size(); ++i)
+            if (keep[i] == 0)
+                for (const std::size_t j : near_[i]) fits_[j].orphaned = true;
         erase_unless(keep);
     }
 
@@ -148,8 +201,10 @@ class Frame {
     const Settings &settings_;
     const Profile &profile_;
     Reach reach_;
+    double typical_fwhm_;
     Stamp stamp_;
     std::vector<Fit> fits_;
+    std::vector<std::size_t> same_as_; // seed that turned out to be the same spot, itself otherwise
     std::vector<std::vector<std::size_t>> near_;
 };
 
@@ -162,9 +217,10 @@ double Profile::fwhm_px(double x_px, double y_px) const {
     return 2 * std::sqrt(low * ellipse_at(*this, x_px, y_px).area());
 }
 
-Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
-    const Background background = measure_background(image);
-    const std::vector<Seed> seeds = detect(image, background, settings);
+namespace {
+
+Result measure(const ImageView &image, const Background &background, const Settings &settings,
+               const std::vector<Seed> &seeds, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
     Result result;
     result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
     result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
@@ -173,7 +229,15 @@ Result find_spots(const ImageView &image, const Settings &settings, const Profil
     frame.drop_doubles();
     frame.fit_all();
     result.spots = frame.spots();
+    if (of_seeds != nullptr) *of_seeds = frame.spot_of_seeds();
     return result;
+}
+
+} // namespace
+
+Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
+    const Background background = measure_background(image);
+    return measure(image, background, settings, detect(image, background, settings), known, nullptr);
 }
 
 Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
@@ -183,37 +247,23 @@ Result find_expected(const ImageView &image, const Settings &settings, std::span
     std::vector<Seed> seeds;
     std::vector<std::size_t> owner;
     for (std::size_t i = 0; i < n; ++i) {
-        Seed seed;
-        if (!detect_near(image, background, settings, expected_xy_px[2 * i], expected_xy_px[2 * i + 1], radius_px,
-                         seed))
-            continue;
-        seeds.push_back(seed), owner.push_back(i);
+        const double x = expected_xy_px[2 * i], y = expected_xy_px[2 * i + 1];
+        if (Seed seed; detect_near(image, background, settings, x, y, radius_px, seed))
+            seeds.push_back(seed), owner.push_back(i);
     }
-    Result result;
-    result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
-    result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
-    Frame frame(image, background, settings, result.profile);
-    for (const Seed &s : seeds) frame.add(s);
-    frame.drop_doubles();
-    frame.fit_all();
-    const std::vector<Spot> found = frame.spots();
-    result.spots.assign(n, Spot{});
-    std::vector<int> claims(found.size(), 0);
-    std::vector<std::ptrdiff_t> taken(n, -1);
+    std::vector<std::ptrdiff_t> of_seeds;
+    Result result = measure(image, background, settings, seeds, known, &of_seeds);
+    std::vector<int> claims(result.spots.size(), 0);
+    for (const std::ptrdiff_t j : of_seeds)
+        if (j >= 0) ++claims[static_cast<std::size_t>(j)];
+    std::vector<Spot> found(n);
     for (std::size_t k = 0; k < owner.size(); ++k) {
-        double nearest = same_fwhm * result.profile.fwhm_px(seeds[k].x, seeds[k].y) + 1.0;
-        for (std::size_t j = 0; j < found.size(); ++j) {
-            const double d = std::hypot(found[j].x_px - seeds[k].x, found[j].y_px - seeds[k].y);
-            if (d < nearest) nearest = d, taken[owner[k]] = static_cast<std::ptrdiff_t>(j);
-        }
-        if (taken[owner[k]] >= 0) ++claims[static_cast<std::size_t>(taken[owner[k]])];
+        if (of_seeds[k] < 0) continue;
+        const auto j = static_cast<std::size_t>(of_seeds[k]);
+        found[owner[k]] = result.spots[j];
+        if (claims[j] > 1) found[owner[k]].flags |= shared;
     }
-    for (std::size_t i = 0; i < n; ++i) {
-        if (taken[i] < 0) continue;
-        const auto j = static_cast<std::size_t>(taken[i]);
-        result.spots[i] = found[j];
-        if (claims[j] > 1) result.spots[i].flags |= shared;
-    }
+    result.spots = std::move(found);
     return result;
 }
 

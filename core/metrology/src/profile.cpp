@@ -130,11 +130,15 @@ bool adaptive_moments(const Stamp &stamp, Sample &sample) {
     return true;
 }
 
-std::vector<double> terms_at(const Profile &p, double x, double y, int n) {
-    const double u = x / p.half_width_px - 1, v = y / p.half_height_px - 1;
-    std::vector<double> t{1, u, v, u * u, u * v, v * v};
-    t.resize(static_cast<std::size_t>(n));
-    return t;
+std::array<double, Profile::terms> terms_at(const Profile &p, double x, double y) {
+    return polynomial_terms(x / p.half_width_px - 1, y / p.half_height_px - 1);
+}
+
+// As much freedom as eight spots for each number allow: degree 4, 3, 2, 1 or none.
+int terms_for(int n_spots) {
+    for (const int terms : {15, 10, 6, 3})
+        if (n_spots >= 8 * terms) return terms;
+    return 1;
 }
 
 // Least squares by the normal equations, Gauss with pivots; small and well scaled.
@@ -165,7 +169,7 @@ void fit_component(Profile &p, const std::vector<Sample> &samples, int n, std::s
     std::vector<double> b(static_cast<std::size_t>(n), 0.0);
     for (const Sample &s : samples) {
         if (!s.good) continue;
-        const auto t = terms_at(p, s.x, s.y, n);
+        const auto t = terms_at(p, s.x, s.y);
         for (int i = 0; i < n; ++i) {
             b[i] += t[i] * component(s.s, k);
             for (int j = 0; j < n; ++j) a[i][j] += t[i] * t[j];
@@ -202,7 +206,7 @@ void fit_shapes(Profile &p, std::vector<Sample> &samples) {
     }
     for (int round = 0; round < 4; ++round) {
         const int good = clip_samples(p, samples);
-        const int terms = good >= 40 ? 6 : good >= 12 ? 3 : 1;
+        const int terms = round < 2 ? std::min(terms_for(good), 6) : terms_for(good);
         for (std::size_t k = 0; k < 3; ++k) fit_component(p, samples, terms, k);
     }
 }

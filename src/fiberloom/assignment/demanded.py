@@ -9,6 +9,7 @@ from ..targets import TargetList
 from .candidates import Block, Candidates
 from .choose import conflicts, levels_of, pack
 from .clearance import Floats, Ints, dip_mm, obstacles, sweep
+from .escape import Escape
 from .floor import Floor, Rules
 from .screen import screen
 
@@ -35,7 +36,7 @@ def place_demanded(
         rules,
         pair_mm=2 * plane.collision_buffer_mm + dip_mm(plane, rules.approach_deg),
         gap_mm=dip_mm(plane, rules.approach_deg, bodies=1),
-        bodies=obstacles(plane, 0.0),
+        escape=Escape(plane, obstacles(plane, 0.0)),
     )
     approach = np.full(len(found), rules.approach_deg)
     approach[_crowded(plane, found, approach, bare)] = least_approach_deg(plane, bare.approach_deg)

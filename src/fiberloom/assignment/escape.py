@@ -5,6 +5,8 @@ cannot be left: about 0.5 % of the places of one positioner in twelve of SDSS-V.
 serve them.
 """
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from scipy.ndimage import label
 
@@ -17,62 +19,76 @@ GUARD_MM = 0.05
 """A step of 3 deg passes nearer than its ends by 0.04 mm at most (as `clearance.dip_mm`)."""
 
 
-def can_fold(plane: FocalPlane, positioner: Ints, goal_deg: Floats, bodies: Floats) -> Bools:
-    """(C,) which of these places (rows, goals) are connected to the folded place."""
-    out = _folds_straight(plane, positioner, goal_deg, bodies)
-    for row in np.unique(positioner[~out]):
-        mine = np.flatnonzero((positioner == row) & ~out)
-        out[mine] = _flood(plane, int(row), goal_deg[mine], bodies)
-    return out
+@dataclass
+class Escape:
+    """Answers for one plane and its fixed bodies (K, 5); what was found is kept."""
 
+    plane: FocalPlane
+    bodies: Floats
+    _turns: dict[int, bool] = field(default_factory=dict)
+    _regions: dict[int, Ints] = field(default_factory=dict)
 
-def _folds_straight(plane: FocalPlane, positioner: Ints, goal_deg: Floats, bodies: Floats) -> Bools:
-    """Is the way free on which beta folds the arm, then alpha turns it? Enough for nearly all."""
-    folded = plane.instrument.positioner.park_deg[1]
-    span = np.abs(folded - goal_deg[:, 1]).max(initial=0.0)
-    steps = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(span / STEP_DEG))))
-    beta = goal_deg[:, 1:] + (folded - goal_deg[:, 1:]) * steps
-    segments = _poses(plane, positioner, np.broadcast_to(goal_deg[:, :1], beta.shape), beta)
-    # the goal itself was tested before, with its own margin
-    folds = obstacle_gap_mm(plane, positioner, segments[:, 1:], bodies) > GUARD_MM
-    rows, where = np.unique(positioner, return_inverse=True)
-    return folds & _turns_folded(plane, rows, bodies)[where]
+    def can_fold(self, positioner: Ints, goal_deg: Floats) -> Bools:
+        """(C,) which of these free places (rows, goals) are connected to the folded place."""
+        out = self.folds_straight(positioner, goal_deg)
+        for row in np.unique(positioner[~out]).tolist():
+            mine = np.flatnonzero((positioner == row) & ~out)
+            out[mine] = self.flooded(row, goal_deg[mine])
+        return out
 
+    def folds_straight(self, positioner: Ints, goal_deg: Floats) -> Bools:
+        """Is the way free on which beta folds the arm, then alpha turns it? Nearly always."""
+        folded = self.plane.instrument.positioner.park_deg[1]
+        span = np.abs(folded - goal_deg[:, 1]).max(initial=0.0)
+        steps = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(span / STEP_DEG))))
+        # the goal itself was tested before, with its own margin
+        beta = goal_deg[:, 1:] + (folded - goal_deg[:, 1:]) * steps[1:]
+        alpha = np.broadcast_to(goal_deg[:, :1], beta.shape)
+        gap = self._gap_mm(positioner, alpha, beta)
+        return (gap > GUARD_MM) & self._turns_folded(positioner)
 
-def _turns_folded(plane: FocalPlane, rows: Ints, bodies: Floats) -> Bools:
-    """(R,) which of these positioners can turn alpha over its whole range with the arm folded?"""
-    alpha = _grid(*plane.limits_deg[0])
-    shape = (len(rows), len(alpha))
-    beta = np.full(shape, plane.instrument.positioner.park_deg[1])
-    segments = _poses(plane, rows, np.broadcast_to(alpha, shape), beta)
-    return obstacle_gap_mm(plane, rows, segments, bodies) > GUARD_MM
+    def flooded(self, row: int, goal_deg: Floats) -> Bools:
+        """(C,) places of one positioner that a flood from the folded one reaches, on a grid. Where
+        an offline neighbour lies across the folded place, the largest free region takes over."""
+        if row not in self._regions:
+            self._regions[row] = self._flood(row)
+        region = self._regions[row]
+        home = int(region[self._cells(np.array([self.plane.instrument.positioner.park_deg]))][0])
+        if home == 0:
+            sizes = np.bincount(region.ravel(), minlength=2)
+            home = 1 + int(sizes[1:].argmax())
+        return region[self._cells(goal_deg)] == home
 
+    def _turns_folded(self, positioner: Ints) -> Bools:
+        """Which positioners can turn alpha over its whole range with the arm folded?"""
+        new = np.array([r for r in np.unique(positioner).tolist() if r not in self._turns], int)
+        alpha = np.broadcast_to(self._axes()[0], (len(new), len(self._axes()[0])))
+        beta = np.full(alpha.shape, self.plane.instrument.positioner.park_deg[1])
+        free = self._gap_mm(new, alpha, beta) > GUARD_MM
+        self._turns.update(zip(new.tolist(), free.tolist(), strict=True))
+        return np.array([self._turns[r] for r in positioner.tolist()], dtype=bool)
 
-def _poses(plane: FocalPlane, positioner: Ints, alpha_deg: Floats, beta_deg: Floats) -> Floats:
-    """(C, P, 4) centre lines of C positioners in P poses each."""
-    rows = np.repeat(positioner, alpha_deg.shape[1])
-    flat = plane.beta_segments(alpha_deg.ravel(), beta_deg.ravel(), index=rows)
-    return flat.reshape(*alpha_deg.shape, 4)
+    def _flood(self, row: int) -> Ints:
+        alpha, beta = np.meshgrid(*self._axes(), indexing="ij")
+        rows = np.full(alpha.size, row)
+        gap = self._gap_mm(rows, alpha.reshape(-1, 1), beta.reshape(-1, 1))
+        region, _ = label((gap > 0).reshape(alpha.shape))
+        return region
 
+    def _gap_mm(self, positioner: Ints, alpha_deg: Floats, beta_deg: Floats) -> Floats:
+        """(C,) least gap to the bodies over the P poses (C, P) of each of C positioners."""
+        rows = np.repeat(positioner, alpha_deg.shape[1])
+        flat = self.plane.beta_segments(alpha_deg.ravel(), beta_deg.ravel(), index=rows)
+        segments = flat.reshape(*alpha_deg.shape, 4)
+        return obstacle_gap_mm(self.plane, positioner, segments, self.bodies)
 
-def _flood(plane: FocalPlane, row: int, goal_deg: Floats, bodies: Floats) -> Bools:
-    """Flood the free places of one positioner from the folded one, on a grid."""
-    axes = [_grid(low, high) for low, high in plane.limits_deg]
-    alpha, beta = np.meshgrid(*axes, indexing="ij")
-    flat = np.full(alpha.size, row)
-    segments = _poses(plane, flat, alpha.reshape(-1, 1), beta.reshape(-1, 1))
-    free = (obstacle_gap_mm(plane, flat, segments, bodies) > 0).reshape(alpha.shape)
-    region, _ = label(free)
-    home = region[_cell(axes, np.array([plane.instrument.positioner.park_deg]))]
-    return (region[_cell(axes, goal_deg)] == home) & (home != 0)
+    def _axes(self) -> list[Floats]:
+        limits = self.plane.limits_deg
+        return [np.linspace(a, b, 1 + int(np.ceil((b - a) / STEP_DEG))) for a, b in limits]
 
-
-def _grid(low: float, high: float) -> Floats:
-    return np.linspace(low, high, 1 + int(np.ceil((high - low) / STEP_DEG)))
-
-
-def _cell(axes: list[Floats], places_deg: Floats) -> tuple[Ints, ...]:
-    return tuple(
-        np.abs(axis - place[:, None]).argmin(axis=1)
-        for axis, place in zip(axes, places_deg.T, strict=True)
-    )
+    def _cells(self, places_deg: Floats) -> tuple[Ints, Ints]:
+        alpha, beta = self._axes()
+        return (
+            np.abs(alpha - places_deg[:, :1]).argmin(axis=1),
+            np.abs(beta - places_deg[:, 1:]).argmin(axis=1),
+        )

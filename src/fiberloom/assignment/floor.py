@@ -16,6 +16,7 @@ from .clearance import (
     standing,
     too_near,
 )
+from .escape import Escape
 
 NOBODY = -1
 
@@ -30,8 +31,13 @@ class Rules:
     """Least distance of two centre lines at the poses."""
     gap_mm: float
     """Least gap between an arm and a fixed body at the poses."""
-    bodies: Floats
-    """(K, 5) capsules that do not move."""
+    escape: Escape
+    """What does not move, and who can get past it."""
+
+    @property
+    def bodies(self) -> Floats:
+        """(K, 5) capsules that do not move."""
+        return self.escape.bodies
 
     @classmethod
     def of(cls, plane: FocalPlane, approach_deg: float, margin_mm: float) -> "Rules":
@@ -41,7 +47,7 @@ class Rules:
             margin_mm=margin_mm,
             pair_mm=2 * plane.collision_buffer_mm + margin_mm + dip_mm(plane, approach_deg),
             gap_mm=margin_mm / 2 + dip_mm(plane, approach_deg, bodies=1),
-            bodies=obstacles(plane, margin_mm),
+            escape=Escape(plane, obstacles(plane, margin_mm)),
         )
 
 

@@ -5,7 +5,6 @@ import numpy as np
 from ..instruments import FocalPlane
 from .candidates import inside_stops
 from .clearance import Floats, Ints, obstacle_gap_mm, sweep
-from .escape import can_fold
 from .floor import NOBODY, Floor, Rules
 
 STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
@@ -26,7 +25,7 @@ def park(floor: Floor, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int
         row = queue.pop(0)
         goals, segments = _places(floor.plane, row, rules)
         near, hit = floor.hits(row, segments, rules.pair_mm)
-        best = _cheapest(floor.plane, row, goals, hit @ worth[near], rules)
+        best = _cheapest(row, goals, hit @ worth[near], rules)
         if best is None:
             _leave_folded(floor, row)
             continue
@@ -51,10 +50,10 @@ def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
     return goals[ok], segments[ok]
 
 
-def _cheapest(plane: FocalPlane, row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None:
+def _cheapest(row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None:
     """The first of the cheapest places that can be left again."""
     for k in np.argsort(cost, kind="stable").tolist():
-        if can_fold(plane, np.array([row]), goals[k : k + 1], rules.bodies)[0]:
+        if rules.escape.can_fold(np.array([row]), goals[k : k + 1])[0]:
             return k
     return None
 

@@ -5,7 +5,6 @@ import numpy as np
 from ..instruments import FocalPlane
 from .candidates import Block, Candidates, inside_stops
 from .clearance import Floats, Ints, obstacle_gap_mm, places, too_near
-from .escape import can_fold
 from .floor import Floor, Rules
 
 
@@ -19,7 +18,7 @@ def screen(
     block[~inside_stops(plane, found.goal_deg, approach)] = Block.STOPS
     block[plane.offline[found.positioner]] = Block.OFFLINE
     ok = np.flatnonzero(block == Block.NONE)
-    folds = can_fold(plane, found.positioner[ok], found.goal_deg[ok], rules.bodies)
+    folds = rules.escape.can_fold(found.positioner[ok], found.goal_deg[ok])
     block[ok[~folds]] = Block.POCKET
     return block
 

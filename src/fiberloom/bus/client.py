@@ -32,6 +32,9 @@ from fiberloom.errors import InputError
 
 # The answer to a broadcast is not counted on for fewer positioners than this: unicast is as cheap.
 _BROADCAST_FROM = 4
+# Plain integers: a poll looks at every bit of 500 positioners ten times a second.
+_COLLIDED = int(Status.COLLISION)
+_COMPLETED = int(Status.DISPLACEMENT_COMPLETED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,12 +349,12 @@ class Client:
         """Books those whose motion has ended; returns those that still move."""
         moving = set()
         for i, answer in status.items():
-            bits = Status(answer.values[0]) if answer.ok else Status(0)
-            if i in self._collided or bits & Status.COLLISION:
+            bits = answer.values[0] if answer.ok else 0
+            if i in self._collided or bits & _COLLIDED:
                 results[i] = Result(i, Outcome.COLLIDED)
             elif not answer.ok:
                 results[i] = answer
-            elif bits & Status.DISPLACEMENT_COMPLETED:
+            elif bits & _COMPLETED:
                 results[i] = Result(i, Outcome.DONE)
             else:
                 moving.add(i)

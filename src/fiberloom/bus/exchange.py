@@ -17,6 +17,8 @@ from fiberloom.bus.transport import Frame, Transport
 
 # A transport whose clock has not moved after this many empty receives will never reach a deadline.
 _STANDSTILL_LIMIT = 1000
+# A transport may count in ticks: less than this could be no time at all for it.
+_SHORTEST_WAIT_S = 1e-3
 
 
 class _Waiter:
@@ -193,7 +195,8 @@ class Exchange:
         # no longer than the most impatient of those who wait
         before_s = self.time_s
         try:
-            frames = await self.transport.receive(max(min(self._deadlines) - before_s, 0.0))
+            left_s = min(self._deadlines) - before_s
+            frames = await self.transport.receive(max(left_s, _SHORTEST_WAIT_S))
         except OSError as error:
             self.lost = str(error) or type(error).__name__
             return
@@ -217,15 +220,14 @@ class Exchange:
                 waiter.missing -= 1
 
     def _dispatch_other(self, frame: Frame) -> None:
-        try:
-            identifier = decode(frame[0])
-        except ValueError:
+        """Replies to broadcasts, collisions, and what nobody waits for."""
+        number = frame[0]
+        positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
+        if not 0 < positioner <= MAX_POSITIONER:
             self.strays += 1
-            return
-        broadcast = self._broadcasts.get(identifier.command)
-        if identifier.command == Command.COLLISION_DETECTED:
-            self.on_unsolicited(identifier, frame)
-        elif broadcast is not None and identifier.uid == 0 and identifier.positioner != 0:
-            broadcast.take(identifier.positioner, frame)
+        elif command == Command.COLLISION_DETECTED:
+            self.on_unsolicited(decode(number), frame)
+        elif uid == 0 and (broadcast := self._broadcasts.get(command)) is not None:
+            broadcast.take(positioner, frame)
         else:
             self.strays += 1

@@ -80,13 +80,13 @@ def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool
     """Judges one reply; None is a reply that never came."""
     if reply is None:
         return Result(positioner, Outcome.DISCONNECTED if lost else Outcome.TIMED_OUT)
-    code = Response(reply[0] & 0xF)
-    if code is not Response.ACCEPTED:
-        return Result(positioner, Outcome.REFUSED, code)
+    code = reply[0] & 0xF
+    if code:
+        return Result(positioner, Outcome.REFUSED, Response(code))
     values = COMMANDS[command].unpack(reply[1])
     if values is None:  # accepted, but not with what the table promises
         return Result(positioner, Outcome.REFUSED, Response.INCORRECT_AMOUNT_OF_DATA)
-    return Result(positioner, Outcome.DONE, code, values)
+    return Result(positioner, Outcome.DONE, Response.ACCEPTED, values)
 
 
 def all_of(positioners: Iterable[int], outcome: Outcome) -> Results:

@@ -180,7 +180,7 @@ class CommandSpec:
 
     def unpack(self, data: bytes) -> tuple[int, ...] | None:
         """The values of a reply, or None when its payload is shorter than the table says."""
-        layout = struct.Struct("<" + self.reply)
+        layout = _LAYOUTS[self.reply]
         return layout.unpack_from(data) if len(data) >= layout.size else None
 
 
@@ -245,6 +245,8 @@ _TABLE = [
 
 COMMANDS: dict[Command, CommandSpec] = {spec.command: spec for spec in _TABLE}
 """Every command the host can send or receive."""
+
+_LAYOUTS = {spec.reply: struct.Struct("<" + spec.reply) for spec in _TABLE}
 
 MAX_SPEED_RPM = 5000
 

@@ -1,9 +1,11 @@
 """From the camera's positions of a sweep to transmission maps.
 
 While one axis turns, the metrology fibre goes round a circle: its centre is the axis, and the
-direction about the centre is the angle up to a constant. The two constants of a positioner are then
-those with which the layout's kinematics (Eq. 1) meets all its points best, so that the map's
-angles are the layout's.
+direction about the centre is the angle up to a constant. The two circles also tell where the other
+axis rested: alpha by the direction from centre to centre, beta by the triangle of the lengths.
+(What its own sweep found at that position is no help: an axis at rest creeps by what its motor is
+kicked about while the other one moves.) The constants are then those with which the layout's
+kinematics (Eq. 1) meets all points best, so that the map's angles are the layout's.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from numpy.typing import NDArray
 
 from fiberloom.calibration.circle import Circles, fit_circles
 from fiberloom.calibration.transmission import AXES, Provenance, TransmissionMaps
-from fiberloom.instruments import FocalPlane
+from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF
 from fiberloom.units import UM_PER_MM, rad_to_deg, wrap_deg
 
 if TYPE_CHECKING:
@@ -27,7 +30,7 @@ Flags = NDArray[np.bool_]
 
 # Less than this on the camera is no motion: a hundred times the noise of a bad camera.
 _NO_MOTION_MM = 0.1
-_STEPS = 8
+_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -64,13 +67,14 @@ def evaluate(
     """Maps and report of a sweep. Whoever cannot be evaluated keeps the identity, with a reason."""
     circles = [_circle(data, axis) for axis in range(2)]
     reason = _first(data.trouble, _not_seen(circles, seen_at_least), _not_moved(data))
-    shape = np.stack([_shape_deg(data, circles[axis], axis) for axis in range(2)], axis=1)
+    rest = _rest_deg(plane, circles)
+    output = np.stack([_output_deg(plane, data, circles, rest, axis) for axis in range(2)], axis=1)
     good = np.flatnonzero([not r for r in reason])
     zero, layout_rms = np.zeros((plane.n, 2)), np.full(plane.n, np.nan)
-    zero[good], layout_rms[good] = _tie(plane, data, shape, circles, good)
-    wire = np.broadcast_to(data.wire_deg[:, None], shape.shape).copy()
-    output = wire + shape + zero[:, :, None, None]
+    zero[good], layout_rms[good] = _tie(plane, data, output, rest, circles, good)
+    output += zero[:, :, None, None]
     reason = _first(reason, _not_rising(output, data.wire_deg))
+    wire = np.broadcast_to(data.wire_deg[:, None], output.shape).copy()
     for row in np.flatnonzero([bool(r) for r in reason]):
         output[row] = wire[row]
     maps = TransmissionMaps(plane.positioner_id, wire, output, provenance)
@@ -113,32 +117,74 @@ def _not_moved(data: SweepData) -> list[str]:
     return out
 
 
-def _shape_deg(data: SweepData, circle: Circles, axis: int) -> Floats:
-    """(N, 2, K) output angle minus wire position, up to one constant for each positioner."""
-    xy = data.xy_mm[axis].transpose(2, 0, 1, 3)  # (N, 2, K, 2)
+def _rest_deg(plane: FocalPlane, circles: list[Circles]) -> Floats:
+    """(N, 2) angles of alpha and beta at rest while the other axis turned."""
+    alpha, beta = circles
+    arm = beta.centre_mm - alpha.centre_mm
+    l_alpha, l_beta, reach = np.hypot(*arm.T), beta.radius_mm, alpha.radius_mm
+    product = np.maximum(2.0 * l_alpha * l_beta, 1e-300)
+    cosine = (reach**2 - l_alpha**2 - l_beta**2) / product
+    bend = np.arccos(np.clip(cosine, -1.0, 1.0))  # right-handed, as beta in [0, 180]
+    zero = _zeros_rad(plane)
+    return rad_to_deg(np.column_stack([np.arctan2(arm[:, 1], arm[:, 0]), bend]) - zero)
+
+
+def _zeros_rad(plane: FocalPlane) -> Floats:
+    """(N, 2) the layout's zeros: directions of the alpha arm, and of the fibre from it."""
+    x, y = plane.points[METROLOGY].T
+    return np.column_stack([plane.arms[:, ALPHA_OFF], plane.arms[:, BETA_OFF] + np.arctan2(y, x)])
+
+
+def _output_deg(
+    plane: FocalPlane, data: SweepData, circles: list[Circles], rest: Floats, axis: int
+) -> Floats:
+    """(N, 2, K) output angles of the axis that turned, before they are tied to the layout."""
+    xy, circle = data.xy_mm[axis].transpose(2, 0, 1, 3), circles[axis]  # (N, 2, K, 2)
     out = xy - circle.centre_mm[:, None, None]
-    raw = rad_to_deg(np.arctan2(out[..., 1], out[..., 0])) - data.wire_deg[axis]
-    used = circle.used.reshape(raw.shape)
-    unit = np.where(used, np.exp(1j * np.deg2rad(np.nan_to_num(raw))), 0.0)
-    mean = rad_to_deg(np.angle(unit.sum(axis=(1, 2))))
-    shape = np.where(used, wrap_deg(raw - mean[:, None, None]), np.nan)
-    return _fill(shape, data.wire_deg[axis])
+    direction = rad_to_deg(np.arctan2(out[..., 1], out[..., 0]))
+    direction -= _direction_at_zero_deg(plane, circles, rest, axis)[:, None, None]
+    # near the wire's angle, whatever the number of turns
+    used = circle.used.reshape(direction.shape)
+    off = direction - data.wire_deg[axis]
+    unit = np.where(used, np.exp(1j * np.deg2rad(np.nan_to_num(off))), 0.0)
+    mean = rad_to_deg(np.angle(unit.sum(axis=(1, 2))))[:, None, None]
+    off = np.where(used, mean + wrap_deg(off - mean), np.nan)
+    return _fill(off, data.wire_deg[axis]) + data.wire_deg[axis]
 
 
-def _fill(shape: Floats, wire: Floats) -> Floats:
+def _direction_at_zero_deg(
+    plane: FocalPlane, circles: list[Circles], rest: Floats, axis: int
+) -> Floats:
+    """(N,) where the fibre would be, seen from the axis that turned, at its angle 0."""
+    zero = _zeros_rad(plane)
+    if axis == 1:
+        return rest[:, 0] + rad_to_deg(zero[:, 0] + zero[:, 1])
+    bend = np.deg2rad(rest[:, 1]) + zero[:, 1]
+    arm = circles[1].centre_mm - circles[0].centre_mm
+    l_alpha, l_beta = np.hypot(*arm.T), circles[1].radius_mm
+    lead = np.arctan2(l_beta * np.sin(bend), l_alpha + l_beta * np.cos(bend))
+    return rad_to_deg(zero[:, 0] + lead)
+
+
+def _fill(off: Floats, wire: Floats) -> Floats:
     """Points that are missing lie on the straight line between their neighbours."""
-    shape = np.ascontiguousarray(shape)  # so that the lines are views
-    for line in shape.reshape(-1, len(wire)):
+    off = np.ascontiguousarray(off)  # so that the lines are views
+    for line in off.reshape(-1, len(wire)):
         known = np.isfinite(line)
         line[~known] = np.interp(wire[~known], wire[known], line[known]) if known.any() else 0.0
-    return shape
+    return off
 
 
 def _tie(
-    plane: FocalPlane, data: SweepData, shape: Floats, circles: list[Circles], rows: NDArray
+    plane: FocalPlane,
+    data: SweepData,
+    output: Floats,
+    rest: Floats,
+    circles: list[Circles],
+    rows: NDArray,
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton on the two constants of each positioner: their values, and the rms left."""
-    angles = np.stack([_angles(data, shape[rows], axis) for axis in range(2)], axis=1)
+    angles = np.stack([_both_deg(output[rows], rest[rows], axis) for axis in range(2)], axis=1)
     xy = data.xy_mm.transpose(3, 0, 1, 2, 4)[rows].reshape(len(rows), -1, 2)
     used = np.concatenate([c.used[rows] for c in circles], axis=1)
     angles = angles.reshape(len(rows), -1, 2)
@@ -156,14 +202,11 @@ def _tie(
     return zero, np.sqrt(square / used.sum(axis=1)) * UM_PER_MM
 
 
-def _angles(data: SweepData, shape: Floats, axis: int) -> Floats:
-    """(n, 2, K, 2) both output angles at every point of a sweep, up to the constants."""
-    n, _, _, k = shape.shape
-    other, rest = 1 - axis, data.rest_index[axis]
-    out = np.empty((n, 2, k, 2))
-    out[..., axis] = data.wire_deg[axis] + shape[:, axis]
-    # the other axis rests in negative contact
-    out[..., other] = (data.wire_deg[other, rest] + shape[:, other, 0, rest])[:, None, None]
+def _both_deg(output: Floats, rest: Floats, axis: int) -> Floats:
+    """(n, 2, K, 2) both angles at every point of the sweep of one axis."""
+    out = np.empty((*output[:, axis].shape, 2))
+    out[..., axis] = output[:, axis]
+    out[..., 1 - axis] = rest[:, 1 - axis, None, None]
     return out
 
 

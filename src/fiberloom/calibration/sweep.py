@@ -32,6 +32,9 @@ Progress = Callable[[int, int], None]
 """Called with (points done, points in all)."""
 
 
+_POLL_S = 0.02
+
+
 @dataclass(frozen=True)
 class SweepSettings:
     """How to sweep; angles are wire positions."""
@@ -39,15 +42,13 @@ class SweepSettings:
     n_points: int = 200
     images: int = 1
     """Images averaged at each point."""
-    rest_images: int = 16
-    """At the two points where an axis also rests: the constants of the maps hang on them."""
     speed_rpm: float = 2000.0
     run_up_deg: float = 0.82
     """Larger than the largest backlash: 840 motor deg of the paper."""
     beta_lever_deg: float = 75.0
-    """About where beta stands while alpha turns: a long lever, away from the singularity."""
+    """Where beta stands while alpha turns: a long lever, away from the singularity."""
     alpha_rest_deg: float = 180.0
-    """About where alpha stands while beta turns."""
+    """Where alpha stands while beta turns."""
     settle_s: float = 0.0
     """Between the end of a move and the image."""
     seen_at_least: float = 0.8
@@ -56,9 +57,8 @@ class SweepSettings:
     def __post_init__(self) -> None:
         if self.n_points < 8:
             raise InputError(f"n_points = {self.n_points}: a sweep needs at least 8 points")
-        for name, count in (("images", self.images), ("rest_images", self.rest_images)):
-            if count < 1:
-                raise InputError(f"{name} = {count}: must be at least 1")
+        if self.images < 1:
+            raise InputError(f"images = {self.images}: must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,6 @@ class SweepData:
 
     wire_deg: Floats
     """(2 axes, K) commanded positions, rising."""
-    rest_index: tuple[int, int]
-    """At which of its own K positions the other axis stood, in negative contact."""
     xy_mm: Floats
     """(2 axes, 2 directions, K, N, 2); NaN where not seen."""
     trouble: list[str]
@@ -119,14 +117,10 @@ async def measure_sweeps(
     bench = _Bench(client, camera, plane, settings, progress)
     await bench.prepare()
     wire = np.stack([_grid(plane, axis, settings) for axis in range(2)])
-    # on a knot, so that its angle is measured and not interpolated
-    alpha_rest = int(np.argmin(np.abs(wire[0] - settings.alpha_rest_deg)))
-    beta_rest = int(np.argmin(np.abs(wire[1] - settings.beta_lever_deg)))
-    rest = beta_rest, alpha_rest
     xy = np.full((2, 2, settings.n_points, plane.n, 2), np.nan)
-    for axis in range(2):
-        await bench.sweep(axis, wire, rest, xy[axis])
-    return SweepData(wire, rest, xy, bench.trouble)
+    for axis, rest_deg in enumerate((settings.beta_lever_deg, settings.alpha_rest_deg)):
+        await bench.sweep(axis, wire[axis], rest_deg, xy[axis])
+    return SweepData(wire, xy, bench.trouble)
 
 
 def _grid(plane: FocalPlane, axis: int, settings: SweepSettings) -> Floats:
@@ -156,6 +150,7 @@ class _Bench:
         self._row = {int(p): row for row, p in enumerate(plane.positioner_id)}
         self._progress = progress or (lambda done, total: None)
         self._done, self._total = 0, 4 * settings.n_points
+        self._overrun_s = 0.0
 
     @property
     def ids(self) -> list[int]:
@@ -171,25 +166,23 @@ class _Bench:
         rpm = self.settings.speed_rpm
         self._book(await self.client.set_speed(self.ids, rpm, rpm))
 
-    async def sweep(self, axis: int, grid_deg: Floats, rest: tuple[int, int], xy: Floats) -> None:
-        wire, run_up = grid_deg[axis], self.settings.run_up_deg
-        rest_deg, looks_long = grid_deg[1 - axis, rest[axis]], rest[1 - axis]
+    async def sweep(self, axis: int, wire_deg: Floats, rest_deg: float, xy: Floats) -> None:
+        run_up = self.settings.run_up_deg
         # the resting axis comes from above, like every final approach
-        await self._goto(axis, wire[0] - run_up, rest_deg + run_up)
-        await self._goto(axis, wire[0] - run_up, rest_deg)
-        for k, position in enumerate(wire):
+        await self._goto(axis, wire_deg[0] - run_up, rest_deg + run_up)
+        await self._goto(axis, wire_deg[0] - run_up, rest_deg)
+        for k, position in enumerate(wire_deg):
             await self._goto(axis, position, rest_deg)
-            await self._look(xy[1, k], self.settings.images)
-        await self._goto(axis, wire[-1] + run_up, rest_deg)
-        for k in range(len(wire) - 1, -1, -1):
-            await self._goto(axis, wire[k], rest_deg)
-            more = self.settings.rest_images if k == looks_long else 1
-            await self._look(xy[0, k], self.settings.images * more)
+            await self._look(xy[1, k])
+        await self._goto(axis, wire_deg[-1] + run_up, rest_deg)
+        for k in range(len(wire_deg) - 1, -1, -1):
+            await self._goto(axis, wire_deg[k], rest_deg)
+            await self._look(xy[0, k])
 
-    async def _look(self, xy: Floats, n_images: int) -> None:
+    async def _look(self, xy: Floats) -> None:
         if self.settings.settle_s:
             await self.client.sleep(self.settings.settle_s)
-        images = [self.camera.measure() for _ in range(n_images)]
+        images = [self.camera.measure() for _ in range(self.settings.images)]
         seen = np.all([image.seen for image in images], axis=0)
         seen &= np.array([not reason for reason in self.trouble])
         xy[seen] = np.mean([image.xy_mm[seen] for image in images], axis=0)
@@ -200,13 +193,18 @@ class _Bench:
         alpha, beta = (moving_deg, rest_deg) if axis == 0 else (rest_deg, moving_deg)
         begun = await self.client.goto(self.ids, float(alpha), float(beta))
         self._book(begun)
-        expected_s = float(begun.values_array(2).max(initial=0)) * units.TICK_S
+        begun_s = self.client.time_s
+        estimate_s = float(begun.values_array(2).max(initial=0)) * units.TICK_S
         self._book(
             await self.client.wait_until_done(
                 begun.ok_ids,
-                timeout_s=expected_s + 10.0,
-                expected_s=expected_s,
-                poll_s=0.02,
+                timeout_s=estimate_s + 10.0,
+                expected_s=estimate_s + self._overrun_s,
+                poll_s=_POLL_S,
                 stop_on_collision=False,
             )
         )
+        # the estimate leaves landing and settling out; they take the same at every point, so that
+        # one or two polls of the whole array do instead of ten
+        overrun_s = self.client.time_s - begun_s - estimate_s
+        self._overrun_s = min(max(overrun_s - _POLL_S, 0.0), 1.0)

@@ -24,7 +24,7 @@ from fiberloom.operation.results import Observed, summarise, write_results
 from fiberloom.report.tables import observation_table
 from fiberloom.store import Store
 from fiberloom.targets import TargetList, read_targets
-from fiberloom.twin import draw_units, field_hardware
+from fiberloom.twin import draw_units, field_hardware, put_in
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
         observed = _observe(plane, targets, assignment, maps, hardware, request, wait)
     summary = summarise(observed) | marks(plane, request.seed)
     summary |= {"wall_s": time.monotonic() - started_s, "not_assigned": _reasons(assignment)}
-    summary |= {"put_in": units.put_in()}
+    summary |= {"put_in": put_in(plane)}
     write_results(observed, summary, out)
     if not request.quiet:
         _close(summary, out)

@@ -6,13 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fiberloom.assignment import assign
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, instrument_names, load_instrument
-from fiberloom.planning import Plan, plan, read_configuration, read_plans, verify, write_configuration
+from fiberloom.planning import (
+    Plan,
+    plan,
+    read_configuration,
+    read_plans,
+    verify,
+    write_configuration,
+)
 from fiberloom.store import Store
 from fiberloom.targets import read_targets
 

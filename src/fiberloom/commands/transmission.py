@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
+import contextlib
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,13 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration import transmission as maps_file
+from fiberloom.calibration.cache import cache_path
 from fiberloom.calibration.evaluate import CalibrationReport
-from fiberloom.calibration.sweep import Calibration, calibrate_transmission
+from fiberloom.calibration.sweep import Calibration, SweepSettings, calibrate_transmission
 from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.commands.terminal import Waiting, waiting
+from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.report.transmission import plot_transmission
 from fiberloom.twin import Units, bench_hardware, draw_units
@@ -24,8 +27,14 @@ from fiberloom.twin import Units, bench_hardware, draw_units
 POINTS = 200
 """Per axis and direction, as the paper's Fig. 10."""
 
-CACHE = Path(".cache/transmission")
-"""Below the working directory: a calibration costs a minute, and depends on nothing but its key."""
+
+@dataclass(frozen=True)
+class _Key:
+    """What a cached calibration depends on beside the layout and the seed."""
+
+    sweep: SweepSettings
+    units: str
+    """Digest of the true units: on a twin, other units are other hardware."""
 
 
 def run_calibrate_transmission(
@@ -49,11 +58,13 @@ def calibrated_maps(
     """Maps from `path`, from the cache, or from a calibration that fills the cache."""
     if path is not None:
         return _in_rows_of(plane, maps_file.load(path))
-    cached = CACHE / f"{_key(plane, units, seed)}.npz"
+    # the true units belong to the key: on a twin, other units are other hardware
+    cached = cache_path(plane.config_hash(), seed, _Key(SweepSettings(POINTS), units.digest()))
     if cached.exists():
         return _in_rows_of(plane, maps_file.load(cached))
     calibration = _calibrate(plane, units, seed, POINTS, wait)
-    calibration.maps.save(cached)
+    with contextlib.suppress(InputError):  # where nothing can be kept, calibrate again next time
+        calibration.maps.save(cached)
     return calibration.maps
 
 
@@ -77,16 +88,12 @@ def _in_rows_of(plane: FocalPlane, maps: TransmissionMaps) -> TransmissionMaps:
     return maps.select(maps.rows_of(plane.positioner_id))
 
 
-def _key(plane: FocalPlane, units: Units, seed: int) -> str:
-    digest = hashlib.sha256(f"{plane.config_hash()} {seed} {POINTS} {units.digest()}".encode())
-    return digest.hexdigest()[:20]
-
-
 def _summary(calibration: Calibration) -> dict[str, Any]:
     report, maps = calibration.report, calibration.maps
-    theta_deg = np.linspace(*maps.output_deg[:, :, :, [0, -1]].mean(axis=(0, 1, 2)), 720)
     ok = report.ok
-    backlash = maps.select(ok).backlash_motor_deg(theta_deg[30:-30])
+    # at the knots themselves: between them the interpolation of both directions would come in
+    gap_deg = maps.output_deg[ok, :, 0] - maps.output_deg[ok, :, 1]
+    backlash = maps.provenance.gear * gap_deg
     return {
         "positioners": len(maps),
         "calibrated": int(ok.sum()),
@@ -99,6 +106,4 @@ def _summary(calibration: Calibration) -> dict[str, Any]:
 
 
 def _refused(report: CalibrationReport) -> dict[int, str]:
-    return {
-        int(p): r for p, r in zip(report.positioner_id, report.reason, strict=True) if r
-    }
+    return {int(p): r for p, r in zip(report.positioner_id, report.reason, strict=True) if r}

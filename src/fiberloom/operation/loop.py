@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Outcome
+from fiberloom.bus.outcome import Outcome, Results
 from fiberloom.bus.trajectory import Trajectory
 from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
-from fiberloom.operation.correction import Corrections
+from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.status import ASTRAY_MM, Evidence, Status, judge
 from fiberloom.planning import Plan, Robot, plan, plan_corrections, verify
@@ -32,6 +32,10 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
+
+
+REST_TIMEOUT_S = 5.0
+"""A stopped positioner stands after a fraction of a second."""
 
 
 class UnsafePlanError(RuntimeError):
@@ -53,6 +57,8 @@ class Move:
     true_mm: Floats | None
     """The science fibre (metrology fibre where parked); a twin only."""
     status: list[Status]
+    interrupted: bool = False
+    """Stopped before its end, because somebody collided or would not go."""
     comparison: bool = False
     """Not part of the observation: shows what another model would give."""
 
@@ -173,7 +179,7 @@ class Loop:
     async def run(self) -> list[Move]:
         """Blind move with recovery, then the corrections."""
         await self.blind_move()
-        corrections = Corrections(self.plane, self.goal_deg, filtered=self.settings.filtered)
+        corrections = CorrectionLoop(self.plane, self.goal_deg, filtered=self.settings.filtered)
         for number in range(2, self.settings.moves + 1):
             await self.correct(corrections, number)
         if self.settings.compare_linear:
@@ -207,9 +213,10 @@ class Loop:
             self.blocked[self.plane.index_of(positioner)] = True
             self.recorder.event("blocked", reason, positioner)
 
-    async def correct(self, corrections: Corrections, number: int) -> None:
+    async def correct(self, corrections: CorrectionLoop, number: int) -> None:
         """Weigh the last image and move every healthy positioner with a target by what it says."""
-        wanted_deg = corrections.next(self.here_deg, self.moves[-1].measurement, self.correctable)
+        image = self.moves[-1].measurement
+        wanted_deg = corrections.update(self.here_deg, image.xy_mm, self.correctable & image.seen)
         await self._small_move(number, f"correction {number - 1}", wanted_deg, self.maps)
 
     async def linear_move(self) -> None:
@@ -248,10 +255,10 @@ class Loop:
         """Verify, execute, look, judge, record. Returns who is healthy but was interrupted."""
         self._verify(planned)
         before_deg = self.here_deg.copy()
-        commanded_deg = _end_of(planned, self.plane, before_deg)
-        outcomes = await self._execute(planned, maps)
+        commanded_deg = planned.end_deg
+        results = await self._execute(planned, maps)
         image = self.hardware.camera.measure()
-        interrupted = self._judge(outcomes, image, before_deg, commanded_deg)
+        interrupted = self._judge(results, image, before_deg, commanded_deg)
         error_um = self._measured_error_um(image)
         move = Move(
             number=number,
@@ -263,6 +270,7 @@ class Loop:
             measured_error_um=error_um,
             true_mm=self._truth(),
             status=self._status(error_um),
+            interrupted=bool(interrupted.any()),
             comparison=comparison,
         )
         self.moves.append(move)
@@ -275,34 +283,39 @@ class Loop:
         if not found.ok:
             raise UnsafePlanError(f"the verifier refused the planned motion: {found}")
 
-    async def _execute(self, planned: Plan, maps: TransmissionMaps) -> dict[int, Outcome]:
+    async def _execute(self, planned: Plan, maps: TransmissionMaps) -> Results:
         trajectories = {
             robot.positioner_id: self._on_the_wire(robot, maps)
             for robot in planned.robots
-            if len(robot.time_s) > 1
+            if robot.moves
         }
         results = await self.client.run_trajectories(trajectories)
         if not results.ok.all():
-            await self.client.stop()  # clears the flags of collisions: the healthy shall go on
+            await self._come_to_rest(list(trajectories))
         await self._read_positions(maps, np.array(list(trajectories), dtype=np.int64))
-        return {positioner: result.outcome for positioner, result in results.items()}
+        return results
+
+    async def _come_to_rest(self, ids: list[int]) -> None:
+        """Clear the flags of collisions, so that the healthy can go on, and let everybody stop."""
+        await self.client.stop()
+        await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
 
     def _on_the_wire(self, robot: Robot, maps: TransmissionMaps) -> Trajectory:
-        row = self.plane.index_of([robot.positioner_id])
-        theta_deg = np.stack([robot.alpha_deg, robot.beta_deg])[None]
-        alpha_deg, beta_deg = maps.to_wire(theta_deg, index=row)[0]
-        return Trajectory.from_deg(robot.time_s, alpha_deg, beta_deg)
+        row = int(self.plane.index_of(robot.positioner_id))
+        wire_deg = maps.path_to_wire(row, robot.points_deg)
+        return Trajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
 
     # judging
 
     def _judge(
         self,
-        outcomes: dict[int, Outcome],
+        results: Results,
         image: Measurement,
         before_deg: Floats,
         commanded_deg: Floats,
     ) -> Flags:
-        asked = [outcomes.get(int(p), Outcome.DONE) for p in self.plane.positioner_id]
+        ended = [results.get(int(p)) for p in self.plane.positioner_id]
+        asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
             outcomes=asked,
             seen=image.seen,
@@ -313,7 +326,7 @@ class Loop:
         )
         for i, fault in enumerate(judge(evidence)):
             if fault is not None and self.faults[i] is None:
-                self._flag(i, fault, f"after a move that ended as '{asked[i].value}'")
+                self._flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
         self._trust_the_camera(image)
         away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
@@ -325,9 +338,7 @@ class Loop:
         rows = np.flatnonzero(doubted & image.seen)
         found = self.plane.inverse(image.xy_mm[rows], METROLOGY, index=rows)
         angles_deg = np.column_stack([found.alpha_deg, found.beta_deg])
-        self.here_deg[rows] = np.where(
-            found.reachable[:, None], angles_deg, self.here_deg[rows]
-        )
+        self.here_deg[rows] = np.where(found.reachable[:, None], angles_deg, self.here_deg[rows])
 
     def _flag(self, row: int, fault: Status, why: str) -> None:
         self.faults[row] = fault
@@ -362,13 +373,3 @@ class Loop:
         if not self.has_target[row]:
             return Status.PARKED
         return Status.ON_TARGET if within else Status.OFF_TARGET
-
-
-def _end_of(planned: Plan, plane: FocalPlane, before_deg: Floats) -> Floats:
-    """Where the plan takes everyone (N, 2); those it does not move stay."""
-    end_deg = before_deg.copy()
-    for robot in planned.robots:
-        if len(robot.time_s) > 1:
-            row = int(plane.index_of(robot.positioner_id))
-            end_deg[row] = robot.alpha_deg[-1], robot.beta_deg[-1]
-    return end_deg

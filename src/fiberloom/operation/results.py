@@ -93,6 +93,7 @@ def _summarise_move(observed: Observed, move: Move) -> dict[str, Any]:
     return {
         "move": move.number,
         "label": move.label,
+        "interrupted": move.interrupted,
         "comparison": move.comparison,
         "motion_s": move.motion_s,
         "n_fibres": int(counted.sum()),
@@ -134,22 +135,24 @@ def _fibres_of(observed: Observed, move: Move) -> Table:
     nothing = np.full((len(plane), 2), np.nan)
     true = nothing if move.true_mm is None else move.true_mm
     seen = move.measurement.seen
-    return Table({
-        "positioner_id": plane.positioner_id,
-        "fibre": assignment.fibre,
-        "target_id": names[assignment.target],
-        "move": np.full(len(plane), move.number),
-        "x_target_mm": target[:, 0],
-        "y_target_mm": target[:, 1],
-        "alpha_deg": assignment.alpha_deg,
-        "beta_deg": assignment.beta_deg,
-        "x_measured_mm": np.where(seen, move.measurement.x_mm, np.nan),
-        "y_measured_mm": np.where(seen, move.measurement.y_mm, np.nan),
-        "x_true_mm": true[:, 0],
-        "y_true_mm": true[:, 1],
-        "error_um": observed.error_um(move),
-        "status": np.array([status.value for status in move.status]),
-    })
+    return Table(
+        {
+            "positioner_id": plane.positioner_id,
+            "fibre": assignment.fibre,
+            "target_id": names[assignment.target],
+            "move": np.full(len(plane), move.number),
+            "x_target_mm": target[:, 0],
+            "y_target_mm": target[:, 1],
+            "alpha_deg": assignment.alpha_deg,
+            "beta_deg": assignment.beta_deg,
+            "x_measured_mm": np.where(seen, move.measurement.x_mm, np.nan),
+            "y_measured_mm": np.where(seen, move.measurement.y_mm, np.nan),
+            "x_true_mm": true[:, 0],
+            "y_true_mm": true[:, 1],
+            "error_um": observed.error_um(move),
+            "status": np.array([status.value for status in move.status]),
+        }
+    )
 
 
 def write_results(observed: Observed, summary: Mapping[str, Any], out: Path) -> None:
@@ -184,9 +187,10 @@ def _plot(observed: Observed, out: Path) -> None:
         observed.requirement_um,
         title,
     )
+    ended = [move for move in observed.moves if not move.interrupted]
     plot_errors(
         out / "errors.png",
-        [observed.error_um(m)[observed.counted(m)] for m in observed.moves],
-        [f"move {m.number} ({m.label})" for m in observed.moves],
+        [observed.error_um(m)[observed.counted(m)] for m in ended],
+        [f"move {m.number} ({m.label})" for m in ended],
         observed.requirement_um,
     )

@@ -1,6 +1,7 @@
 """Example target lists."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..instruments import FocalPlane
 from .target_list import FREE, TargetList
@@ -37,10 +38,14 @@ def _uniform_reachable(plane: FocalPlane, n: int, rng: np.random.Generator) -> n
     centres = plane.centres_mm
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     radius = np.linalg.norm(centres - middle, axis=1).max() + outer
+    # eight nearest centres: of seven hexagons around a place, at least one is neither too near
+    # nor too far if any is
+    tree = cKDTree(centres)
     found = np.empty((0, 2))
     while len(found) < n:
         r, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
         xy = middle + np.column_stack([r * np.cos(angle), r * np.sin(angle)])
-        distance = np.linalg.norm(xy[:, None] - centres, axis=2)
+        distance, _ = tree.query(xy, k=min(8, len(centres)))
+        distance = distance.reshape(n, -1)
         found = np.vstack([found, xy[((distance > inner) & (distance < outer)).any(axis=1)]])
     return found[:n]

@@ -1,8 +1,9 @@
-"""A physics twin of a focal plane: true units, the real firmware in each, a virtual bus and camera."""
+"""A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
 from .camera import NoiseCamera
-from .draw import draw_units
+from .draw import draw_units, put_in, worn
 from .faults import Fault, FaultKind
+from .hardware import bench_hardware, field_hardware
 from .transport import TwinTransport
 from .twin import Reply, Twin
 from .units import Units
@@ -15,5 +16,9 @@ __all__ = [
     "Twin",
     "TwinTransport",
     "Units",
+    "bench_hardware",
     "draw_units",
+    "field_hardware",
+    "put_in",
+    "worn",
 ]

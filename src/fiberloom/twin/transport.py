@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from fiberloom.bus.transport import Frame
 from fiberloom.twin.twin import Twin
+from fiberloom.units import TICK_S
 
 
 class TwinTransport:
@@ -35,7 +36,8 @@ class TwinTransport:
         while True:
             left_s = end_s - self._twin.time_s
             await asyncio.sleep(0)  # others may have something to send
-            replies = self._twin.run(min(max(left_s, 0.0), self._slice_s))
+            # a whole tick at least: a clock that stands still would never reach the end
+            replies = self._twin.run(min(max(left_s, TICK_S), self._slice_s))
             if replies or left_s <= self._slice_s:
                 return [Frame(*r) for r in replies]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from fiberloom.errors import InputError
 Floats = NDArray[np.float64]
 
 GEAR = 1024.0
-"""Motor turns per output turn: the firmware counts 2**20 per motor turn and 2**30 per output turn."""
+"""Motor turns per output turn: the firmware counts 2**20 and 2**30 for one of each."""
 ORDERS = np.array(_core.HARMONIC_ORDERS)
 """Cycles per output turn of the harmonic series of a gear."""
 
@@ -38,7 +39,7 @@ def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
 
 def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
     """The same numbers without names: one more axis, contiguous."""
-    flat = np.ascontiguousarray(records).view(kind)
+    flat: NDArray = np.ascontiguousarray(records).view(kind)
     return flat.reshape(*records.shape, -1)
 
 
@@ -71,6 +72,13 @@ class Units:
 
     def __len__(self) -> int:
         return len(self.plant)
+
+    def digest(self) -> str:
+        """16 hex digits that change with any number of any unit."""
+        digest = hashlib.sha256()
+        for values in (self.plant, self.gear, self.firmware, self.arms):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()[:16]
 
     def transmission(self, index: int, axis: int, output_deg: ArrayLike) -> tuple[Floats, Floats]:
         """True wire angle T-(theta)/n_bar in deg, and backlash B in motor deg. Eq. 6 and 7."""

@@ -41,10 +41,10 @@ struct Spot {
 
 // Flux 1: m(q) = sum_k a_k exp(-q / (2 lambda_k)) / (2 pi sqrt|S|), sum_k a_k lambda_k = 1, where
 // q = d^T S^-1 d is the elliptical radius and lambda_k = 1/2, 1, 2, 4, 8, 16. One ladder holds Gaussians,
-// Moffat wings and flat tops; S varies with the position in the image as a polynomial of second degree.
+// Moffat wings and flat tops; S varies with the position in the image as a polynomial of fourth degree.
 struct Profile {
     static constexpr int components = 6;
-    static constexpr int terms = 6; // 1, u, v, u^2, u v, v^2 of u, v in [-1, 1] over the image
+    static constexpr int terms = 15; // u^i v^j, i + j <= 4, by rising degree; u, v in [-1, 1] over the image
     std::array<double, components> amplitude{0, 1, 0, 0, 0, 0};
     std::array<std::array<double, terms>, 3> shape{}; // S_xx, S_xy, S_yy in px^2
     double half_width_px = 1;                         // u = x / half_width - 1

@@ -1,0 +1,14 @@
+/* What a finished self-calibration changes: parameters, references, flags. */
+#ifndef FL_CALIBRATION_H
+#define FL_CALIBRATION_H
+
+#include "fl_positioner.h"
+
+/* An axis has ended the plan of the calibration (fl_state_t) it was in. */
+void fl_calibration_done(fl_positioner_t *p, int axis);
+
+/* Index of the first parameter outside its limits, or of one that contradicts another; -1 if all is
+ * well. The index counts the lines of FL_AXIS_PARAMS. */
+int fl_params_fault(const fl_axis_params_t *params);
+
+#endif

@@ -1,0 +1,23 @@
+/* What outlives a power cut: calibrations in two copies, the position in two alternating records.
+ *
+ * Every record carries a sequence number and a CRC-32; the newest good one counts and the other one
+ * is overwritten, so a write cut short at any byte loses nothing that was there before.
+ */
+#ifndef FL_STORAGE_H
+#define FL_STORAGE_H
+
+#include "fl_positioner.h"
+
+/* Bytes a port should have; with less (or none) settings are simply not kept. */
+#define FL_STORAGE_BYTES 2048
+
+/* Reads calibrations and position, as far as there are good ones. */
+void fl_storage_load(fl_positioner_t *p);
+
+/* False when the storage did not take it. */
+bool fl_storage_save(fl_positioner_t *p);
+
+/* At the start (moving) and the end of every motion. */
+void fl_storage_note_position(fl_positioner_t *p, bool moving);
+
+#endif

@@ -1,0 +1,60 @@
+"""A twin as `Hardware`: a bus, a camera and the truth, as an operation gets them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.hardware import Hardware
+from fiberloom.twin.camera import NoiseCamera
+from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.twin.transport import TwinTransport
+from fiberloom.twin.twin import Twin
+from fiberloom.twin.units import Units
+
+
+def bench_hardware(plane: FocalPlane, units: Units, seed: int) -> Hardware:
+    """Each positioner alone under the camera: arms do not meet."""
+    return _hardware(Twin(plane, units, seed=seed, neighbours=False), seed + 1)
+
+
+def field_hardware(
+    plane: FocalPlane, units: Units, seed: int, faults: str = "", camera: str = "noise"
+) -> Hardware:
+    """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
+    if camera != "noise":
+        raise InputError(f"--camera {camera}: only the noise model is there yet; use --camera noise")
+    twin = Twin(plane, units, seed=seed)
+    for fault in draw_faults(plane, faults, seed):
+        twin.inject(fault)
+    return _hardware(twin, seed)
+
+
+def _hardware(twin: Twin, seed: int) -> Hardware:
+    metrology = twin.plane.instrument.metrology
+    if not metrology.present:
+        raise InputError(
+            f"{twin.plane.instrument.name} has no metrology camera: it cannot be observed in a loop"
+        )
+    return Hardware(TwinTransport(twin), NoiseCamera(twin, metrology.noise_rms_um, seed), twin)
+
+
+def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[Fault]:
+    """Faults of a "kind=count,..." text on positioners drawn by the seed, each on another one."""
+    wanted = [_fault_count(part) for part in text.split(",") if part.strip()]
+    total = sum(count for _, count in wanted)
+    able = plane.positioner_id[~plane.offline]
+    if total > len(able):
+        raise InputError(f"--faults {text}: {total} faults for {len(able)} positioners")
+    chosen = iter(np.random.default_rng([seed, 0xFA17]).permutation(able)[:total])
+    return [Fault(kind, int(next(chosen))) for kind, count in wanted for _ in range(count)]
+
+
+def _fault_count(part: str) -> tuple[FaultKind, int]:
+    name, _, count = part.strip().partition("=")
+    try:
+        return FaultKind(name), max(int(count or 1), 0)
+    except ValueError:
+        kinds = ", ".join(sorted(FaultKind))
+        raise InputError(f"--faults {part}: write KIND=COUNT, with KIND one of {kinds}") from None
