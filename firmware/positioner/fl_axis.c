@@ -1,5 +1,9 @@
 #include "fl_axis.h"
 
+/* Seldom done inside a tick: kept apart, so that the compiler does not shape the rest around it. Loads
+ * of both hall channels at once, which copies invite, would wait for the two stores of read_hall. */
+#define FL_COLD __attribute__((noinline, cold))
+
 /* Field speed of the hall calibration: 240 rpm */
 enum { SPIN_STEP_CNT = 2097 };
 
@@ -206,7 +210,7 @@ static void leg_next(fl_axis_t *a) {
 }
 
 /* From where the rotor is, without a jump. */
-static void plan_begin(fl_axis_t *a) {
+FL_COLD static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->servo.integral_Nm = a->servo.direction = 0.0f;
@@ -265,7 +269,7 @@ static bool stiff(uint8_t kind) {
 static bool spinning(uint8_t kind) { return kind >= FL_LEG_SPIN && kind <= FL_LEG_SPIN_FIT; }
 
 /* What the calibrating legs are there for. */
-static void observe(fl_axis_t *a, uint8_t kind) {
+FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
