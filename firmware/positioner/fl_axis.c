@@ -40,6 +40,12 @@ static void plan_precise(fl_axis_t *a, int32_t target_cnt) {
     plan_arrival(a, target_cnt);
 }
 
+/* An axis that is to stay where it is does not start its motor: landing and settling on the spot again and
+ * again would let it creep. */
+static bool stays(const fl_axis_t *a, int32_t way_cnt) {
+    return !a->precise && fl_abs_i32(way_cnt) <= a->law.tolerance_cnt;
+}
+
 static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
     if (a->precise) {
         plan_precise(a, target_cnt);
@@ -52,7 +58,10 @@ static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
 
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt) {
     plan_clear(a);
-    plan_goto(a, a->position_cnt, target_cnt);
+    if (stays(a, fl_sub_i32(target_cnt, a->position_cnt)))
+        plan_add(a, FL_LEG_REST, target_cnt);
+    else
+        plan_goto(a, a->position_cnt, target_cnt);
 }
 
 void fl_axis_follow(fl_axis_t *a, fl_path_t *path) {
@@ -60,6 +69,10 @@ void fl_axis_follow(fl_axis_t *a, fl_path_t *path) {
     const int32_t before =
         flat ? a->position_cnt : (int32_t)fl_path_value(path, (uint16_t)(path->plateau_slot - 1));
     plan_clear(a);
+    if (flat && stays(a, fl_sub_i32(path->last_cnt, a->position_cnt))) {
+        plan_add(a, FL_LEG_REST, path->last_cnt);
+        return;
+    }
     plan_add(a, FL_LEG_FOLLOW, path->last_cnt);
     path->landing_cnt = 0;
     if (a->precise) {
@@ -361,6 +374,7 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     const uint8_t kind = a->plan[a->leg].kind;
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 

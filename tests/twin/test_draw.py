@@ -5,7 +5,7 @@ import pytest
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.twin import Twin, draw_units
+from fiberloom.twin import Twin, draw_units, worn
 
 PLANE = generate(load_instrument("sdssv"), seed=2, n_positioners=30)
 UNITS = draw_units(PLANE, seed=7)
@@ -95,9 +95,7 @@ def test_firmware_knows_its_unit_within_a_few_percent():
     assert np.abs(ratio - 1).max() < 0.07
     assert np.abs(ratio - 1).max() > 0.01
     # Eq. 23: 120 motor degrees for the least collision, with the integral at its limit
-    lowest = (
-        UNITS.firmware["collision_torque"] - UNITS.firmware["integral_limit"]
-    ) / UNITS.firmware["k_p"]
+    lowest = (UNITS.firmware["collision_torque"] - UNITS.firmware["integral_limit"]) / UNITS.firmware["k_p"]
     np.testing.assert_allclose(np.rad2deg(lowest), 120.0, rtol=1e-5)
 
 
@@ -116,3 +114,20 @@ def test_memory_per_positioner():
     """Below 16 KiB for what is the twin's own, the firmware's state beside it."""
     twin = Twin(PLANE, UNITS, threads=1)
     assert twin._core.bytes_per_positioner < 16 * 1024
+
+
+def test_wear_grows_is_local_and_moves_arms():
+    """Kronig 2020, Fig. 22: local changes of delta up to 0.15 deg."""
+    theta = np.linspace(0, 360, 1001)
+    new, old = (UNITS.transmission(3, 0, theta)[0], worn(UNITS, 100.0).transmission(3, 0, theta)[0])
+    change = np.abs(old - new)
+    assert 0.03 < change.max() < 0.25
+    assert np.mean(change < 0.005) > 0.25
+    early = np.abs(worn(UNITS, 10.0).transmission(3, 0, theta)[0] - new)
+    assert early.max() < 0.4 * change.max()
+    plane, units = PLANE.select([3]), UNITS.select([3])
+    place = float(theta[np.argmax(change)])
+    twin = Twin(plane, units, threads=1, start_deg=(place, 90.0))
+    twin.set_gear(worn(UNITS, 100.0).select([3]))
+    # the rotor stands, so the arm moves by what delta changed
+    assert abs(twin.truth()[0, 0] - place) == pytest.approx(change.max(), rel=0.25)

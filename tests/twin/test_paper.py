@@ -72,9 +72,7 @@ def test_figure_16_open_loop_lags_by_tens_of_degrees(full):
 
 def test_equation_22_blocked_axis_is_found_within_16_ms():
     """At 2000 rpm with 120 degrees: 12 degrees a millisecond, so 10 ms after the command left."""
-    twin = Twin(
-        PLANE, draw_units(PLANE, 3), seed=1, threads=1, neighbours=False, start_deg=(60.0, 60.0)
-    )
+    twin = Twin(PLANE, draw_units(PLANE, 3), seed=1, threads=1, neighbours=False, start_deg=(60.0, 60.0))
     for number in IDS:
         goto(twin, number, 90.0, 90.0)
     twin.run(1.0)
@@ -93,13 +91,9 @@ def test_figure_17_repeatability(axis, lever_mm, paper_nm):
     """Three targets 1 um apart, each from above by 840 motor degrees, with a camera of 101 nm."""
     units = draw_units(PLANE, 3)
     twin = Twin(PLANE, units, seed=1, threads=1, neighbours=False, start_deg=(100.0, 170.0))
-    home = np.array(
-        [[units.transmission(r, k, x)[0][0] for k, x in enumerate((100, 170))] for r in range(7)]
-    )
+    home = np.array([[units.transmission(r, k, x)[0][0] for k, x in enumerate((100, 170))] for r in range(7)])
     step_deg = np.rad2deg(1e-3 / lever_mm)
-    seen_nm = np.array(
-        [[visit(twin, home, axis, k * step_deg) for k in range(3)] for _ in range(12)]
-    )
+    seen_nm = np.array([[visit(twin, home, axis, k * step_deg) for k in range(3)] for _ in range(12)])
     seen_nm *= np.deg2rad(1.0) * lever_mm * 1e6
     gear_nm = np.sqrt(((seen_nm - seen_nm.mean(axis=0)) ** 2).mean() * 12 / 11)
     # 12 visits to 3 targets of 7 units: 5 percent of rms, units scatter by 15 percent

@@ -21,9 +21,7 @@ def torque_ticks(p, fraction, ticks):
 
 
 def full_torque(params):
-    return (
-        1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
-    )
+    return 1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
 
 
 # -- energy
@@ -86,9 +84,7 @@ def test_cogging_is_conservative():
     log = p.run(np.zeros((600, 1, 3)))[0][:, 0]
     theta = log[:, MOTOR]
     assert np.ptp(theta) > 8 * 2 * np.pi
-    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(
-        4 * theta
-    )
+    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(4 * theta)
     energy = log[:, MOMENTUM] ** 2 / 2 / params["inertia_motor"] + cog
     # the step's own oscillation of the energy, no drift
     assert np.ptp(energy) < 2e-3 * energy.mean()
@@ -273,9 +269,7 @@ def test_hard_stop_holds_the_full_motor(fraction, stop):
     beyond = np.sign(fraction) * (log[-1, OUTPUT] - params[stop])
     assert abs(log[-1, MOMENTUM]) < 1e-10  # 0.03 rad/s, creeping to the end
     # what the stop itself gives way under the motor; the arm is where the stop is
-    assert (
-        0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
-    )
+    assert 0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
 
 
 def test_hall_channels():

@@ -102,9 +102,7 @@ def test_rest_is_skipped_and_nobody_can_tell():
 
 def test_trajectories_start_together_on_the_broadcast():
     twin = make()
-    wire = np.array(
-        [[UNITS.transmission(i, k, x)[0][0] for k, x in enumerate((40, 120))] for i in (0, 1)]
-    )
+    wire = np.array([[UNITS.transmission(i, k, x)[0][0] for k, x in enumerate((40, 120))] for i in (0, 1)])
     time = np.array([0.0, 1.0, 2.0])
     for row in (0, 1):
         path = wire[row] + np.outer([0, 2, 5], [1.0, -1.0])

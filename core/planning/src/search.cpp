@@ -62,6 +62,9 @@ void Search::push(std::uint32_t id, int cost, int to_go) {
 }
 
 void Search::begin() {
+    // backward, the time after the deadline comes first: it is spent at the goal
+    if (ask_.backward) ask_.hold += ask_.steps - ask_.deadline;
+    last_step_ = ask_.backward ? ask_.steps : ask_.deadline;
     const size_t size = static_cast<size_t>(ask_.robot->cells()) * static_cast<size_t>(ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
     if (++round_ == 0) { // after 2^32 searches the marks would repeat
@@ -146,7 +149,7 @@ void Search::relax(std::uint32_t from, Place at, int move) {
     const Bends turn = bends(n.move, move);
     if (turn.alpha.reverses() || turn.beta.reverses()) return;
     const Place next{moved(at.cell, move), at.step + 1};
-    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > ask_.steps) return;
+    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
     const std::uint32_t to = id(next);
     const int to_go = heuristic(next.cell);
     Node &m = node(to);
@@ -165,7 +168,7 @@ void Search::expand(std::uint32_t from) {
     const Place at = place(from);
     gather_near(at);
     if (at.cell == last_cell()) finish(from, at);
-    if (at.step == ask_.steps) return;
+    if (at.step == last_step_) return;
     for (int move = 0; move < 9; ++move) relax(from, at, move);
 }
 

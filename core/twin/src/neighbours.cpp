@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "fiberloom/twin/axis_group.hpp"
 
@@ -44,7 +43,7 @@ bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
-      near_arms_(arms_.size()), near_obstacles_(arms_.size()), next_look_(arms_.size(), 0) {
+      near_(arms_.size()), next_look_(arms_.size(), 0) {
     find_neighbours();
 }
 
@@ -59,22 +58,21 @@ double Neighbours::approach_speed_mm_s(size_t i) const {
 void Neighbours::find_neighbours() {
     const auto apart = [](Vec2 a, Vec2 b) { return std::hypot(a.x - b.x, a.y - b.y); };
     for (size_t i = 0; i < arms_.size(); ++i) {
+        const Vec2 centre = arms_[i].centre_mm;
         for (size_t j = 0; j < arms_.size(); ++j)
-            if (j != i && apart(arms_[i].centre_mm, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j))
-                near_arms_[i].push_back(static_cast<uint32_t>(j));
+            if (j != i && apart(centre, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j))
+                near_[i].push_back({static_cast<uint32_t>(j)});
         for (size_t k = 0; k < obstacles_.size(); ++k)
-            if (point_segment_distance(arms_[i].centre_mm, obstacles_[k].centre_line_mm) <
+            if (point_segment_distance(centre, obstacles_[k].centre_line_mm) <
                 reach_mm(i) + obstacles_[k].radius_mm)
-                near_obstacles_[i].push_back(static_cast<uint32_t>(k));
+                near_[i].push_back({static_cast<uint32_t>(arms_.size() + k)});
     }
 }
 
 size_t Neighbours::bytes_per_positioner() const {
     size_t longest = 0;
-    for (size_t i = 0; i < arms_.size(); ++i)
-        longest = std::max(longest, near_arms_[i].size() + near_obstacles_[i].size());
-    return sizeof(Arm) + sizeof(Give) + 2 * sizeof(std::vector<uint32_t>) + sizeof(uint64_t) +
-           longest * sizeof(uint32_t);
+    for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
+    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(uint64_t) + longest * sizeof(Near);
 }
 
 Segment Neighbours::segment(size_t i, const Pose &pose) const {
@@ -122,40 +120,48 @@ void Neighbours::press(Look &look, const Touched &body, int place, const Closest
     look.push.torque_Nm[1] += metres * cross(minus(c.on_first, axis_b), force_N);
 }
 
-// Capsules that do not cross touch at ends of their centre lines; side by side, at two of them.
-void Neighbours::touch(Look &look, const Touched &body) const {
+// Capsules that do not cross touch at ends of their centre lines; side by side, at two of them. Returns
+// the seconds in which the two cannot touch.
+double Neighbours::touch(Look &look, const Touched &body) const {
     const double distance_mm = segment_distance(look.mine, body.line);
     const double gap_mm = distance_mm - body.apart_mm;
-    const double still_mm = std::max(gap_mm - body.spring_mm - bend_mm(look.i, look.poses[look.i]), 0.0);
-    look.free_s = std::min(look.free_s, still_mm / (approach_speed_mm_s(look.i) + body.speed_mm_s));
-    if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) return;
+    if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
+        const double still_mm = gap_mm - body.spring_mm - bend_mm(look.i, look.poses[look.i]);
+        return std::max(still_mm, 0.0) / (approach_speed_mm_s(look.i) + body.speed_mm_s);
+    }
     press(look, body, 0, closest_point(look.mine.a, body.line));
     press(look, body, 1, closest_point(look.mine.b, body.line));
     press(look, body, 2, turned(closest_point(body.line.a, look.mine)));
     press(look, body, 3, turned(closest_point(body.line.b, look.mine)));
     if (distance_mm == 0.0) press(look, body, 4, closest_points(look.mine, body.line));
+    return 0.0;
 }
 
-void Neighbours::meet_arm(Look &look, size_t j) const {
-    const Pose &pose = look.poses[j];
-    touch(look, {static_cast<uint32_t>(j), segment(j, pose), 2.0 * body_.radius_mm, bend_mm(j, pose),
-                 approach_speed_mm_s(j), &pose});
-}
-
-void Neighbours::meet_obstacle(Look &look, size_t k) const {
-    const Obstacle &o = obstacles_[k];
-    touch(look, {static_cast<uint32_t>(arms_.size() + k), o.centre_line_mm, body_.radius_mm + o.radius_mm,
-                 0.0, 0.0, nullptr});
+Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &poses) const {
+    if (number < arms_.size()) {
+        const Pose &pose = poses[number];
+        return {number,
+                segment(number, pose),
+                2.0 * body_.radius_mm,
+                bend_mm(number, pose),
+                approach_speed_mm_s(number),
+                &pose};
+    }
+    const Obstacle &o = obstacles_[number - arms_.size()];
+    return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};
 }
 
 Push Neighbours::push(size_t i, const std::vector<Pose> &poses, uint64_t tick,
                       std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};
-    constexpr double at_least_every_s = 1.0;
-    Look look{i, poses, segment(i, poses[i]), contacts, {}, {}, at_least_every_s};
-    for (uint32_t j : near_arms_[i]) meet_arm(look, j);
-    for (uint32_t k : near_obstacles_[i]) meet_obstacle(look, k);
-    next_look_[i] = look.now.empty() ? tick + static_cast<uint64_t>(look.free_s / tick_s) : tick;
+    Look look{i, poses, segment(i, poses[i]), contacts, {}, {}};
+    uint64_t next = UINT64_MAX;
+    for (Near &near : near_[i]) {
+        if (tick >= near.next_look)
+            near.next_look = tick + static_cast<uint64_t>(touch(look, body(near.number, poses)) / tick_s);
+        next = std::min(next, near.next_look);
+    }
+    next_look_[i] = next;
     contacts = std::move(look.now);
     return look.push;
 }

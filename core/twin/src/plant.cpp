@@ -129,10 +129,11 @@ double Plant::output_at_rest_rad(size_t axis) const {
     return output_of_gear(a.cell, gear_rad) + seat_rad + a.slip_rad;
 }
 
-double Plant::output_rad(size_t axis) const {
-    const double torque_Nm = axes_[axis].torque_Nm + stop_torque_Nm(axis);
-    return output_at_rest_rad(axis) + torque_Nm * compliance_rad_per_Nm(axis);
+double Plant::bend_rad(size_t axis) const {
+    return (axes_[axis].torque_Nm + stop_torque_Nm(axis)) * compliance_rad_per_Nm(axis);
 }
+
+double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + bend_rad(axis); }
 
 double Plant::backlash_rad(size_t axis) const {
     const Cell &cell = axes_[axis].cell;
@@ -295,6 +296,7 @@ double Plant::stop_torque_Nm(size_t axis) const {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double over_rad = std::max(gear_rad - lane(axis, &AxisGroup::stop_hi_rad), 0.0) +
                             std::min(gear_rad - lane(axis, &AxisGroup::stop_lo_rad), 0.0);
+    if (over_rad == 0.0) return 0.0;
     return -over_rad / p.gear_ratio / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
 }
 

@@ -32,7 +32,7 @@ class Positioner {
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     void tick_firmware(uint64_t tick);
-    // After the plant's tick: falls asleep when nothing will change.
+    // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
     bool asleep() const { return asleep_; }
@@ -45,7 +45,9 @@ class Positioner {
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
-    void record(const Plant &plant, uint64_t tick);
+    void record(const Plant &plant, uint64_t tick) {
+        if (scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) record_axes(plant, tick);
+    }
 
     // torque of neighbours as last applied, and torque asked for from outside
     Push push, user_push;
@@ -59,6 +61,7 @@ class Positioner {
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
     fl_port_t port();
     bool changed(const Plant &plant);
+    void record_axes(const Plant &plant, uint64_t tick);
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};

@@ -110,9 +110,7 @@ class Loop:
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
         self.has_target = assignment.target >= 0
-        self.faults: list[Status | None] = [
-            Status.OFFLINE if offline else None for offline in plane.offline
-        ]
+        self.faults: list[Status | None] = [Status.OFFLINE if offline else None for offline in plane.offline]
         self.blocked = np.zeros(len(plane), dtype=bool)
         self.here_deg = plane.offline_position_deg.copy()
         self.wire_deg = np.zeros((len(plane), 2))
@@ -285,9 +283,7 @@ class Loop:
 
     async def _execute(self, planned: Plan, maps: TransmissionMaps) -> Results:
         trajectories = {
-            robot.positioner_id: self._on_the_wire(robot, maps)
-            for robot in planned.robots
-            if robot.moves
+            robot.positioner_id: self._on_the_wire(robot, maps) for robot in planned.robots if robot.moves
         }
         results = await self.client.run_trajectories(trajectories)
         if not results.ok.all():

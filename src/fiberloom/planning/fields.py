@@ -27,28 +27,37 @@ def random_configuration(
     approach_deg: float | None = None,
     collision_buffer_mm: float | None = None,
 ) -> Floats:
-    """(N, 2) deg: every metrology fibre anywhere in its patrol area (uniform in area), one after the
-    other in random order, so that all goals and approaches are free with `margin_mm` between two
-    arms and between arm and obstacle. Offline positioners stand where they are."""
+    """(N, 2) deg: every metrology fibre anywhere in its patrol area (uniform in area).
+
+    Placed one after the other in random order, so that all places and approaches to them are free
+    with `margin_mm` between two arms, and between arm and obstacle. Offline positioners stand
+    where they are.
+    """
     rng = np.random.default_rng(seed)
     return _Drawing(plane, rng, margin_mm, approach_deg, collision_buffer_mm).all()
 
 
 def random_pair(
-    plane: FocalPlane, seed: int, *, margin_mm: float = 0.2, collision_buffer_mm: float | None = None
+    plane: FocalPlane,
+    seed: int,
+    *,
+    margin_mm: float = 0.2,
+    collision_buffer_mm: float | None = None,
 ) -> tuple[Floats, Floats]:
-    """Two random configurations such that each positioner, alone, can get from one to the other:
-    no goal lies in a pocket behind a fiducial."""
+    """Two random configurations such that each positioner, alone, can get from one to the other.
+
+    That is, no place lies in a pocket behind a fiducial.
+    """
     rng = np.random.default_rng(seed)
     start, goal = (_Drawing(plane, rng, margin_mm, None, collision_buffer_mm) for _ in range(2))
     ends = [start.all(), goal.all()]
     settings = PlanSettings(collision_buffer_mm=collision_buffer_mm)
-    for row in np.flatnonzero(start.near_obstacles() & ~plane.offline):
+    for row in map(int, np.flatnonzero(start.near_obstacles() & ~plane.offline)):
         for attempt in range(_REDRAWS):
-            if _passes_alone(plane, row, *ends, settings):
+            if _passes_alone(plane, row, ends[0], ends[1], settings):
                 break
             which = attempt % 2  # the pocket may be at either end
-            ends[1 - which][row] = (goal, start)[which].draw(int(row))
+            ends[1 - which][row] = (goal, start)[which].draw(row)
         else:
             raise InputError(f"positioner {plane.positioner_id[row]}: found no way for it alone")
     return ends[0], ends[1]
@@ -87,7 +96,7 @@ class _Drawing:
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
         lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
         gaps = geometry.segment_distance(points, lines).reshape(n, k) - self.bodies.obstacles[:, 4]
-        return (gaps.T < self.plane.body_reach_mm + 1.0).any(axis=0)
+        return (self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0)
 
     def all(self) -> Floats:
         """Everybody, in random order."""

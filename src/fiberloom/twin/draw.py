@@ -9,6 +9,7 @@ derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which numb
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from fiberloom.twin.units import (
     PLANT_DTYPE,
     Units,
     defaults,
-    plain,
 )
 from fiberloom.units import RAD_PER_DEG
 
@@ -163,9 +163,7 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
 def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
     for name, value in overrides.items():
         if name not in (PLANT_DTYPE.names or ()):
-            raise InputError(
-                f"{where}.{name}: no such plant parameter; see docs/twin.md for the list"
-            )
+            raise InputError(f"{where}.{name}: no such plant parameter; see docs/twin.md for the list")
         record[name] = value
     return record
 
@@ -201,10 +199,13 @@ def _gear(axis: int, rng: Rng) -> np.ndarray:
     return record
 
 
+_WAVES = np.outer(ORDERS, np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN))
+_WAVES = np.stack([np.cos(_WAVES), np.sin(_WAVES)], axis=1).reshape(2 * len(ORDERS), -1)
+
+
 def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -> None:
     """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
-    nodes = np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN)
-    shape = _core.transmission(plain(record).ravel(), GEAR, nodes)[1]
+    shape = record["backlash_rad"].ravel() @ _WAVES
     stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
     record["backlash_rad"] *= stretch
     record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
@@ -212,9 +213,7 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
 
 def firmware_truth(plant: np.ndarray) -> dict[str, float]:
     """What a perfect identification of an axis would tell its firmware."""
-    torque_constant = float(
-        plant["flux_linkage"] / plant["coil_resistance"]
-    )  # Nm per volt and coil
+    torque_constant = float(plant["flux_linkage"] / plant["coil_resistance"])  # Nm per volt and coil
     spring_Nm = float(plant["spring_rate"] / GEAR)
     return {
         "hall_offset_a": plant["hall_offset_a"],
@@ -275,13 +274,39 @@ def put_in(plane: FocalPlane) -> dict[str, str]:
         "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
         f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
         f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
-        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, "
-        "given (Fig. 10)",
+        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, given (Fig. 10)",
         "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
         "rms (alpha / beta), tuned to Fig. 17",
-        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given "
-        "(Fig. 20)",
+        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given (Fig. 20)",
         "firmware parameters": "identified within 1 to 5 % (assumed)",
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
     }
+
+
+WEAR_RMS_RAD = 0.05 * RAD_PER_DEG
+WEAR_WIDTH_DEG = (6.0, 30.0)
+WEAR_CYCLES = 40.0
+"""Wear: local changes of delta up to 0.15 deg after 100 cycles (Kronig 2020, Fig. 22 and 25, given);
+their number, widths and the time in which they saturate are assumed."""
+
+
+def worn(units: Units, cycles: float, seed: int = 0) -> Units:
+    """The same units after so many lifetime cycles: marks on delta that grow, fast at first.
+
+    A mark's place and size depend on the seed and the unit alone, so wear at 60 cycles continues
+    wear at 50. `Twin.set_gear` puts it into a running twin.
+    """
+    grown = 1.0 - np.exp(-max(cycles, 0.0) / WEAR_CYCLES)
+    gear = units.gear.copy()
+    for row in range(len(units)):
+        rng = np.random.default_rng([seed, 0x3EA2, row])
+        for axis, turn in ((0, 2.0 * np.pi), (1, np.pi)):
+            marks = gear[row, axis]["wear"]
+            marks[:, 0] = rng.uniform(0.0, turn, len(marks))
+            marks[:, 1] = rng.uniform(*WEAR_WIDTH_DEG, len(marks)) * RAD_PER_DEG
+            marks[:, 2] = np.clip(rng.normal(0.0, WEAR_RMS_RAD, len(marks)), *_MARK_LIMITS) * grown
+    return replace(units, gear=gear)
+
+
+_MARK_LIMITS = (-2.0 * WEAR_RMS_RAD, 2.0 * WEAR_RMS_RAD)

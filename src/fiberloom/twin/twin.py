@@ -65,9 +65,7 @@ class Twin:
         kernel: str = "",
     ) -> None:
         if len(units) != len(plane):
-            raise InputError(
-                f"twin: {len(units)} units for {len(plane)} positioners; draw them anew"
-            )
+            raise InputError(f"twin: {len(units)} units for {len(plane)} positioners; draw them anew")
         self.plane = plane
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
@@ -145,6 +143,13 @@ class Twin:
         """Power off and on: the firmware starts anew with what it has stored."""
         self._core.power_cycle(int(self.plane.index_of(positioner_id)))
 
+    def set_gear(self, units: Units) -> None:
+        """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
+        for row in range(len(self.plane)):
+            for axis in (0, 1):
+                self._core.set_transmission(row, axis, plain(units.gear[row, axis]).ravel())
+        self.units = units
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
         """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""
         self._core.set_external_torque(index, axis, torque_Nm)
@@ -157,8 +162,7 @@ class Twin:
         """First moments of contact between bodies since the last call."""
         n, ids = len(self.plane), self.plane.positioner_id
         return [
-            Touch(t, int(ids[i]), int(ids[j]) if j < n else None)
-            for t, i, j in self._core.take_touches()
+            Touch(t, int(ids[i]), int(ids[j]) if j < n else None) for t, i, j in self._core.take_touches()
         ]
 
 

@@ -73,7 +73,10 @@ class Neighbours {
         const std::vector<Contact> &before;
         std::vector<Contact> now;
         Push push;
-        double free_s;
+    };
+    struct Near {
+        uint32_t number;        // as in Touch
+        uint64_t next_look = 0; // tick before which the two cannot touch
     };
     struct Touched { // the other body of a contact
         uint32_t number;
@@ -89,16 +92,15 @@ class Neighbours {
     Segment segment(size_t i, const Pose &pose) const;
     double bend_mm(size_t i, const Pose &pose) const;
     double softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const;
-    void meet_arm(Look &look, size_t j) const;
-    void meet_obstacle(Look &look, size_t k) const;
-    void touch(Look &look, const Touched &body) const;
+    Touched body(uint32_t number, const std::vector<Pose> &poses) const;
+    double touch(Look &look, const Touched &body) const;
     void press(Look &look, const Touched &body, int place, const Closest &c) const;
 
     std::vector<Arm> arms_;
     std::vector<Obstacle> obstacles_;
     Body body_;
     std::vector<Give> gives_;
-    std::vector<std::vector<uint32_t>> near_arms_, near_obstacles_;
+    std::vector<std::vector<Near>> near_;
     std::vector<uint64_t> next_look_; // tick before which nothing can touch positioner i
 };
 

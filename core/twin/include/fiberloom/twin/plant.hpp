@@ -62,6 +62,7 @@ class Plant {
     void set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad);
     double output_rad(size_t axis) const;         // where the arm is, deflected by outside torque, Eq. 5a
     double output_at_rest_rad(size_t axis) const; // the same without the deflection
+    double bend_rad(size_t axis) const;           // the deflection
     double backlash_rad(size_t axis) const;       // B where the gear is
     double speed_limit_rad_s(size_t axis) const;  // of the rotor: nothing drives it faster
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }

@@ -1,0 +1,409 @@
+"""Fiducials among all spots of an image, at any rotation, with dead ones and strays.
+
+A fiducial's spot looks like any other: it is the pattern that tells. Pairs of fiducials are laid on
+pairs of spots at the right distance; each such pair proposes a similarity, and the fiducials around
+it vote, by a look into a map of where spots are. The proposals with most votes are grown outwards,
+over all fiducials and, if given, over where the fibres are expected, until a transform with
+distortion holds. What a pattern does not tell (a symmetric one: by how many sixths of a turn) is
+not guessed: two different answers as good as each other are an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from fiberloom.errors import InputError
+from fiberloom.metrology import zhao_burge
+from fiberloom.metrology.transform import (
+    FieldTransform,
+    Similarity,
+    TransformFit,
+    fit_similarity,
+    fit_transform,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_PAIRS = 16
+"""Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""
+_VOTERS = 14
+_KEPT = 12
+"""Proposals that are grown."""
+_CHUNK = 200_000
+
+
+class AcquisitionError(InputError):
+    """The fiducials were not found, or not without doubt."""
+
+
+@dataclass(frozen=True)
+class CameraGeometry:
+    """What is known of a camera before it has seen anything."""
+
+    width_px: int
+    height_px: int
+    scale_mm_px: float
+    rotation_deg: float = 0.0
+    """Direction in the focal plane of the pixel x axis."""
+    flipped: bool = False
+    """True: y in the image runs against y in the focal plane, at rotation 0."""
+    centre_px: tuple[float, float] | None = None
+    """Where the centre of the focal plane is; the middle of the image when left out."""
+    rotation_tolerance_deg: float = 180.0
+    scale_tolerance: float = 0.05
+    shift_tolerance_mm: float = np.inf
+
+    def similarity(self) -> Similarity:
+        """The nominal transform."""
+        a = self.scale_mm_px * np.exp(1j * np.deg2rad(self.rotation_deg))
+        x, y = self.centre_px or (0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1))
+        z = complex(x, -y if self.flipped else y)
+        return Similarity(complex(a), complex(-a * z), self.flipped)
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Fiducials found, and the transform that they give."""
+
+    fiducial: Ints
+    """Indices of the fiducials that have a spot ..."""
+    spot: Ints
+    """... and of those spots."""
+    fit: TransformFit
+
+    @property
+    def transform(self) -> FieldTransform:
+        """Pixels to focal plane."""
+        return self.fit.transform
+
+
+@dataclass(frozen=True)
+class AcquisitionSettings:
+    """How fiducials are looked for."""
+
+    coarse_mm: float = 3.0
+    """Distortion within the reach of a vote, at most."""
+    gate_mm: float = 0.25
+    """A spot farther than this from where a fitted fiducial must be is not the fiducial's."""
+    seen_at_least: float = 0.4
+    """Share of the fiducials that must be found."""
+    seed: int = 0
+
+
+def acquire(
+    xy_px: ArrayLike,
+    fiducials_mm: ArrayLike,
+    geometry: CameraGeometry,
+    *,
+    expected_mm: ArrayLike | None = None,
+    covariance_px2: ArrayLike | None = None,
+    sigma_mm: ArrayLike = 0.0,
+    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS,
+    radius_mm: float | None = None,
+    settings: AcquisitionSettings | None = None,
+) -> Acquisition:
+    """Finds fiducials (m, 2) among spots (n, 2).
+
+    `expected_mm`: where fibres should be; they help to tell symmetric answers apart, and some may
+    be wrong. Raises AcquisitionError where too few are found or two answers are as good.
+    """
+    s = settings or AcquisitionSettings()
+    hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
+    hunt.help = _finite(expected_mm)
+    hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
+    hunt.terms, hunt.radius_mm = tuple(terms), radius_mm or hunt.field_radius_mm
+    return hunt.best(hunt.proposals())
+
+
+def refine(
+    xy_px: ArrayLike,
+    fiducials_mm: ArrayLike,
+    start: FieldTransform,
+    *,
+    covariance_px2: ArrayLike | None = None,
+    sigma_mm: ArrayLike = 0.0,
+    terms: Sequence[int] | None = None,
+    settings: AcquisitionSettings | None = None,
+) -> Acquisition:
+    """The fiducials again, from the transform of an image a short while ago."""
+    s = settings or AcquisitionSettings()
+    geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
+    hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
+    hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
+    hunt.terms, hunt.radius_mm = tuple(terms or start.terms), start.radius_mm
+    grown = hunt.polish(start)
+    if grown is None:
+        raise AcquisitionError("the fiducials are not where the last transform has them; acquire them anew")
+    return grown
+
+
+class _Hunt:
+    """One search."""
+
+    def __init__(
+        self, px: Floats, fiducials: Floats, geometry: CameraGeometry, s: AcquisitionSettings
+    ) -> None:
+        if len(fiducials) < 4:
+            raise AcquisitionError(f"{len(fiducials)} fiducials: at least 4 are needed")
+        if len(px) < 4:
+            raise AcquisitionError(f"{len(px)} spots in the image: no fiducials to be found")
+        self.px, self.fiducials, self.geometry, self.s = px, fiducials, geometry, s
+        self.tree = cKDTree(px)
+        self.help = np.zeros((0, 2))
+        self.sigma_mm: ArrayLike = 0.0
+        self.covariance_px2: ArrayLike | None = None
+        self.terms: tuple[int, ...] = zhao_burge.DEFAULT_TERMS
+        self.field_radius_mm = float(np.hypot(*(fiducials - fiducials.mean(0)).T).max()) or 1.0
+        self.radius_mm = self.field_radius_mm
+        self.needed = max(4, int(np.ceil(s.seen_at_least * len(fiducials))))
+
+    # proposals
+
+    def proposals(self) -> list[Similarity]:
+        """The similarities that most fiducials around a pair vote for."""
+        z = self._px_complex()[self._candidates()]
+        if self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
+            nominal = self._near_nominal()
+            if nominal is not None:
+                return [nominal]
+        grid = _Map(z, self.s.coarse_mm / self.geometry.scale_mm_px)
+        votes: list[tuple[int, complex, complex]] = []
+        for one, two in self._pairs():
+            votes += self._vote(one, two, z, grid)
+        votes.sort(key=lambda v: -v[0])
+        return [Similarity(a, b, self.geometry.flipped) for _, a, b in self._distinct(votes)]
+
+    def _candidates(self) -> NDArray[np.bool_]:
+        """Where a fiducial is several pinholes, only spots that have neighbours as near."""
+        gap = cKDTree(self.fiducials).query(self.fiducials, k=3)[0][:, 2]
+        close_mm = float(np.median(gap)) if len(self.fiducials) > 2 else np.inf
+        if close_mm > _PINHOLES_MM:
+            return np.ones(len(self.px), dtype=bool)
+        radius = 1.3 * close_mm / self.geometry.scale_mm_px
+        near = self.tree.query_ball_point(self.px, radius, return_length=True)
+        return np.asarray(near) > 2
+
+    def _px_complex(self) -> NDArray[np.complex128]:
+        z = self.px[:, 0] + 1j * self.px[:, 1]
+        return z.conj() if self.geometry.flipped else z
+
+    def _near_nominal(self) -> Similarity | None:
+        """The nominal transform, moved to where fiducials and fibres fit best; small turns only."""
+        nominal = self.geometry.similarity()
+        known = np.vstack([self.fiducials, self.help])
+        moved = _align(self.px, known, nominal, self.s.coarse_mm)
+        return moved if self._hits(moved) >= self.needed else None
+
+    def _hits(self, base: Similarity) -> int:
+        distance, _ = self.tree.query(base.to_px(self.fiducials))
+        return int((distance * base.scale_mm_px < self.s.coarse_mm).sum())
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        """Pairs a tenth to a third of the field apart, in an order drawn by the seed."""
+        rng = np.random.default_rng([self.s.seed, 0xF1D])
+        i, j = np.triu_indices(len(self.fiducials), 1)
+        gap = np.hypot(*(self.fiducials[i] - self.fiducials[j]).T) / self.field_radius_mm
+        good = np.flatnonzero((gap > 0.2) & (gap < 0.6))
+        chosen = rng.permutation(good if len(good) else len(i))[:_PAIRS]
+        return [(int(i[k]), int(j[k])) for k in chosen]
+
+    def _vote(
+        self, one: int, two: int, z: NDArray[np.complex128], grid: _Map
+    ) -> list[tuple[int, complex, complex]]:
+        m = self.fiducials[:, 0] + 1j * self.fiducials[:, 1]
+        gap_mm = abs(m[two] - m[one])
+        middle = 0.5 * (m[one] + m[two])
+        voters = m[np.argsort(np.abs(m - middle))[: _VOTERS + 2]]
+        p, q = self._spot_pairs(z, gap_mm)
+        best: list[tuple[int, complex, complex]] = []
+        for start in range(0, len(p), _CHUNK):
+            i, j = p[start : start + _CHUNK], q[start : start + _CHUNK]
+            a = (m[two] - m[one]) / (z[j] - z[i])
+            b = m[one] - a * z[i]
+            keep = self._allowed(a, b)
+            a, b = a[keep], b[keep]
+            count = grid.count((voters[None, :] - b[:, None]) / a[:, None])
+            top = np.argsort(-count, kind="stable")[:_KEPT]
+            best += [(int(count[k]), complex(a[k]), complex(b[k])) for k in top]
+        return best
+
+    def _spot_pairs(self, z: NDArray[np.complex128], gap_mm: float) -> tuple[Ints, Ints]:
+        """Ordered pairs of spots at this distance, to the tolerance of the scale."""
+        g, tolerance = self.geometry, self.geometry.scale_tolerance
+        slack = self.s.coarse_mm / g.scale_mm_px / 2
+        far = gap_mm / g.scale_mm_px / (1 - tolerance) + slack
+        near = gap_mm / g.scale_mm_px / (1 + tolerance) - slack
+        tree = cKDTree(np.column_stack([z.real, z.imag]))
+        pairs = tree.query_pairs(far, output_type="ndarray")
+        gap = np.abs(z[pairs[:, 1]] - z[pairs[:, 0]])
+        p, q = pairs[gap > near].T.astype(np.int64)
+        return np.concatenate([p, q]), np.concatenate([q, p])
+
+    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.bool_]:
+        g, nominal = self.geometry, self.geometry.similarity()
+        off_deg = np.rad2deg(np.abs(np.angle(a / nominal.a)))
+        ok = (off_deg <= g.rotation_tolerance_deg) & (
+            np.abs(np.abs(a) / g.scale_mm_px - 1) <= g.scale_tolerance + 0.02
+        )
+        centre = -nominal.b / nominal.a
+        return ok & (np.abs(a * centre + b) <= g.shift_tolerance_mm)
+
+    def _distinct(self, votes: list[tuple[int, complex, complex]]) -> list[tuple[int, complex, complex]]:
+        """The best of each bundle of proposals that mean the same."""
+        out: list[tuple[int, complex, complex]] = []
+        for vote in votes:
+            if all(self._differ(vote, other) for other in out):
+                out.append(vote)
+            if len(out) >= _KEPT:
+                break
+        return out
+
+    def _differ(self, one: tuple, two: tuple) -> bool:
+        corner = self.field_radius_mm / abs(one[1])
+        centre = -one[2] / one[1]
+        places = centre + corner * np.array([1, 1j, -1, -1j])
+        apart = np.abs((one[1] - two[1]) * places + one[2] - two[2])
+        return bool(apart.max() > 4 * self.s.coarse_mm)
+
+    # growing
+
+    def best(self, proposals: list[Similarity]) -> Acquisition:
+        """The proposal that explains most spots, if it does so better than any different one."""
+        grown = [(self._score(g), g) for p in proposals if (g := self.grow(p)) is not None]
+        if not grown:
+            raise AcquisitionError(
+                f"no {self.needed} of {len(self.fiducials)} fiducials found among "
+                f"{len(self.px)} spots; check scale, flip and illumination"
+            )
+        grown.sort(key=lambda pair: -pair[0])
+        score, winner = grown[0]
+        for other_score, other in grown[1:]:
+            same = np.abs(winner.transform.to_mm(self.px) - other.transform.to_mm(self.px)).max()
+            if same > 1.0 and other_score > 0.8 * score:
+                turn = other.transform.similarity.rotation_deg - winner.transform.similarity.rotation_deg
+                raise AcquisitionError(
+                    f"the fiducials fit as well turned by {turn:.0f} deg; give the rotation to "
+                    "within less than that, or the expected positions of the fibres"
+                )
+        return winner
+
+    def _score(self, found: Acquisition) -> float:
+        """Fiducials found, and expected fibres that are where expected."""
+        hits = 0
+        if len(self.help):
+            distance, _ = self.tree.query(found.transform.to_px(self.help))
+            hits = int((distance * self.geometry.scale_mm_px < 0.5).sum())
+        return len(found.fiducial) + hits
+
+    def grow(self, base: Similarity) -> Acquisition | None:
+        """From a proposal outwards: similarity on what is near, then all, then distortion."""
+        known = np.vstack([self.fiducials, self.help]) if len(self.help) else self.fiducials
+        for gate in (2.0, 1.0, 0.7):
+            base = _align(self.px, known, base, gate * self.s.coarse_mm)
+        index, spot = self._near(base.to_px(self.fiducials), base.scale_mm_px, self.s.coarse_mm)
+        if len(index) < self.needed:
+            return None
+        return self.polish(self._radial(index, spot, base))
+
+    def _radial(self, index: Ints, spot: Ints, base: Similarity) -> FieldTransform:
+        """Few terms first: they are robust against the wrong pairs of a wide gate."""
+        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms) or self.terms
+        return fit_transform(
+            self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
+            flipped=base.flipped, terms=few,
+        ).transform  # fmt: skip
+
+    def polish(self, transform: FieldTransform) -> Acquisition | None:
+        """Narrower and narrower gates, with all the terms."""
+        found: Acquisition | None = None
+        scale = transform.similarity.scale_mm_px
+        for gate_mm in (4 * self.s.gate_mm, 2 * self.s.gate_mm, self.s.gate_mm, self.s.gate_mm):
+            index, spot = self._near(transform.to_px(self.fiducials), scale, gate_mm)
+            if len(index) < max(self.needed, 4):
+                return None
+            fit = fit_transform(
+                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
+                flipped=transform.similarity.flipped, terms=self.terms,
+                covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
+            )  # fmt: skip
+            transform = fit.transform
+            found = Acquisition(index[fit.used], spot[fit.used], _only_used(fit))
+        return found
+
+    def _covariance(self, spot: Ints) -> Floats | None:
+        return None if self.covariance_px2 is None else np.asarray(self.covariance_px2)[spot]
+
+    def _sigma(self, index: Ints) -> ArrayLike:
+        sigma = np.asarray(self.sigma_mm)
+        return sigma if sigma.ndim == 0 else sigma[index]
+
+    def _near(self, at_px: Floats, scale: float, gate_mm: float) -> tuple[Ints, Ints]:
+        """Fiducials and spots that are each other's nearest, within the gate."""
+        distance, spot = self.tree.query(at_px, distance_upper_bound=gate_mm / scale)
+        index = np.flatnonzero(np.isfinite(distance))
+        order = index[np.argsort(distance[index], kind="stable")]
+        _, first = np.unique(spot[order], return_index=True)
+        index = np.sort(order[first])
+        return index, spot[index].astype(np.int64)
+
+
+_SMALL_TURN_DEG = 2.0
+_PINHOLES_MM = 2.5
+"""Fiducials nearer to each other than this are pinholes of one body."""
+
+
+class _Map:
+    """Where spots are, as bits of a coarse image: thousands of votes are counted at once."""
+
+    def __init__(self, z: NDArray[np.complex128], cell_px: float) -> None:
+        # a vote counts when it falls into the cell of a spot or a neighbouring one
+        self.cell = max(cell_px, 1.0)
+        self.low = np.array([z.real.min(), z.imag.min()]) - 3 * self.cell
+        size = np.array([z.real.max(), z.imag.max()]) - self.low + 3 * self.cell
+        self.shape = np.ceil(size / self.cell).astype(int) + 1
+        self.lit = np.zeros(self.shape, dtype=bool)
+        i, j = self._index(z)
+        for di in (-1, 0, 1):
+            for dj in (-1, 0, 1):
+                self.lit[i + di, j + dj] = True
+
+    def _index(self, z: NDArray[np.complex128]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        i = np.floor((z.real - self.low[0]) / self.cell).astype(np.intp)
+        j = np.floor((z.imag - self.low[1]) / self.cell).astype(np.intp)
+        return i.clip(0, self.shape[0] - 1), j.clip(0, self.shape[1] - 1)
+
+    def count(self, z: NDArray[np.complex128]) -> Ints:
+        """How many of each row of points fall on a spot; the rim of the map is empty."""
+        return self.lit[self._index(z)].sum(axis=1)
+
+
+def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Similarity:
+    """The similarity that moves known places onto the spots near them, a few times over."""
+    tree = cKDTree(px)
+    for _ in range(4):
+        distance, spot = tree.query(base.to_px(known_mm), distance_upper_bound=gate_mm / base.scale_mm_px)
+        near = np.isfinite(distance)
+        if near.sum() < 4:
+            return base
+        off_mm = np.hypot(*(base.to_mm(px[spot[near]]) - known_mm[near]).T)
+        weight = 1.0 / np.maximum(off_mm, 0.3 * gate_mm)
+        base = fit_similarity(px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight)
+    return base
+
+
+def _only_used(fit: TransformFit) -> TransformFit:
+    u = fit.used
+    return TransformFit(fit.transform, fit.residual_mm[u], fit.leave_one_out_mm[u], u[u], fit.chi2)
+
+
+def _finite(expected_mm: ArrayLike | None) -> Floats:
+    if expected_mm is None:
+        return np.zeros((0, 2))
+    expected = np.asarray(expected_mm, dtype=np.float64)
+    return expected[np.isfinite(expected).all(axis=1)]

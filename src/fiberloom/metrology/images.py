@@ -1,0 +1,160 @@
+"""Images of cameras, as FITS holds them.
+
+An uncompressed image of 16 bit integers with BZERO = 32768 (what every camera writes) or of 32 bit
+floats is mapped into memory and its bytes are read as they lie in the file: no copy. Every other
+kind (compressed, scaled, 8, 32 or 64 bits) goes through astropy into a float32 array, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.errors import InputError
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """Pixels with what is known about them."""
+
+    pixels: NDArray
+    fits_bytes: bool = False
+    """The pixels are the bytes of a FITS file: big-endian; uint16 with the sign bit as offset."""
+    gain_e_adu: float = 1.0
+    saturation_adu: float = np.inf
+    exposure_s: float = 0.0
+    time_s: float = 0.0
+    header: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
+        return self.pixels.shape
+
+    def array(self) -> NDArray:
+        """The pixels as numpy understands them: for plots. Copies where the bytes are FITS's."""
+        if not self.fits_bytes:
+            return self.pixels
+        if self.pixels.dtype == np.uint16:
+            return self.pixels.byteswap() ^ np.uint16(0x8000)
+        return self.pixels.byteswap().view(np.float32)
+
+
+GAIN_KEYS = ("GAIN", "EGAIN", "CCDGAIN")
+SATURATION_KEYS = ("SATURATE", "SATLEVEL")
+
+
+def read_image(
+    path: str | Path,
+    *,
+    extension: int | str | None = None,
+    gain_e_adu: float | None = None,
+    saturation_adu: float | None = None,
+) -> CameraImage:
+    """The first image of a FITS file, or the one of an extension.
+
+    Gain and saturation come from the arguments, else from the header (GAIN, SATURATE), else 1
+    electron per unit, and the largest number that the pixels can hold.
+    """
+    from astropy.io import fits  # takes a third of a second: only where it is needed
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with fits.open(path, memmap=True) as hdus:
+            hdu = _image_hdu(hdus, extension, path)
+            pixels, fits_bytes = _mapped(path, hdu), True
+            if pixels is None:
+                pixels, fits_bytes = _converted(hdu), False
+            header = dict(hdu.header)
+    except InputError:
+        raise
+    except Exception as error:  # astropy raises many kinds for a broken file
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as FITS: {reason}") from None
+    return CameraImage(
+        pixels,
+        fits_bytes,
+        _first(gain_e_adu, header, GAIN_KEYS, 1.0, path),
+        _first(saturation_adu, header, SATURATION_KEYS, _ceiling(pixels), path),
+        _first(None, header, ("EXPTIME", "EXPOSURE"), 0.0, path),
+        header=header,
+        path=path,
+    )
+
+
+def _image_hdu(hdus: Any, extension: int | str | None, path: Path) -> Any:
+    if extension is not None:
+        try:
+            hdu = hdus[extension]
+        except (KeyError, IndexError):
+            names = ", ".join(f"{i} {h.name}".strip() for i, h in enumerate(hdus))
+            raise InputError(f"{path}: no extension {extension}; there are {names}") from None
+        if getattr(hdu, "is_image", False) and len(hdu.shape) == 2:
+            return hdu
+        raise InputError(f"{path}: extension {extension} holds no image of two dimensions")
+    for hdu in hdus:
+        if getattr(hdu, "is_image", False) and len(hdu.shape) == 2:
+            return hdu
+    raise InputError(f"{path}: no image of two dimensions in any extension")
+
+
+def _mapped(path: Path, hdu: Any) -> NDArray | None:
+    """The bytes of an uncompressed image, if they are of a kind that is read in place."""
+    header = hdu.header
+    if type(hdu).__name__ == "CompImageHDU" or path.suffix in (".gz", ".bz2", ".xz"):
+        return None
+    scale, zero = hdu._orig_bscale, hdu._orig_bzero
+    if hdu._orig_bitpix == 16 and (scale, zero) == (1, 32768) and "BLANK" not in header:
+        dtype = np.uint16
+    elif hdu._orig_bitpix == -32 and (scale, zero) == (1, 0):
+        dtype = np.uint32
+    else:
+        return None
+    return np.memmap(path, dtype, "r", hdu._data_offset, tuple(hdu.shape))
+
+
+def _converted(hdu: Any) -> NDArray:
+    data = hdu.data
+    if data.dtype.kind == "u" and data.dtype.itemsize == 2:
+        return np.ascontiguousarray(data, dtype=np.uint16)
+    return np.ascontiguousarray(data, dtype=np.float64 if data.dtype.itemsize > 4 else np.float32)
+
+
+def _ceiling(pixels: NDArray) -> float:
+    return 65535.0 if pixels.dtype == np.uint16 else np.inf
+
+
+def _first(
+    given: float | None, header: Mapping[str, Any], keys: tuple[str, ...], last: float, path: Path
+) -> float:
+    if given is not None:
+        return given
+    for key in keys:
+        if key in header:
+            try:
+                return float(header[key])
+            except (TypeError, ValueError):
+                raise InputError(f"{path}: {key} = {header[key]!r} is not a number") from None
+    return last
+
+
+def write_image(image: CameraImage, path: str | Path, *, overwrite: bool = True) -> None:
+    """An uncompressed FITS file with the image's header."""
+    from astropy.io import fits
+
+    hdu = fits.PrimaryHDU(image.array())
+    for key, value in image.header.items():
+        hdu.header[key] = value
+    hdu.header["EXPTIME"] = (image.exposure_s, "[s]")
+    hdu.header["GAIN"] = (image.gain_e_adu, "[electron/adu]")
+    if np.isfinite(image.saturation_adu):
+        hdu.header["SATURATE"] = (image.saturation_adu, "[adu]")
+    hdu.writeto(path, overwrite=overwrite)

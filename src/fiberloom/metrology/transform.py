@@ -1,0 +1,258 @@
+"""From pixels to the focal plane: a similarity, then Zhao-Burge terms fitted on fiducials.
+
+    p_mm = s + sum_k c_k V_k(s / R),   s = similarity(p_px)
+
+The similarity is found first and then held: terms 0, 1, 2 and 27 (shift, scale, rotation) are among
+those fitted, so nothing is lost, and the fit is linear. R is the radius of the field: with it the
+terms are orthonormal and the fit well conditioned. Every number comes with its covariance:
+
+    C = s2 (A^T W A)^-1,   s2 = max(1, chi2 per degree of freedom)
+    cov(p_mm) = J cov(p_px) J^T + B C B^T
+
+and every fiducial with the residual that it would have had it been left out of the fit,
+r_i / (1 - H_ii) with the 2 x 2 block H_ii of the hat matrix: one fit instead of as many as there
+are fiducials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiberloom.errors import InputError
+from fiberloom.metrology import zhao_burge
+from fiberloom.units import UM_PER_MM
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_CLIP = 4.5
+"""Robust standard deviations beyond which a fiducial is not believed."""
+_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """z_mm = a z_px + b with z = x + i y; with `flipped` of the conjugate of z_px."""
+
+    a: complex
+    b: complex
+    flipped: bool = False
+
+    def to_mm(self, xy_px: ArrayLike) -> Floats:
+        """Focal-plane positions (n, 2)."""
+        z = _complex(xy_px)
+        return _real(self.a * (z.conj() if self.flipped else z) + self.b)
+
+    def to_px(self, xy_mm: ArrayLike) -> Floats:
+        """Pixel positions (n, 2)."""
+        z = (_complex(xy_mm) - self.b) / self.a
+        return _real(z.conj() if self.flipped else z)
+
+    @property
+    def scale_mm_px(self) -> float:
+        """Millimetres per pixel."""
+        return abs(self.a)
+
+    @property
+    def rotation_deg(self) -> float:
+        """Direction in the focal plane of the pixel x axis."""
+        return float(np.rad2deg(np.angle(self.a)))
+
+    @property
+    def jacobian(self) -> Floats:
+        """d(mm)/d(px), 2 x 2."""
+        c, s = self.a.real, self.a.imag
+        return np.array([[c, s], [s, -c]] if self.flipped else [[c, -s], [s, c]])
+
+
+def fit_similarity(
+    xy_px: ArrayLike, xy_mm: ArrayLike, *, flipped: bool = False, weight: ArrayLike | None = None
+) -> Similarity:
+    """Weighted least squares; needs two points."""
+    z, m = _complex(xy_px), _complex(xy_mm)
+    if len(z) < 2:
+        raise InputError(f"{len(z)} points: a similarity needs at least 2")
+    z = z.conj() if flipped else z
+    w = np.ones(len(z)) if weight is None else np.asarray(weight, dtype=np.float64)
+    z0, m0 = np.average(z, weights=w), np.average(m, weights=w)
+    norm = float(np.sum(w * np.abs(z - z0) ** 2))
+    if norm == 0:
+        raise InputError("all points of the similarity are the same")
+    a = complex(np.sum(w * (m - m0) * (z - z0).conj()) / norm)
+    return Similarity(a, complex(m0 - a * z0), flipped)
+
+
+@dataclass(frozen=True)
+class FieldTransform:
+    """Pixels to focal plane, with covariance."""
+
+    similarity: Similarity
+    radius_mm: float
+    terms: tuple[int, ...]
+    coefficients_mm: Floats
+    covariance_mm2: Floats
+    """(K, K) of the coefficients."""
+
+    def to_mm(self, xy_px: ArrayLike) -> Floats:
+        """Focal-plane positions (n, 2)."""
+        s = self.similarity.to_mm(xy_px)
+        return s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+
+    def to_px(self, xy_mm: ArrayLike) -> Floats:
+        """Pixel positions (n, 2), to 1e-9 px: the inverse, by iteration."""
+        goal = np.asarray(xy_mm, dtype=np.float64)
+        px = self.similarity.to_px(goal)
+        for _ in range(50):
+            step = np.linalg.solve(self.jacobian(px), (goal - self.to_mm(px))[..., None])[..., 0]
+            px = px + step
+            if np.abs(step).max(initial=0.0) < 1e-9:
+                break
+        return px
+
+    def jacobian(self, xy_px: ArrayLike) -> Floats:
+        """d(mm)/d(px), (n, 2, 2)."""
+        s = self.similarity.to_mm(xy_px)
+        bend = zhao_burge.basis_jacobian(s / self.radius_mm, self.terms) / self.radius_mm
+        bent = np.einsum("k,kncd->ncd", self.coefficients_mm, bend)
+        return (np.eye(2) + bent) @ self.similarity.jacobian
+
+    def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
+        """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
+        b = self._basis(self.similarity.to_mm(xy_px))
+        own = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
+        if covariance_px2 is None:
+            return own
+        j = self.jacobian(xy_px)
+        return own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+
+    def distortion_mm(self, xy_px: ArrayLike) -> Floats:
+        """(n, 2): what the terms beyond shift, scale and rotation add."""
+        s = self.similarity.to_mm(xy_px)
+        keep = [k for k, t in enumerate(self.terms) if t not in zhao_burge.SIMILARITY_TERMS]
+        terms = [self.terms[k] for k in keep]
+        b = zhao_burge.basis(s / self.radius_mm, terms)
+        return np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
+
+    def _basis(self, s_mm: Floats) -> Floats:
+        return zhao_burge.basis(s_mm / self.radius_mm, self.terms)
+
+
+@dataclass(frozen=True)
+class TransformFit:
+    """A transform and how well the fiducials agree with it; rows are fiducials."""
+
+    transform: FieldTransform
+    residual_mm: Floats
+    """(m, 2) known minus fitted."""
+    leave_one_out_mm: Floats
+    """(m, 2) the same had the fiducial been left out; equal to the residual where it was."""
+    used: Flags
+    chi2: float
+    """Per degree of freedom."""
+
+    @property
+    def rms_um(self) -> float:
+        """2-D rms of the residuals of the fiducials that were used."""
+        return _rms_um(self.residual_mm[self.used])
+
+    @property
+    def leave_one_out_rms_um(self) -> float:
+        """2-D rms of the leave-one-out residuals: what a point between fiducials must expect."""
+        return _rms_um(self.leave_one_out_mm[self.used])
+
+
+def fit_transform(
+    xy_px: ArrayLike,
+    xy_mm: ArrayLike,
+    *,
+    radius_mm: float,
+    flipped: bool = False,
+    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS,
+    covariance_px2: ArrayLike | None = None,
+    sigma_mm: ArrayLike = 0.0,
+    robust: bool = True,
+) -> TransformFit:
+    """Fits fiducials seen at `xy_px` (m, 2) and known to be at `xy_mm`.
+
+    `sigma_mm` is how well they are known, per coordinate. Without any variance all weigh the same.
+    Fiducials beyond 4.5 robust standard deviations are left out. Where fewer than four more than
+    half the number of terms are left, only the similarity is fitted.
+    """
+    px, mm = (np.asarray(a, dtype=np.float64) for a in (xy_px, xy_mm))
+    if px.shape != mm.shape or len(px) < 3:
+        raise InputError(f"{len(px)} fiducials seen: a transform needs at least 3")
+    terms = tuple(terms) if 2 * len(px) >= len(terms) + 8 else zhao_burge.SIMILARITY_TERMS
+    base = _robust_similarity(px, mm, flipped) if robust else fit_similarity(
+        px, mm, flipped=flipped)  # fmt: skip
+    variance, known = _variance(base, len(px), covariance_px2, sigma_mm)
+    start = base.to_mm(px)
+    a = zhao_burge.basis(start / radius_mm, terms).transpose(1, 2, 0).reshape(2 * len(px), -1)
+    r = (mm - start).ravel()
+    used = np.ones(len(px), dtype=bool)
+    for _ in range(_ROUNDS if robust else 1):
+        c, loo, residual, normal = _solve(a, r, variance, used)
+        off = np.hypot(*loo.T) / np.sqrt(variance)
+        # the median of a 2-D Gaussian's length is 1.177 of its sigma per coordinate
+        scale = max(float(np.median(off[used])) / 1.177, 1.0 if known else 0.0)
+        again = off <= _CLIP * scale + 1e-12
+        if again.sum() < max(3, len(terms) // 2 + 2) or (again == used).all():
+            break
+        used = again
+    freedom = 2 * int(used.sum()) - len(terms)
+    chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
+    inflate = max(chi2, 1.0) if known else chi2
+    transform = FieldTransform(base, radius_mm, terms, c, np.linalg.inv(normal) * inflate)
+    return TransformFit(transform, residual, loo, used, chi2)
+
+
+def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Floats, ...]:
+    """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
+    w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
+    normal = a.T @ (a * w[:, None])
+    c = np.linalg.solve(normal, a.T @ (w * r))
+    residual = (r - a @ c).reshape(-1, 2)
+    blocks = a.reshape(-1, 2, a.shape[1])
+    hat = blocks @ np.linalg.solve(normal, blocks.transpose(0, 2, 1))
+    hat *= np.where(used, 1.0 / variance, 0.0)[:, None, None]
+    loo = np.linalg.solve(np.eye(2) - hat, residual[..., None])[..., 0]
+    return c, loo, residual, normal
+
+
+def _variance(
+    base: Similarity, n: int, covariance_px2: ArrayLike | None, sigma_mm: ArrayLike
+) -> tuple[Floats, bool]:
+    """Variance per coordinate of each fiducial, and whether anything is known about it."""
+    variance = np.broadcast_to(np.square(np.asarray(sigma_mm, dtype=np.float64)), (n,)).copy()
+    if covariance_px2 is not None:
+        trace = np.trace(np.asarray(covariance_px2), axis1=1, axis2=2)
+        variance += 0.5 * trace * base.scale_mm_px**2
+    if not (variance > 0).all():
+        return np.ones(n), False
+    return variance, True
+
+
+def _robust_similarity(px: Floats, mm: Floats, flipped: bool) -> Similarity:
+    """Least squares, again and again with weights that fall with the residual."""
+    weight = np.ones(len(px))
+    for _ in range(10):
+        base = fit_similarity(px, mm, flipped=flipped, weight=weight)
+        off = np.hypot(*(mm - base.to_mm(px)).T)
+        weight = 1.0 / np.maximum(off, np.median(off) + 1e-12)
+    return base
+
+
+def _rms_um(residual_mm: Floats) -> float:
+    return UM_PER_MM * float(np.sqrt(np.mean(np.sum(residual_mm**2, axis=1))))
+
+
+def _complex(xy: ArrayLike) -> NDArray[np.complex128]:
+    xy = np.asarray(xy, dtype=np.float64)
+    return xy[:, 0] + 1j * xy[:, 1]
+
+
+def _real(z: NDArray[np.complex128]) -> Floats:
+    return np.column_stack([z.real, z.imag])

@@ -1,0 +1,119 @@
+"""Zhao-Burge vector polynomials: orthonormal distortions on the unit disc.
+
+C. Zhao and J. H. Burge, Opt. Express 15, 18014 (2007), part I (S: gradients of Zernike
+polynomials, free of curl) and Opt. Express 16, 6586 (2008), part II (T: free of divergence). With
+Noll's index j of (n, m), Noll-normalised Z_j, and j' = (n - 2, m):
+
+    S_j = grad Z_j / sqrt(2 n (n + 1))                                          n = |m|
+    S_j = (grad Z_j - sqrt((n + 1)/(n - 1)) grad Z_j') / sqrt(4 n (n + 1))      else
+    T_j = the same scalar, its gradient turned: (d/dy, -d/dx)                   n != |m| only
+
+The gradients are taken of polynomials in x and y, exactly. Terms are numbered as instruments do
+(`polid`): 0..26 = S2..S28, 27..32 = T4, T7, T8, T11, T12, T13. Polids 0 and 1 are shifts, 2 is a
+change of scale, 27 a rotation, 9 = S11 the third-order and 20 = S22 the fifth-order radial term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from math import comb, factorial, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+N_TERMS = 33
+DEFAULT_TERMS = (0, 1, 2, 3, 4, 5, 6, 9, 20, 27, 28, 29, 30)
+"""What SDSS-V and DESI fit."""
+SIMILARITY_TERMS = (0, 1, 2, 27)
+_T_INDEX = (4, 7, 8, 11, 12, 13)
+_DEGREE = 6
+
+
+def noll(j: int) -> tuple[int, int]:
+    """(n, m) of Noll's index j >= 1; m > 0 for cosine terms, m < 0 for sine terms."""
+    n = int((sqrt(8 * j - 7) - 1) / 2)
+    k = j - n * (n + 1) // 2 - 1
+    m = k + (k + n) % 2
+    return n, m if j % 2 == 0 else -m
+
+
+def zernike(j: int) -> Floats:
+    """Z_j with unit rms on the disc, as coefficients c[a, b] of x^a y^b."""
+    n, m = noll(j)
+    out = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for k in range((n - abs(m)) // 2 + 1):
+        radial = (-1) ** k * factorial(n - k) / (
+            factorial(k)
+            * factorial((n + abs(m)) // 2 - k)
+            * factorial((n - abs(m)) // 2 - k)
+        )  # fmt: skip
+        out += radial * _times_angular(m, (n - abs(m)) // 2 - k)
+    return out * sqrt(n + 1) * (sqrt(2) if m else 1)
+
+
+def _times_angular(m: int, half_power: int) -> Floats:
+    """r^(2 half_power) times Re or Im of (x + i y)^|m|."""
+    out = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for b in range(abs(m) + 1):
+        phase = 1j**b
+        part = phase.real if m >= 0 else phase.imag
+        if part == 0:
+            continue
+        for c in range(half_power + 1):
+            out[abs(m) - b + 2 * (half_power - c), b + 2 * c] += part * comb(abs(m), b) * comb(half_power, c)
+    return out
+
+
+def _scalar(j: int) -> Floats:
+    """The scalar whose gradient is S_j."""
+    n, m = noll(j)
+    if n == abs(m):
+        return zernike(j) / sqrt(2 * n * (n + 1))
+    lower = next(k for k in range(1, j) if noll(k) == (n - 2, m))
+    return (zernike(j) - sqrt((n + 1) / (n - 1)) * zernike(lower)) / sqrt(4 * n * (n + 1))
+
+
+def _gradient(c: Floats) -> tuple[Floats, Floats]:
+    dx, dy = np.zeros_like(c), np.zeros_like(c)
+    powers = np.arange(1, _DEGREE + 1)
+    dx[:-1] = c[1:] * powers[:, None]
+    dy[:, :-1] = c[:, 1:] * powers
+    return dx, dy
+
+
+@cache
+def _coefficients() -> Floats:
+    """(33, 2, 7, 7): x^a y^b of both components of every term."""
+    terms = [_gradient(_scalar(j)) for j in range(2, 29)]
+    for j in _T_INDEX:
+        dx, dy = _gradient(_scalar(j))
+        terms.append((dy, -dx))
+    return np.array(terms)
+
+
+def basis(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
+    """(len(terms), n, 2): the vector fields at points (n, 2) of the unit disc."""
+    return _evaluate(_coefficients()[list(terms)], np.asarray(xy, dtype=np.float64))
+
+
+def basis_jacobian(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
+    """(len(terms), n, 2, 2): d(component)/d(x, y) of the vector fields."""
+    c = _coefficients()[list(terms)]
+    points = np.asarray(xy, dtype=np.float64)
+    derivatives = [[_gradient(field) for field in pair] for pair in c]
+    by_axis = np.array(derivatives)  # term, component, axis, a, b
+    flat = _evaluate(by_axis.reshape(len(c), 4, *c.shape[2:]), points)
+    return flat.reshape(len(c), len(points), 2, 2)
+
+
+def _evaluate(coefficients: Floats, xy: Floats) -> Floats:
+    """(k, p, 7, 7) coefficients at (n, 2) points: (k, n, p)."""
+    x = np.vander(xy[:, 0], _DEGREE + 1, increasing=True)
+    y = np.vander(xy[:, 1], _DEGREE + 1, increasing=True)
+    monomials = (x[:, :, None] * y[:, None, :]).reshape(len(xy), -1)
+    k, p = coefficients.shape[:2]
+    values = monomials @ coefficients.reshape(k * p, -1).T
+    return np.moveaxis(values.reshape(len(xy), k, p), 0, 1)
