@@ -274,8 +274,8 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     }
 }
 
-/* Legs at creep speed, where the higher gain holds. */
-static bool stiff(uint8_t kind) {
+/* Legs at creep speed. */
+static bool creeping(uint8_t kind) {
     return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
 }
 
@@ -302,7 +302,7 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
         .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
         .speed_rad_s = a->command.speed_rad_s,
         .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
+        .settling = creeping(a->plan[a->leg].kind),
     };
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
@@ -371,10 +371,11 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
 }
 
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
-    const uint8_t kind = a->plan[a->leg].kind;
-    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 

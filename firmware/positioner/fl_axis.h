@@ -25,7 +25,7 @@ typedef struct fl_axis_law {
     fl_servo_config_t servo;
     fl_collision_config_t collision;
     float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
-    float settle_gain, open_loop_voltage, holding_voltage;
+    float open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
     int32_t datum_step_cnt;
     uint32_t search_ticks;

@@ -24,6 +24,7 @@ static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
     const fl_servo_config_t cfg = {
         .k_p = p->k_p,
         .k_i = p->k_i,
+        .settle_gain = p->settle_gain,
         .integral_limit = p->integral_limit,
         .drag = p->use_speed * p->drag,
         .learning = drag_learning(p),
@@ -68,7 +69,6 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
         .servo = servo_config(p),
         .collision = collision_config(p, a->margin_rad),
         .voltage_per_Nm = 1.0f / (p->torque_per_volt * p->u_dc),
-        .settle_gain = p->settle_gain,
         .open_loop_voltage = p->open_loop_voltage,
         .holding_voltage = p->holding_voltage,
         .acceleration_cnt_tick2 = p->acceleration * FL_CNT_TICK2_PER_RAD_S2,
