@@ -15,7 +15,9 @@
 
 #include "fl_math.h"
 
-#define FL_SETTLE_RAD 0.05f       /* 3 motor degrees */
+#define FL_SETTLE_RAD 0.05f /* 3 motor degrees */
+#define FL_DOUBT_FIRST 0.4f /* grease half or twice as stiff: -19, +38 % of the drag */
+#define FL_DOUBT_LAST 0.05f
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
@@ -23,6 +25,7 @@ typedef struct fl_servo_config {
     float settle_gain;                /* factor on both while settling */
     float integral_limit;             /* Nm */
     float drag, inertia;              /* Nm s/rad, kg m^2: zero switches the term off */
+    float doubting;                   /* s/rad^2: how fast the doubt goes, half as fast as it is learnt */
     float learning;                   /* 1/(Nm rad): how fast the drag's scale follows the feedback */
     float coulomb;                    /* Nm */
     float spring_torque, spring_rate; /* Nm at output zero, Nm per motor rad */
@@ -33,6 +36,7 @@ typedef struct fl_servo_config {
 typedef struct fl_servo_state {
     float integral_Nm;
     float direction;  /* -1, 0 or 1: the last commanded one */
+    float drag_doubt; /* share of the drag that may not be learnt yet: FL_DOUBT_FIRST .. FL_DOUBT_LAST */
     float drag_scale; /* learnt: 1 as identified; grease is half as stiff or twice with temperature */
 } fl_servo_state_t;
 
@@ -68,6 +72,7 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
                                cfg->integral_limit);
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
+    st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * dt_s * pace * pace);
     st->drag_scale =
         fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, 2.0f);
     const float feedforward = fl_servo_break_away(cfg, in, st->direction) +

@@ -307,7 +307,9 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
     *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm, in.speed_rad_s);
+    const fl_collision_in_t watch = {a->torque.watched_Nm, in.speed_rad_s, a->servo.direction,
+                                     a->servo.drag_doubt};
+    return fl_collision_closed(&a->law.collision, watch);
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
