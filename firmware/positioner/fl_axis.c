@@ -1,5 +1,9 @@
 #include "fl_axis.h"
 
+/* Seldom done inside a tick: kept apart, so that the compiler does not shape the rest around it. Loads
+ * of both hall channels at once, which copies invite, would wait for the two stores of read_hall. */
+#define FL_COLD __attribute__((noinline, cold))
+
 /* Field speed of the hall calibration: 240 rpm */
 enum { SPIN_STEP_CNT = 2097 };
 
@@ -219,7 +223,7 @@ static void leg_next(fl_axis_t *a) {
 }
 
 /* From where the rotor is, without a jump. */
-static void plan_begin(fl_axis_t *a) {
+FL_COLD static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->servo.integral_Nm = a->servo.direction = 0.0f;
@@ -270,15 +274,15 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     }
 }
 
-/* Legs at creep speed, where the higher gain holds. */
-static bool stiff(uint8_t kind) {
+/* Legs at creep speed. */
+static bool creeping(uint8_t kind) {
     return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
 }
 
 static bool spinning(uint8_t kind) { return kind >= FL_LEG_SPIN && kind <= FL_LEG_SPIN_FIT; }
 
 /* What the calibrating legs are there for. */
-static void observe(fl_axis_t *a, uint8_t kind) {
+FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
@@ -298,12 +302,14 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
         .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
         .speed_rad_s = a->command.speed_rad_s,
         .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
+        .settling = creeping(a->plan[a->leg].kind),
     };
     a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
     a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
     *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm, in.speed_rad_s);
+    const fl_collision_in_t watch = {a->torque.watched_Nm, in.speed_rad_s, a->servo.direction,
+                                     a->servo.drag_doubt};
+    return fl_collision_closed(&a->law.collision, watch);
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
@@ -367,10 +373,11 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
 }
 
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
-    const uint8_t kind = a->plan[a->leg].kind;
-    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 

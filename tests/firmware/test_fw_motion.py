@@ -353,6 +353,24 @@ def test_holding_current_keeps_the_field_on_at_rest():
     assert abs(errors_motor_deg(unit, 11, 21)[0]) < 90
 
 
+def test_an_axis_that_is_to_stay_does_not_start_its_motor():
+    unit = Rig()
+    unit.goto(12, 20)
+    unit.wait()
+    stood = unit.position_deg
+    # without current the rotor falls back inside the backlash; the arm does not
+    unit.unit.set_plant(0, "theta_rad", unit.unit.plant(0, "theta_rad") + 1.0)
+    unit.unit.set_plant(0, "omega_rad_s", 0.0)
+    for _ in range(3):
+        assert unit.code(31, bytes(8)) == ACCEPTED
+        assert unit.wait() < 0.01
+    unit.follow([(0.1, stood[0]), (1.0, stood[0])], [(0.1, 20), (0.6, 21)])
+    unit.unit.tick(100)
+    assert unit.unit.duty(0) == (0, 0, 0)
+    unit.wait()
+    assert unit.position_deg[0] == stood[0]
+
+
 def test_parameters_cannot_change_in_motion():
     unit = Rig()
     unit.goto(12, 20)
