@@ -104,20 +104,22 @@ def acquire(
     expected_mm: ArrayLike | None = None,
     covariance_px2: ArrayLike | None = None,
     sigma_mm: ArrayLike = 0.0,
-    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS,
+    terms: Sequence[int] | None = None,
     radius_mm: float | None = None,
     settings: AcquisitionSettings | None = None,
 ) -> Acquisition:
     """Finds fiducials (m, 2) among spots (n, 2).
 
     `expected_mm`: where fibres should be; they help to tell symmetric answers apart, and some may
-    be wrong. Raises AcquisitionError where too few are found or two answers are as good.
+    be wrong. Without `terms` the default set and the full one are fitted, and the one with smaller
+    leave-one-out residuals is kept. Raises AcquisitionError where too few are found or two answers
+    are as good.
     """
     s = settings or AcquisitionSettings()
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.help = _finite(expected_mm)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = tuple(terms), radius_mm or hunt.field_radius_mm
+    hunt.terms, hunt.radius_mm = _sets(terms), radius_mm or hunt.field_radius_mm
     return hunt.best(hunt.proposals())
 
 
@@ -136,7 +138,7 @@ def refine(
     geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = tuple(terms or start.terms), start.radius_mm
+    hunt.terms, hunt.radius_mm = _sets(terms), start.radius_mm
     grown = hunt.polish(start)
     if grown is None:
         raise AcquisitionError(
@@ -160,7 +162,7 @@ class _Hunt:
         self.help = np.zeros((0, 2))
         self.sigma_mm: ArrayLike = 0.0
         self.covariance_px2: ArrayLike | None = None
-        self.terms: tuple[int, ...] = zhao_burge.DEFAULT_TERMS
+        self.terms = _sets(None)
         self.field_radius_mm = float(np.hypot(*(fiducials - fiducials.mean(0)).T).max()) or 1.0
         self.radius_mm = self.field_radius_mm
         self.needed = max(4, int(np.ceil(s.seen_at_least * len(fiducials))))
@@ -322,7 +324,7 @@ class _Hunt:
 
     def _radial(self, index: Ints, spot: Ints, base: Similarity) -> FieldTransform:
         """Few terms first: they are robust against the wrong pairs of a wide gate."""
-        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms) or self.terms
+        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms[0]) or self.terms[0]
         return fit_transform(
             self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
             flipped=base.flipped, terms=few,
@@ -336,14 +338,23 @@ class _Hunt:
             index, spot = self._near(transform.to_px(self.fiducials), scale, gate_mm)
             if len(index) < max(self.needed, 4):
                 return None
-            fit = fit_transform(
-                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
-                flipped=transform.similarity.flipped, terms=self.terms,
-                covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
-            )  # fmt: skip
+            fit = self._best_fit(index, spot, transform.similarity.flipped)
             transform = fit.transform
             found = Acquisition(index[fit.used], spot[fit.used], _only_used(fit))
         return found
+
+    def _best_fit(self, index: Ints, spot: Ints, flipped: bool) -> TransformFit:
+        """With the set of terms that predicts left-out fiducials best."""
+        fits = [
+            fit_transform(
+                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm, flipped=flipped,
+                terms=terms, covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
+            )
+            for terms in self.terms
+        ]  # fmt: skip
+        # over the same fiducials: a fit must not win by leaving out those that it cannot explain
+        both = np.logical_and.reduce([fit.used for fit in fits])
+        return min(fits, key=lambda fit: float(np.sum(fit.leave_one_out_mm[both] ** 2)))
 
     def _covariance(self, spot: Ints) -> Floats | None:
         return None if self.covariance_px2 is None else np.asarray(self.covariance_px2)[spot]
@@ -408,6 +419,12 @@ def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Si
             px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight
         )
     return base
+
+
+def _sets(terms: Sequence[int] | None) -> tuple[tuple[int, ...], ...]:
+    if terms is not None:
+        return (tuple(terms),)
+    return (zhao_burge.DEFAULT_TERMS, tuple(range(zhao_burge.N_TERMS)))
 
 
 def _only_used(fit: TransformFit) -> TransformFit:

@@ -31,8 +31,8 @@ Floats = NDArray[np.float64]
 
 PSF_KINDS = {"gaussian": 0, "moffat": 1, "disc": 2}
 _FWHM_PER_SIGMA = 2.3548200450309493
-_END_Q = {"gaussian": 40.0, "moffat": 150.0, "disc": 4.0}
-"""Elliptical radius squared where a painted spot ends."""
+_END = 1e-6
+"""Share of the peak where a painted spot ends."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,13 @@ class Psf:
     def parameter(self) -> float:
         """What the painter needs besides the ellipse."""
         return {"gaussian": 0.0, "moffat": self.beta, "disc": self.edge}[self.kind]
+
+    @property
+    def end_q(self) -> float:
+        """Elliptical radius squared where the spot ends."""
+        if self.kind == "disc":
+            return (1 + 5 * self.edge) ** 2
+        return -2 * np.log(_END) if self.kind == "gaussian" else _END ** (-1 / self.beta) - 1
 
     def ellipses_px2(self, place: Floats) -> Floats:
         """(n, 3) S_xx, S_xy, S_yy at places (n, 2) relative to the radius of the field."""
@@ -295,7 +302,7 @@ class ImagingCamera:
         g = self.model.optics.geometry
         image = np.zeros((g.height_px, g.width_px), dtype=np.float32)
         kind = self.model.psf.kind
-        _core.render_spots(image, self._sources(rng), PSF_KINDS[kind], _END_Q[kind])
+        _core.render_spots(image, self._sources(rng), PSF_KINDS[kind], self.model.psf.end_q)
         where, electrons = self._hot
         np.add.at(image.reshape(-1), where, electrons)
         self._cosmic_rays(image, rng)
@@ -405,7 +412,7 @@ def close_up() -> CameraModel:
 
 
 WORKSPACE_E = 6250.0
-CLOSE_UP_E = 20300.0
+CLOSE_UP_E = 19600.0
 
 PRESETS = {
     "sdssv": sdssv, "desi": desi, "pfs": pfs, "workspace": workspace, "close-up": close_up,
