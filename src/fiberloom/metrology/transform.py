@@ -103,13 +103,13 @@ class FieldTransform:
         return s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
-        """Pixel positions (n, 2), to 1e-9 px: the inverse, by iteration."""
+        """Pixel positions (n, 2), to 1e-7 px: the inverse, by Newton's method."""
         goal = np.asarray(xy_mm, dtype=np.float64)
         px = self.similarity.to_px(goal)
-        for _ in range(50):
+        for _ in range(12):
             step = np.linalg.solve(self.jacobian(px), (goal - self.to_mm(px))[..., None])[..., 0]
             px = px + step
-            if np.abs(step).max(initial=0.0) < 1e-9:
+            if np.abs(step).max(initial=0.0) < 1e-7:
                 break
         return px
 
