@@ -48,6 +48,7 @@ def test_ecsv_under_the_name_of_csv(tmp_path):
         ("x\ninf\n", ["line 2", "x", "not finite"]),
         ("x\n1,2\n", ["line 2", "2 cells", "1 columns"]),
         ("y\n1\n", ["no column x", "the columns are y"]),
+        ("x,y,x\n1,2,3\n", ["line 1", "column x appears twice"]),
         ("x\n", ["no rows"]),
         ("", ["empty"]),
         ("# only a comment\n", ["empty"]),

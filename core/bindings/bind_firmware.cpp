@@ -2,10 +2,12 @@
 #include "bind.hpp"
 
 #include <algorithm>
+#include <cstddef>
 
 #include <nanobind/stl/pair.h>
 
 #include "bench_positioner.hpp"
+#include "bind_laws.hpp"
 
 extern "C" {
 #include "fl_commands.h"
@@ -146,6 +148,35 @@ void bind_bench(nb::module_ &m) {
                  const int32_t p[FL_AXES] = {alpha, beta};
                  fl_positioner_set_position(&b.firmware, p);
              })
+        .def("enter_bootloader", [](Bench &b) { fl_positioner_enter_bootloader(&b.firmware); })
+        .def(
+            "forget_calibration",
+            [](Bench &b, int axis, bool hall, bool datum) {
+                const auto mask = static_cast<uint8_t>(~(1u << axis_index(axis)));
+                if (hall) b.firmware.hall_calibrated &= mask;
+                if (datum) b.firmware.axis[axis].datum_calibrated = false;
+            },
+            nb::arg("axis"), nb::arg("hall") = false, nb::arg("datum") = false,
+            "As on a unit that was never calibrated.")
+        .def(
+            "params",
+            [](const Bench &b, int axis) {
+                auto out = new_array<float>({param_count});
+                std::copy_n(reinterpret_cast<const float *>(&b.firmware.params[axis_index(axis)]),
+                            param_count, out.data());
+                return out.cast();
+            },
+            nb::arg("axis"))
+        .def(
+            "set_params",
+            [](Bench &b, int axis,
+               nb::ndarray<const float, nb::shape<param_count>, nb::c_contig, nb::device::cpu> row) {
+                fl_axis_params_t p;
+                std::copy_n(row.data(), param_count, reinterpret_cast<float *>(&p));
+                axis_index(axis);
+                return fl_positioner_set_params(&b.firmware, axis, &p);
+            },
+            nb::arg("axis"), nb::arg("row"), "The firmware's parameters, not the bench's sensors.")
         .def("sync", [](Bench &b) { fl_positioner_sync(&b.firmware); })
         .def("at_rest", [](const Bench &b) { return fl_positioner_at_rest(&b.firmware); })
         .def("skip", [](Bench &b, uint32_t n) { fl_positioner_skip(&b.firmware, n); })
@@ -184,9 +215,11 @@ void bind_firmware(nb::module_ &parent) {
     nb::module_ m = parent.def_submodule("firmware", "The positioner's firmware, compiled for the host.");
     m.attr("AXIS_PARAMS") = param_list();
     m.attr("SIZEOF_POSITIONER") = sizeof(fl_positioner_t);
+    m.attr("TX_QUEUE") = nb::make_tuple(offsetof(fl_positioner_t, tx), sizeof(fl_tx_queue_t));
     m.attr("PATH_POINTS") = FL_PATH_POINTS;
     m.def("encode_identifier", &encode, nb::arg("positioner"), nb::arg("command"), nb::arg("uid") = 0,
           nb::arg("code") = 0);
     m.def("decode_identifier", &decode, nb::arg("id"), "(positioner, command, uid, code)");
+    bind_laws(m);
     bind_bench(m);
 }

@@ -338,6 +338,8 @@ void bind_whole_twin(nb::module_ &m) {
                  return t.plant().backlash_rad(2 * i + static_cast<size_t>(axis));
              })
         .def("asleep", &Twin::asleep)
+        .def_prop_ro("bytes_per_positioner", &Twin::bytes_per_positioner,
+                     "Memory of one positioner beside its firmware's state, before any log.")
         .def_prop_ro("tick", &Twin::tick)
         .def_prop_ro("ticks_run", &Twin::ticks_run)
         .def_prop_ro("ticks_skipped", &Twin::ticks_skipped)

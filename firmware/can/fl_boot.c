@@ -15,7 +15,9 @@ static void restart(fl_positioner_t *p, uint32_t status) {
 }
 
 void fl_positioner_enter_bootloader(fl_positioner_t *p) {
-    fl_positioner_brake(p);
+    /* whoever moves loses count: as after a power cut */
+    if (p->state > FL_STATE_REFUSED) p->datum_known = 0;
+    for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_off(&p->axis[axis], &p->port, axis);
     p->state = FL_STATE_BOOTLOADER;
     restart(p, FL_BOOT_INIT);
 }

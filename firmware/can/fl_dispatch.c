@@ -43,8 +43,8 @@ static uint64_t mode_status(const fl_positioner_t *p) {
 static uint64_t path_status(const fl_positioner_t *p) {
     if (p->state != FL_STATE_LOADING && p->state != FL_STATE_LOADED) return 0;
     uint64_t s = 0;
-    if (p->axis[FL_ALPHA].path.points == p->points[FL_ALPHA]) s |= FL_STATUS_TRAJECTORY_ALPHA_RECEIVED;
-    if (p->axis[FL_BETA].path.points == p->points[FL_BETA]) s |= FL_STATUS_TRAJECTORY_BETA_RECEIVED;
+    if (p->path[FL_ALPHA].points == p->points[FL_ALPHA]) s |= FL_STATUS_TRAJECTORY_ALPHA_RECEIVED;
+    if (p->path[FL_BETA].points == p->points[FL_BETA]) s |= FL_STATUS_TRAJECTORY_BETA_RECEIVED;
     return s;
 }
 

@@ -11,7 +11,7 @@
 
 static void drop_paths(fl_positioner_t *p) {
     for (int i = 0; i < FL_AXES; ++i) {
-        fl_path_clear(&p->axis[i].path);
+        fl_path_clear(&p->path[i]);
         p->points[i] = 0;
     }
     p->path_bad = false;
@@ -30,7 +30,7 @@ FL_HANDLER(fl_handle_new_trajectory) {
 /* The axis whose point comes next: first all of alpha's, then beta's; FL_AXES when all are in. */
 static int next_axis(const fl_positioner_t *p) {
     int axis = 0;
-    while (axis < FL_AXES && p->axis[axis].path.points == p->points[axis]) ++axis;
+    while (axis < FL_AXES && p->path[axis].points == p->points[axis]) ++axis;
     return axis;
 }
 
@@ -43,26 +43,25 @@ FL_HANDLER(fl_handle_point) {
     UNUSED(re);
     const int axis = next_axis(p);
     if (axis == FL_AXES) return FL_INVALID_TRAJECTORY;
-    fl_axis_t *a = &p->axis[axis];
+    const fl_axis_t *a = &p->axis[axis];
     const int32_t position = fl_get_i32(rq->data), tick = fl_get_i32(rq->data + 4);
     if (!fl_axis_in_range(a, position) || tick < 0 || tick > LAST_TICK) return FL_VALUE_OUT_OF_RANGE;
-    const fl_path_t *path = &a->path;
+    fl_path_t *path = &p->path[axis];
     /* order and speed are judged at the end (12): the frames of one bite may all be under way */
     if (path->points > 0 &&
         too_fast(a, fl_sub_i32(position, path->last_cnt), (int64_t)tick - path->last_tick))
         p->path_bad = true;
     if (tick <= path->last_tick) {
         p->path_bad = true;
-        ++a->path.points;
-    } else if (!fl_path_append(&a->path, position, tick)) {
+        ++path->points;
+    } else if (!fl_path_append(path, position, tick)) {
         return FL_VALUE_OUT_OF_RANGE;
     }
     return FL_ACCEPTED;
 }
 
 /* From here to the first point, the smoothing counted in. */
-static bool start_too_far(const fl_axis_t *a) {
-    const fl_path_t *path = &a->path;
+static bool start_too_far(const fl_axis_t *a, const fl_path_t *path) {
     int32_t first;
     uint32_t ticks;
     fl_path_read(path, 0, &first, &ticks);
@@ -71,7 +70,8 @@ static bool start_too_far(const fl_axis_t *a) {
 
 static bool trajectory_good(const fl_positioner_t *p) {
     if (p->path_bad || next_axis(p) != FL_AXES) return false;
-    return !start_too_far(&p->axis[FL_ALPHA]) && !start_too_far(&p->axis[FL_BETA]);
+    return !start_too_far(&p->axis[FL_ALPHA], &p->path[FL_ALPHA]) &&
+           !start_too_far(&p->axis[FL_BETA], &p->path[FL_BETA]);
 }
 
 FL_HANDLER(fl_handle_end) {
@@ -93,7 +93,7 @@ FL_HANDLER(fl_handle_start) {
     UNUSED(rq), UNUSED(re);
     if (p->state != FL_STATE_LOADED) return FL_ACCEPTED;
     if (!trajectory_good(p)) return FL_INVALID_TRAJECTORY;
-    for (int i = 0; i < FL_AXES; ++i) fl_axis_follow(&p->axis[i]);
+    for (int i = 0; i < FL_AXES; ++i) fl_axis_follow(&p->axis[i], &p->path[i]);
     ++p->trajectories;
     return FL_ACCEPTED;
 }

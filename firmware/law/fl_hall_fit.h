@@ -45,14 +45,14 @@ static inline void fl_hall_fit_add(fl_hall_fit_t *f, const uint16_t adc_cnt[2]) 
     const float a = ((float)adc_cnt[0] - fl_hall_fit_centre(f, 0)) / fl_max(fl_hall_fit_scale(f, 0), 1.0f);
     const float b = ((float)adc_cnt[1] - fl_hall_fit_centre(f, 1)) / fl_max(fl_hall_fit_scale(f, 1), 1.0f);
     const float basis[FL_FIT_SIZE] = {a * a, b * b, a * b, a, b};
-    fl_normal_add(&f->normal, basis, 1.0f);
+    fl_normal_add(&f->normal, FL_FIT_SIZE, basis, 1.0f);
     ++f->samples;
 }
 
 /* False when the samples are no ellipse around the middle of their range, or too small a one. */
 static inline bool fl_hall_fit_solve(fl_hall_fit_t *f, fl_hall_shape_t *out) {
     float k[FL_FIT_SIZE], explained;
-    if (f->samples < 100 || !fl_normal_solve(&f->normal, k, &explained)) return false;
+    if (f->samples < 100 || !fl_normal_solve(&f->normal, FL_FIT_SIZE, k, &explained)) return false;
     const float p = k[0], q = k[1], r = k[2], s = k[3], t = k[4];
     const float det = 4.0f * p * q - r * r;
     if (!(p > 0.0f && q > 0.0f && det > 0.0f)) return false;

@@ -19,34 +19,34 @@ static inline float fl_sqrt(float x) {
 
 enum { FL_FIT_SIZE = 5 };
 
-/* Normal equations of a least-squares fit with five unknowns. */
+/* Normal equations of a least-squares fit with up to five unknowns. */
 typedef struct fl_normal {
-    float m[FL_FIT_SIZE][FL_FIT_SIZE + 1];
+    float m[FL_FIT_SIZE][FL_FIT_SIZE + 1]; /* the right-hand side in column n */
 } fl_normal_t;
 
-static inline void fl_normal_add(fl_normal_t *n, const float basis[FL_FIT_SIZE], float value) {
-    for (int i = 0; i < FL_FIT_SIZE; ++i) {
-        for (int j = 0; j < FL_FIT_SIZE; ++j) n->m[i][j] += basis[i] * basis[j];
-        n->m[i][FL_FIT_SIZE] += basis[i] * value;
+static inline void fl_normal_add(fl_normal_t *f, int n, const float *basis, float value) {
+    for (int i = 0; i < n; ++i) {
+        for (int j = 0; j < n; ++j) f->m[i][j] += basis[i] * basis[j];
+        f->m[i][n] += basis[i] * value;
     }
 }
 
 /* Gauss without pivoting: the matrix is positive definite or the data are no good (false).
  * explained: how much of the sum of squared values the fit explains. */
-static inline bool fl_normal_solve(fl_normal_t *n, float x[FL_FIT_SIZE], float *explained) {
+static inline bool fl_normal_solve(fl_normal_t *f, int n, float *x, float *explained) {
     *explained = 0.0f;
-    for (int k = 0; k < FL_FIT_SIZE; ++k) {
-        if (!(n->m[k][k] > 1e-6f)) return false;
-        *explained += n->m[k][FL_FIT_SIZE] * n->m[k][FL_FIT_SIZE] / n->m[k][k];
-        for (int i = k + 1; i < FL_FIT_SIZE; ++i) {
-            const float f = n->m[i][k] / n->m[k][k];
-            for (int j = k; j <= FL_FIT_SIZE; ++j) n->m[i][j] -= f * n->m[k][j];
+    for (int k = 0; k < n; ++k) {
+        if (!(f->m[k][k] > 1e-6f)) return false;
+        *explained += f->m[k][n] * f->m[k][n] / f->m[k][k];
+        for (int i = k + 1; i < n; ++i) {
+            const float share = f->m[i][k] / f->m[k][k];
+            for (int j = k; j <= n; ++j) f->m[i][j] -= share * f->m[k][j];
         }
     }
-    for (int k = FL_FIT_SIZE - 1; k >= 0; --k) {
-        float sum = n->m[k][FL_FIT_SIZE];
-        for (int j = k + 1; j < FL_FIT_SIZE; ++j) sum -= n->m[k][j] * x[j];
-        x[k] = sum / n->m[k][k];
+    for (int k = n - 1; k >= 0; --k) {
+        float sum = f->m[k][n];
+        for (int j = k + 1; j < n; ++j) sum -= f->m[k][j] * x[j];
+        x[k] = sum / f->m[k][k];
     }
     return true;
 }

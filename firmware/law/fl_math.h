@@ -27,7 +27,7 @@ static inline float fl_max(float a, float b) { return a > b ? a : b; }
 static inline float fl_min(float a, float b) { return a < b ? a : b; }
 static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max(x, lo), hi); }
 
-static inline float fl_abs(float x) { return fl_max(x, -x); }
+static inline float fl_abs(float x) { return __builtin_fabsf(x); }
 
 /* Sums and differences of positions wrap instead of overflowing. */
 static inline int32_t fl_add_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
@@ -41,30 +41,22 @@ static inline int32_t fl_fold_cnt(int32_t angle_cnt) {
 /* Rounds to nearest, halves away from zero; |x| < 2^31. */
 static inline int32_t fl_round_i32(float x) { return (int32_t)(x < 0.0f ? x - 0.5f : x + 0.5f); }
 
-/* Selections by arithmetic: which octant an angle is in cannot be predicted. */
-static inline float fl_select(bool first, float a, float b) {
-    union {
-        float f;
-        uint32_t u;
-    } x = {a}, y = {b};
-    const uint32_t mask = 0u - (uint32_t)first;
-    x.u = (x.u & mask) | (y.u & ~mask);
-    return x.f;
-}
+/* A selection by arithmetic: which octant an angle is in cannot be predicted. */
 static inline int32_t fl_negate_if(bool negative, int32_t x) { return (x ^ -(int32_t)negative) + negative; }
 
-/* Sine and cosine of a motor angle. Largest error 7e-7 (tests/firmware/test_math.py). */
+/* Sine of a motor angle. Largest error 7e-7 (tests/firmware/test_fw_laws.py). */
+static inline float fl_sin_cnt(int32_t angle_cnt) {
+    const int32_t quarter = FL_TURN_CNT / 4;
+    /* reflected to -90 .. 90 degrees, where the sine is the same */
+    const int32_t acute = quarter - fl_abs_i32(fl_fold_cnt(fl_sub_i32(angle_cnt, quarter)));
+    const float x = (float)acute * FL_RAD_PER_CNT;
+    const float z = x * x;
+    /* odd minimax on [0, pi/2], fitted in float64: 5.9e-7 */
+    return x * ((0.999996616f - 0.166648284f * z) + (0.00830632516f - 0.000183636522f * z) * (z * z));
+}
+
 static inline fl_sincos_t fl_sincos_cnt(int32_t angle_cnt) {
-    const int32_t quarter = (angle_cnt + (FL_TURN_CNT >> 3)) >> (FL_TURN_BITS - 2);
-    const int32_t rest = fl_fold_cnt(angle_cnt - (int32_t)((uint32_t)quarter << (FL_TURN_BITS - 2)));
-    const float x = (float)rest * FL_RAD_PER_CNT; /* -pi/4 .. pi/4 */
-    const float x2 = x * x;
-    /* minimax on [0, pi/4], fitted in float64: 5.6e-7 and 3.2e-8 before rounding */
-    const float s = x * ((0.99999499754f - 0.16660161968f * x2) + 0.00812155759f * (x2 * x2));
-    const float c = (1.0f - 0.49999894781f * x2) + (0.04165629454f - 0.00135978226f * x2) * (x2 * x2);
-    const bool odd = quarter & 1;
-    const fl_sincos_t out = {fl_select(odd, c, s) * (float)(1 - (quarter & 2)),
-                             fl_select(odd, s, c) * (float)(1 - ((quarter + 1) & 2))};
+    const fl_sincos_t out = {fl_sin_cnt(angle_cnt), fl_sin_cnt(fl_add_i32(angle_cnt, FL_TURN_CNT / 4))};
     return out;
 }
 

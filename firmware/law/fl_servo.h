@@ -15,6 +15,7 @@
 
 #include "fl_math.h"
 
+#define FL_SETTLE_RAD 0.05f       /* 3 motor degrees */
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
@@ -24,7 +25,8 @@ typedef struct fl_servo_config {
     float learning;                   /* 1/(Nm rad): how fast the drag's scale follows the feedback */
     float coulomb;                    /* Nm */
     float spring_torque, spring_rate; /* Nm at output zero, Nm per motor rad */
-    float cogging_sin, cogging_cos;   /* Nm: amplitude sin(2 theta + phase) in parts */
+    float cogging;                    /* Nm: amplitude of sin(2 theta + phase) */
+    int32_t cogging_phase_cnt;
 } fl_servo_config_t;
 
 typedef struct fl_servo_state {
@@ -48,17 +50,19 @@ typedef struct fl_servo_out {
 
 static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_servo_in_t *in,
                                         float direction) {
-    const fl_sincos_t twice = fl_sincos_cnt(fl_add_i32(in->rotor_cnt, in->rotor_cnt));
+    const int32_t twice_cnt = fl_add_i32(in->rotor_cnt, in->rotor_cnt);
     const float motor_rad = (float)in->command_cnt * FL_RAD_PER_CNT;
     return cfg->coulomb * direction - cfg->spring_torque - cfg->spring_rate * motor_rad +
-           cfg->cogging_sin * twice.sin + cfg->cogging_cos * twice.cos;
+           cfg->cogging * fl_sin_cnt(fl_add_i32(twice_cnt, cfg->cogging_phase_cnt));
 }
 
 static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_servo_state_t *st,
                                            const fl_servo_in_t *in, float dt_s) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
     if (in->speed_rad_s != 0.0f) st->direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
-    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_rad,
+    /* with the higher gain, what is left of a fast arrival must not fill the integral */
+    const float e_integral = in->stiffness > 1.0f ? fl_clamp(e_rad, -FL_SETTLE_RAD, FL_SETTLE_RAD) : e_rad;
+    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_integral,
                                -cfg->integral_limit, cfg->integral_limit);
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);

@@ -36,6 +36,12 @@ static void plan_precise(fl_axis_t *a, int32_t target_cnt) {
     plan_arrival(a, target_cnt);
 }
 
+/* An axis that is to stay where it is does not start its motor: landing and settling on the spot again and
+ * again would let it creep. */
+static bool stays(const fl_axis_t *a, int32_t way_cnt) {
+    return !a->precise && fl_abs_i32(way_cnt) <= a->law.tolerance_cnt;
+}
+
 static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
     if (a->precise) {
         plan_precise(a, target_cnt);
@@ -48,15 +54,21 @@ static void plan_goto(fl_axis_t *a, int32_t from_cnt, int32_t target_cnt) {
 
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt) {
     plan_clear(a);
-    plan_goto(a, a->position_cnt, target_cnt);
+    if (stays(a, fl_sub_i32(target_cnt, a->position_cnt)))
+        plan_add(a, FL_LEG_REST, target_cnt);
+    else
+        plan_goto(a, a->position_cnt, target_cnt);
 }
 
-void fl_axis_follow(fl_axis_t *a) {
-    fl_path_t *path = &a->path;
+void fl_axis_follow(fl_axis_t *a, fl_path_t *path) {
     const bool flat = path->plateau_slot == 0;
     const int32_t before =
         flat ? a->position_cnt : (int32_t)fl_path_value(path, (uint16_t)(path->plateau_slot - 1));
     plan_clear(a);
+    if (flat && stays(a, fl_sub_i32(path->last_cnt, a->position_cnt))) {
+        plan_add(a, FL_LEG_REST, path->last_cnt);
+        return;
+    }
     plan_add(a, FL_LEG_FOLLOW, path->last_cnt);
     path->landing_cnt = 0;
     if (a->precise) {
@@ -118,6 +130,11 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index) {
     if (fl_axis_rests(a) || a->plan[a->leg].kind == FL_LEG_BRAKE) return;
     plan_clear(a);
     plan_add(a, FL_LEG_BRAKE, 0);
+    phases_off(a, port, index);
+}
+
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index) {
+    plan_clear(a);
     phases_off(a, port, index);
 }
 
@@ -186,10 +203,13 @@ uint32_t fl_axis_goto_ticks(const fl_axis_t *a, int32_t target_cnt) {
 
 static void leg_enter(fl_axis_t *a) {
     a->leg_ticks = a->calm_ticks = 0;
+    a->lag_cnt = 0;
     a->calm_cnt = a->hall.angle_cnt;
     if (fl_axis_rests(a)) return;
     const fl_leg_t leg = a->plan[a->leg];
     if (leg.kind == FL_LEG_GOTO) fl_profile_start(&a->profile, a->raw_cnt, leg.target_cnt, goto_limits(a));
+    /* what the integral made up for in motion is gone at standstill */
+    if (leg.kind == FL_LEG_LAND) a->servo.integral_Nm = 0.0f;
     if (leg.kind == FL_LEG_FOLLOW) fl_path_start(&a->cursor, a->raw_cnt);
 }
 
@@ -209,6 +229,12 @@ static void plan_begin(fl_axis_t *a) {
     leg_enter(a);
 }
 
+/* Slower and slower: 64 ms times the remaining way, and the landing speed. */
+static int32_t landing_step(const fl_axis_t *a, int32_t target_cnt) {
+    const int32_t way = fl_abs_i32(fl_sub_i32(target_cnt, a->raw_cnt));
+    return a->law.landing_step_cnt + (way >> 7);
+}
+
 /* One step of at most step_cnt towards the target; true when there. */
 static bool creep(fl_axis_t *a, int32_t target_cnt, int32_t step_cnt) {
     const int32_t way = fl_sub_i32(target_cnt, a->raw_cnt);
@@ -218,17 +244,17 @@ static bool creep(fl_axis_t *a, int32_t target_cnt, int32_t step_cnt) {
 }
 
 /* Moves the raw command on by one tick; true when the leg's way has ended. */
-static bool leg_step(fl_axis_t *a) {
+static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     const fl_leg_t leg = a->plan[a->leg];
     switch (leg.kind) {
     case FL_LEG_FOLLOW:
-        a->raw_cnt = fl_path_step(&a->path, &a->cursor);
-        return fl_path_done(&a->path, &a->cursor);
+        a->raw_cnt = fl_path_step(path, &a->cursor);
+        return fl_path_done(path, &a->cursor);
     case FL_LEG_GOTO:
         a->raw_cnt = fl_profile_step(&a->profile);
         return fl_profile_done(&a->profile);
     case FL_LEG_LAND:
-        return creep(a, leg.target_cnt, a->law.landing_step_cnt);
+        return creep(a, leg.target_cnt, landing_step(a, leg.target_cnt));
     case FL_LEG_SEARCH:
         a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
         return false;
@@ -238,7 +264,7 @@ static bool leg_step(fl_axis_t *a) {
         return creep(a, leg.target_cnt, SPIN_STEP_CNT);
     case FL_LEG_SWEEP_IN:
     case FL_LEG_SWEEP:
-        return creep(a, leg.target_cnt, 2 * a->law.landing_step_cnt);
+        return creep(a, leg.target_cnt, 4 * a->law.landing_step_cnt);
     default:
         return false;
     }
@@ -256,8 +282,11 @@ static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
-        const float driving = a->torque.torque_Nm - a->law.servo.drag * a->command.speed_rad_s;
+        /* the measured speed: noisy, but it knows where cogging slows the rotor, and sums forgive noise */
+        const float speed = (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt) * FL_RAD_S_PER_CNT_TICK;
+        const float driving = a->torque.torque_Nm - a->law.servo.drag * speed;
         fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
+        a->calm_cnt = a->hall.angle_cnt;
     }
 }
 
@@ -318,12 +347,14 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-/* The command has stood still and the error has been small for the settle time, or never mind. */
+/* The command stands still and the rotor does not lag, for the settle time; or never mind. The error
+ * is averaged over some 4 ms against the noise of the sensors. Beyond the target counts as arrived:
+ * the backlash lies between the rotor and any way back. */
 static bool settled(fl_axis_t *a) {
-    ++a->leg_ticks;
-    if (a->leg_ticks <= FL_SMOOTH_TICKS) return false;
-    const int32_t error = fl_abs_i32(fl_sub_i32(a->command.position_cnt, a->position_cnt));
-    const bool calm = error <= a->law.tolerance_cnt || !a->closed_loop;
+    if (++a->leg_ticks <= FL_SMOOTH_TICKS) return false;
+    const int32_t error = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    a->lag_cnt += ((a->servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
+    const bool calm = a->lag_cnt <= a->law.tolerance_cnt || !a->closed_loop;
     a->calm_ticks = calm ? a->calm_ticks + 1 : 0;
     return a->calm_ticks > a->law.settle_ticks || a->leg_ticks > a->law.timeout_ticks + FL_SMOOTH_TICKS;
 }
@@ -335,14 +366,15 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index) {
+fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     const uint8_t kind = a->plan[a->leg].kind;
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const bool ended = leg_step(a);
+    const bool ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
     fl_duty_t duty;
     const bool spin = spinning(kind);

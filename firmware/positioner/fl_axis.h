@@ -72,7 +72,6 @@ typedef struct fl_axis {
     fl_servo_state_t servo;
     fl_profile_state_t profile;
     fl_path_cursor_t cursor;
-    fl_path_t path;
 
     fl_leg_t plan[FL_PLAN_LEGS];
     uint8_t leg, legs;
@@ -82,7 +81,8 @@ typedef struct fl_axis {
     bool datum_found;     /* by the search under way or the last one */
     bool datum_calibrate; /* that search defines the reference */
     uint32_t leg_ticks, calm_ticks;
-    int32_t calm_cnt; /* rotor angle at which it was last calm */
+    int32_t lag_cnt;  /* behind the command while settling, averaged */
+    int32_t calm_cnt; /* rotor angle at which it was last calm; in a sweep a tick ago */
 
     int32_t zero_cnt;      /* position - rotor angle */
     int32_t datum_ref_cnt; /* rotor angle of the datum within its turn */
@@ -114,17 +114,20 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *params);
 
 static inline bool fl_axis_rests(const fl_axis_t *a) { return a->leg >= a->legs; }
 
-/* Start a plan. The first tick starts from the measured position. */
+/* Start a plan. The first tick starts from the measured position. A path has at least one point. */
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt);
-void fl_axis_follow(fl_axis_t *a);
+void fl_axis_follow(fl_axis_t *a, fl_path_t *path);
 void fl_axis_home(fl_axis_t *a, bool calibrate);
 void fl_axis_calibrate_hall(fl_axis_t *a);
 void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* One control period. Only while the axis does not rest. */
-fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_port_t *port, int index);
+/* Phases off and no plan, whatever it was doing. */
+void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
+
+/* One control period. Only while the axis does not rest. The path is the one it was told to follow. */
+fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index);
 
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);

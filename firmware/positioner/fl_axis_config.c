@@ -20,7 +20,6 @@ static float drag_learning(const fl_axis_params_t *p) {
 }
 
 static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
-    const fl_sincos_t cogging = sincos_rad(p->cogging_phase);
     const float ba = p->use_break_away;
     const fl_servo_config_t cfg = {
         .k_p = p->k_p,
@@ -32,9 +31,8 @@ static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
         .coulomb = ba * p->coulomb,
         .spring_torque = ba * p->spring_torque,
         .spring_rate = ba * p->spring_rate,
-        /* sin(2 theta + phase) = sin(2 theta) cos(phase) + cos(2 theta) sin(phase) */
-        .cogging_sin = ba * p->cogging_torque * cogging.cos,
-        .cogging_cos = ba * p->cogging_torque * cogging.sin,
+        .cogging = ba * p->cogging_torque,
+        .cogging_phase_cnt = fl_round_i32(p->cogging_phase * FL_CNT_PER_RAD),
     };
     return cfg;
 }
@@ -94,13 +92,13 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->margin_rad = 0.0f;
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
-    fl_path_clear(&a->path);
     a->servo = (fl_servo_state_t){0.0f, 0.0f, 1.0f};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;
     a->precise = a->datum_calibrated = a->datum_found = a->datum_calibrate = false;
-    a->zero_cnt = a->datum_ref_cnt = a->offset_cnt = a->position_cnt = a->raw_cnt = a->start_cnt = 0;
+    a->zero_cnt = a->datum_ref_cnt = a->offset_cnt = a->position_cnt = a->raw_cnt = a->start_cnt =
+        a->lag_cnt = a->calm_cnt = 0;
     a->speed_rpm = (uint32_t)p->speed_default;
     a->command = (fl_command_t){0, 0.0f, 0.0f};
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};

@@ -45,8 +45,8 @@ extern "C" {
     X(settle_timeout, "s", 0, 10, 0.5, "a move ends at the latest so long after its profile")                \
     X(open_loop_voltage, "fraction", 0, 1, 1.0, "u_cmd/u_dc of the rotating field in open loop")             \
     X(holding_voltage, "fraction", 0, 1, 0, "u_cmd/u_dc at standstill; 0 switches off after a move")         \
-    X(landing, "deg", 0, 360, 20, "the last motor degrees of a move are crept, so that nothing overshoots")  \
-    X(landing_speed, "deg/s", 1, 10000, 100, "motor speed of the landing")                                   \
+    X(landing, "deg", 0, 360, 40, "the last motor degrees of a move are crept, so that nothing overshoots")  \
+    X(landing_speed, "deg/s", 1, 10000, 50, "motor speed at its end")                                        \
     X(settle_gain, "1", 1, 20, 5, "factor on both gains while landing and settling")                         \
     X(datum_position, "deg", -720, 720, -4, "output angle of the hard stop the datum search meets")          \
     X(datum_speed, "rpm", 1, 6000, 300, "motor speed of the datum search")                                   \

@@ -20,6 +20,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
         p->params[axis] = params[axis];
         fl_axis_init(&p->axis[axis], &p->params[axis]);
         p->points[axis] = 0;
+        fl_path_clear(&p->path[axis]);
     }
     p->state = FL_STATE_IDLE;
     p->collided = p->datum_known = p->cogging_calibrated = 0;
@@ -107,7 +108,7 @@ void fl_positioner_tick(fl_positioner_t *p) {
     }
     for (int i = 0; i < FL_AXES; ++i) {
         if (fl_axis_rests(&p->axis[i])) continue;
-        switch (fl_axis_tick(&p->axis[i], &p->port, i)) {
+        switch (fl_axis_tick(&p->axis[i], &p->path[i], &p->port, i)) {
         case FL_AXIS_DONE:
             axis_done(p, i);
             break;

@@ -57,6 +57,7 @@ typedef struct fl_positioner {
     bool params_good;
     fl_boot_t boot;
     fl_tx_queue_t tx;
+    fl_path_t path[FL_AXES]; /* last: large and seldom looked at */
 } fl_positioner_t;
 
 /* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */

@@ -8,7 +8,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from fiberloom.errors import InputError
@@ -17,6 +16,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
     help="From a target list to fibres on target, for alpha-beta fibre positioners.",
 )
 calibrate = typer.Typer(no_args_is_help=True, help="Measure what is particular to each positioner.")
@@ -71,9 +71,7 @@ def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | N
     if layout is None:
         return generate(model, seed, n_positioners=positioners)
     if positioners is not None:
-        raise InputError(
-            "--positioners goes with a preset; a --layout says itself how many there are"
-        )
+        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
     return read_layout(layout, model)
 
 
@@ -88,12 +86,8 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[
-        CameraKind, typer.Option(help="Camera images, or a noise model.")
-    ] = CameraKind.noise,
-    faults: Annotated[
-        str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")
-    ] = "",
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False,
@@ -147,9 +141,7 @@ def assign(
 
 @app.command()
 def plan(
-    start: Annotated[
-        Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")
-    ],
+    start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")],
     goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")],
     instrument: InstrumentOption = "sdssv",
     layout: LayoutOption = None,
@@ -235,18 +227,20 @@ def _print_report(report: Any, as_json: bool) -> None:
         print_report(report)
 
 
+_BAD_WORDS: Any = typer.BadParameter.__mro__[2]
+"""ClickException, of the click that this typer uses: newer ones bring their own."""
+
+
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
     try:
         sys.exit(app(standalone_mode=False))
     except InputError as error:
         _fail(str(error), 2)
-    except click.exceptions.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
-    except KeyboardInterrupt:
-        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
-    except click.ClickException as error:
-        _fail(error.format_message(), 2)
+    except _BAD_WORDS as error:
+        _fail(f"{error.format_message()}; see `fiberloom --help`", 2)
     except OSError as error:
         _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", 2)
 

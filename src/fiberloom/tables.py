@@ -86,9 +86,7 @@ def read_table(path: str | Path) -> TableFile:
     path = Path(path)
     suffix = "".join(path.suffixes[-2:]).lower() if path.suffix == ".gz" else path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}"
-        )
+        raise InputError(f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     if suffix == ".csv" and not _is_ecsv(path):
@@ -105,12 +103,13 @@ def read_csv(path: Path) -> TableFile:
     if len(rows) != len(lines):
         raise InputError(f"{path}: a quoted cell runs over several lines")
     header = [cell.strip() for cell in rows[0]]
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise InputError(f"{path}, line {lines[0][0]}: column {twice} appears twice")
     places = [f"line {number}" for number, _ in lines[1:]]
     for place, row in zip(places, rows[1:], strict=True):
         if len(row) != len(header):
-            raise InputError(
-                f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns"
-            )
+            raise InputError(f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns")
     columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
     return TableFile(path, columns, places)
 

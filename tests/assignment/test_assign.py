@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from fiberloom import _core
 from fiberloom.assignment import assign
+from fiberloom.assignment.clearance import obstacles
 from fiberloom.errors import InputError
-from fiberloom.instruments import generate, read_layout
+from fiberloom.instruments import generate, parse_instrument, read_layout
 from fiberloom.targets import TargetList, random_targets, read_targets
 
 MARGIN_MM = 0.2
@@ -59,7 +61,8 @@ def least_gaps(plane, result, approach_deg=APPROACH_DEG):
     arms = min(np.abs(tubes[i][:, None] - tubes[j]).min() for i, j in pairs)
     centre = plane.fiducials[:, 0] + 1j * plane.fiducials[:, 1]
     moving = [t for t, off in zip(tubes, plane.offline, strict=True) if not off]
-    discs = min((np.abs(t[:, None] - centre) - plane.fiducials[:, 2]).min() for t in moving)
+    gaps = [np.abs(t[:, None] - centre) - plane.fiducials[:, 2] for t in moving]
+    discs = min(gap.min(initial=np.inf) for gap in gaps)
     return arms, discs
 
 
@@ -131,9 +134,7 @@ def test_higher_priority_wins(small):
     row = 30
     centre = small.centres_mm[row]
     only_here = small.select([row])
-    two = make_targets(
-        [centre + np.array([15.0, 0.0]), centre + np.array([0.0, 15.0])], priority=[1, 2]
-    )
+    two = make_targets([centre + np.array([15.0, 0.0]), centre + np.array([0.0, 15.0])], priority=[1, 2])
     found = assign(only_here, two)
     assert found.target.tolist() == [1]
     assert found.unassigned[0] == (
@@ -193,9 +194,7 @@ def demanded_field(plane, seed):
     """A field in which each positioner demands a place of its own, free of collisions."""
     base = assign(plane, random_targets(plane, 3 * plane.n, seed))
     rows = np.flatnonzero(base.target >= 0)
-    xy = [
-        plane.forward(base.alpha_deg[[i]], base.beta_deg[[i]], base.fibre[i], [i])[0] for i in rows
-    ]
+    xy = [plane.forward(base.alpha_deg[[i]], base.beta_deg[[i]], base.fibre[i], [i])[0] for i in rows]
     return rows, make_targets(xy, fibre=base.fibre[rows], positioner_id=plane.positioner_id[rows])
 
 
@@ -297,9 +296,7 @@ def test_the_real_field(shared_sdssv, sdssv):
     field = read_targets(shared_sdssv / "confSummary-test.par.gz")
     found = assign(plane, field)
     served = found.target >= 0
-    np.testing.assert_array_equal(
-        plane.positioner_id[served], field.positioner_id[found.target[served]]
-    )
+    np.testing.assert_array_equal(plane.positioner_id[served], field.positioner_id[found.target[served]])
     # The file itself breaks the buffer of 2.0 mm twice at rest: arms 724 and 779 overlap by 54 um,
     # and 990 its fiducial by 19 um. One of the pair and 990 must go; all others stay.
     assert found.n_assigned == 488
@@ -307,3 +304,56 @@ def test_the_real_field(shared_sdssv, sdssv):
     assert 990 in given_up
     assert given_up <= {990, 724, 779}
     assert found.clearance_mm.min() >= 0.0
+
+
+def test_the_planner_sees_no_conflict(small, result):
+    # other code, other method: continuous time, in C++, all approaching together
+    goals = np.deg2rad(result.goal_deg)
+    radius = small.collision_buffer_mm + MARGIN_MM / 2
+    arguments = (list(small.beta_segment_mm), radius)
+    approach = np.deg2rad(APPROACH_DEG)
+    assert len(_core.planning.conflicts(small.arms, *arguments, goals, approach)) == 0
+    bodies = obstacles(small, 0.0)
+    assert np.all(_core.planning.static_ok(small.arms, *arguments, bodies, goals, approach))
+    # and it would: with arms half as thick again there are conflicts
+    wide = (list(small.beta_segment_mm), 1.5 * radius)
+    assert len(_core.planning.conflicts(small.arms, *wide, goals, approach)) > 0
+
+
+@pytest.fixture
+def tiny_arms(sdssv):
+    """Unlike SDSS-V in everything: equal short arms, both elbows, open loop, no camera, no
+    approach, no fiducials, no guide cameras."""
+    data = sdssv.model_dump(mode="json")
+    data["name"] = "tiny"
+    axis = {"kind": "stepper", "closed_loop": False, "gear": 1.0, "step_deg": 0.01,
+            "backlash_deg": 0.0, "approach_deg": 0.0, "speed_deg_s": 90.0,
+            "acceleration_deg_s2": 1e4}  # fmt: skip
+    data["alpha"] = axis | {"target_range_deg": [-180, 200], "hard_stop_deg": [-185, 205]}
+    data["beta"] = axis | {"target_range_deg": [-170, 175], "hard_stop_deg": [-175, 180]}
+    fibre = {"role": "science", "x_mm": 3.0}
+    data["positioner"] = {"l_alpha_mm": 3.0, "park_deg": [0.0, 165.0], "points": {"fibre": fibre}}
+    data["bodies"] |= {"beta_segment_mm": [-0.5, 3.2], "collision_buffer_mm": 0.8}
+    data["metrology"] = {"present": False, "sees": "fibre"}
+    data["operation"] = {"requirement_um": 50.0, "corrections_max": 0}
+    data["layout"] = {"pitch_mm": 5.2, "rings": 4, "n_positioners": 61, "orientation_deg": 0.0}
+    none = {"mean": 0.0, "sd": 0.0}
+    data["scatter"] = dict.fromkeys(data["scatter"], none) | {
+        "l_alpha_mm": {"mean": 3.0, "sd": 0.04},
+        "alpha_offset_deg": {"mean": 0.0, "sd": 50.0},
+    }
+    return parse_instrument(data, "tiny")
+
+
+def test_another_instrument(tiny_arms):
+    plane = generate(tiny_arms, 0)
+    field = random_targets(plane, 120, 0)
+    found = assign(plane, field)
+    served = np.flatnonzero(found.target >= 0)
+    assert len(served) > 45
+    xy = plane.forward(found.alpha_deg, found.beta_deg, "fibre")[served]
+    np.testing.assert_allclose(xy, field.xy_mm[found.target[served]], atol=1e-9)
+    arms, _ = least_gaps(plane, found, approach_deg=0.0)
+    assert arms >= 2 * 0.8 + MARGIN_MM
+    assert np.all(found.approach_deg == 0.0)
+    assert (found.goal_deg[served] < 0).any()

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiberloom.assignment.choose import LEVEL_WEIGHT, MAX_LEVELS, _greedy, levels_of, pack
+from fiberloom.assignment.choose import (
+    LEVEL_WEIGHT,
+    MAX_LEVELS,
+    _greedy,
+    levels_of,
+    pack,
+    shortlist,
+)
 
 
 @st.composite
@@ -77,6 +84,17 @@ def test_many_levels_are_solved_from_the_top():
     chosen, proven = pack(positioner, target, level, (none, none), np.random.default_rng(0))
     assert proven
     assert sorted(level[chosen]) == list(range(1, 12))
+
+
+def test_the_shortlist_keeps_the_highest_levels():
+    rng = np.random.default_rng(0)
+    positioner, level = np.repeat([2, 5, 9], [100, 10, 60]), rng.integers(0, 5, 170)
+    keep = shortlist(positioner, level, rng)
+    for row, n in ((2, 40), (5, 10), (9, 40)):
+        mine = level[positioner == row]
+        chosen = level[(positioner == row) & keep]
+        assert len(chosen) == n
+        np.testing.assert_array_equal(np.sort(chosen), np.sort(mine)[-n:])
 
 
 def test_levels():

@@ -76,9 +76,7 @@ class Bench:
         return self.done(ids)
 
     def done(self, ids, values=()):
-        return Results(
-            {i: Result(i, self.results.get(i, Outcome.DONE), values=values) for i in ids}
-        )
+        return Results({i: Result(i, self.results.get(i, Outcome.DONE), values=values) for i in ids})
 
     # the camera
 

@@ -1,8 +1,8 @@
-"""One axis by another method: Runge-Kutta of fourth order in 10 us steps, one mode at a time (stick,
-gap, pushing up, pushing down), every zero of the speed and every contact located by bisection.
+"""One axis by another method: Runge-Kutta of fourth order in 10 us steps, one mode at a time
+(stick, gap, pushing up, pushing down), zeros of the speed and contacts located by bisection.
 
-Shares with the twin the equations of docs/twin.md and nothing else: no code, no state, no time step,
-no friction law (the mode decides here, a soft threshold there).
+Shares with the twin the equations of docs/twin.md and nothing else: no code, no state, no time
+step, no friction law (the mode decides here, a soft threshold there).
 """
 
 from bisect import bisect_right

@@ -21,9 +21,7 @@ def torque_ticks(p, fraction, ticks):
 
 
 def full_torque(params):
-    return (
-        1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
-    )
+    return 1.5 * params["flux_linkage"] / params["coil_resistance"] * np.sqrt(0.75) * params["supply"]
 
 
 # -- energy
@@ -71,8 +69,8 @@ def test_energy_in_is_energy_out():
     duty = np.rint(4000 * field(1.0, angle[:, None] + start[MOTOR])) / 4000
     log = np.vstack([start, p.run(duty)[0][:, 0]])
     drive, spent = energy_books(params, log, duty)
-    # the inelastic impacts at both ends of the gap take J_gear/J of the rotor's energy, the ticks in
-    # which friction turns are summed by their ends: half a percent
+    # the inelastic impacts at both ends of the gap take J_gear/J of the rotor's energy; the ticks
+    # in which friction turns are summed by their ends: half a percent
     assert sum(spent.values()) == pytest.approx(drive, rel=0.01)
     assert spent["coulomb"] > 0.05 * drive
     assert spent["back_emf"] > 0.3 * drive
@@ -86,9 +84,7 @@ def test_cogging_is_conservative():
     log = p.run(np.zeros((600, 1, 3)))[0][:, 0]
     theta = log[:, MOTOR]
     assert np.ptp(theta) > 8 * 2 * np.pi
-    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(
-        4 * theta
-    )
+    cog = -0.5 * params["cogging_2"] * np.cos(2 * theta) - 0.25 * params["cogging_4"] * np.cos(4 * theta)
     energy = log[:, MOMENTUM] ** 2 / 2 / params["inertia_motor"] + cog
     # the step's own oscillation of the energy, no drift
     assert np.ptp(energy) < 2e-3 * energy.mean()
@@ -114,7 +110,7 @@ def test_free_rotor_swings_in_the_field_at_root_k_over_j():
 
 
 def test_stall_torque_is_eq_19():
-    """Full voltage at 90 degrees, from rest: the first momentum is torque minus friction, times time."""
+    """Full voltage at 90 degrees, from rest: the first momentum is net torque times time."""
     params = nominal(cogging_2=0, cogging_4=0)
     p = plant(params, gear_of(), 0.0)
     p.set_state(0, 0.5, 0.0, 0.0)
@@ -248,7 +244,7 @@ def test_transmission_rises_and_is_its_own_inverse(output, row, axis):
 
 
 def test_delta_is_recovered_by_driving_both_ways():
-    """Eq. 7: the rotor angle at given output angles, driven slowly up and down, gives delta and B."""
+    """Eq. 7: rotor angles at output angles, driven slowly up and down, give delta and B."""
     params, gear = UNITS.plant[2, 0], UNITS.gear[2, 0]
     p = plant(params, gear, 1.0)
     logs = [torque_ticks(p, f, 4000) for f in (0.15, -0.18)]
@@ -273,9 +269,7 @@ def test_hard_stop_holds_the_full_motor(fraction, stop):
     beyond = np.sign(fraction) * (log[-1, OUTPUT] - params[stop])
     assert abs(log[-1, MOMENTUM]) < 1e-10  # 0.03 rad/s, creeping to the end
     # what the stop itself gives way under the motor; the arm is where the stop is
-    assert (
-        0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
-    )
+    assert 0.5 * pressed / params["stop_stiffness"] < beyond < 1.2 * pressed / params["stop_stiffness"]
 
 
 def test_hall_channels():

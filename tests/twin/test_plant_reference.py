@@ -7,8 +7,8 @@ from reference import Axis
 from units_of import UNITS, gear_of, nominal, plant
 
 # Required: 0.1 motor degree rms in every regime (docs/twin.md). At 50 us the worst unit of these
-# regimes errs by 0.005 open loop, 0.015 along ramps, 0.025 crawling and 0.035 at steps of speed, where
-# the gap is crossed most often; the moment of contact is what costs. Limits are about twice that.
+# regimes errs by 0.005 open loop, 0.015 along ramps, 0.025 crawling and 0.035 at steps of speed,
+# where the gap is crossed most often; the moment of contact costs. Limits: about twice that.
 OPEN_DEG, RAMP_DEG, CRAWL_DEG, STEP_DEG = 0.01, 0.03, 0.05, 0.07
 
 
@@ -20,7 +20,7 @@ def smooth(record):
 
 
 def both(row, axis, duties, output_rad, substeps=10):
-    """Motor angles after every tick, rad: ours, and the reference's. `duties(theta, tick)` may feed back."""
+    """Motor angles after every tick, rad: ours, theirs. `duties(theta, tick)` may feed back."""
     params, gear = smooth(UNITS.plant[row, axis]), UNITS.gear[row, axis]
     ours = plant(params, gear, output_rad, substeps=substeps)
     theirs = Axis(params, gear, output_rad)
@@ -102,7 +102,7 @@ def test_backlash_is_crossed_to_and_fro():
 
 
 def test_second_order_where_nothing_happens():
-    """A rotor that swings in the gap without Coulomb friction: half the step, a quarter of the error."""
+    """A rotor swings in the gap without Coulomb friction: half the step, a quarter of the error."""
     params, gear = nominal(coulomb_motor=0.0, pwm_steps=1e6), gear_of(250.0)
     duty = field(0.5, 2.0 * np.ones((80, 1)))
     errors = []

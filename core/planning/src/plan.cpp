@@ -71,7 +71,9 @@ bool Planner::find_ways() {
     Repair repair(team, settings_, statistics_);
     repair.first_ways();
     const int last = static_cast<int>(settings_.last_deadline * team.steps()) + 20;
+    const int wanted = team.steps();
     const bool free = repair.run(last);
+    if (free) repair.hurry(wanted);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
     if (free)

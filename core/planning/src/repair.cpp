@@ -8,10 +8,16 @@
 namespace fl::planning {
 namespace {
 
-constexpr int any_cost = 1 << 25;   // more than any way costs
-constexpr int meeting_cost = 1000;  // per step
-constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
-constexpr int patience = 40;        // repairs around a pair without success before the deadline grows
+constexpr int any_cost = 1 << 25;  // more than any way costs
+constexpr int meeting_cost = 1000; // per step
+constexpr int tidy_cost = 1 << 20; // per step: as good as forbidden
+constexpr int longest_hold = 24;   // steps
+static const int most_joint_nodes = std::getenv("FLJ") ? std::atoi(std::getenv("FLJ")) : 60000;
+constexpr int joint_every = 6; // of the repairs around a pair, one is a joint search
+constexpr int more_steps = 8;  // a deadline grows by
+constexpr int hurry_tries = 8;
+constexpr int hurry_rounds = 24;
+constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before somebody is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
 
@@ -26,7 +32,8 @@ void Repair::first_ways() {
     for (int i : order)
         if (team_.at(i).still) team_.stand_still(i);
     for (int i : order)
-        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, false, search_)) team_.extend(1);
+        while (!team_.at(i).still && !team_.seek(i, {}, any_cost, {}, search_))
+            team_.allow(i, team_.at(i).deadline + 1);
     for (int i : order) team_.count_meetings(i);
     statistics_.first_conflicts = team_.meetings();
 }
@@ -40,9 +47,13 @@ std::vector<std::pair<int, int>> Repair::pairs() const {
 }
 
 bool Repair::run(int last_steps) {
-    const auto most =
-        static_cast<std::int64_t>(settings_.effort * std::max(least_rounds, rounds_per_robot * team_.size()));
-    for (std::int64_t k = 0; k < most && team_.steps() <= last_steps; ++k) {
+    const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * team_.size());
+    last_steps_ = last_steps;
+    return rounds(static_cast<int>(most));
+}
+
+bool Repair::rounds(int most) {
+    for (int k = 0; k < most; ++k) {
         const auto all = pairs();
         if (all.empty()) return true;
         if (std::getenv("FLDBG") && k % 25 == 0) {
@@ -86,8 +97,7 @@ Repair::Group Repair::choose(std::pair<int, int> pair) {
         if (std::find(group.robots.begin(), group.robots.end(), pick) == group.robots.end())
             group.robots.push_back(pick);
     }
-    group.meetings = touching(group);
-    for (int i : group.robots) group.before.push_back(team_.remember(i));
+    remember(group);
     if (random_.chance(50))
         random_.shuffle(group.robots);
     else
@@ -95,6 +105,12 @@ Repair::Group Repair::choose(std::pair<int, int> pair) {
             return team_.at(i).robot.travel_steps() > team_.at(j).robot.travel_steps();
         });
     return group;
+}
+
+void Repair::remember(Group &group) const {
+    group.meetings = touching(group);
+    group.before.clear();
+    for (int i : group.robots) group.before.push_back(team_.remember(i));
 }
 
 // Pairs that meet with at least one of them in the group.
@@ -127,13 +143,21 @@ Costs Repair::random_costs(const Robot &robot) {
     return costs;
 }
 
-bool Repair::replan(const Group &group, int most) {
+// Early or late, and now and then with a wait at one end: who interlock need the right order in time.
+Mode Repair::random_mode(const Robot &robot, int deadline) {
+    Mode mode{random_.chance(50), 0};
+    const int slack = std::min(deadline - robot.travel_steps(), longest_hold);
+    if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
+    return mode;
+}
+
+bool Repair::replan(const std::vector<int> &robots, int most) {
     const bool dice = random_.chance(60);
-    for (int i : group.robots) {
+    for (int i : robots) {
         Member &m = team_.at(i);
         const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
         ++statistics_.searches;
-        if (!team_.seek(i, costs, most, random_.chance(50), search_)) return false;
+        if (!team_.seek(i, costs, most, random_mode(m.robot, m.deadline), search_)) return false;
         m.cost = meeting_cost;
     }
     return true;
@@ -155,13 +179,28 @@ void Repair::judge(std::pair<int, int> pair, const Group &group, int meetings_no
     for (int i : {pair.first, pair.second}) ++team_.at(i).tries;
     if (std::min(team_.at(pair.first).tries, team_.at(pair.second).tries) < patience) return;
     for (int i : {pair.first, pair.second}) team_.at(i).tries = 0;
-    team_.extend(std::max(1, team_.steps() / 32));
+    give_time(pair);
+}
+
+// To a pair that resists, and to those around it: knots need time, and with plenty of it they come undone at
+// once.
+void Repair::give_time(std::pair<int, int> pair) {
+    const int deadline = more_steps + std::max(team_.at(pair.first).deadline, team_.at(pair.second).deadline);
+    if (deadline > last_steps_) return;
+    for (int i : {pair.first, pair.second}) {
+        const auto &near = team_.at(i).neighbours;
+        team_.allow(i, deadline);
+        for (size_t k = 0; k < std::min(near.size(), size_t{8}); ++k)
+            team_.allow(near[k], std::max(deadline, team_.at(near[k]).deadline));
+    }
 }
 
 void Repair::round(std::pair<int, int> pair) {
+    const int tries = std::min(team_.at(pair.first).tries, team_.at(pair.second).tries);
+    if (tries % joint_every == joint_every - 1) return joint_round(pair);
     Group group = choose(pair);
     forget_ways(group);
-    if (!replan(group, any_cost)) {
+    if (!replan(group.robots, any_cost)) {
         take_back(group);
         return judge(pair, group, group.meetings);
     }
@@ -169,6 +208,95 @@ void Repair::round(std::pair<int, int> pair) {
     const int now = touching(group);
     if (now > group.meetings) take_back(group);
     judge(pair, group, now);
+}
+
+// The pair, and now and then a third: three arms can lock each other in a ring.
+std::vector<int> Repair::choose_joint(std::pair<int, int> pair) {
+    std::vector<int> knot{pair.first, pair.second};
+    const int tries = std::min(team_.at(pair.first).tries, team_.at(pair.second).tries);
+    if (tries < 2 * joint_every || random_.chance(40)) return knot;
+    const auto &near = team_.at(random_.chance(50) ? pair.first : pair.second).neighbours;
+    const int third = near[static_cast<size_t>(random_.below(std::min(static_cast<int>(near.size()), 6)))];
+    if (third != pair.first && third != pair.second) knot.push_back(third);
+    return knot;
+}
+
+// Gives a knot the ways that the joint search found, and adds to the group whom they meet on them.
+void Repair::set_joint(const std::vector<int> &knot, Group &group) {
+    for (size_t k = 0; k < knot.size(); ++k) {
+        team_.set_way(knot[k], joint_.way(k));
+        team_.at(knot[k]).still = false;
+    }
+    for (int i : knot) team_.count_meetings(i);
+    for (int i : knot)
+        for (const Meeting &m : team_.at(i).meetings)
+            if (std::find(group.robots.begin(), group.robots.end(), m.other) == group.robots.end())
+                group.robots.push_back(m.other);
+}
+
+// A pair that resists: all at once, as if some neighbours were not there, and then whoever is in their way.
+void Repair::joint_round(std::pair<int, int> pair) {
+    const std::vector<int> knot = choose_joint(pair);
+    Group group = choose(pair);
+    forget_ways(group);
+    const int most_nodes = knot.size() == 2 ? most_joint_nodes : 2 * most_joint_nodes;
+    const bool found = team_.seek_joint(knot, random_.chance(70), most_nodes, joint_);
+    if (std::getenv("FLDBG"))
+        std::fprintf(stderr, "joint %zu found %d nodes %zu exp %ld steps %d\n", knot.size(), found,
+                     joint_.size(), (long)joint_.expansions(), team_.steps());
+    take_back(group);
+    if (!found) return judge(pair, group, group.meetings);
+    std::vector<Memory> before;
+    for (int i : knot) before.push_back(team_.remember(i));
+    std::erase_if(group.robots, [&](int i) { return std::find(knot.begin(), knot.end(), i) != knot.end(); });
+    set_joint(knot, group);
+    std::erase_if(group.robots, [&](int i) { return std::find(knot.begin(), knot.end(), i) != knot.end(); });
+    const std::vector<int> others = group.robots;
+    for (Memory &memory : before) team_.restore(std::move(memory));
+    for (int i : knot) team_.count_meetings(i);
+    group.robots.insert(group.robots.end(), knot.begin(), knot.end());
+    remember(group);
+    set_joint(knot, group);
+    forget_ways({others, {}, 0});
+    const bool all = replan(others, any_cost);
+    for (int i : group.robots) team_.count_meetings(i);
+    const int now = touching(group);
+    if (!all || now > group.meetings) take_back(group);
+    judge(pair, group, all ? now : group.meetings);
+}
+
+int Repair::arrival() const {
+    int last = 0;
+    for (int i = 0; i < team_.size(); ++i) last = std::max(last, team_.arrival(i));
+    return last;
+}
+
+// Those who were given more time in need may do with less of it.
+void Repair::hurry(int wanted_steps) {
+    last_steps_ = 0; // nobody gets more time now
+    int less = std::max(1, (arrival() - wanted_steps) / 2);
+    for (int tries = hurry_tries; tries > 0 && arrival() > wanted_steps; --tries) {
+        std::vector<Memory> before;
+        for (int i = 0; i < team_.size(); ++i) before.push_back(team_.remember(i));
+        const int deadline = std::max(wanted_steps, arrival() - less);
+        if (squeeze(deadline)) continue;
+        for (Memory &memory : before) team_.restore(std::move(memory));
+        for (int i = 0; i < team_.size(); ++i) team_.count_meetings(i);
+        if (less == 1) return;
+        less /= 2;
+    }
+}
+
+bool Repair::squeeze(int deadline) {
+    for (int i = 0; i < team_.size(); ++i) {
+        team_.at(i).deadline = std::min(team_.at(i).deadline, deadline);
+        team_.at(i).tries = 0;
+        if (team_.arrival(i) <= deadline) continue;
+        ++statistics_.searches;
+        if (!team_.seek(i, {}, any_cost, {}, search_)) return false;
+        team_.count_meetings(i);
+    }
+    return rounds(static_cast<int>(settings_.effort * hurry_rounds));
 }
 
 int Repair::way_cost(const Member &member, const Costs &costs) const {
@@ -190,7 +318,7 @@ void Repair::tidy() {
     for (int i = 0; i < team_.size(); ++i) {
         if (team_.at(i).still) continue;
         ++statistics_.searches;
-        team_.seek(i, costs, way_cost(team_.at(i), costs), false, search_);
+        team_.seek(i, costs, way_cost(team_.at(i), costs), {}, search_);
     }
 }
 

@@ -62,6 +62,9 @@ void Search::push(std::uint32_t id, int cost, int to_go) {
 }
 
 void Search::begin() {
+    // backward, the time after the deadline comes first: it is spent at the goal
+    if (ask_.backward) ask_.hold += ask_.steps - ask_.deadline;
+    last_step_ = ask_.backward ? ask_.steps : ask_.deadline;
     const size_t size = static_cast<size_t>(ask_.robot->cells()) * static_cast<size_t>(ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
     if (++round_ == 0) { // after 2^32 searches the marks would repeat
@@ -72,6 +75,16 @@ void Search::begin() {
     path_.clear();
     best_ = ask_.give_up;
     prepare_end();
+}
+
+int Search::hold_cost() {
+    const Piece rest = ask_.robot->piece(first_cell(), {});
+    int cost = 0;
+    for (int step = 0; step < ask_.hold; ++step) {
+        gather_near({first_cell(), step});
+        cost += encounters(rest);
+    }
+    return cost;
 }
 
 // What it costs to stand at the last cell from each step to the end.
@@ -136,7 +149,7 @@ void Search::relax(std::uint32_t from, Place at, int move) {
     const Bends turn = bends(n.move, move);
     if (turn.alpha.reverses() || turn.beta.reverses()) return;
     const Place next{moved(at.cell, move), at.step + 1};
-    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > ask_.steps) return;
+    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
     const std::uint32_t to = id(next);
     const int to_go = heuristic(next.cell);
     Node &m = node(to);
@@ -155,7 +168,7 @@ void Search::expand(std::uint32_t from) {
     const Place at = place(from);
     gather_near(at);
     if (at.cell == last_cell()) finish(from, at);
-    if (at.step == ask_.steps) return;
+    if (at.step == last_step_) return;
     for (int move = 0; move < 9; ++move) relax(from, at, move);
 }
 
@@ -164,19 +177,20 @@ void Search::trace() {
     Place at = place(last_);
     while (true) {
         path_[static_cast<size_t>(at.step)] = at.cell;
-        if (at.step == 0) break;
+        if (at.step == ask_.hold) break;
         const int back = 8 - node(id(at)).move; // the opposite move
         at = {moved(at.cell, back), at.step - 1};
     }
+    std::fill(path_.begin(), path_.begin() + ask_.hold, first_cell());
     if (ask_.backward) std::reverse(path_.begin(), path_.end());
 }
 
 const std::vector<Cell> &Search::run(const Request &request) {
     ask_ = request;
     begin();
-    const std::uint32_t first = id({first_cell(), 0});
-    node(first).cost = 0;
-    push(first, 0, heuristic(first_cell()));
+    const std::uint32_t first = id({first_cell(), ask_.hold});
+    node(first).cost = hold_cost();
+    push(first, node(first).cost, heuristic(first_cell()));
     while (!queue_.empty()) {
         const std::uint64_t top = queue_.front();
         if (static_cast<int>(top >> 38) >= best_) break;

@@ -55,12 +55,14 @@ struct Request {
     Robot *robot = nullptr;
     const Crowd *crowd = nullptr;
     const Costs *costs = nullptr;
-    int steps = 0;        // the deadline
+    int steps = 0;        // how long the crowd is known
+    int deadline = 0;     // by this step it must stand at its goal, for good
     int give_up = 0;      // a way that costs so much or more is not wanted
     double need_mm = 0.0; // between centre lines
     // From the goal back in time: the same ways, but of equals it finds the one that moves last, not first.
     // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
     bool backward = false;
+    int hold = 0; // for so many steps it stands at the end where the search begins
 };
 
 class Search {
@@ -84,6 +86,7 @@ class Search {
 
     void begin();
     void prepare_end();
+    int hold_cost();
     Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
     Cell last_cell() const { return ask_.backward ? ask_.robot->start() : ask_.robot->goal(); }
     Bends bends(int move_in, int move_out) const;
@@ -110,6 +113,7 @@ class Search {
     std::vector<Cell> path_;
     std::uint32_t round_ = 0;
     std::uint32_t last_ = 0;
+    int last_step_ = 0; // by which the way must be done, in the direction of the search
     int best_ = 0;
     std::int64_t expansions_ = 0;
 };

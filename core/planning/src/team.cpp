@@ -18,6 +18,7 @@ void Team::add(Robot robot) {
     Member m(std::move(robot));
     m.at_start = standing(m.robot.line(m.robot.start()));
     m.at_goal = standing(m.robot.line(m.robot.goal()));
+    m.deadline = steps_;
     members_.push_back(std::move(m));
 }
 
@@ -33,6 +34,18 @@ void Team::find_neighbours() {
         at(i).neighbours.clear();
         for (const auto &[gap, j] : near) at(i).neighbours.push_back(j);
     }
+}
+
+void Team::allow(int robot, int deadline) {
+    at(robot).deadline = deadline;
+    if (deadline > steps_) extend(deadline - steps_);
+}
+
+int Team::arrival(int robot) const {
+    const auto &way = at(robot).way;
+    size_t step = way.size() - 1;
+    while (step > 0 && way[step - 1] == way.back()) --step;
+    return static_cast<int>(step);
 }
 
 void Team::extend(int steps) {
@@ -67,31 +80,50 @@ void Team::stand_still(int robot) {
 const Piece *Team::piece_of(const Member &m, int step) const {
     if (m.presence == Presence::way) return &m.pieces[static_cast<size_t>(step)];
     if (m.presence == Presence::absent) return nullptr;
-    const int stand = std::clamp(steps_ - m.robot.travel_steps(), 1, standing_steps);
+    const int stand = std::clamp(m.deadline - m.robot.travel_steps(), 1, standing_steps);
     if (step < stand) return &m.at_start;
-    return step > steps_ - stand ? &m.at_goal : nullptr;
+    return step > m.deadline - stand ? &m.at_goal : nullptr;
 }
 
-void Team::gather_step(const Member &me, int step) {
+void Team::gather_step(const Member &me, int step, Crowd &crowd) const {
     const Segment centre{me.robot.centre(), me.robot.centre()};
     for (int j : me.neighbours) {
         const Member &other = at(j);
         const Piece *piece = piece_of(other, step);
         if (piece == nullptr) continue;
         const double reach = me.robot.reach_mm() + need_mm_ + piece->sway_mm;
-        if (squared_distance(centre, piece->at[2]) < reach * reach) crowd_.add(j, *piece, other.cost);
+        if (squared_distance(centre, piece->at[2]) < reach * reach) crowd.add(j, *piece, other.cost);
     }
-    crowd_.end_step();
+    crowd.end_step();
 }
 
-void Team::gather(int robot) {
-    crowd_.clear();
-    for (int step = 0; step <= steps_; ++step) gather_step(at(robot), step);
+void Team::gather(int robot, Crowd &crowd) const {
+    crowd.clear();
+    for (int step = 0; step <= steps_; ++step) gather_step(at(robot), step, crowd);
 }
 
-bool Team::seek(int robot, const Costs &costs, int give_up, bool backward, Search &search) {
-    gather(robot);
-    const auto &way = search.run({&at(robot).robot, &crowd_, &costs, steps_, give_up, need_mm_, backward});
+bool Team::seek_joint(const std::vector<int> &robots, bool backward, int most_nodes, JointSearch &search) {
+    std::vector<Presence> before; // they do not see each other but in the search
+    for (int i : robots) before.push_back(std::exchange(at(i).presence, Presence::absent));
+    JointRequest request;
+    for (size_t k = 0; k < robots.size(); ++k) {
+        gather(robots[k], joint_crowds_[k]);
+        request.robots.push_back(&at(robots[k]).robot);
+        request.crowds.push_back(&joint_crowds_[k]);
+        request.deadlines.push_back(at(robots[k]).deadline);
+    }
+    for (size_t k = 0; k < robots.size(); ++k) at(robots[k]).presence = before[k];
+    request.steps = steps_;
+    request.need_mm = need_mm_;
+    request.backward = backward;
+    request.most_nodes = most_nodes;
+    return search.run(request);
+}
+
+bool Team::seek(int robot, const Costs &costs, int give_up, Mode mode, Search &search) {
+    gather(robot, crowd_);
+    const auto &way = search.run({&at(robot).robot, &crowd_, &costs, steps_, at(robot).deadline, give_up,
+                                  need_mm_, mode.backward, mode.hold});
     if (way.empty()) return false;
     at(robot).still = false;
     set_way(robot, way);

@@ -1,6 +1,7 @@
 // All positioners that may move, their ways so far, and who meets whom.
 #pragma once
 
+#include "joint.hpp"
 #include "random.hpp"
 #include "robot.hpp"
 #include "search.hpp"
@@ -36,7 +37,14 @@ struct Member {
     Presence presence = Presence::standing;
     int cost = 1000;    // of meeting it, per step
     bool still = false; // stands at its goal from the beginning to the end, without an approach
+    int deadline = 0;   // the step by which it must have arrived
     int tries = 0;      // repairs around it since the last one that helped
+};
+
+// In which direction of time a way is sought, and for how many steps it stands first.
+struct Mode {
+    bool backward = false;
+    int hold = 0;
 };
 
 // What a repair may have to take back.
@@ -50,6 +58,8 @@ struct Memory {
 class Team {
   public:
     Team(double need_mm, int steps) : need_mm_(need_mm), steps_(steps) {}
+    // The last step in which a positioner moves.
+    int arrival(int robot) const;
 
     const std::vector<Member> &members() const { return members_; }
     Member &at(int robot) { return members_[static_cast<size_t>(robot)]; }
@@ -60,11 +70,14 @@ class Team {
 
     void add(Robot robot);
     void find_neighbours();
-    // Everybody who has arrived stands at the goal during the steps added.
-    void extend(int steps);
+    // Gives a positioner more time; everybody who has arrived stands at the goal during steps added.
+    void allow(int robot, int deadline);
 
     // Seeks a way of one positioner among the others as they are now; false if there is none below give_up.
-    bool seek(int robot, const Costs &costs, int give_up, bool backward, Search &search);
+    bool seek(int robot, const Costs &costs, int give_up, Mode mode, Search &search);
+    // Seeks ways of two or three at once; sets none of them.
+    bool seek_joint(const std::vector<int> &robots, bool backward, int most_nodes, JointSearch &search);
+    void set_way(int robot, const std::vector<Cell> &way);
     void stand_still(int robot);
     // Counts anew whom a positioner meets.
     void count_meetings(int robot);
@@ -74,9 +87,9 @@ class Team {
     void restore(Memory memory);
 
   private:
-    void set_way(int robot, const std::vector<Cell> &way);
-    void gather(int robot);
-    void gather_step(const Member &me, int step);
+    void gather(int robot, Crowd &crowd) const;
+    void gather_step(const Member &me, int step, Crowd &crowd) const;
+    void extend(int steps);
     const Piece *piece_of(const Member &member, int step) const;
     void forget_meetings(int robot);
     int steps_met(const Member &p, const Member &q) const;
@@ -85,6 +98,7 @@ class Team {
     int steps_;
     std::vector<Member> members_;
     Crowd crowd_;
+    std::array<Crowd, JointSearch::most> joint_crowds_;
 };
 
 } // namespace fl::planning

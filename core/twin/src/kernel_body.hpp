@@ -184,6 +184,10 @@ inline V step_per_p(const AxisGroup &g, int i, Mask pushing) {
     return pushing ? load(g.step_per_p_push + i) : load(g.step_per_p_free + i);
 }
 
+// A rotor that slides towards the angle where friction holds it would take for ever. What friction leaves
+// of a momentum is taken as nothing below this share of an impulse of the rotor's own friction: 1e-7 rad/s.
+constexpr double stick_share = 1e-5;
+
 // One kick at the middle of a step: contact, set-valued friction, trapezoidal drag. Returns the drift
 // of a whole step with the new momentum. Eq. 3, 4 and 8; docs/twin.md.
 inline V kick(const AxisGroup &g, int i, Motion &m) {
@@ -195,7 +199,8 @@ inline V kick(const AxisGroup &g, int i, Motion &m) {
     const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
     const Mask pushing = (contact.positive & (free > V{})) | (contact.negative & (free < V{}));
     const V slowed = free - (pushing ? load(g.drag_push + i) : load(g.drag_free + i)) * m.p;
-    const V moved = larger(slowed - up, V{}) + smaller(slowed + down, V{});
+    const V rise = slowed - up, fall = slowed + down, least = motor * stick_share;
+    const V moved = both(rise > least, rise) + both(fall < -least, fall);
     m.p = moved * (pushing ? load(g.drag_push_inverse + i) : load(g.drag_free_inverse + i));
     return m.p * step_per_p(g, i, pushing);
 }

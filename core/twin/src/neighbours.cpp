@@ -2,14 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "fiberloom/twin/axis_group.hpp"
 
 namespace fl::twin {
 namespace {
 
-constexpr double contact_mm_per_N = 0.01; // two steel cylinders of arm size, order of magnitude (assumed)
+constexpr double contact_mm_per_N = 0.001; // two tubes of arm size, order of magnitude (assumed)
+constexpr double step_share = 0.25;        // of a Newton step: a force follows within 8 ms
+constexpr double settled_N = 1e-6;         // a force that would change by less has come to rest
+constexpr double let_go_N = 1e-3;          // and one below this, between arms apart, is over
 constexpr double metres = 1e-3;
 
 Vec2 minus(Vec2 a, Vec2 b) { return {a.x - b.x, a.y - b.y}; }
@@ -21,91 +23,147 @@ Vec2 away(Vec2 from, Vec2 to, double distance, bool first) {
     return {first ? 1.0 : -1.0, 0.0};
 }
 
+Closest turned(const Closest &c) {
+    return {c.on_second, c.on_first, c.along_second, c.along_first, c.distance_mm};
+}
+
+Vec2 follow(Vec2 before_N, Vec2 aim_N) {
+    const Vec2 step_N = minus(aim_N, before_N);
+    if (std::hypot(step_N.x, step_N.y) < settled_N) return before_N;
+    return {before_N.x + step_share * step_N.x, before_N.y + step_share * step_N.y};
+}
+
+bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
+    return std::any_of(contacts.begin(), contacts.end(),
+                       [other](const Contact &c) { return c.other == other; });
+}
+
 } // namespace
 
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
-      near_arms_(arms_.size()), near_obstacles_(arms_.size()), next_look_(arms_.size(), 0) {
+      near_(arms_.size()), next_look_(arms_.size(), 0) {
     find_neighbours();
 }
 
 double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_.to_mm + body_.radius_mm; }
 
+// Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
 double Neighbours::approach_speed_mm_s(size_t i) const {
     const double *w = gives_[i].speed_limit_rad_s;
-    return w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm;
+    return 2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm);
 }
 
 void Neighbours::find_neighbours() {
     const auto apart = [](Vec2 a, Vec2 b) { return std::hypot(a.x - b.x, a.y - b.y); };
     for (size_t i = 0; i < arms_.size(); ++i) {
+        const Vec2 centre = arms_[i].centre_mm;
         for (size_t j = 0; j < arms_.size(); ++j)
-            if (j != i && apart(arms_[i].centre_mm, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j))
-                near_arms_[i].push_back(static_cast<uint32_t>(j));
+            if (j != i && apart(centre, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j))
+                near_[i].push_back({static_cast<uint32_t>(j)});
         for (size_t k = 0; k < obstacles_.size(); ++k)
-            if (point_segment_distance(arms_[i].centre_mm, obstacles_[k].centre_line_mm) <
+            if (point_segment_distance(centre, obstacles_[k].centre_line_mm) <
                 reach_mm(i) + obstacles_[k].radius_mm)
-                near_obstacles_[i].push_back(static_cast<uint32_t>(k));
+                near_[i].push_back({static_cast<uint32_t>(arms_.size() + k)});
     }
 }
 
-Segment Neighbours::segment(size_t i, const Angles &angles) const {
-    return beta_segment(arms_[i], body_.from_mm, body_.to_mm, angles);
+size_t Neighbours::bytes_per_positioner() const {
+    size_t longest = 0;
+    for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
+    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(uint64_t) + longest * sizeof(Near);
+}
+
+Segment Neighbours::segment(size_t i, const Pose &pose) const {
+    return beta_segment(arms_[i], body_.from_mm, body_.to_mm, pose.bent);
+}
+
+// How far an arm springs at most when it is let go.
+double Neighbours::bend_mm(size_t i, const Pose &pose) const {
+    return std::abs(pose.bent.alpha_rad - pose.rigid.alpha_rad) * (arms_[i].l_alpha_mm + body_.to_mm) +
+           std::abs(pose.bent.beta_rad - pose.rigid.beta_rad) * body_.to_mm;
 }
 
 // How far the arm gives way along the normal for one newton: levers squared times compliances, Eq. 5a.
-double Neighbours::softness_mm_per_N(size_t i, const Angles &angles, const Contact &c) const {
-    const double lever_a_m = metres * cross(minus(c.point_mm, arms_[i].centre_mm), c.normal);
-    const double lever_b_m = metres * cross(minus(c.point_mm, elbow(arms_[i], angles.alpha_rad)), c.normal);
+double Neighbours::softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const {
+    const double lever_a_m = metres * cross(minus(m.point_mm, arms_[i].centre_mm), m.normal);
+    const double lever_b_m =
+        metres * cross(minus(m.point_mm, elbow(arms_[i], pose.bent.alpha_rad)), m.normal);
     const double *give = gives_[i].compliance_rad_per_Nm;
     return (lever_a_m * lever_a_m * give[0] + lever_b_m * lever_b_m * give[1]) / metres;
 }
 
-// J^T F. The depth is that of undeflected gears, so the force is known at once: all springs in series.
-void Neighbours::add(Push &push, size_t i, const Angles &angles, const Contact &c,
-                     double other_mm_per_N) const {
-    const double force_N = c.depth_mm / (contact_mm_per_N + softness_mm_per_N(i, angles, c) + other_mm_per_N);
-    push.torque_Nm[0] += force_N * metres * cross(minus(c.point_mm, arms_[i].centre_mm), c.normal);
-    push.torque_Nm[1] +=
-        force_N * metres * cross(minus(c.point_mm, elbow(arms_[i], angles.alpha_rad)), c.normal);
+// The force at which depth = contact softness times force. A newton more lets both arms give way by their
+// softness, which makes a Newton step; a share of it is taken at each sync point, because the normal
+// turns as arms bend around each other, and because several places share the load. Then J^T F.
+void Neighbours::press(Look &look, const Touched &body, int place, const Closest &c) const {
+    const auto same = [&](const Contact &k) { return k.other == body.number && k.place == place; };
+    const auto old = std::find_if(look.before.begin(), look.before.end(), same);
+    const double depth_mm = body.apart_mm - c.distance_mm;
+    if (depth_mm <= 0.0 && old == look.before.end()) return;
+
+    const Pose &pose = look.poses[look.i];
+    const Vec2 normal = away(c.on_second, c.on_first, c.distance_mm, look.i < body.number);
+    double give = softness_mm_per_N(look.i, pose, {c.on_first, normal, depth_mm});
+    if (body.pose != nullptr)
+        give += softness_mm_per_N(body.number, *body.pose, {c.on_second, {-normal.x, -normal.y}, depth_mm});
+    const Vec2 before_N = old == look.before.end() ? Vec2{} : old->force_N;
+    const double pressed_N = before_N.x * normal.x + before_N.y * normal.y;
+    const double aim_N = std::max((depth_mm + give * pressed_N) / (contact_mm_per_N + give), 0.0);
+    const Vec2 force_N = follow(before_N, {aim_N * normal.x, aim_N * normal.y});
+    if (aim_N == 0.0 && std::hypot(force_N.x, force_N.y) < let_go_N) return;
+
+    look.now.push_back({body.number, place, force_N});
+    const Vec2 axis_b = elbow(arms_[look.i], pose.bent.alpha_rad);
+    look.push.torque_Nm[0] += metres * cross(minus(c.on_first, arms_[look.i].centre_mm), force_N);
+    look.push.torque_Nm[1] += metres * cross(minus(c.on_first, axis_b), force_N);
 }
 
-// Returns the seconds in which the two cannot touch.
-double Neighbours::meet_arm(size_t i, size_t j, const std::vector<Angles> &angles, const Segment &mine,
-                            Push &push, std::vector<uint32_t> &touched) const {
-    const Closest c = closest_points(mine, segment(j, angles[j]));
-    const double gap_mm = c.distance_mm - 2.0 * body_.radius_mm;
-    if (gap_mm >= 0.0) return gap_mm / (approach_speed_mm_s(i) + approach_speed_mm_s(j));
-    const Contact on_me = {c.on_first, away(c.on_second, c.on_first, c.distance_mm, i < j), -gap_mm};
-    const Contact on_other = {c.on_second, {-on_me.normal.x, -on_me.normal.y}, -gap_mm};
-    add(push, i, angles[i], on_me, softness_mm_per_N(j, angles[j], on_other));
-    touched.push_back(static_cast<uint32_t>(j));
+// Capsules that do not cross touch at ends of their centre lines; side by side, at two of them. Returns
+// the seconds in which the two cannot touch.
+double Neighbours::touch(Look &look, const Touched &body) const {
+    const double distance_mm = segment_distance(look.mine, body.line);
+    const double gap_mm = distance_mm - body.apart_mm;
+    if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
+        const double still_mm = gap_mm - body.spring_mm - bend_mm(look.i, look.poses[look.i]);
+        return std::max(still_mm, 0.0) / (approach_speed_mm_s(look.i) + body.speed_mm_s);
+    }
+    press(look, body, 0, closest_point(look.mine.a, body.line));
+    press(look, body, 1, closest_point(look.mine.b, body.line));
+    press(look, body, 2, turned(closest_point(body.line.a, look.mine)));
+    press(look, body, 3, turned(closest_point(body.line.b, look.mine)));
+    if (distance_mm == 0.0) press(look, body, 4, closest_points(look.mine, body.line));
     return 0.0;
 }
 
-double Neighbours::meet_obstacle(size_t i, size_t k, const Angles &angles, const Segment &mine, Push &push,
-                                 std::vector<uint32_t> &touched) const {
-    const Closest c = closest_points(mine, obstacles_[k].centre_line_mm);
-    const double gap_mm = c.distance_mm - body_.radius_mm - obstacles_[k].radius_mm;
-    if (gap_mm >= 0.0) return gap_mm / approach_speed_mm_s(i);
-    add(push, i, angles, {c.on_first, away(c.on_second, c.on_first, c.distance_mm, true), -gap_mm}, 0.0);
-    touched.push_back(static_cast<uint32_t>(arms_.size() + k));
-    return 0.0;
+Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &poses) const {
+    if (number < arms_.size()) {
+        const Pose &pose = poses[number];
+        return {number,
+                segment(number, pose),
+                2.0 * body_.radius_mm,
+                bend_mm(number, pose),
+                approach_speed_mm_s(number),
+                &pose};
+    }
+    const Obstacle &o = obstacles_[number - arms_.size()];
+    return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};
 }
 
-Push Neighbours::push(size_t i, const std::vector<Angles> &angles, uint64_t tick,
-                      std::vector<uint32_t> &touched) {
-    touched.clear();
-    Push push;
-    if (tick < next_look_[i]) return push;
-    const Segment mine = segment(i, angles[i]);
-    double free_s = 1.0; // look again within a second, whatever the bounds say
-    for (uint32_t j : near_arms_[i]) free_s = std::min(free_s, meet_arm(i, j, angles, mine, push, touched));
-    for (uint32_t k : near_obstacles_[i])
-        free_s = std::min(free_s, meet_obstacle(i, k, angles[i], mine, push, touched));
-    next_look_[i] = tick + static_cast<uint64_t>(free_s / tick_s);
-    return push;
+Push Neighbours::push(size_t i, const std::vector<Pose> &poses, uint64_t tick,
+                      std::vector<Contact> &contacts) {
+    if (tick < next_look_[i]) return {};
+    Look look{i, poses, segment(i, poses[i]), contacts, {}, {}};
+    uint64_t next = UINT64_MAX;
+    for (Near &near : near_[i]) {
+        if (tick >= near.next_look)
+            near.next_look = tick + static_cast<uint64_t>(touch(look, body(near.number, poses)) / tick_s);
+        next = std::min(next, near.next_look);
+    }
+    next_look_[i] = next;
+    contacts = std::move(look.now);
+    return look.push;
 }
 
 } // namespace fl::twin

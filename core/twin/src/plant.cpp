@@ -4,9 +4,15 @@
 #include <cmath>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 namespace fl::twin {
 namespace {
+
+// A seat is forgotten over a motor turn of travel, four nodes (assumed: far below the 840 degrees of an
+// approach, far above the microsteps of nothing at all).
+constexpr double seat_memory = 0.7788; // exp(-1/4)
+constexpr double seat_news = 0.6273;   // sqrt(1 - memory^2)
 
 constexpr double blocked_Nm = 1.0; // a thousand times what these motors give
 
@@ -50,6 +56,17 @@ uint32_t noise_key(uint64_t seed, uint64_t axis) {
     return static_cast<uint32_t>((z ^ (z >> 31)) >> 16);
 }
 
+// Standard normal, nearly: twelve bytes of scrambled counter (Irwin-Hall, ends at six).
+double bell(uint32_t key, uint32_t count) {
+    uint64_t z = (static_cast<uint64_t>(key) << 32 | count) * 0x9E3779B97F4A7C15ULL;
+    double sum = -6.0;
+    for (int i = 0; i < 12; ++i) {
+        z = (z ^ (z >> 31)) * 0xBF58476D1CE4E5B9ULL;
+        sum += static_cast<double>(z >> 40) * 0x1p-24;
+    }
+    return sum;
+}
+
 // Lanes without an axis must be harmless to step: nothing moves them, no division by zero.
 AxisGroup idle_group() {
     AxisGroup g{};
@@ -75,6 +92,7 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         check(axis, units[axis]);
         axes_[axis].unit = units[axis];
         groups_[axis / lane_count].noise_key[axis % lane_count] = noise_key(seed, axis);
+        axes_[axis].seat.key = noise_key(~seed, axis);
         configure(axis);
         place(axis, output_rad[axis]);
     }
@@ -105,13 +123,17 @@ void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double
 double Plant::output_at_rest_rad(size_t axis) const {
     const Axis &a = axes_[axis];
     if (a.faults.lying) return a.held_rad;
-    return output_of_gear(a.cell, lane(axis, &AxisGroup::gear_rad)) + a.slip_rad;
+    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const double share = (gear_rad - a.cell.lo.gear_rad) / (a.cell.hi.gear_rad - a.cell.lo.gear_rad);
+    const double seat_rad = a.seat.lo_rad + share * (a.seat.hi_rad - a.seat.lo_rad);
+    return output_of_gear(a.cell, gear_rad) + seat_rad + a.slip_rad;
 }
 
-double Plant::output_rad(size_t axis) const {
-    const double torque_Nm = axes_[axis].torque_Nm + stop_torque_Nm(axis);
-    return output_at_rest_rad(axis) + torque_Nm * compliance_rad_per_Nm(axis);
+double Plant::bend_rad(size_t axis) const {
+    return (axes_[axis].torque_Nm + stop_torque_Nm(axis)) * compliance_rad_per_Nm(axis);
 }
+
+double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + bend_rad(axis); }
 
 double Plant::backlash_rad(size_t axis) const {
     const Cell &cell = axes_[axis].cell;
@@ -135,9 +157,9 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
 void Plant::set_faults(size_t axis, AxisFaults faults) {
     Axis &a = axes_[axis];
     if (faults.lying && !a.faults.lying) a.held_rad = output_at_rest_rad(axis);
-    if (!faults.lying && a.faults.lying)
-        a.slip_rad = a.held_rad - output_of_gear(a.cell, lane(axis, &AxisGroup::gear_rad));
+    const bool caught = a.faults.lying && !faults.lying; // the coupling closes where the arm stands
     a.faults = faults;
+    if (caught) a.slip_rad += a.held_rad - output_at_rest_rad(axis);
     configure(axis);
 }
 
@@ -249,9 +271,23 @@ void Plant::follow_cell(size_t axis) {
     const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
     axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old);
     load_cell(axis);
+    follow_seat(axis, axes_[axis].cell.index - old.index);
     if (positive)
         gear_rad =
             (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale);
+}
+
+double Plant::next_seat(size_t axis, double from_rad) {
+    Seat &seat = axes_[axis].seat;
+    return seat_memory * from_rad + seat_news * params(axis).seat_rms * bell(seat.key, seat.passes++);
+}
+
+// The cell moved on by so many nodes, up or down: what lies behind is forgotten.
+void Plant::follow_seat(size_t axis, int32_t nodes) {
+    if (params(axis).seat_rms == 0.0) return;
+    Seat &seat = axes_[axis].seat;
+    for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next_seat(axis, seat.hi_rad));
+    for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next_seat(axis, seat.lo_rad));
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {
@@ -260,6 +296,7 @@ double Plant::stop_torque_Nm(size_t axis) const {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double over_rad = std::max(gear_rad - lane(axis, &AxisGroup::stop_hi_rad), 0.0) +
                             std::min(gear_rad - lane(axis, &AxisGroup::stop_lo_rad), 0.0);
+    if (over_rad == 0.0) return 0.0;
     return -over_rad / p.gear_ratio / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
 }
 

@@ -45,21 +45,22 @@ void Positioner::tick_firmware(uint64_t tick) {
     fl_positioner_tick(&firmware_);
 }
 
-bool Positioner::moved(const Plant &plant) {
-    bool moved = false;
+// Ticks that left everything as it was: the next ones will, too, under the same duties.
+bool Positioner::changed(const Plant &plant) {
+    bool changed = false;
     for (size_t axis = 0; axis < FL_AXES; ++axis) {
-        const double motor_rad = plant.motor_rad(2 * index_ + axis);
-        moved |= motor_rad != last_motor_rad_[axis] || !plant.standing(2 * index_ + axis);
-        last_motor_rad_[axis] = motor_rad;
+        const Plant::Rotor rotor = plant.rotor(2 * index_ + axis);
+        changed |= !(rotor == last_rotor_[axis]);
+        last_rotor_[axis] = rotor;
     }
-    return moved;
+    return changed;
 }
 
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
-    if (moved(plant) || scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) return;
+    if (changed(plant) || scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) return;
     asleep_ = true;
-    asleep_since_ = tick + 1;
+    asleep_since_ = tick;
 }
 
 void Positioner::wake(uint64_t tick) {
@@ -80,7 +81,7 @@ std::vector<ScopeSample> Positioner::take_scope(int axis) {
     return std::exchange((*scope_)[static_cast<size_t>(axis)], {});
 }
 
-void Positioner::record(const Plant &plant, uint64_t tick) {
+void Positioner::record_axes(const Plant &plant, uint64_t tick) {
     for (int axis = 0; axis < FL_AXES; ++axis)
         if (scope_on_[axis]) (*scope_)[static_cast<size_t>(axis)].push_back(sample(plant, axis, tick));
 }

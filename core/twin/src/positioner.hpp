@@ -32,7 +32,7 @@ class Positioner {
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     void tick_firmware(uint64_t tick);
-    // After the plant's tick: falls asleep when nothing will change.
+    // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
     bool asleep() const { return asleep_; }
@@ -45,12 +45,13 @@ class Positioner {
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
-    void record(const Plant &plant, uint64_t tick);
+    void record(const Plant &plant, uint64_t tick) {
+        if (scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) record_axes(plant, tick);
+    }
 
-    // contact torque last applied, and who was touched
-    Push push;
-    Push user_push;
-    std::vector<uint32_t> touched, touched_before;
+    // torque of neighbours as last applied, and torque asked for from outside
+    Push push, user_push;
+    std::vector<Contact> contacts, contacts_before;
 
   private:
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
@@ -59,7 +60,8 @@ class Positioner {
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
     fl_port_t port();
-    bool moved(const Plant &plant);
+    bool changed(const Plant &plant);
+    void record_axes(const Plant &plant, uint64_t tick);
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};
@@ -71,7 +73,7 @@ class Positioner {
     uint64_t now_ = 0; // tick of the call into the firmware
     bool asleep_ = false;
     uint64_t asleep_since_ = 0, skipped_ = 0, run_ = 0;
-    double last_motor_rad_[FL_AXES] = {0.0, 0.0};
+    Plant::Rotor last_rotor_[FL_AXES] = {};
     uint16_t last_hall_[FL_AXES][2] = {};
     std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;
     bool scope_on_[FL_AXES] = {false, false};

@@ -1,8 +1,8 @@
 #include "fiberloom/twin/twin.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <deque>
 #include <numbers>
 #include <stdexcept>
 #include <string>
@@ -57,39 +57,48 @@ struct Twin::State {
     void boot(const TwinSetup &s);
     void run_slice(uint64_t ticks);
     void run_group(size_t group, uint64_t ticks);
-    void tick_group(size_t group, size_t first, size_t last, uint64_t now);
+    void tick_group(size_t group, uint64_t tick);
+    void wake_up(size_t group);
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
     void apply_torque(size_t i, const Push &push);
-    void publish(size_t first, size_t last);
+    void publish(size_t i);
     bool anybody_awake() const;
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
-        if (i >= positioners.size())
-            throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
+        if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
         return positioners[i];
     }
 
     Plant plant;
-    std::deque<Positioner> positioners;
+    size_t count;
+    std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
+    struct Awake {                             // of a group, during a slice
+        std::array<Positioner *, group_size> who;
+        size_t count = 0;
+    };
+    std::vector<Awake> awake;
     std::vector<Outbox> outboxes;
     std::unordered_map<uint32_t, size_t> index_of_id;
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
     uint64_t now = 0;
+    uint64_t slice = 0; // ticks of the slice that runs
     bool quiet = false; // a sync point has passed with everybody asleep: time alone goes on
-    // where everybody's gears are: as of the last sync point (read), and of the next (written)
-    std::vector<Angles> seen, next;
+    // where everybody's arms are: as of the last sync point (read), and of the next (written)
+    std::vector<Pose> seen, next;
     Workers workers;
 };
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
+      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)), awake(plant.group_count()),
       outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
-      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.start), next(s.start), workers(s.threads) {
+      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
+      workers(s.threads, plant.group_count(), [this](size_t group) { run_group(group, slice); }) {
     boot(s);
-    publish(0, positioners.size());
+    for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
 }
 
@@ -97,7 +106,7 @@ void Twin::State::boot(const TwinSetup &s) {
     for (size_t i = 0; i < s.ids.size(); ++i) {
         if (!index_of_id.emplace(s.ids[i], i).second)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
-        Positioner &p = positioners.emplace_back();
+        Positioner &p = positioners[i];
         p.attach(plant, i, outboxes[i / group_size]);
         p.boot(s.ids[i], &s.params[2 * i]);
     }
@@ -110,54 +119,64 @@ void Twin::State::boot(const TwinSetup &s) {
     }
 }
 
-void Twin::State::tick_group(size_t group, size_t first, size_t last, uint64_t tick) {
+void Twin::State::tick_group(size_t group, uint64_t tick) {
+    const Awake &a = awake[group];
     plant.sense(group, static_cast<uint32_t>(tick));
-    for (size_t i = first; i < last; ++i)
-        if (!positioners[i].asleep()) positioners[i].tick_firmware(tick);
+    for (size_t k = 0; k < a.count; ++k) a.who[k]->tick_firmware(tick);
     plant.step(group);
-    for (size_t i = first; i < last; ++i) {
-        if (positioners[i].asleep()) continue;
-        positioners[i].record(plant, tick);
-        positioners[i].rest(plant, tick, skip_resting);
-    }
+    for (size_t k = 0; k < a.count; ++k) a.who[k]->record(plant, tick);
+}
+
+// Who is awake changes at the ends of slices only.
+void Twin::State::wake_up(size_t group) {
+    Awake &a = awake[group];
+    a.count = 0;
+    for (size_t i = group * group_size; i < std::min((group + 1) * group_size, count); ++i)
+        if (!positioners[i].asleep()) a.who[a.count++] = &positioners[i];
 }
 
 // One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
-    const size_t first = group * group_size, last = std::min(first + group_size, positioners.size());
     if (feel && now % sync_ticks == 0)
-        for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
-    for (uint64_t tick = now; tick < now + ticks; ++tick) {
-        const auto awake = [this](size_t i) { return !positioners[i].asleep(); };
-        bool any = false;
-        for (size_t i = first; i < last && !any; ++i) any = awake(i);
-        if (!any) break;
-        tick_group(group, first, last, tick);
+        for (size_t i = group * group_size; i < std::min((group + 1) * group_size, count); ++i)
+            feel_neighbours(i, outboxes[group]);
+    wake_up(group);
+    const Awake &a = awake[group];
+    if (a.count == 0) return;
+    for (uint64_t tick = now; tick < now + ticks; ++tick) tick_group(group, tick);
+    for (size_t k = 0; k < a.count; ++k) {
+        a.who[k]->rest(plant, now + ticks, skip_resting);
+        if (feel) publish(static_cast<size_t>(a.who[k] - &positioners[0]));
     }
-    publish(first, last);
 }
 
-void Twin::State::publish(size_t first, size_t last) {
-    for (size_t i = first; i < last; ++i)
-        next[i] = {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
+void Twin::State::publish(size_t i) {
+    Pose &pose = next[i];
+    double *bent[] = {&pose.bent.alpha_rad, &pose.bent.beta_rad};
+    double *rigid[] = {&pose.rigid.alpha_rad, &pose.rigid.beta_rad};
+    for (size_t axis = 0; axis < FL_AXES; ++axis) {
+        *rigid[axis] = plant.output_at_rest_rad(2 * i + axis);
+        *bent[axis] = *rigid[axis] + plant.bend_rad(2 * i + axis);
+    }
 }
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    const Push push = neighbours.push(i, seen, now, p.touched);
+    p.contacts_before = p.contacts;
+    const Push push = neighbours.push(i, seen, now, p.contacts);
     note_touches(i, outbox);
-    if (push.torque_Nm[0] != p.push.torque_Nm[0] || push.torque_Nm[1] != p.push.torque_Nm[1])
-        apply_torque(i, push);
+    if (push != p.push) apply_torque(i, push);
 }
 
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    for (uint32_t other : p.touched) {
-        const auto &before = p.touched_before;
-        const bool is_new = std::find(before.begin(), before.end(), other) == before.end();
-        if (is_new && i < other) outbox.touches.push_back({now, static_cast<uint32_t>(i), other});
+    for (const Contact &c : p.contacts) {
+        const auto same = [&c](const Contact &b) { return b.other == c.other; };
+        const bool is_new = std::none_of(p.contacts_before.begin(), p.contacts_before.end(), same);
+        const bool is_first = &c == &*std::find_if(p.contacts.begin(), p.contacts.end(), same);
+        if (is_new && is_first && i < c.other)
+            outbox.touches.push_back({now, static_cast<uint32_t>(i), c.other});
     }
-    p.touched_before = p.touched;
 }
 
 void Twin::State::apply_torque(size_t i, const Push &push) {
@@ -169,12 +188,13 @@ void Twin::State::apply_torque(size_t i, const Push &push) {
 }
 
 bool Twin::State::anybody_awake() const {
-    return std::any_of(positioners.begin(), positioners.end(),
+    return std::any_of(&positioners[0], &positioners[0] + count,
                        [](const Positioner &p) { return !p.asleep(); });
 }
 
 void Twin::State::run_slice(uint64_t ticks) {
-    workers.run(plant.group_count(), [&](size_t group) { run_group(group, ticks); });
+    slice = ticks;
+    workers.run();
     now += ticks;
     if (now % sync_ticks == 0) seen = next;
 }
@@ -192,7 +212,7 @@ std::vector<Reply> Twin::State::collect() {
 Twin::Twin(const TwinSetup &setup) : s_(std::make_unique<State>(setup)) {}
 Twin::~Twin() = default;
 
-size_t Twin::positioner_count() const { return s_->positioners.size(); }
+size_t Twin::positioner_count() const { return s_->count; }
 uint64_t Twin::tick() const { return s_->now; }
 Plant &Twin::plant() { return s_->plant; }
 const Neighbours &Twin::neighbours() const { return s_->neighbours; }
@@ -201,7 +221,7 @@ const char *Twin::kernel_name() const { return s_->plant.kernel_name(); }
 void Twin::send(const fl_can_frame_t &frame) {
     const uint32_t id = frame.id >> 18 & 0x7ff;
     if (id == 0) {
-        for (Positioner &p : s_->positioners) p.receive(frame, s_->now);
+        for (size_t i = 0; i < s_->count; ++i) s_->positioners[i].receive(frame, s_->now);
     } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
         s_->positioners[found->second].receive(frame, s_->now);
     }
@@ -231,14 +251,20 @@ bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
 
 uint64_t Twin::ticks_skipped() const {
     uint64_t sum = 0;
-    for (const Positioner &p : s_->positioners) sum += p.skipped();
+    for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].skipped();
     return sum;
 }
 
 uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
-    for (const Positioner &p : s_->positioners) sum += p.run();
+    for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].run();
     return sum;
+}
+
+// The firmware's own state is a board's business; neighbour lists are counted by their longest.
+size_t Twin::bytes_per_positioner() const {
+    return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
+           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose);
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {

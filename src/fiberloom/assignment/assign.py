@@ -9,7 +9,7 @@ from ..instruments import FocalPlane
 from ..targets import TargetList
 from ..targets.target_list import FREE
 from .candidates import Block, Candidates, check_targets, find_candidates
-from .choose import LEVEL_WEIGHT, conflicts, levels_of, pack
+from .choose import LEVEL_WEIGHT, conflicts, levels_of, pack, shortlist
 from .clearance import Floats, Ints, sweep
 from .demanded import place_demanded
 from .floor import Floor, Rules
@@ -93,12 +93,13 @@ def _place_free(
     segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
     block = screen(plane, found, segments, rules.approach_deg, rules)
     screen_placed(floor, found, segments, block, rules.pair_mm)
-    ok = np.flatnonzero(block == Block.NONE)
+    open_ = np.flatnonzero(block == Block.NONE)
+    level = levels_of(targets.priority)[found.target]
+    ok = open_[shortlist(found.positioner[open_], level[open_], rng)]
     some = found.select(ok)
     pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)
-    level = levels_of(targets.priority)[some.target]
-    chosen, proven = pack(some.positioner, some.target, level, pairs, rng)
-    if not proven:
+    chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng)
+    if not proven or len(ok) < len(open_):
         floor.notes.append("the choice of targets is good, but not proven to be the best")
     rows = ok[chosen]
     floor.put(

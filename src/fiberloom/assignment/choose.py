@@ -21,7 +21,10 @@ LEVELS_AT_ONCE = 5
 """Levels per solution: weights from 1 to 1e4 keep the sums exact for the solver."""
 MAX_LEVELS = 15
 """More different priorities are put into so many bands of equal size."""
+MAX_CHOICES = 40
+"""Candidates per positioner: more make long lists slow and hardly ever better."""
 PAIRS_AT_ONCE = 200_000
+"""Bound on memory."""
 MAX_NODES = 2000
 """Bound on the search, not on time: the same answer on a slow machine."""
 
@@ -56,6 +59,17 @@ def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, I
             first, second, size = [], [], 0
     if first:
         yield np.concatenate(first), np.concatenate(second)
+
+
+def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator) -> Bools:
+    """(C,) the MAX_CHOICES candidates of highest level of each positioner."""
+    tie = rng.random(len(positioner))
+    order = np.lexsort((tie, -level, positioner))
+    ranked = positioner[order]
+    place = np.arange(len(order)) - np.searchsorted(ranked, ranked)
+    keep = np.zeros(len(order), dtype=bool)
+    keep[order[place < MAX_CHOICES]] = True
+    return keep
 
 
 def levels_of(priority: Floats) -> Ints:

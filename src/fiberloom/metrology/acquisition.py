@@ -141,9 +141,7 @@ def refine(
     hunt.terms, hunt.radius_mm = _sets(terms), start.radius_mm
     grown = hunt.polish(start)
     if grown is None:
-        raise AcquisitionError(
-            "the fiducials are not where the last transform has them; acquire them anew"
-        )
+        raise AcquisitionError("the fiducials are not where the last transform has them; acquire them anew")
     return grown
 
 
@@ -249,9 +247,7 @@ class _Hunt:
         p, q = pairs[gap > near].T.astype(np.int64)
         return np.concatenate([p, q]), np.concatenate([q, p])
 
-    def _allowed(
-        self, a: NDArray[np.complex128], b: NDArray[np.complex128]
-    ) -> NDArray[np.bool_]:
+    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.bool_]:
         g, nominal = self.geometry, self.geometry.similarity()
         off_deg = np.rad2deg(np.abs(np.angle(a / nominal.a)))
         ok = (off_deg <= g.rotation_tolerance_deg) & (
@@ -260,9 +256,7 @@ class _Hunt:
         centre = -nominal.b / nominal.a
         return ok & (np.abs(a * centre + b) <= g.shift_tolerance_mm)
 
-    def _distinct(
-        self, votes: list[tuple[int, complex, complex]]
-    ) -> list[tuple[int, complex, complex]]:
+    def _distinct(self, votes: list[tuple[int, complex, complex]]) -> list[tuple[int, complex, complex]]:
         """The best of each bundle of proposals that mean the same."""
         out: list[tuple[int, complex, complex]] = []
         for vote in votes:
@@ -294,10 +288,7 @@ class _Hunt:
         for other_score, other in grown[1:]:
             same = np.abs(winner.transform.to_mm(self.px) - other.transform.to_mm(self.px)).max()
             if same > 1.0 and other_score > 0.8 * score:
-                turn = (
-                    other.transform.similarity.rotation_deg
-                    - winner.transform.similarity.rotation_deg
-                )
+                turn = other.transform.similarity.rotation_deg - winner.transform.similarity.rotation_deg
                 raise AcquisitionError(
                     f"the fiducials fit as well turned by {turn:.0f} deg; give the rotation to "
                     "within less than that, or the expected positions of the fibres"
@@ -407,17 +398,13 @@ def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Si
     """The similarity that moves known places onto the spots near them, a few times over."""
     tree = cKDTree(px)
     for _ in range(4):
-        distance, spot = tree.query(
-            base.to_px(known_mm), distance_upper_bound=gate_mm / base.scale_mm_px
-        )
+        distance, spot = tree.query(base.to_px(known_mm), distance_upper_bound=gate_mm / base.scale_mm_px)
         near = np.isfinite(distance)
         if near.sum() < 4:
             return base
         off_mm = np.hypot(*(base.to_mm(px[spot[near]]) - known_mm[near]).T)
         weight = 1.0 / np.maximum(off_mm, 0.3 * gate_mm)
-        base = fit_similarity(
-            px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight
-        )
+        base = fit_similarity(px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight)
     return base
 
 
@@ -429,9 +416,7 @@ def _sets(terms: Sequence[int] | None) -> tuple[tuple[int, ...], ...]:
 
 def _only_used(fit: TransformFit) -> TransformFit:
     u = fit.used
-    return TransformFit(
-        fit.transform, fit.residual_mm[u], fit.leave_one_out_mm[u], u[u], fit.chi2
-    )
+    return TransformFit(fit.transform, fit.residual_mm[u], fit.leave_one_out_mm[u], u[u], fit.chi2)
 
 
 def _finite(expected_mm: ArrayLike | None) -> Floats:

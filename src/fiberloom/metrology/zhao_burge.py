@@ -63,9 +63,7 @@ def _times_angular(m: int, half_power: int) -> Floats:
         if part == 0:
             continue
         for c in range(half_power + 1):
-            out[abs(m) - b + 2 * (half_power - c), b + 2 * c] += (
-                part * comb(abs(m), b) * comb(half_power, c)
-            )
+            out[abs(m) - b + 2 * (half_power - c), b + 2 * c] += part * comb(abs(m), b) * comb(half_power, c)
     return out
 
 

@@ -46,6 +46,9 @@ class CorrectionNoise:
     """Error before the first image."""
     drift_um: float = 0.0
     """How much the offset itself changes from move to move."""
+    slope: float = 0.1
+    """How much it changes over the way of a correction, as a share of that way, rms: the derivative
+    of what the transmission map does not know. SDSS-V accepts gears up to 0.15."""
 
     @classmethod
     def of(cls, plane: FocalPlane) -> CorrectionNoise:
@@ -106,6 +109,8 @@ class CorrectionLoop:
         self.noise = noise or CorrectionNoise.of(plane)
         self.target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
         self.offsets = Offsets(np.zeros((plane.n, 2)), self._spread(self.noise.blind_um))
+        self._last_deg = np.full((plane.n, 2), np.nan)
+        """Where each positioner believed to be at its last image."""
 
     def update(self, believed_deg: Floats, measured_mm: Floats, active: Flags) -> Floats:
         """The angles (N, 2) to command next, from the last image (N, 2).
@@ -123,7 +128,7 @@ class CorrectionLoop:
         return self._inside(wanted)
 
     def _learn(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> None:
-        before = predict(self._rows(rows), self._spread(self.noise.drift_um)[rows])
+        before = predict(self._rows(rows), self._drift(rows, believed_deg))
         after, surprise = self._weigh(rows, before, believed_deg, measured_mm)
         shaken = surprise > _SURPRISE
         if shaken.any():
@@ -131,8 +136,15 @@ class CorrectionLoop:
             fresh[shaken] = self._spread(self.noise.blind_um)[rows][shaken]
             before = Offsets(before.mean_deg, fresh)
             after, _ = self._weigh(rows, before, believed_deg, measured_mm)
+        self._last_deg[rows] = believed_deg[rows]
         self.offsets.mean_deg[rows] = after.mean_deg
         self.offsets.covariance_deg2[rows] = after.covariance_deg2
+
+    def _drift(self, rows: NDArray[np.intp], believed_deg: Floats) -> Floats:
+        """(n, 2, 2) deg^2 by which the offsets have changed since the last image."""
+        way_deg = np.nan_to_num(believed_deg[rows] - self._last_deg[rows])  # none before the first
+        along = (self.noise.slope * way_deg)[:, :, None] ** 2 * np.eye(2)
+        return self._spread(self.noise.drift_um)[rows] + along
 
     def _rows(self, rows: NDArray[np.intp]) -> Offsets:
         return Offsets(self.offsets.mean_deg[rows], self.offsets.covariance_deg2[rows])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Outcome
+from fiberloom.bus.outcome import Outcome, Results
 from fiberloom.bus.trajectory import Trajectory
 from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.errors import InputError
@@ -32,6 +32,10 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
+
+
+REST_TIMEOUT_S = 5.0
+"""A stopped positioner stands after a fraction of a second."""
 
 
 class UnsafePlanError(RuntimeError):
@@ -53,6 +57,8 @@ class Move:
     true_mm: Floats | None
     """The science fibre (metrology fibre where parked); a twin only."""
     status: list[Status]
+    interrupted: bool = False
+    """Stopped before its end, because somebody collided or would not go."""
     comparison: bool = False
     """Not part of the observation: shows what another model would give."""
 
@@ -104,9 +110,7 @@ class Loop:
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
         self.has_target = assignment.target >= 0
-        self.faults: list[Status | None] = [
-            Status.OFFLINE if offline else None for offline in plane.offline
-        ]
+        self.faults: list[Status | None] = [Status.OFFLINE if offline else None for offline in plane.offline]
         self.blocked = np.zeros(len(plane), dtype=bool)
         self.here_deg = plane.offline_position_deg.copy()
         self.wire_deg = np.zeros((len(plane), 2))
@@ -250,9 +254,9 @@ class Loop:
         self._verify(planned)
         before_deg = self.here_deg.copy()
         commanded_deg = planned.end_deg
-        outcomes = await self._execute(planned, maps)
+        results = await self._execute(planned, maps)
         image = self.hardware.camera.measure()
-        interrupted = self._judge(outcomes, image, before_deg, commanded_deg)
+        interrupted = self._judge(results, image, before_deg, commanded_deg)
         error_um = self._measured_error_um(image)
         move = Move(
             number=number,
@@ -264,6 +268,7 @@ class Loop:
             measured_error_um=error_um,
             true_mm=self._truth(),
             status=self._status(error_um),
+            interrupted=bool(interrupted.any()),
             comparison=comparison,
         )
         self.moves.append(move)
@@ -276,17 +281,20 @@ class Loop:
         if not found.ok:
             raise UnsafePlanError(f"the verifier refused the planned motion: {found}")
 
-    async def _execute(self, planned: Plan, maps: TransmissionMaps) -> dict[int, Outcome]:
+    async def _execute(self, planned: Plan, maps: TransmissionMaps) -> Results:
         trajectories = {
-            robot.positioner_id: self._on_the_wire(robot, maps)
-            for robot in planned.robots
-            if robot.moves
+            robot.positioner_id: self._on_the_wire(robot, maps) for robot in planned.robots if robot.moves
         }
         results = await self.client.run_trajectories(trajectories)
         if not results.ok.all():
-            await self.client.stop()  # clears the flags of collisions: the healthy shall go on
+            await self._come_to_rest(list(trajectories))
         await self._read_positions(maps, np.array(list(trajectories), dtype=np.int64))
-        return {positioner: result.outcome for positioner, result in results.items()}
+        return results
+
+    async def _come_to_rest(self, ids: list[int]) -> None:
+        """Clear the flags of collisions, so that the healthy can go on, and let everybody stop."""
+        await self.client.stop()
+        await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
 
     def _on_the_wire(self, robot: Robot, maps: TransmissionMaps) -> Trajectory:
         row = int(self.plane.index_of(robot.positioner_id))
@@ -297,12 +305,13 @@ class Loop:
 
     def _judge(
         self,
-        outcomes: dict[int, Outcome],
+        results: Results,
         image: Measurement,
         before_deg: Floats,
         commanded_deg: Floats,
     ) -> Flags:
-        asked = [outcomes.get(int(p), Outcome.DONE) for p in self.plane.positioner_id]
+        ended = [results.get(int(p)) for p in self.plane.positioner_id]
+        asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
             outcomes=asked,
             seen=image.seen,
@@ -313,7 +322,7 @@ class Loop:
         )
         for i, fault in enumerate(judge(evidence)):
             if fault is not None and self.faults[i] is None:
-                self._flag(i, fault, f"after a move that ended as '{asked[i].value}'")
+                self._flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
         self._trust_the_camera(image)
         away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])

@@ -93,6 +93,7 @@ def _summarise_move(observed: Observed, move: Move) -> dict[str, Any]:
     return {
         "move": move.number,
         "label": move.label,
+        "interrupted": move.interrupted,
         "comparison": move.comparison,
         "motion_s": move.motion_s,
         "n_fibres": int(counted.sum()),
@@ -186,9 +187,10 @@ def _plot(observed: Observed, out: Path) -> None:
         observed.requirement_um,
         title,
     )
+    ended = [move for move in observed.moves if not move.interrupted]
     plot_errors(
         out / "errors.png",
-        [observed.error_um(m)[observed.counted(m)] for m in observed.moves],
-        [f"move {m.number} ({m.label})" for m in observed.moves],
+        [observed.error_um(m)[observed.counted(m)] for m in ended],
+        [f"move {m.number} ({m.label})" for m in ended],
         observed.requirement_um,
     )

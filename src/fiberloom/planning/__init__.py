@@ -5,6 +5,7 @@ docs/planning.md.
 """
 
 from .configuration import read_configuration, write_configuration
+from .fields import random_configuration, random_pair
 from .planner import PlanSettings, plan, plan_corrections
 from .trajectories import Plan, Robot, read_plans
 from .verification import Verification, Violation, verify
@@ -17,6 +18,8 @@ __all__ = [
     "Violation",
     "plan",
     "plan_corrections",
+    "random_configuration",
+    "random_pair",
     "read_configuration",
     "read_plans",
     "verify",

@@ -65,9 +65,7 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
     return base, elbow, tip
 
 
-def plot_errors(
-    path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float
-) -> None:
+def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:
     """Cumulative distribution of the true (or measured) error after each move, on a log axis."""
     figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for error, label in zip(errors_um, labels, strict=True):
@@ -77,12 +75,8 @@ def plot_errors(
         share = 100.0 * np.arange(1, len(values) + 1) / len(values)
         rms = float(np.sqrt(np.mean(values**2)))
         axes.step(values, share, where="post", label=f"{label}: {rms:.2f} µm rms")
-    axes.axvline(
-        requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm"
-    )
-    axes.set(
-        xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101)
-    )
+    axes.axvline(requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm")
+    axes.set(xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
     axes.set_title("Each correction brings the fibres nearer to their targets")
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(loc="upper left")

@@ -56,6 +56,9 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
                  f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
         table.add_column(name, justify="left" if name == "move" else "right")
     for move in summary["moves"]:
+        if move["interrupted"]:
+            table.add_row(f"{move['label']}: stopped", *5 * ["-"])
+            continue
         table.add_row(
             move["label"],
             _um(move["measured_rms_um"]),

@@ -1,7 +1,7 @@
-"""A physics twin of a focal plane: true units, the real firmware in each, a virtual bus and camera."""
+"""A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
 from .camera import NoiseCamera
-from .draw import draw_units, put_in
+from .draw import draw_units, put_in, worn
 from .faults import Fault, FaultKind
 from .hardware import bench_hardware, field_hardware
 from .transport import TwinTransport
@@ -20,4 +20,5 @@ __all__ = [
     "draw_units",
     "field_hardware",
     "put_in",
+    "worn",
 ]

@@ -9,6 +9,7 @@ derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which numb
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from fiberloom.twin.units import (
     PLANT_DTYPE,
     Units,
     defaults,
-    plain,
 )
 from fiberloom.units import RAD_PER_DEG
 
@@ -45,6 +45,9 @@ SCALED = [
     "cogging_4",
     "spring_rate",
 ]
+SEAT_RMS_RAD = (16.3e-6, 5.5e-6)
+"""Non-repeatability at standstill. TUNED to Kronig 2020, Fig. 17: 160 nm at 7.6 mm and 130 nm at
+15 mm with a camera of 101 nm; hall noise and control alone leave a few nm."""
 STIFFNESS_NM_PER_RAD = (0.337 / RAD_PER_DEG, 0.025 / RAD_PER_DEG)  # Kronig 2020, Fig. 13
 
 RELATIVE_SD: dict[str, float] = {
@@ -62,6 +65,7 @@ RELATIVE_SD: dict[str, float] = {
     "spring_rate": 0.05,
     "spring_free": 0.01,
     "stiffness": 0.05,
+    "seat_rms": 0.15,
     "hall_amplitude_a": 0.03,
     "hall_amplitude_b": 0.03,
 }
@@ -69,7 +73,7 @@ ABSOLUTE_SD: dict[str, float] = {"hall_offset_a": 25.0, "hall_offset_b": 25.0, "
 PHASES = ("cogging_2_phase", "cogging_4_phase")
 
 IDENTIFICATION_SD: dict[str, float] = {
-    # relative error of what the firmware knows: a few percent, as measured friction and inertia repeat
+    # relative error of what the firmware knows: a few percent, as friction and inertia repeat
     "torque_per_volt": 0.01,
     "inertia": 0.02,
     "drag": 0.02,
@@ -91,15 +95,15 @@ ARM_SD = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5])
 
 # Gear: amplitude of each order, alpha and beta, in output rad. TUNED, see above.
 DELTA_AMPLITUDE_RAD = {
-    1: (1.9e-3, 2.9e-3),
-    2: (1.15e-3, 1.4e-3),
-    3: (6.5e-4, 8e-4),
+    1: (2.1e-3, 3.1e-3),
+    2: (1.25e-3, 1.5e-3),
+    3: (7.0e-4, 8.5e-4),
     35: (9e-5, 9e-5),
     36: (4.0e-4, 4.0e-4),
     37: (9e-5, 9e-5),
-    72: (1.6e-4, 1.6e-4),
-    108: (8e-5, 8e-5),
-    204: (3.6e-4, 3.6e-4),
+    72: (1.8e-4, 1.8e-4),
+    108: (1.3e-4, 1.3e-4),
+    204: (5.0e-4, 5.0e-4),
 }
 # Shape of the backlash, relative; scaled to the extremes drawn from Fig. 10's range.
 BACKLASH_SHAPE = {
@@ -150,6 +154,7 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
         # a coil of ten times the resistance: torque per volt and back-EMF drag a tenth
         record["coil_resistance"] /= BETA_SHARE
     record["stiffness"] = STIFFNESS_NM_PER_RAD[axis]
+    record["seat_rms"] = SEAT_RMS_RAD[axis]
     record["stop_min"], record["stop_max"] = plane.hard_stops_deg[axis] * RAD_PER_DEG
     overrides = plane.instrument.twin.get(("alpha", "beta")[axis], {})
     return _override(record, overrides, f"{plane.instrument.name}: twin.{('alpha', 'beta')[axis]}")
@@ -157,10 +162,8 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
 
 def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
     for name, value in overrides.items():
-        if name not in PLANT_DTYPE.names:
-            raise InputError(
-                f"{where}.{name}: no such plant parameter; see docs/twin.md for the list"
-            )
+        if name not in (PLANT_DTYPE.names or ()):
+            raise InputError(f"{where}.{name}: no such plant parameter; see docs/twin.md for the list")
         record[name] = value
     return record
 
@@ -183,7 +186,7 @@ def _held(rng: Rng) -> float:
 
 def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
     phase = rng.uniform(0.0, 2.0 * np.pi)
-    size = amplitude * (1.0 + 0.25 * _held(rng))
+    size = amplitude * (1.0 + 0.2 * _held(rng))
     return size * np.cos(phase), size * np.sin(phase)
 
 
@@ -196,10 +199,13 @@ def _gear(axis: int, rng: Rng) -> np.ndarray:
     return record
 
 
+_WAVES = np.outer(ORDERS, np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN))
+_WAVES = np.stack([np.cos(_WAVES), np.sin(_WAVES)], axis=1).reshape(2 * len(ORDERS), -1)
+
+
 def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -> None:
     """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
-    nodes = np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN)
-    shape = _core.transmission(plain(record).ravel(), GEAR, nodes)[1]
+    shape = record["backlash_rad"].ravel() @ _WAVES
     stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
     record["backlash_rad"] *= stretch
     record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
@@ -207,9 +213,7 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
 
 def firmware_truth(plant: np.ndarray) -> dict[str, float]:
     """What a perfect identification of an axis would tell its firmware."""
-    torque_constant = float(
-        plant["flux_linkage"] / plant["coil_resistance"]
-    )  # Nm per volt and coil
+    torque_constant = float(plant["flux_linkage"] / plant["coil_resistance"])  # Nm per volt and coil
     spring_Nm = float(plant["spring_rate"] / GEAR)
     return {
         "hall_offset_a": plant["hall_offset_a"],
@@ -232,10 +236,21 @@ def firmware_truth(plant: np.ndarray) -> dict[str, float]:
 
 
 def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
-    """Gains follow the size of the motor: the defaults are those of an inertia of 3.5e-9 kg m^2."""
-    size = truth["inertia"] / 3.5e-9
-    given = {p[0]: p[4] for p in _firmware.AXIS_PARAMS}
-    return {k: given[k] * size for k in ("k_p", "k_i", "integral_limit", "collision_torque")}
+    """Gains of Eq. 21 to 23 for a motor of this inertia.
+
+    k_p / J = (192 rad/s)^2 crosses the gap with an error below 20 motor degrees (Fig. 16), damped
+    by the drag at 0.6 of critical; the threshold makes 120 motor degrees a collision (Eq. 23).
+    """
+    inertia = float(truth["inertia"])
+    k_p = 3.7e4 * inertia
+    integral_limit = 4.3e3 * inertia
+    return {
+        "k_p": k_p,
+        "k_i": 22.0 * k_p,
+        "integral_limit": integral_limit,
+        "collision_torque": k_p * 120.0 * RAD_PER_DEG + integral_limit,
+        "settle_gain": 1.0,
+    }
 
 
 def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np.ndarray:
@@ -247,6 +262,7 @@ def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np
     for name, value in control_gains(truth).items():
         record[name] = value
     record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
+    record["datum_position"] = plane.hard_stops_deg[axis][0]
     return record
 
 
@@ -258,11 +274,39 @@ def put_in(plane: FocalPlane) -> dict[str, str]:
         "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
         f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
         f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
-        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, "
-        "given (Fig. 10)",
-        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given "
-        "(Fig. 20)",
+        "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, given (Fig. 10)",
+        "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
+        "rms (alpha / beta), tuned to Fig. 17",
+        "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given (Fig. 20)",
         "firmware parameters": "identified within 1 to 5 % (assumed)",
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
     }
+
+
+WEAR_RMS_RAD = 0.05 * RAD_PER_DEG
+WEAR_WIDTH_DEG = (6.0, 30.0)
+WEAR_CYCLES = 40.0
+"""Wear: local changes of delta up to 0.15 deg after 100 cycles (Kronig 2020, Fig. 22 and 25, given);
+their number, widths and the time in which they saturate are assumed."""
+
+
+def worn(units: Units, cycles: float, seed: int = 0) -> Units:
+    """The same units after so many lifetime cycles: marks on delta that grow, fast at first.
+
+    A mark's place and size depend on the seed and the unit alone, so wear at 60 cycles continues
+    wear at 50. `Twin.set_gear` puts it into a running twin.
+    """
+    grown = 1.0 - np.exp(-max(cycles, 0.0) / WEAR_CYCLES)
+    gear = units.gear.copy()
+    for row in range(len(units)):
+        rng = np.random.default_rng([seed, 0x3EA2, row])
+        for axis, turn in ((0, 2.0 * np.pi), (1, np.pi)):
+            marks = gear[row, axis]["wear"]
+            marks[:, 0] = rng.uniform(0.0, turn, len(marks))
+            marks[:, 1] = rng.uniform(*WEAR_WIDTH_DEG, len(marks)) * RAD_PER_DEG
+            marks[:, 2] = np.clip(rng.normal(0.0, WEAR_RMS_RAD, len(marks)), *_MARK_LIMITS) * grown
+    return replace(units, gear=gear)
+
+
+_MARK_LIMITS = (-2.0 * WEAR_RMS_RAD, 2.0 * WEAR_RMS_RAD)

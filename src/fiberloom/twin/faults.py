@@ -1,4 +1,4 @@
-"""What can be broken in a positioner of the twin. All of it is hardware; the firmware is the real one."""
+"""What can be broken in a positioner of the twin: hardware, for the firmware is the real one."""
 
 from __future__ import annotations
 

@@ -24,9 +24,7 @@ def field_hardware(
 ) -> Hardware:
     """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
     if camera != "noise":
-        raise InputError(
-            f"--camera {camera}: only the noise model is there yet; use --camera noise"
-        )
+        raise InputError(f"--camera {camera}: only the noise model is there yet; use --camera noise")
     twin = Twin(plane, units, seed=seed)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)

@@ -65,9 +65,7 @@ class Twin:
         kernel: str = "",
     ) -> None:
         if len(units) != len(plane):
-            raise InputError(
-                f"twin: {len(units)} units for {len(plane)} positioners; draw them anew"
-            )
+            raise InputError(f"twin: {len(units)} units for {len(plane)} positioners; draw them anew")
         self.plane = plane
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
@@ -109,7 +107,7 @@ class Twin:
             self._core.send(frame[0], bytes(frame[1]))
 
     def run(self, duration_s: float) -> list[Reply]:
-        """Lets time pass, to the nearest tick of 0.5 ms; what the positioners sent since last time."""
+        """Lets time pass, to the nearest tick of 0.5 ms; what was sent since the last call."""
         if not 0.0 <= duration_s < 1e6:
             raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
         return [Reply(*r) for r in self._core.run(round(duration_s / _core.TICK_S))]
@@ -145,6 +143,13 @@ class Twin:
         """Power off and on: the firmware starts anew with what it has stored."""
         self._core.power_cycle(int(self.plane.index_of(positioner_id)))
 
+    def set_gear(self, units: Units) -> None:
+        """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
+        for row in range(len(self.plane)):
+            for axis in (0, 1):
+                self._core.set_transmission(row, axis, plain(units.gear[row, axis]).ravel())
+        self.units = units
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
         """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""
         self._core.set_external_torque(index, axis, torque_Nm)
@@ -157,13 +162,12 @@ class Twin:
         """First moments of contact between bodies since the last call."""
         n, ids = len(self.plane), self.plane.positioner_id
         return [
-            Touch(t, int(ids[i]), int(ids[j]) if j < n else None)
-            for t, i, j in self._core.take_touches()
+            Touch(t, int(ids[i]), int(ids[j]) if j < n else None) for t, i, j in self._core.take_touches()
         ]
 
 
 class Scope:
-    """What one axis does, tick by tick (fields: SCOPE_DTYPE). A context manager; stops at its end."""
+    """What one axis does, tick by tick (fields: SCOPE_DTYPE). Stops at the end of a `with`."""
 
     def __init__(self, core: _core.Twin, index: int, axis: int) -> None:
         self._core, self._index, self._axis = core, index, axis

@@ -15,7 +15,7 @@ from fiberloom.errors import InputError
 Floats = NDArray[np.float64]
 
 GEAR = 1024.0
-"""Motor turns per output turn: the firmware counts 2**20 per motor turn and 2**30 per output turn."""
+"""Motor turns per output turn: the firmware counts 2**20 and 2**30 for one of each."""
 ORDERS = np.array(_core.HARMONIC_ORDERS)
 """Cycles per output turn of the harmonic series of a gear."""
 
@@ -39,7 +39,7 @@ def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
 
 def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
     """The same numbers without names: one more axis, contiguous."""
-    flat = np.ascontiguousarray(records).view(kind)
+    flat: NDArray = np.ascontiguousarray(records).view(kind)
     return flat.reshape(*records.shape, -1)
 
 

@@ -33,6 +33,19 @@ struct Touch {
 
 struct Push {
     double torque_Nm[2] = {0.0, 0.0}; // alpha, beta
+    bool operator==(const Push &) const = default;
+};
+
+// Where an arm is: bent by what pushes it, and where it would spring to.
+struct Pose {
+    Angles bent, rigid;
+};
+
+// A contact as one of the two feels it; kept from one sync point to the next.
+struct Contact {
+    uint32_t other; // numbered as in Touch
+    int place;      // 0, 1: at an end of the keeper's centre line; 2, 3: of the other's; 4: they cross
+    Vec2 force_N;   // on the keeper
 };
 
 class Neighbours {
@@ -40,34 +53,54 @@ class Neighbours {
     Neighbours() = default;
     Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body, std::vector<Give> gives);
 
-    // Torque on positioner i by all that it touches, from where everybody's gears are. Far neighbours are
-    // left out until they could have come near: the answer does not depend on it. `touched` gets every
-    // other body in contact. Any thread, one call per positioner at a time.
-    Push push(size_t i, const std::vector<Angles> &angles, uint64_t tick, std::vector<uint32_t> &touched);
+    // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
+    // come near: the answer does not depend on it. `contacts` are those of the last sync point, and
+    // then those of this. Any thread, one call per positioner at a time.
+    Push push(size_t i, const std::vector<Pose> &poses, uint64_t tick, std::vector<Contact> &contacts);
 
+    size_t bytes_per_positioner() const;
     size_t positioner_count() const { return arms_.size(); }
 
   private:
-    struct Contact {
-        Vec2 point_mm, normal; // on the arm, unit vector that pushes it away
+    struct Meeting {
+        Vec2 point_mm, normal; // on the arm; unit vector that pushes it away
         double depth_mm;
+    };
+    struct Look { // one positioner at one sync point
+        size_t i;
+        const std::vector<Pose> &poses;
+        Segment mine;
+        const std::vector<Contact> &before;
+        std::vector<Contact> now;
+        Push push;
+    };
+    struct Near {
+        uint32_t number;        // as in Touch
+        uint64_t next_look = 0; // tick before which the two cannot touch
+    };
+    struct Touched { // the other body of a contact
+        uint32_t number;
+        Segment line;
+        double apart_mm;  // centre lines nearer than this touch
+        double spring_mm; // how far it springs back when let go
+        double speed_mm_s;
+        const Pose *pose; // of an arm
     };
     double reach_mm(size_t i) const;
     double approach_speed_mm_s(size_t i) const;
     void find_neighbours();
-    Segment segment(size_t i, const Angles &angles) const;
-    double softness_mm_per_N(size_t i, const Angles &angles, const Contact &c) const;
-    void add(Push &push, size_t i, const Angles &angles, const Contact &c, double other_mm_per_N) const;
-    double meet_arm(size_t i, size_t j, const std::vector<Angles> &angles, const Segment &mine, Push &push,
-                    std::vector<uint32_t> &touched) const;
-    double meet_obstacle(size_t i, size_t k, const Angles &angles, const Segment &mine, Push &push,
-                         std::vector<uint32_t> &touched) const;
+    Segment segment(size_t i, const Pose &pose) const;
+    double bend_mm(size_t i, const Pose &pose) const;
+    double softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const;
+    Touched body(uint32_t number, const std::vector<Pose> &poses) const;
+    double touch(Look &look, const Touched &body) const;
+    void press(Look &look, const Touched &body, int place, const Closest &c) const;
 
     std::vector<Arm> arms_;
     std::vector<Obstacle> obstacles_;
     Body body_;
     std::vector<Give> gives_;
-    std::vector<std::vector<uint32_t>> near_arms_, near_obstacles_;
+    std::vector<std::vector<Near>> near_;
     std::vector<uint64_t> next_look_; // tick before which nothing can touch positioner i
 };
 

@@ -44,15 +44,25 @@ class Plant {
     void sense(size_t group, uint32_t tick) { kernel_->sense(groups_[group], tick); }
     void step(size_t group);
 
+    size_t bytes_per_axis() const { return sizeof(Axis) + sizeof(AxisGroup) / lane_count; }
+
     AxisGroup &group(size_t index) { return groups_[index]; }
     const PlantParams &params(size_t axis) const { return axes_[axis].unit.params; }
-    bool standing(size_t axis) const { return lane(axis, &AxisGroup::p_Nms) == 0.0; }
+    struct Rotor {
+        double theta_rad = 0.0, momentum_Nms = 0.0, gear_rad = 0.0;
+        bool operator==(const Rotor &) const = default;
+    };
+    Rotor rotor(size_t axis) const {
+        return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms),
+                lane(axis, &AxisGroup::gear_rad)};
+    }
     double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
 
     AxisState state(size_t axis) const;
     void set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad);
     double output_rad(size_t axis) const;         // where the arm is, deflected by outside torque, Eq. 5a
     double output_at_rest_rad(size_t axis) const; // the same without the deflection
+    double bend_rad(size_t axis) const;           // the deflection
     double backlash_rad(size_t axis) const;       // B where the gear is
     double speed_limit_rad_s(size_t axis) const;  // of the rotor: nothing drives it faster
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }
@@ -66,9 +76,16 @@ class Plant {
     void set_transmission(size_t axis, const Transmission &transmission);
 
   private:
+    // Teeth and grease do not come to lie twice in the same way: a small random walk of the output over
+    // the travel of the gear, drawn anew at every node that is passed, straight in between.
+    struct Seat {
+        double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
+        uint32_t key = 0, passes = 0;
+    };
     struct Axis {
         Unit unit;
         Cell cell;
+        Seat seat;
         AxisFaults faults;
         double torque_Nm = 0.0;
         double slip_rad = 0.0; // arm against gear, left by an open coupling
@@ -87,6 +104,8 @@ class Plant {
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
     void follow_cell(size_t axis);
+    double next_seat(size_t axis, double from_rad);
+    void follow_seat(size_t axis, int32_t nodes);
     double stop_torque_Nm(size_t axis) const;
 
     const Kernel *kernel_;

@@ -1,0 +1,266 @@
+// The firmware's laws, each alone, over arrays: for tests, notebooks and replay of logs.
+#include "bind_laws.hpp"
+
+#include <algorithm>
+#include <memory>
+
+extern "C" {
+#include "fl_axis.h"
+#include "fl_calibration.h"
+#include "fl_commands.h"
+#include "fl_crc.h"
+#include "fl_supervisor.h"
+}
+
+namespace {
+
+using Params = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+fl_axis_params_t params_of(const Params &row) {
+    fl_axis_params_t p;
+    if (row.shape(0) * sizeof(float) != sizeof p)
+        throw nb::value_error("params: one float32 for every line of AXIS_PARAMS");
+    std::copy_n(row.data(), row.shape(0), reinterpret_cast<float *>(&p));
+    return p;
+}
+
+// An axis is mostly trajectory memory: too much for a stack.
+std::unique_ptr<fl_axis_t> axis_of(const Params &row) {
+    auto a = std::make_unique<fl_axis_t>();
+    const fl_axis_params_t p = params_of(row);
+    fl_axis_init(a.get(), &p);
+    return a;
+}
+
+void same_length(size_t a, size_t b) {
+    if (a != b) throw nb::value_error("arrays need the same length");
+}
+
+nb::object sine_cosine(Input1<int32_t> angle_cnt) {
+    const size_t n = angle_cnt.shape(0);
+    auto out = new_array<float>({n, 2});
+    for (size_t i = 0; i < n; ++i) {
+        const fl_sincos_t v = fl_sincos_cnt(angle_cnt.data()[i]);
+        out.data()[2 * i] = v.sin;
+        out.data()[2 * i + 1] = v.cos;
+    }
+    return out.cast();
+}
+
+nb::object atan2_cnt(Input1<float> s, Input1<float> c) {
+    same_length(s.shape(0), c.shape(0));
+    auto out = new_array<int32_t>({s.shape(0)});
+    for (size_t i = 0; i < s.shape(0); ++i) out.data()[i] = fl_atan2_cnt(s.data()[i], c.data()[i]);
+    return out.cast();
+}
+
+nb::object square_root(Input1<float> x) {
+    auto out = new_array<float>({x.shape(0)});
+    for (size_t i = 0; i < x.shape(0); ++i) out.data()[i] = fl_sqrt(x.data()[i]);
+    return out.cast();
+}
+
+// Unwrapped angles of a row of samples.
+nb::object hall_angle(Params params, Input2<uint16_t> adc_cnt) {
+    if (adc_cnt.shape(1) != 2) throw nb::value_error("adc_cnt: (n, 2)");
+    const auto axis = axis_of(params);
+    auto out = new_array<int32_t>({adc_cnt.shape(0)});
+    for (size_t i = 0; i < adc_cnt.shape(0); ++i)
+        out.data()[i] = fl_hall_step(&axis->law.hall, &axis->hall, adc_cnt.data() + 2 * i).angle_cnt;
+    return out.cast();
+}
+
+nb::object commutate(Input1<float> voltage, Input2<float> rotor, float lead_rad) {
+    same_length(voltage.shape(0), rotor.shape(0));
+    if (rotor.shape(1) != 2) throw nb::value_error("rotor: (n, 2) of sine and cosine");
+    auto out = new_array<float>({voltage.shape(0), 3});
+    for (size_t i = 0; i < voltage.shape(0); ++i) {
+        const fl_sincos_t r{rotor.data()[2 * i], rotor.data()[2 * i + 1]};
+        const fl_duty_t d = fl_commutate(voltage.data()[i], r, lead_rad);
+        std::copy_n(d.phase, 3, out.data() + 3 * i);
+    }
+    return out.cast();
+}
+
+nb::object rotating_field(float u, Input1<int32_t> field_cnt) {
+    auto out = new_array<float>({field_cnt.shape(0), 3});
+    for (size_t i = 0; i < field_cnt.shape(0); ++i) {
+        const fl_duty_t d = fl_rotating_field(u, field_cnt.data()[i]);
+        std::copy_n(d.phase, 3, out.data() + 3 * i);
+    }
+    return out.cast();
+}
+
+// Rows in: command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2. Rows out: torque, feedforward,
+// watched feedback, learnt drag scale, collision (0 or 1).
+nb::object servo(Params params, Input2<double> rows, float stiffness) {
+    if (rows.shape(1) != 4) throw nb::value_error("rows: (n, 4)");
+    const auto axis = axis_of(params);
+    auto out = new_array<double>({rows.shape(0), 5});
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        const double *r = rows.data() + 4 * i;
+        const auto command = static_cast<int32_t>(r[0]), measured = static_cast<int32_t>(r[1]);
+        const fl_servo_in_t in = {fl_sub_i32(command, measured), command,  command, static_cast<float>(r[2]),
+                                  static_cast<float>(r[3]),      stiffness};
+        const fl_servo_out_t o = fl_servo_step(&axis->law.servo, &axis->servo, &in, FL_TICK_S);
+        const bool hit = fl_collision_closed(&axis->law.collision, o.watched_Nm, in.speed_rad_s);
+        const double row[5] = {o.torque_Nm, o.feedforward_Nm, o.watched_Nm, axis->servo.drag_scale,
+                               double(hit)};
+        std::copy_n(row, 5, out.data() + 5 * i);
+    }
+    return out.cast();
+}
+
+// Rows out: position_cnt now, speed_rad_s and acceleration_rad_s2 over the coming tick.
+nb::object smooth(Input1<int32_t> raw_cnt, int32_t start_cnt) {
+    fl_smooth_state_t st;
+    fl_smooth_reset(&st, start_cnt);
+    auto out = new_array<double>({raw_cnt.shape(0), 3});
+    for (size_t i = 0; i < raw_cnt.shape(0); ++i) {
+        const fl_command_t c = fl_smooth_step(&st, raw_cnt.data()[i]);
+        const double row[3] = {double(c.position_cnt), c.speed_rad_s, c.acceleration_rad_s2};
+        std::copy_n(row, 3, out.data() + 3 * i);
+    }
+    return out.cast();
+}
+
+// Positions at the end of each tick, target last.
+nb::object profile(int32_t from_cnt, int32_t to_cnt, float speed_rpm, float acceleration_rad_s2) {
+    if (!(speed_rpm > 0) || !(acceleration_rad_s2 > 0))
+        throw nb::value_error("speed and acceleration must be positive");
+    fl_profile_state_t st;
+    const fl_profile_limits_t lim = {speed_rpm * FL_CNT_TICK_PER_RPM,
+                                     acceleration_rad_s2 * FL_CNT_TICK2_PER_RAD_S2};
+    fl_profile_start(&st, from_cnt, to_cnt, lim);
+    auto out = new_array<int32_t>({st.total_ticks});
+    for (size_t i = 0; i < out.shape(0); ++i) out.data()[i] = fl_profile_step(&st);
+    return out.cast();
+}
+
+// Rows of points (position_cnt, tick); positions at the end of each of n ticks.
+nb::tuple path(Input2<int32_t> points, int32_t here_cnt, size_t ticks, int32_t landing_cnt) {
+    if (points.shape(1) != 2) throw nb::value_error("points: (n, 2) of position_cnt and tick");
+    auto p = std::make_unique<fl_path_t>();
+    fl_path_clear(p.get());
+    for (size_t i = 0; i < points.shape(0); ++i)
+        if (!fl_path_append(p.get(), points.data()[2 * i], points.data()[2 * i + 1]))
+            throw nb::value_error(("point " + std::to_string(i) + " was not taken").c_str());
+    p->landing_cnt = landing_cnt;
+    fl_path_cursor_t cursor;
+    fl_path_start(&cursor, here_cnt);
+    auto out = new_array<int32_t>({ticks});
+    for (size_t i = 0; i < ticks; ++i) out.data()[i] = fl_path_step(p.get(), &cursor);
+    return nb::make_tuple(out.cast(), int{p->slots}, fl_path_done(p.get(), &cursor));
+}
+
+nb::tuple supervisor(int state, int input, uint32_t conditions) {
+    if (state < 0 || state >= FL_STATE_COUNT || input < 0 || input >= FL_IN_COUNT)
+        throw nb::value_error("no such state or input");
+    const fl_verdict_t v =
+        fl_supervisor_match(static_cast<fl_state_t>(state), static_cast<fl_input_t>(input), conditions);
+    return nb::make_tuple(int{v.next}, int{v.code});
+}
+
+nb::list command_table() {
+    unsigned n;
+    const fl_command_row_t *rows = fl_command_table(&n);
+    nb::list out;
+    for (unsigned i = 0; i < n; ++i) {
+        nb::dict d;
+        d["number"] = int{rows[i].number};
+        d["length"] = nb::make_tuple(int{rows[i].len_min}, int{rows[i].len_max});
+        d["broadcast"] = bool(rows[i].flags & FL_CMD_BROADCAST);
+        d["bootloader"] = bool(rows[i].flags & FL_CMD_BOOTLOADER);
+        d["input"] = int{rows[i].input};
+        d["axes"] = int{rows[i].axes};
+        out.append(d);
+    }
+    return out;
+}
+
+nb::object hall_fit(Input2<uint16_t> adc_cnt) {
+    if (adc_cnt.shape(1) != 2) throw nb::value_error("adc_cnt: (n, 2)");
+    fl_hall_fit_t fit;
+    fl_hall_fit_reset(&fit);
+    for (size_t i = 0; i < adc_cnt.shape(0); ++i) fl_hall_fit_range(&fit, adc_cnt.data() + 2 * i);
+    for (size_t i = 0; i < adc_cnt.shape(0); ++i) fl_hall_fit_add(&fit, adc_cnt.data() + 2 * i);
+    fl_hall_shape_t s;
+    if (!fl_hall_fit_solve(&fit, &s)) return nb::none();
+    return nb::make_tuple(s.offset_cnt[0], s.offset_cnt[1], s.amplitude_cnt[0], s.amplitude_cnt[1],
+                          s.phase_rad, s.residual_rad);
+}
+
+int params_fault(Params params) {
+    const fl_axis_params_t p = params_of(params);
+    return fl_params_fault(&p);
+}
+
+uint32_t crc32(nb::bytes data) {
+    return fl_crc_end(fl_crc_add(FL_CRC_START, data.c_str(), static_cast<uint32_t>(data.size())));
+}
+
+nb::dict enumeration(std::initializer_list<std::pair<const char *, int>> items) {
+    nb::dict d;
+    for (const auto &[name, value] : items) d[name] = value;
+    return d;
+}
+
+} // namespace
+
+void bind_laws(nb::module_ &m) {
+    m.def("sincos", &sine_cosine, nb::arg("angle_cnt"), "(n, 2) sine and cosine of motor angles, 2**20 a turn.");
+    m.def("atan2_cnt", &atan2_cnt, nb::arg("sin"), nb::arg("cos"));
+    m.def("sqrt", &square_root, nb::arg("x"));
+    m.def("hall_angle", &hall_angle, nb::arg("params"), nb::arg("adc_cnt"),
+          "Unwrapped rotor angle in counts.");
+    m.def("commutate", &commutate, nb::arg("voltage"), nb::arg("rotor"), nb::arg("lead_rad") = 0.0f,
+          "Duties (n, 3). Eq. 18 and 20.");
+    m.def("rotating_field", &rotating_field, nb::arg("u"), nb::arg("field_cnt"), "Duties (n, 3). Eq. 18.");
+    m.def("servo", &servo, nb::arg("params"), nb::arg("rows"), nb::arg("stiffness") = 1.0f,
+          "Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.");
+    m.def("smooth", &smooth, nb::arg("raw_cnt"), nb::arg("start_cnt"));
+    m.def("profile", &profile, nb::arg("from_cnt"), nb::arg("to_cnt"), nb::arg("speed_rpm"),
+          nb::arg("acceleration_rad_s2"));
+    m.def("path", &path, nb::arg("points"), nb::arg("here_cnt"), nb::arg("ticks"),
+          nb::arg("landing_cnt") = 0);
+    m.def("supervisor", &supervisor, nb::arg("state"), nb::arg("input"), nb::arg("conditions"),
+          "(next state, response code)");
+    m.def("command_table", &command_table);
+    m.def("hall_fit", &hall_fit, nb::arg("adc_cnt"),
+          "(offset a, b, amplitude a, b, phase_rad, residual_rad) or None.");
+    m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
+    m.def("crc32", &crc32, nb::arg("data"));
+    m.attr("STATES") = enumeration({{"IDLE", FL_STATE_IDLE},
+                                    {"LOADING", FL_STATE_LOADING},
+                                    {"LOADED", FL_STATE_LOADED},
+                                    {"REFUSED", FL_STATE_REFUSED},
+                                    {"MOVING", FL_STATE_MOVING},
+                                    {"STOPPING", FL_STATE_STOPPING},
+                                    {"HOMING", FL_STATE_HOMING},
+                                    {"HALL_CALIBRATION", FL_STATE_HALL_CALIBRATION},
+                                    {"DATUM_CALIBRATION", FL_STATE_DATUM_CALIBRATION},
+                                    {"COGGING_CALIBRATION", FL_STATE_COGGING_CALIBRATION},
+                                    {"BOOTLOADER", FL_STATE_BOOTLOADER}});
+    m.attr("INPUTS") = enumeration({{"QUERY", FL_IN_QUERY},
+                                    {"SETTING", FL_IN_SETTING},
+                                    {"NEW", FL_IN_NEW},
+                                    {"POINT", FL_IN_POINT},
+                                    {"END", FL_IN_END},
+                                    {"START", FL_IN_START},
+                                    {"STOP", FL_IN_STOP},
+                                    {"GOTO", FL_IN_GOTO},
+                                    {"HOME", FL_IN_HOME},
+                                    {"CALIBRATE_HALL", FL_IN_CALIBRATE_HALL},
+                                    {"CALIBRATE_DATUM", FL_IN_CALIBRATE_DATUM},
+                                    {"CALIBRATE_COGGING", FL_IN_CALIBRATE_COGGING},
+                                    {"BOOT", FL_IN_BOOT},
+                                    {"IMPOSSIBLE", FL_IN_IMPOSSIBLE},
+                                    {"DONE", FL_IN_DONE},
+                                    {"COLLISION", FL_IN_COLLISION},
+                                    {"BAD_TRAJECTORY", FL_IN_BAD_TRAJECTORY}});
+    m.attr("CONDITIONS") = enumeration({{"COLLIDED", FL_IF_COLLIDED},
+                                        {"HALL_UNCALIBRATED", FL_IF_HALL_UNCALIBRATED},
+                                        {"DATUM_UNCALIBRATED", FL_IF_DATUM_UNCALIBRATED},
+                                        {"DATUM_UNKNOWN", FL_IF_DATUM_UNKNOWN},
+                                        {"BAD_PARAMETERS", FL_IF_BAD_PARAMETERS}});
+}

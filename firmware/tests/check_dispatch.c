@@ -1,0 +1,289 @@
+/* Random and mutated frames through the dispatcher, on hardware that fails.
+ *
+ *   check_dispatch [FRAMES [SEED]]      default 5 million frames, seed 1
+ *
+ * Built with address and undefined-behaviour sanitizers by FIBERLOOM_CHECKS. Beside what they find,
+ * checked after every frame: one reply for one request, and none for a frame that is not one; a
+ * refusal changes nothing; duties are fractions; current flows only while something was accepted
+ * that moves, or holds after it.
+ */
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fl_commands.h"
+#include "fl_dispatch.h"
+#include "fl_identifier.h"
+#include "fl_storage.h"
+
+enum { OWN_ID = 77 };
+
+typedef struct bench {
+    uint64_t random;
+    uint32_t replies;
+    fl_can_frame_t last;
+    float duty[FL_AXES][3];
+    uint16_t hall[FL_AXES][2];
+    int32_t rotor_cnt[FL_AXES];
+    bool stuck, mailbox_full;
+    uint8_t storage[FL_STORAGE_BYTES];
+    uint32_t write_budget;
+    uint64_t codes[256][16];
+} bench_t;
+
+static uint32_t random_u32(bench_t *b) {
+    b->random ^= b->random << 13;
+    b->random ^= b->random >> 7;
+    b->random ^= b->random << 17;
+    return (uint32_t)(b->random >> 32);
+}
+
+static bool chance(bench_t *b, uint32_t one_in) { return random_u32(b) % one_in == 0; }
+
+#define REQUIRE(condition, ...)                                                                              \
+    do {                                                                                                     \
+        if (!(condition)) {                                                                                  \
+            fprintf(stderr, "check_dispatch: " __VA_ARGS__);                                                 \
+            fprintf(stderr, " (%s)\n", #condition);                                                          \
+            exit(1);                                                                                         \
+        }                                                                                                    \
+    } while (0)
+
+/* -- a port without physics: the rotor follows the field at once, when the sensor lives ------------- */
+
+static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
+    bench_t *b = ctx;
+    if (!b->stuck) {
+        const fl_sincos_t v = fl_sincos_cnt(b->rotor_cnt[axis]);
+        b->hall[axis][0] = (uint16_t)(2048.0f + 1500.0f * v.sin);
+        b->hall[axis][1] = (uint16_t)(2048.0f + 1500.0f * v.cos);
+    }
+    memcpy(adc_cnt, b->hall[axis], sizeof b->hall[axis]);
+}
+
+static void set_phases(void *ctx, int axis, const float duty[3]) {
+    bench_t *b = ctx;
+    for (int i = 0; i < 3; ++i) {
+        REQUIRE(duty[i] >= 0.0f && duty[i] <= 1.0f, "duty %g", (double)duty[i]);
+        b->duty[axis][i] = duty[i];
+    }
+    /* a third of a turn at most, towards the field */
+    const float u_cos = duty[2] - 0.5f * (duty[0] + duty[1]), u_sin = duty[1] - duty[0];
+    const int32_t field = fl_atan2_cnt(u_sin, u_cos);
+    if (u_cos != 0.0f || u_sin != 0.0f)
+        b->rotor_cnt[axis] =
+            fl_add_i32(b->rotor_cnt[axis], fl_fold_cnt(fl_sub_i32(field, b->rotor_cnt[axis])) / 64);
+}
+
+static bool send_frame(void *ctx, const fl_can_frame_t *f) {
+    bench_t *b = ctx;
+    if (b->mailbox_full) return false;
+    REQUIRE(f->len <= 8 && f->id >> 29 == 0, "frame %08x of %d bytes", (unsigned)f->id, f->len);
+    REQUIRE(fl_identifier_unpack(f->id).positioner == OWN_ID, "sender %08x", (unsigned)f->id);
+    ++b->replies;
+    b->last = *f;
+    return true;
+}
+
+static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len) {
+    bench_t *b = ctx;
+    if (offset + len > sizeof b->storage) return 0;
+    memcpy(bytes, b->storage + offset, len);
+    return len;
+}
+
+static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
+    bench_t *b = ctx;
+    if (offset + len > sizeof b->storage) return 0;
+    const uint32_t n = len < b->write_budget ? len : b->write_budget;
+    memcpy(b->storage + offset, bytes, n);
+    b->write_budget -= n;
+    return n;
+}
+
+/* -- frames ----------------------------------------------------------------------------------------- */
+
+static uint8_t any_command(bench_t *b) {
+    unsigned n;
+    const fl_command_row_t *rows = fl_command_table(&n);
+    return chance(b, 8) ? (uint8_t)random_u32(b) : rows[random_u32(b) % n].number;
+}
+
+/* Values that mean something more often than random bits would. */
+static uint32_t any_value(bench_t *b) {
+    switch (random_u32(b) % 6) {
+    case 0:
+        return random_u32(b) % 4;
+    case 1:
+        return random_u32(b) % 1200;
+    case 2:
+        return random_u32(b) % 1100000000u;
+    case 3:
+        return 0u - random_u32(b) % 20000000u;
+    case 4:
+        return random_u32(b) % 6000u * 200u;
+    default:
+        return random_u32(b);
+    }
+}
+
+static fl_can_frame_t any_frame(bench_t *b) {
+    fl_can_frame_t f;
+    fl_identifier_t id = {OWN_ID, any_command(b), (uint8_t)(1 + random_u32(b) % 63), 0};
+    if (chance(b, 10)) id.positioner = 0;
+    if (chance(b, 50)) id.positioner = (uint16_t)random_u32(b);
+    if (chance(b, 50)) id.code = (uint8_t)random_u32(b);
+    f.id = fl_identifier_pack(id);
+    if (chance(b, 100)) f.id = random_u32(b);
+    const fl_command_row_t *row = fl_command_find(id.command);
+    f.len = row ? row->len_max : 8;
+    if (chance(b, 10)) f.len = (uint8_t)(random_u32(b) % 9);
+    if (chance(b, 1000)) f.len = (uint8_t)random_u32(b);
+    for (int i = 0; i < 2; ++i) {
+        const uint32_t v = any_value(b);
+        memcpy(f.data + 4 * i, &v, sizeof v);
+    }
+    return f;
+}
+
+/* A small trajectory from here, of which any frame may be left out or mutated. */
+static uint32_t script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t out[8]) {
+    static const uint8_t commands[7] = {15, 10, 11, 11, 12, 14, 3};
+    uint32_t n = 0;
+    for (int k = 0; k < 7; ++k) {
+        fl_can_frame_t f = {
+            fl_identifier_pack((fl_identifier_t){OWN_ID, commands[k], (uint8_t)(k + 1), 0}), 0, {0}};
+        f.len = fl_command_find(commands[k])->len_max;
+        int32_t v[2] = {1, 1};
+        if (commands[k] == 11) {
+            v[0] = fl_add_i32(p->axis[k == 3].position_cnt, (int32_t)(random_u32(b) % 100000u));
+            v[1] = (int32_t)(random_u32(b) % 2000u);
+        }
+        memcpy(f.data, v, sizeof v);
+        if (chance(b, 20)) f.data[random_u32(b) % 8] ^= (uint8_t)(1u << random_u32(b) % 8);
+        if (!chance(b, 20)) out[n++] = f;
+    }
+    return n;
+}
+
+/* -- checks ----------------------------------------------------------------------------------------- */
+
+/* Everything but the ring of sent frames. */
+static bool same(const fl_positioner_t *a, const fl_positioner_t *b) {
+    const size_t tx = offsetof(fl_positioner_t, tx);
+    return memcmp(a, b, tx) == 0 && memcmp(a->path, b->path, sizeof a->path) == 0;
+}
+
+static bool is_request(const fl_positioner_t *p, const fl_can_frame_t *f) {
+    const fl_identifier_t id = fl_identifier_unpack(f->id);
+    return f->id >> 29 == 0 && f->len <= 8 && id.code == 0 && (id.positioner == 0 || id.positioner == p->id);
+}
+
+static void check_current(const bench_t *b, const fl_positioner_t *p) {
+    for (int i = 0; i < FL_AXES; ++i) {
+        const float *d = b->duty[i];
+        const bool on = d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f;
+        const bool may = !fl_axis_rests(&p->axis[i]) || p->axis[i].voltage > 0.0f;
+        REQUIRE(!on || may, "current in axis %d, state %d", i, p->state);
+        REQUIRE(!fl_axis_rests(&p->axis[i]) || p->axis[i].voltage >= 0.0f, "axis %d", i);
+    }
+    const bool active = p->state >= FL_STATE_MOVING && p->state < FL_STATE_BOOTLOADER;
+    const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]);
+    REQUIRE(active == !rests, "state %d with axes %s", p->state, rests ? "at rest" : "moving");
+}
+
+static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const fl_can_frame_t *f) {
+    const bool sampled = chance(b, 16); /* copying 14 KB is most of the work */
+    if (sampled) memcpy(before, p, sizeof *p);
+    const bool room = p->tx.count < FL_TX_FRAMES || !b->mailbox_full;
+    const uint32_t waiting = p->tx.count;
+    b->replies = 0;
+    fl_positioner_receive(p, f);
+    const uint32_t answered = b->replies + p->tx.count - waiting;
+    REQUIRE(answered == (is_request(p, f) && room ? 1u : 0u), "%u replies to %08x", answered,
+            (unsigned)f->id);
+    if (answered == 1 && b->replies != 0) {
+        const fl_identifier_t asked = fl_identifier_unpack(f->id), told = fl_identifier_unpack(b->last.id);
+        ++b->codes[told.command][told.code];
+        REQUIRE(told.command == asked.command && told.uid == asked.uid, "%08x for %08x", (unsigned)b->last.id,
+                (unsigned)f->id);
+        /* 12 may mark the trajectory refused, 201 ends a bad image: both are what the code tells */
+        const bool may = told.command == 12 || told.command == 201;
+        REQUIRE(told.code == 0 || may || !sampled || same(before, p), "code %d of %d changed something",
+                told.code, told.command);
+        REQUIRE(told.code == 0 || b->last.len == 0, "a refusal with a payload");
+    }
+    if (!is_request(p, f)) REQUIRE(!sampled || same(before, p), "a frame for others changed something");
+    check_current(b, p);
+}
+
+static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t params[FL_AXES]) {
+    if (chance(b, 200)) b->stuck = !b->stuck;
+    if (chance(b, 50)) b->mailbox_full = !b->mailbox_full;
+    if (chance(b, 300)) b->write_budget = random_u32(b) % 1000;
+    if (chance(b, 20)) b->write_budget = UINT32_MAX;
+    if (chance(b, 2000)) fl_positioner_enter_bootloader(p);
+    if (chance(b, 500)) fl_positioner_sync(p);
+    if (chance(b, 3000)) { /* power off, perhaps with a bit rotten */
+        if (chance(b, 2)) b->storage[random_u32(b) % sizeof b->storage] ^= 1;
+        memset(b->duty, 0, sizeof b->duty);
+        const fl_port_t port = p->port;
+        fl_positioner_init(p, &port, OWN_ID, params);
+    }
+    if (chance(b, 200)) {
+        const int32_t position[FL_AXES] = {30000000, 60000000};
+        if (p->state <= FL_STATE_REFUSED) fl_positioner_set_position(p, position);
+    }
+}
+
+static void run(bench_t *b, uint64_t frames) {
+    static fl_positioner_t p, before;
+#define X(name, unit, min, max, def, doc) .name = (float)(def),
+    const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
+#undef X
+    const fl_axis_params_t params[FL_AXES] = {one, one};
+    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
+    fl_positioner_init(&p, &port, OWN_ID, params);
+    for (uint64_t n = 0; n < frames;) {
+        fl_can_frame_t f[8];
+        uint32_t count = 1;
+        if (chance(b, 8))
+            count = script(b, &p, f);
+        else
+            f[0] = any_frame(b);
+        for (uint32_t i = 0; i < count; ++i, ++n) give(b, &p, &before, &f[i]);
+        if (chance(b, 4)) {
+            for (uint32_t t = random_u32(b) % 16; t > 0; --t) fl_positioner_tick(&p);
+            check_current(b, &p);
+        }
+        if (chance(b, 16)) misbehave(b, &p, params);
+    }
+}
+
+/* A fuzzer that is always refused finds nothing: every command must have been carried out. */
+static void check_coverage(const bench_t *b) {
+    unsigned n, refusals = 0;
+    const fl_command_row_t *rows = fl_command_table(&n);
+    for (unsigned i = 0; i < n; ++i) {
+        const uint64_t *codes = b->codes[rows[i].number];
+        REQUIRE(codes[FL_ACCEPTED] != 0 || rows[i].input == FL_IN_IMPOSSIBLE, "%d was never accepted",
+                rows[i].number);
+        for (int code = 1; code < 16; ++code) refusals += codes[code] != 0;
+    }
+    printf("check_dispatch: all %u commands carried out, %u kinds of refusal seen\n", n - 1, refusals);
+}
+
+int main(int argc, char **argv) {
+    static bench_t bench;
+    const uint64_t frames = argc > 1 ? strtoull(argv[1], NULL, 10) : 5000000;
+    const uint64_t seed = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
+    bench.random = seed * 0x9e3779b97f4a7c15u + 1;
+    bench.write_budget = UINT32_MAX;
+    memset(bench.storage, 0xff, sizeof bench.storage);
+    run(&bench, frames);
+    if (frames >= 1000000) check_coverage(&bench);
+    printf("check_dispatch: %llu frames, seed %llu: no finding\n", (unsigned long long)frames,
+           (unsigned long long)seed);
+    return 0;
+}

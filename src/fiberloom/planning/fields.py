@@ -1,0 +1,142 @@
+"""Random configurations that can be stood in: for tests, benchmarks and trials without targets."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._core import geometry
+from .._core import planning as core
+from ..errors import InputError
+from ..instruments import FocalPlane
+from ..units import deg_to_rad, rad_to_deg
+from .bodies import Bodies, approach_rad
+from .planner import PlanSettings, plan
+
+Floats = NDArray[np.float64]
+
+_DRAWS = 2000
+_REDRAWS = 50
+
+
+def random_configuration(
+    plane: FocalPlane,
+    seed: int,
+    *,
+    margin_mm: float = 0.2,
+    approach_deg: float | None = None,
+    collision_buffer_mm: float | None = None,
+) -> Floats:
+    """(N, 2) deg: every metrology fibre anywhere in its patrol area (uniform in area).
+
+    Placed one after the other in random order, so that all places and approaches to them are free
+    with `margin_mm` between two arms, and between arm and obstacle. Offline positioners stand
+    where they are.
+    """
+    rng = np.random.default_rng(seed)
+    return _Drawing(plane, rng, margin_mm, approach_deg, collision_buffer_mm).all()
+
+
+def random_pair(
+    plane: FocalPlane,
+    seed: int,
+    *,
+    margin_mm: float = 0.2,
+    collision_buffer_mm: float | None = None,
+) -> tuple[Floats, Floats]:
+    """Two random configurations such that each positioner, alone, can get from one to the other.
+
+    That is, no place lies in a pocket behind a fiducial.
+    """
+    rng = np.random.default_rng(seed)
+    start, goal = (_Drawing(plane, rng, margin_mm, None, collision_buffer_mm) for _ in range(2))
+    ends = [start.all(), goal.all()]
+    settings = PlanSettings(collision_buffer_mm=collision_buffer_mm)
+    for row in map(int, np.flatnonzero(start.near_obstacles() & ~plane.offline)):
+        for attempt in range(_REDRAWS):
+            if _passes_alone(plane, row, ends[0], ends[1], settings):
+                break
+            which = attempt % 2  # the pocket may be at either end
+            ends[1 - which][row] = (goal, start)[which].draw(row)
+        else:
+            raise InputError(f"positioner {plane.positioner_id[row]}: found no way for it alone")
+    return ends[0], ends[1]
+
+
+def _passes_alone(
+    plane: FocalPlane, row: int, start_deg: Floats, goal_deg: Floats, settings: PlanSettings
+) -> bool:
+    alone = plane.select([row])
+    return not plan(alone, start_deg[[row]], goal_deg[[row]], settings=settings).refused
+
+
+class _Drawing:
+    """Positioners placed so far, and room for the next."""
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        rng: np.random.Generator,
+        margin_mm: float,
+        approach_deg: float | None,
+        collision_buffer_mm: float | None,
+    ) -> None:
+        self.plane, self.rng = plane, rng
+        bodies = Bodies.of(plane, collision_buffer_mm)
+        # half of the margin between two arms is each one's own; an obstacle has none
+        self.pair_mm = bodies.radius_mm + margin_mm / 2
+        self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)
+        self.approach = float(approach_rad(plane, approach_deg).max(initial=0.0))
+        self.angles = deg_to_rad(plane.offline_position_deg)
+        self.placed = plane.offline.copy()
+
+    def near_obstacles(self) -> NDArray[np.bool_]:
+        """(N,) who can touch a fiducial or guide camera."""
+        n, k = self.plane.n, len(self.bodies.obstacles)
+        points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
+        lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
+        gaps = geometry.segment_distance(points, lines).reshape(n, k) - self.bodies.obstacles[:, 4]
+        return (self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0)
+
+    def all(self) -> Floats:
+        """Everybody, in random order."""
+        for row in self.rng.permutation(np.flatnonzero(~self.plane.offline)):
+            self.draw(int(row))
+        return rad_to_deg(self.angles)
+
+    def draw(self, row: int) -> Floats:
+        """A new free place for one positioner, in deg."""
+        self.placed[row] = False
+        gaps = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T)
+        reach = 2.0 * self.plane.body_reach_mm.max() + 1.0
+        near = np.flatnonzero(self.placed & (gaps < reach))
+        for _ in range(_DRAWS):
+            angles = self._anywhere(row)
+            if self._free(row, angles, near):
+                self.angles[row], self.placed[row] = angles, True
+                return rad_to_deg(angles)
+        raise InputError(f"positioner {self.plane.positioner_id[row]}: found no free place")
+
+    def _anywhere(self, row: int) -> Floats:
+        l_alpha = self.plane.arms[row, 2]
+        l_beta = float(np.hypot(*self.plane.points["metrology"][row]))
+        low, high = deg_to_rad(self.plane.limits_deg).T
+        inner, outer = abs(l_alpha - l_beta), l_alpha + l_beta
+        while True:
+            reach2 = self.rng.uniform(inner**2, outer**2)
+            cosine = (reach2 - l_alpha**2 - l_beta**2) / (2.0 * l_alpha * l_beta)
+            angles = np.array([self.rng.uniform(low[0], high[0]), np.arccos(cosine)])
+            if low[1] <= angles[1] <= high[1]:
+                return angles
+
+    def _free(self, row: int, angles: Floats, near: NDArray[np.int64]) -> bool:
+        arm, here = self.plane.arms[[row]], angles[None]
+        segment, radius, obstacles = self.bodies.arguments[1:]
+        if not core.static_ok(arm, segment, radius, obstacles, here, self.approach)[0]:
+            return False
+        arms, places = np.repeat(arm, len(near), axis=0), np.repeat(here, len(near), axis=0)
+        others = self.plane.arms[near]
+        clear = core.pairs_clear(
+            arms, places, others, self.angles[near], segment, self.pair_mm, self.approach
+        )
+        return bool(clear.all())

@@ -1,0 +1,72 @@
+"""Focal planes and bodies for the tests of planning."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
+
+SDSSV = load_instrument("sdssv")
+ROOT = Path(__file__).parents[2]
+REAL = "shared/data/sdssv/apo_2024.04.01"
+
+
+@cache
+def field(n: int, seed: int = 0) -> FocalPlane:
+    """The n innermost positioners of a generated SDSS-V plane, with its fiducials."""
+    return generate(SDSSV, seed, n_positioners=n)
+
+
+@cache
+def real_field() -> FocalPlane:
+    """The array of Apache Point with its 60 fiducials and 6 guide cameras."""
+    for parent in (ROOT, ROOT.parent, ROOT.parent.parent):
+        if (parent / REAL).is_dir():
+            return read_layout(parent / REAL, SDSSV)
+    pytest.skip(f"the calibration tables {REAL} are not beside this checkout")
+    raise AssertionError
+
+
+def sampled_gaps(plane: FocalPlane, plan, step_s: float = 0.01) -> tuple[float, float]:
+    """Smallest gaps in mm of arms to arms and to fiducials, by dense sampling in numpy alone."""
+    times = np.arange(0.0, plan.duration_s + step_s, step_s)
+    lines = np.stack([_lines(plane, k, robot.at(times)) for k, robot in enumerate(plan.robots)])
+    pairs = plane.neighbour_pairs()
+    arms = min((_segments(lines[i], lines[j]).min() for i, j in pairs), default=np.inf)
+    discs = np.inf
+    for x, y, radius in plane.fiducials:
+        for k in np.flatnonzero(np.hypot(*(plane.centres_mm - (x, y)).T) < 30.0):
+            gap = _to_segment(np.array([x, y]), lines[k]).min() - radius
+            discs = min(discs, gap)
+    return arms - 2 * plan.collision_buffer_mm, discs - plan.collision_buffer_mm
+
+
+def _lines(plane: FocalPlane, row: int, angles_deg: np.ndarray) -> np.ndarray:
+    x, y, l_alpha, alpha_off, beta_off = plane.arms[row]
+    alpha = np.radians(angles_deg[:, 0]) + alpha_off
+    beta = alpha + np.radians(angles_deg[:, 1]) + beta_off
+    elbow = x + 1j * y + l_alpha * np.exp(1j * alpha)
+    ends = [elbow + s * np.exp(1j * beta) for s in plane.beta_segment_mm]
+    return np.column_stack([part for e in ends for part in (e.real, e.imag)])
+
+
+def _to_segment(p: np.ndarray, s: np.ndarray) -> np.ndarray:
+    along, offset = s[:, 2:] - s[:, :2], p - s[:, :2]
+    t = np.clip((offset * along).sum(1) / (along**2).sum(1), 0.0, 1.0)
+    return np.hypot(*(offset - t[:, None] * along).T)
+
+
+def _segments(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    ends = [_to_segment(p[:, :2], q), _to_segment(p[:, 2:], q)]
+    ends += [_to_segment(q[:, :2], p), _to_segment(q[:, 2:], p)]
+    apart = np.minimum.reduce(ends)
+    return np.where(_cross(p, q) & _cross(q, p), 0.0, apart)
+
+
+def _cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def side(a, b, c):
+        return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+
+    return side(p[:, :2], p[:, 2:], q[:, :2]) * side(p[:, :2], p[:, 2:], q[:, 2:]) < 0
