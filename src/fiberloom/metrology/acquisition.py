@@ -34,7 +34,10 @@ _PAIRS = 16
 """Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""
 _VOTERS = 14
 _KEPT = 12
-"""Proposals that are grown."""
+"""Proposals that are grown ..."""
+_HEARD = 300
+"""... out of so many that are looked at as a whole."""
+_PER_PAIR = 60
 _CHUNK = 200_000
 
 
@@ -59,10 +62,15 @@ class CameraGeometry:
     scale_tolerance: float = 0.05
     shift_tolerance_mm: float = np.inf
 
+    @property
+    def middle_px(self) -> tuple[float, float]:
+        """Where the centre of the focal plane is."""
+        return self.centre_px or (0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1))
+
     def similarity(self) -> Similarity:
         """The nominal transform."""
         a = self.scale_mm_px * np.exp(1j * np.deg2rad(self.rotation_deg))
-        x, y = self.centre_px or (0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1))
+        x, y = self.middle_px
         z = complex(x, -y if self.flipped else y)
         return Similarity(complex(a), complex(-a * z), self.flipped)
 
@@ -93,6 +101,8 @@ class AcquisitionSettings:
     """A spot farther than this from where a fitted fiducial must be is not the fiducial's."""
     seen_at_least: float = 0.4
     """Share of the fiducials that must be found."""
+    rms_below_um: float = 60.0
+    """Residuals of a transform that is believed: spots of others happen to lie near, but not nearer."""
     seed: int = 0
 
 
@@ -170,16 +180,17 @@ class _Hunt:
     def proposals(self) -> list[Similarity]:
         """The similarities that most fiducials around a pair vote for."""
         z = self._px_complex()[self._candidates()]
-        if self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
-            nominal = self._near_nominal()
-            if nominal is not None:
-                return [nominal]
+        nominal = self._near_nominal()
+        if nominal is not None and self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
+            return [nominal]
         grid = _Map(z, self.s.coarse_mm / self.geometry.scale_mm_px)
         votes: list[tuple[int, complex, complex]] = []
         for one, two in self._pairs():
             votes += self._vote(one, two, z, grid)
-        votes.sort(key=lambda v: -v[0])
-        return [Similarity(a, b, self.geometry.flipped) for _, a, b in self._distinct(votes)]
+        votes = self._heard(votes, _Map(self._px_complex(), self.s.coarse_mm / self.geometry.scale_mm_px))
+        flipped = self.geometry.flipped
+        out = [Similarity(a, b, flipped) for _, a, b in self._distinct(votes, _KEPT)]
+        return out if nominal is None else [nominal, *out]
 
     def _candidates(self) -> NDArray[np.bool_]:
         """Where a fiducial is several pinholes, only spots that have neighbours as near."""
@@ -231,7 +242,7 @@ class _Hunt:
             keep = self._allowed(a, b)
             a, b = a[keep], b[keep]
             count = grid.count((voters[None, :] - b[:, None]) / a[:, None])
-            top = np.argsort(-count, kind="stable")[:_KEPT]
+            top = np.argsort(-count, kind="stable")[:_PER_PAIR]
             best += [(int(count[k]), complex(a[k]), complex(b[k])) for k in top]
         return best
 
@@ -256,22 +267,37 @@ class _Hunt:
         centre = -nominal.b / nominal.a
         return ok & (np.abs(a * centre + b) <= g.shift_tolerance_mm)
 
-    def _distinct(self, votes: list[tuple[int, complex, complex]]) -> list[tuple[int, complex, complex]]:
-        """The best of each bundle of proposals that mean the same."""
+    def _heard(
+        self, votes: list[tuple[int, complex, complex]], grid: _Map
+    ) -> list[tuple[int, complex, complex]]:
+        """The best proposals once more, by all that is known: a regular array fits itself shifted."""
+        votes = self._distinct(sorted(votes, key=lambda v: -v[0]), _HEARD)
+        if not votes:
+            return []
+        known = np.vstack([self.fiducials, self.help])
+        m = known[:, 0] + 1j * known[:, 1]
+        a, b = np.array([v[1] for v in votes]), np.array([v[2] for v in votes])
+        count = grid.count((m[None, :] - b[:, None]) / a[:, None])
+        order = np.argsort(-count, kind="stable")
+        return [(int(count[k]), votes[k][1], votes[k][2]) for k in order]
+
+    def _distinct(
+        self, votes: list[tuple[int, complex, complex]], most: int
+    ) -> list[tuple[int, complex, complex]]:
+        """The best of each bundle of proposals that mean the same: they move the field alike."""
+        nominal = self.geometry.similarity()
+        corner = self.field_radius_mm / abs(nominal.a)
+        places = -nominal.b / nominal.a + corner * np.array([1, 1j, -1, -1j])
+        moved = np.zeros((0, 4), dtype=complex)
         out: list[tuple[int, complex, complex]] = []
         for vote in votes:
-            if all(self._differ(vote, other) for other in out):
+            here = vote[1] * places + vote[2]
+            if (np.abs(moved - here).max(axis=1) > 4 * self.s.coarse_mm).all():
                 out.append(vote)
-            if len(out) >= _KEPT:
+                moved = np.vstack([moved, here])
+            if len(out) >= most:
                 break
         return out
-
-    def _differ(self, one: tuple, two: tuple) -> bool:
-        corner = self.field_radius_mm / abs(one[1])
-        centre = -one[2] / one[1]
-        places = centre + corner * np.array([1, 1j, -1, -1j])
-        apart = np.abs((one[1] - two[1]) * places + one[2] - two[2])
-        return bool(apart.max() > 4 * self.s.coarse_mm)
 
     # growing
 
@@ -332,7 +358,8 @@ class _Hunt:
             fit = self._best_fit(index, spot, transform.similarity.flipped)
             transform = fit.transform
             found = Acquisition(index[fit.used], spot[fit.used], _only_used(fit))
-        return found
+        believed = found is not None and found.fit.rms_um < self.s.rms_below_um
+        return found if believed else None
 
     def _best_fit(self, index: Ints, spot: Ints, flipped: bool) -> TransformFit:
         """With the set of terms that predicts left-out fiducials best."""

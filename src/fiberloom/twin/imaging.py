@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,9 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom import __version__
 from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import CameraImage
+from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.units import MM_PER_UM
 
 Floats = NDArray[np.float64]
@@ -419,6 +421,47 @@ PRESETS = {
 }  # fmt: skip
 
 
+def model_for(plane: FocalPlane) -> CameraModel:
+    """The camera of a focal plane: the preset of its instrument, or one that just sees all of it.
+
+    The latter spreads the field over 4096 px and has a little third-order distortion (assumed).
+    """
+    if plane.instrument.name in PRESETS:
+        return PRESETS[plane.instrument.name]()
+    places = np.vstack([plane.centres_mm, plane.fiducials[:, :2]])
+    radius_mm = float(np.hypot(*places.T).max()) + float(plane.body_reach_mm.max())
+    optics = Optics(CameraGeometry(4096, 4096, 2.1 * radius_mm / 4096), radius_mm, {9: 2e-3 * radius_mm})
+    return CameraModel(optics)
+
+
+def misaligned(model: CameraModel, seed: int) -> CameraModel:
+    """The camera as it hangs there: turned by 0.3 deg, off by 1 mm and by 1e-3 in scale (sd)."""
+    rng = np.random.default_rng([seed, 0x0FF5])
+    g = model.optics.geometry
+    x, y = g.middle_px
+    shift = rng.normal(0.0, 1.0 / g.scale_mm_px, 2)
+    off = replace(
+        g,
+        rotation_deg=g.rotation_deg + rng.normal(0.0, 0.3),
+        scale_mm_px=g.scale_mm_px * (1 + rng.normal(0.0, 1e-3)),
+        centre_px=(x + shift[0], y + shift[1]),
+    )
+    return replace(model, optics=replace(model.optics, geometry=off))
+
+
+def image_camera(twin: Any, seed: int, model: CameraModel | None = None) -> ImageCamera:
+    """A camera with images on a twin; the host knows its geometry but not how it is misaligned."""
+    plane = twin.plane
+    nominal = model or model_for(plane)
+    source = ImagingCamera(
+        TwinScene(twin), misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,
+        instrument=plane.instrument.name,
+    )  # fmt: skip
+    geometry = replace(nominal.optics.geometry, rotation_tolerance_deg=15.0, shift_tolerance_mm=20.0)
+    settings = ReductionSettings(geometry, radius_mm=nominal.optics.field_radius_mm)
+    return ImageCamera(source, plane, settings)
+
+
 def camera_model(name: str) -> CameraModel:
     """A preset by name."""
     try:
@@ -429,5 +472,6 @@ def camera_model(name: str) -> CameraModel:
 
 __all__ = [
     "PRESETS", "CameraModel", "Detector", "ImagingCamera", "Light", "Optics", "Psf", "Scene",
-    "StillScene", "TwinScene", "camera_model",
+    "StillScene", "TwinScene", "camera_model", "image_camera", "misaligned",
+    "model_for",
 ]  # fmt: skip
