@@ -383,7 +383,7 @@ bool fl_axis_tracks(const fl_axis_t *a) {
     return kind == FL_LEG_FOLLOW || kind == FL_LEG_GOTO || kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
 }
 
-fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) {
+static inline fl_axis_demand_t advance(fl_axis_t *a, const fl_path_t *path) {
     a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
     const bool ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
@@ -391,14 +391,21 @@ fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) {
     return demand;
 }
 
-fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
-                                 bool stuck) {
+static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended,
+                                       bool stuck) {
     const uint8_t kind = a->plan[a->leg].kind;
     if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
     if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
-    if (demand.way_ended) leg_next(a);
+    if (way_ended) leg_next(a);
     return FL_AXIS_NONE;
+}
+
+fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) { return advance(a, path); }
+
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
+                                 bool stuck) {
+    return conclude(a, port, index, demand.way_ended, stuck);
 }
 
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
@@ -410,7 +417,7 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const fl_axis_demand_t demand = fl_axis_advance(a, path);
+    const fl_axis_demand_t demand = advance(a, path);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
@@ -418,5 +425,5 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
-    return fl_axis_conclude(a, port, index, demand, false);
+    return conclude(a, port, index, demand.way_ended, false);
 }
