@@ -294,8 +294,8 @@ FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
     }
 }
 
-/* Eq. 20 to 22; true when something blocks. */
-static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
+/* What the servo is asked at the command of this tick. */
+static fl_servo_in_t servo_input(const fl_axis_t *a) {
     const fl_servo_in_t in = {
         .error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt),
         .command_cnt = a->command.position_cnt,
@@ -304,12 +304,17 @@ static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
         .acceleration_rad_s2 = a->command.acceleration_rad_s2,
         .settling = creeping(a->plan[a->leg].kind),
     };
-    a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
-    a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
-    *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    const fl_collision_in_t watch = {a->torque.watched_Nm, in.speed_rad_s, a->servo.direction,
-                                     a->servo.drag_doubt};
-    return fl_collision_closed(&a->law.collision, watch);
+    return in;
+}
+
+/* Eq. 20 to 22; true when something blocks. */
+static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, const fl_servo_in_t *in, fl_duty_t *duty) {
+    const fl_drive_out_t out =
+        fl_drive_step(&a->law.servo, a->law.voltage_per_Nm, &a->law.collision, &a->servo, in, rotor);
+    a->torque = out.torque;
+    a->voltage = out.voltage;
+    *duty = out.duty;
+    return out.stuck;
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
@@ -372,6 +377,37 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
+bool fl_axis_tracks(const fl_axis_t *a) {
+    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
+    const uint8_t kind = a->plan[a->leg].kind;
+    return kind == FL_LEG_FOLLOW || kind == FL_LEG_GOTO || kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
+}
+
+static inline fl_axis_demand_t advance(fl_axis_t *a, const fl_path_t *path) {
+    a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
+    const bool ended = leg_step(a, path);
+    a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
+    const fl_axis_demand_t demand = {servo_input(a), ended};
+    return demand;
+}
+
+static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended,
+                                       bool stuck) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
+    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
+    if (way_ended) leg_next(a);
+    return FL_AXIS_NONE;
+}
+
+fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) { return advance(a, path); }
+
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
+                                 bool stuck) {
+    return conclude(a, port, index, demand.way_ended, stuck);
+}
+
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const uint8_t kind = a->plan[a->leg].kind;
     /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
@@ -381,17 +417,13 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const bool ended = leg_step(a, path);
-    a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
+    const fl_axis_demand_t demand = advance(a, path);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
-    const bool stuck = closed ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
+    const bool stuck = closed ? drive_closed(a, hall.rotor, &demand.servo, &duty) : drive_open(a, &duty);
     if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
-    if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
-    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
-    if (ended) leg_next(a);
-    return FL_AXIS_NONE;
+    return conclude(a, port, index, demand.way_ended, false);
 }

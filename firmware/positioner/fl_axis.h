@@ -9,6 +9,7 @@
 
 #include "fl_collision.h"
 #include "fl_commutation.h"
+#include "fl_drive.h"
 #include "fl_friction_fit.h"
 #include "fl_hall.h"
 #include "fl_hall_fit.h"
@@ -129,6 +130,23 @@ void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
 
 /* One control period. Only while the axis does not rest. The path is the one it was told to follow. */
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index);
+
+/* The same in parts, for hosts that do the laws of many axes at once. While fl_axis_tracks:
+ *   fl_hall_step and fl_drive_step, side by side, between them fl_axis_advance, after them fl_axis_conclude
+ * is fl_axis_tick to the bit. */
+typedef struct fl_axis_demand {
+    fl_servo_in_t servo;
+    bool way_ended; /* the leg's way; it may still have to settle */
+} fl_axis_demand_t;
+
+/* In closed loop along a way of the ordinary kinds, not in its first tick. */
+bool fl_axis_tracks(const fl_axis_t *a);
+/* a->hall is that of this tick. Moves the command on. */
+fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path);
+/* a->servo, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
+ * are as in the tick before. */
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
+                                 bool stuck);
 
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);

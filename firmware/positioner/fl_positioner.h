@@ -69,6 +69,11 @@ void fl_positioner_enter_bootloader(fl_positioner_t *p);
 /* The control interrupt: call every 0.5 ms. */
 void fl_positioner_tick(fl_positioner_t *p);
 
+/* The same in parts, for hosts that do the laws of many axes at once: begin, then for alpha and then for
+ * beta whatever fl_axis_tick does, and what came of it. Begin returns false when the tick is over. */
+bool fl_positioner_begin_tick(fl_positioner_t *p);
+void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event);
+
 /* A frame seen on the bus (for whomever it is). Replies go out through port->send_frame. */
 void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);
 

@@ -250,6 +250,8 @@ def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
         "integral_limit": integral_limit,
         "collision_torque": k_p * 120.0 * RAD_PER_DEG + integral_limit,
         "settle_gain": 1.0,
+        # 50 uNm for alpha: after the drag is learnt legal moves need less than 40 beyond the model
+        "contact_torque": 1.43e4 * inertia,
     }
 
 
