@@ -205,9 +205,7 @@ class ImageCamera:
     seen; `last` is the latest reduction, for plots and reports.
     """
 
-    def __init__(
-        self, source: ImageSource, plane: FocalPlane, settings: ReductionSettings
-    ) -> None:
+    def __init__(self, source: ImageSource, plane: FocalPlane, settings: ReductionSettings) -> None:
         self.source, self.plane, self.settings = source, plane, settings
         self.last: Reduction | None = None
         self.profile: Profile | None = None

@@ -152,7 +152,7 @@ class Loop:
             )
         for i in np.flatnonzero(self.mobile):
             if known[i] not in found:
-                self._flag(i, Status.DEAD, "does not answer on the bus")
+                self._flag(int(i), Status.DEAD, "does not answer on the bus")
         await self._read_positions(self.maps, self.plane.positioner_id[self.mobile])
         self._look_for_dark_fibres(self._look())
 
@@ -168,7 +168,7 @@ class Loop:
                 "check the back-illumination"
             )
         for i in np.flatnonzero(dark):
-            self._flag(i, Status.DARK, "its fibre is not seen")
+            self._flag(int(i), Status.DARK, "its fibre is not seen")
 
     async def _read_positions(self, maps: TransmissionMaps, ids: NDArray[np.int64]) -> None:
         wire_deg, answered = await self.client.positions_deg(ids)
