@@ -57,13 +57,8 @@ def test_figure_16_feedforward_and_pi(full):
 def test_figure_16_any_term_left_out_is_worse(full, term, worse):
     units = draw_units(PLANE, 3)
     units.firmware[term] = 0.0
-<<<<<<< HEAD
-    units.firmware["collision_torque"] *= 100.0  # the figure's tracking, not the alarm
-    units.firmware["contact_torque"] = 0.0
-=======
     for alarm in ("collision_torque", "contact_torque"):  # the figure's tracking, not the alarm
         units.firmware[alarm] *= 100.0
->>>>>>> main
     errors, _ = tracking_deg(units)
     assert rms(errors) > worse * rms(full[0])
 
@@ -78,10 +73,6 @@ def test_figure_16_open_loop_lags_by_tens_of_degrees(full):
 
 def test_equation_22_blocked_axis_is_found_within_16_ms():
     """At 2000 rpm with 120 degrees: 12 degrees a millisecond, so 10 ms after the command left."""
-<<<<<<< HEAD
-    units = draw_units(PLANE, 3)
-    units.firmware["contact_torque"] = 0.0  # Eq. 22 alone: the load is noticed much earlier
-=======
     found = blocked_found_s(contact=False)
     assert set(found) == set(IDS)
     assert min(found.values()) > 0.006
@@ -96,7 +87,6 @@ def blocked_found_s(contact):
     """When each positioner says that it is blocked, after it was, s; with or without our own rule."""
     units = draw_units(PLANE, 3)
     units.firmware["contact_torque"] *= contact
->>>>>>> main
     twin = Twin(PLANE, units, seed=1, threads=1, neighbours=False, start_deg=(60.0, 60.0))
     for number in IDS:
         goto(twin, number, 90.0, 90.0)
