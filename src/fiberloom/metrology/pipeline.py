@@ -157,20 +157,31 @@ def _fiducials(
     start: FieldTransform | None,
 ) -> Acquisition:
     sigma = settings.fiducial_sigma_um * MM_PER_UM
-    common = {"covariance_px2": spots.covariance_px2, "sigma_mm": sigma}
     fiducials = plane.fiducials[:, :2]
     if start is not None:
         try:
             return refine(
-                spots.xy_px, fiducials, start, terms=settings.terms,
-                settings=settings.acquisition, **common,
-            )  # fmt: skip
+                spots.xy_px,
+                fiducials,
+                start,
+                covariance_px2=spots.covariance_px2,
+                sigma_mm=sigma,
+                terms=settings.terms,
+                settings=settings.acquisition,
+            )
         except AcquisitionError:
             pass  # the camera has moved: look for them as on the first image
     return acquire(
-        spots.xy_px, fiducials, settings.geometry, expected_mm=expected, terms=settings.terms,
-        radius_mm=settings.radius_mm, settings=settings.acquisition, **common,
-    )  # fmt: skip
+        spots.xy_px,
+        fiducials,
+        settings.geometry,
+        expected_mm=expected,
+        covariance_px2=spots.covariance_px2,
+        sigma_mm=sigma,
+        terms=settings.terms,
+        radius_mm=settings.radius_mm,
+        settings=settings.acquisition,
+    )
 
 
 def _calm(

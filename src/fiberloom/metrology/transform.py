@@ -205,7 +205,9 @@ def fit_transform(
     freedom = 2 * int(used.sum()) - len(terms)
     chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
     inflate = max(chi2, 1.0) if known else chi2
-    transform = FieldTransform(base, radius_mm, terms, c, np.linalg.inv(normal) * inflate)
+    transform = FieldTransform(
+        base, radius_mm, terms, c, np.asarray(np.linalg.inv(normal) * inflate, dtype=np.float64)
+    )
     return TransformFit(transform, residual, loo, used, chi2)
 
 
@@ -217,7 +219,7 @@ def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
     return zhao_burge.SIMILARITY_TERMS
 
 
-def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Floats, ...]:
+def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[NDArray, ...]:
     """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
     w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
     normal = a.T @ (a * w[:, None])

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 N_TERMS = 33
 DEFAULT_TERMS = (0, 1, 2, 3, 4, 5, 6, 9, 20, 27, 28, 29, 30)
@@ -95,7 +96,7 @@ def _coefficients() -> Floats:
 
 
 @cache
-def _monomials(order: int) -> tuple[Floats, Floats, Floats]:
+def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
     """Powers of x, powers of y (both (p,)), and coefficients (33, 2 or 4, p) of fields (order 0) or
     of their derivatives (1: component, then axis)."""
     c = _coefficients()

@@ -25,6 +25,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
+from fiberloom.metrology.cameras import GEOMETRIES
 from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.units import MM_PER_UM
@@ -183,7 +184,10 @@ class CameraModel:
 class Scene(Protocol):
     """What stands before the camera."""
 
-    time_s: float
+    @property
+    def time_s(self) -> float:
+        """When."""
+        ...
 
     def lit_mm(self) -> Floats:
         """(n, 2) true positions of what is lit, the fibres; NaN for a dark one."""
@@ -356,14 +360,14 @@ class ImagingCamera:
 # presets
 
 
-def sdssv(*, width_px: int = 6000, height_px: int = 6132) -> CameraModel:
+def sdssv() -> CameraModel:
     """The fibre viewing camera of SDSS-V.
 
     Frame and scale from the public header of MJD 60039 (0.12149 mm/px), distortion by its terms:
     S11 0.64 mm, S22 28 um, 17 um outside the default terms. Fluxes: peaks of some 20 000 electrons
     (assumed, within the linear range), read noise and gain assumed.
     """
-    geometry = CameraGeometry(width_px, height_px, 0.12149, flipped=True)
+    geometry = GEOMETRIES["sdssv"]
     terms = {9: 0.64, 20: 0.028, 5: 0.020, 6: -0.015, 28: 0.010, 29: -0.008, 30: 0.004}
     optics = Optics(geometry, 330.0, terms | {12: 0.004, 16: -0.003})
     psf = Psf("moffat", 3.5, beta=4.0, ellipticity=0.03, growth=0.15, astigmatism=0.05)
@@ -373,7 +377,7 @@ def sdssv(*, width_px: int = 6000, height_px: int = 6132) -> CameraModel:
 
 def desi() -> CameraModel:
     """The fibre view camera of DESI: 6000 x 6000 px, S11 3.5 mm, turbulence of 5 um."""
-    geometry = CameraGeometry(6000, 6000, 0.148, flipped=True, rotation_deg=180.0)
+    geometry = GEOMETRIES["desi"]
     terms = {9: 3.5, 20: 0.040, 5: 0.03, 6: -0.02, 28: 0.01, 29: 0.01}
     optics = Optics(geometry, 420.0, terms, turbulence_um=5.0)
     psf = Psf("gaussian", 2.4, growth=0.1)
@@ -383,8 +387,7 @@ def desi() -> CameraModel:
 
 def pfs() -> CameraModel:
     """The metrology camera of PFS: 8960 x 5778 px, elongated spots."""
-    geometry = CameraGeometry(8960, 5778, 0.0846)
-    optics = Optics(geometry, 240.0, {9: 0.05, 20: 0.003, 5: 0.01}, turbulence_um=2.0)
+    optics = Optics(GEOMETRIES["pfs"], 240.0, {9: 0.05, 20: 0.003, 5: 0.01}, turbulence_um=2.0)
     psf = Psf("gaussian", 6.0, ellipticity=0.38, angle_deg=90.0, growth=0.1)
     return CameraModel(optics, psf, Detector(1.0, 8.0, 1000.0), Light(fibre_e=400_000.0))
 
@@ -399,7 +402,7 @@ def workspace() -> CameraModel:
     22.5 um/px puts 46 mm on 2048 px; the tip of the fibre is five pixels wide. The flux, 6 250
     electrons, is the one free number: photons and pixels do the rest.
     """
-    optics = Optics(CameraGeometry(2048, 2048, 0.0225), 23.0)
+    optics = Optics(GEOMETRIES["workspace"], 23.0)
     psf = Psf("disc", FIBRE_DIAMETER_UM / 22.5, edge=0.25)
     light = Light(fibre_e=WORKSPACE_E, scatter=0.0, background_e=5.0)
     return CameraModel(optics, psf, Detector(1.0, 3.0, 100.0), light, exposure_s=0.1)
@@ -407,7 +410,7 @@ def workspace() -> CameraModel:
 
 def close_up() -> CameraModel:
     """Kronig 2020, Fig. 18 left: a small part of the workspace, ten images averaged; 101 nm rms."""
-    optics = Optics(CameraGeometry(1024, 1024, 0.008), 4.0)
+    optics = Optics(GEOMETRIES["close-up"], 4.0)
     psf = Psf("disc", FIBRE_DIAMETER_UM / 8.0, edge=0.15)
     light = Light(fibre_e=CLOSE_UP_E, scatter=0.0, background_e=5.0)
     return CameraModel(optics, psf, Detector(1.0, 3.0, 100.0), light, exposure_s=0.1, average=10)
