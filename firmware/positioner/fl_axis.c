@@ -295,16 +295,13 @@ FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
 }
 
 /* What the servo is asked at the command of this tick. */
-static fl_servo_in_t servo_input(const fl_axis_t *a) {
-    const fl_servo_in_t in = {
-        .error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt),
-        .command_cnt = a->command.position_cnt,
-        .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
-        .speed_rad_s = a->command.speed_rad_s,
-        .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
-    };
-    return in;
+static void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
+    in->error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    in->command_cnt = a->command.position_cnt;
+    in->rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt);
+    in->speed_rad_s = a->command.speed_rad_s;
+    in->acceleration_rad_s2 = a->command.acceleration_rad_s2;
+    in->stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f;
 }
 
 /* Eq. 20 to 22; true when something blocks. */
@@ -377,27 +374,19 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-bool fl_axis_tracks(const fl_axis_t *a) {
-    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind == FL_LEG_FOLLOW || kind == FL_LEG_GOTO || kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
-}
-
-fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) {
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
     a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
-    const bool ended = leg_step(a, path);
+    demand->way_ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
-    const fl_axis_demand_t demand = {servo_input(a), ended};
-    return demand;
+    ask_servo(a, &demand->servo);
 }
 
-fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
-                                 bool stuck) {
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck) {
     const uint8_t kind = a->plan[a->leg].kind;
     if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
     if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
-    if (demand.way_ended) leg_next(a);
+    if (way_ended) leg_next(a);
     return FL_AXIS_NONE;
 }
 
@@ -409,7 +398,8 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const fl_axis_demand_t demand = fl_axis_advance(a, path);
+    fl_axis_demand_t demand;
+    fl_axis_advance(a, path, &demand);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
@@ -417,5 +407,5 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
-    return fl_axis_conclude(a, port, index, demand, false);
+    return fl_axis_conclude(a, port, index, demand.way_ended, false);
 }
