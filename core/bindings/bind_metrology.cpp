@@ -1,14 +1,17 @@
 // Spots in images. Images are read where they lie: no copy, no lock while reading.
 #include "bind.hpp"
+#include "fiberloom/expose.hpp"
 #include "fiberloom/render.hpp"
 #include "fiberloom/spots.hpp"
+
+#include <nanobind/stl/array.h>
 
 namespace {
 
 using namespace fl::metrology;
 using Image = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
 using Positions = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
-constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 4;
+constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 5;
 
 // `fits`: the bytes are those of an uncompressed FITS file, big-endian, 16 bits with BZERO 32768.
 PixelType pixel_type(const Image &image, bool fits) {
@@ -31,7 +34,7 @@ nb::object packed(const Profile &p) {
     auto out = new_array<double>({profile_size});
     double *v = std::copy(p.amplitude.begin(), p.amplitude.end(), out.data());
     for (const auto &s : p.shape) v = std::copy(s.begin(), s.end(), v);
-    *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit, *v++ = p.n_spots;
+    *v++ = p.flat_top ? 1 : 0, *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit, *v++ = p.n_spots;
     return out.cast();
 }
 
@@ -43,7 +46,7 @@ Profile unpacked(const Input1<double> &in) {
     for (double &a : p.amplitude) a = *v++;
     for (auto &s : p.shape)
         for (double &c : s) c = *v++;
-    p.half_width_px = *v++, p.half_height_px = *v++, p.misfit = *v++, p.n_spots = static_cast<int>(*v);
+    p.flat_top = *v++ > 0, p.half_width_px = *v++, p.half_height_px = *v++, p.misfit = *v++, p.n_spots = static_cast<int>(*v);
     return p;
 }
 
@@ -109,6 +112,17 @@ void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image
                  {spots.data(), spots.size()}, static_cast<PsfKind>(kind), radius_q);
 }
 
+nb::object expose_image(nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> light,
+                        std::array<double, 3> sky, std::array<double, 4> detector, uint64_t seed) {
+    auto adu = new_array<uint16_t>({light.shape(0), light.shape(1)});
+    {
+        nb::gil_scoped_release release;
+        expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), {sky[0], sky[1], sky[2]},
+               {detector[0], detector[1], detector[2], detector[3]}, seed, {adu.data(), light.size()});
+    }
+    return adu.cast();
+}
+
 } // namespace
 
 void bind_metrology(nb::module_ &m) {
@@ -123,4 +137,7 @@ void bind_metrology(nb::module_ &m) {
     g.def("fwhm", &widths, nb::arg("profile"), nb::arg("xy_px"), "FWHM of the profile at positions.");
     g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
           "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");
+    g.def("expose", &expose_image, nb::arg("light_e"), nb::arg("sky"), nb::arg("detector"), nb::arg("seed"),
+          "uint16 image: Poisson and read noise on light + sky (level, slope_x, slope_y), then detector "
+          "(gain_e_adu, read_noise_e, bias_adu, full_well_e).");
 }

@@ -22,9 +22,10 @@ static inline fl_drive_out_t fl_drive_step(const fl_servo_config_t *servo, float
                                            const fl_servo_in_t *in, fl_sincos_t rotor) {
     const fl_servo_out_t torque = fl_servo_step(servo, st, in, FL_TICK_S);
     const float voltage = fl_clamp(torque.torque_Nm * voltage_per_Nm, -1.0f, 1.0f);
+    const fl_collision_in_t watch = {torque.watched_Nm, in->speed_rad_s, st->direction, st->drag_doubt};
     const fl_drive_out_t out = {torque, voltage,
                                 fl_commutate(voltage, rotor, in->speed_rad_s * (0.5f * FL_TICK_S)),
-                                fl_collision_closed(collision, torque.watched_Nm, in->speed_rad_s)};
+                                fl_collision_closed(collision, watch)};
     return out;
 }
 

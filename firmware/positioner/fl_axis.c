@@ -274,8 +274,8 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     }
 }
 
-/* Legs at creep speed, where the higher gain holds. */
-static bool stiff(uint8_t kind) {
+/* Legs at creep speed. */
+static bool creeping(uint8_t kind) {
     return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
 }
 
@@ -295,13 +295,13 @@ FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
 }
 
 /* What the servo is asked at the command of this tick. */
-static void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
+static inline void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
     in->error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt);
     in->command_cnt = a->command.position_cnt;
     in->rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt);
     in->speed_rad_s = a->command.speed_rad_s;
     in->acceleration_rad_s2 = a->command.acceleration_rad_s2;
-    in->stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f;
+    in->settling = creeping(a->plan[a->leg].kind);
 }
 
 /* Eq. 20 to 22; true when something blocks. */
@@ -374,14 +374,15 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
+static inline void advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
     a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
     demand->way_ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
     ask_servo(a, &demand->servo);
 }
 
-fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck) {
+static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended,
+                                       bool stuck) {
     const uint8_t kind = a->plan[a->leg].kind;
     if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
@@ -390,16 +391,25 @@ fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index,
     return FL_AXIS_NONE;
 }
 
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
+    advance(a, path, demand);
+}
+
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck) {
+    return conclude(a, port, index, way_ended, stuck);
+}
+
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
-    const uint8_t kind = a->plan[a->leg].kind;
-    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
     fl_axis_demand_t demand;
-    fl_axis_advance(a, path, &demand);
+    advance(a, path, &demand);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
@@ -407,5 +417,5 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
-    return fl_axis_conclude(a, port, index, demand.way_ended, false);
+    return conclude(a, port, index, demand.way_ended, false);
 }

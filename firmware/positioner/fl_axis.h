@@ -26,7 +26,7 @@ typedef struct fl_axis_law {
     fl_servo_config_t servo;
     fl_collision_config_t collision;
     float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
-    float settle_gain, open_loop_voltage, holding_voltage;
+    float open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
     int32_t datum_step_cnt;
     uint32_t search_ticks;
@@ -141,8 +141,9 @@ typedef struct fl_axis_demand {
 
 /* In closed loop along a way of the ordinary kinds, not in its first tick. */
 static inline bool fl_axis_tracks(const fl_axis_t *a) {
+    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
     const uint8_t kind = a->plan[a->leg].kind;
-    return !fl_axis_rests(a) && !a->fresh && a->closed_loop && kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
+    return kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
 }
 /* a->hall is that of this tick. Moves the command on. */
 void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);

@@ -80,7 +80,7 @@ class Bench:
 
     # the camera
 
-    def measure(self):
+    def measure(self, expected_mm=None):
         xy = self.plane.forward(self.output[:, 0], self.output[:, 1])
         xy = xy + self.rng.normal(0.0, self.sigma_mm or 1e-300, xy.shape)
         xy[self.dark] = np.nan

@@ -6,7 +6,7 @@ import numpy as np
 
 from fiberloom._core import twin as core
 from fiberloom.bus import Client, Outcome, Trajectory
-from fiberloom.calibration import SweepSettings, calibrate_transmission
+from fiberloom.calibration import calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, draw_units
 from fiberloom.twin.units import GEAR, plain

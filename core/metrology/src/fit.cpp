@@ -16,6 +16,7 @@ constexpr int most_iterations = 15;
 constexpr double enough = 0.1;        // of the statistical error: the step after would be a tenth of it again
 constexpr float cut_sigma = 5.0f;     // a Poisson pixel beyond this is rarer than a cosmic ray
 constexpr double kept_knowledge = 0.99;
+constexpr double flat_square = 0.5;
 constexpr double pi = 3.14159265358979323846;
 constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
@@ -104,20 +105,31 @@ Shape shape_of(const Profile &profile, const Ellipse &e) {
     Shape s{static_cast<float>(e.yy / det), static_cast<float>(-2 * e.xy / det), static_cast<float>(e.xx / det), {}};
     for (std::size_t k = 0; k < lambda.size(); ++k)
         s.amplitude[k] = static_cast<float>(profile.amplitude[k] * norm);
+    if (profile.flat_top) s.linear = 0, s.square = static_cast<float>(flat_square);
     return s;
 }
 
+std::array<double, Profile::components> rung_weights(const Profile &profile) {
+    if (!profile.flat_top) return lambda;
+    std::array<double, Profile::components> out{};
+    // pi int exp(-q^2 / (4 lambda)) dq over 2 pi
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = 0.5 * std::sqrt(pi * lambda[k]);
+    return out;
+}
+
 double profile_value(const Profile &profile, double q) {
+    const double t = profile.flat_top ? flat_square * q * q : q;
     double sum = 0;
-    for (std::size_t k = 0; k < lambda.size(); ++k) sum += profile.amplitude[k] * std::exp(-q / (2 * lambda[k]));
+    for (std::size_t k = 0; k < lambda.size(); ++k) sum += profile.amplitude[k] * std::exp(-t / (2 * lambda[k]));
     return sum / (2 * pi);
 }
 
 double profile_slope(const Profile &profile, double q) {
+    const double t = profile.flat_top ? flat_square * q * q : q, rate = profile.flat_top ? 2 * flat_square * q : 1.0;
     double sum = 0;
     for (std::size_t k = 0; k < lambda.size(); ++k)
-        sum -= profile.amplitude[k] / (2 * lambda[k]) * std::exp(-q / (2 * lambda[k]));
-    return sum / (2 * pi);
+        sum -= profile.amplitude[k] / (2 * lambda[k]) * std::exp(-t / (2 * lambda[k]));
+    return rate * sum / (2 * pi);
 }
 
 // The information on x inside q is proportional to int q' slope^2 / (1 + contrast * value / peak) dq'.

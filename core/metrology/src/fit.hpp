@@ -19,6 +19,9 @@ std::array<double, Profile::terms> polynomial_terms(double u, double v);
 Ellipse ellipse_at(const Profile &profile, double x_px, double y_px);
 Shape shape_of(const Profile &profile, const Ellipse &ellipse);
 
+// What each rung of the ladder weighs in the flux: its integral over the plane over 2 pi sqrt|S|.
+std::array<double, Profile::components> rung_weights(const Profile &profile);
+
 // The profile for q = 0 .. as flux 1 on an ellipse of area 1, and its derivative.
 double profile_value(const Profile &profile, double q);
 double profile_slope(const Profile &profile, double q);

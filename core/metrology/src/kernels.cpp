@@ -63,12 +63,13 @@ FL_INLINE Float8 exp_negative(Float8 x) {
 
 // One spot's shape with every number in all lanes: set up once, outside the loops.
 struct WideShape {
-    Float8 xx, xy, yy;
+    Float8 xx, xy, yy, linear, square;
     Float8 amplitude[6], slope[6];
 };
 
 FL_INLINE void widen(const Shape &shape, WideShape &wide) {
     wide.xx = all(shape.xx), wide.xy = all(shape.xy), wide.yy = all(shape.yy);
+    wide.linear = all(shape.linear), wide.square = all(shape.square);
     float rate = -1.0f;
     for (int k = 0; k < 6; ++k, rate *= 0.5f) {
         wide.amplitude[k] = all(shape.amplitude[k]);
@@ -78,13 +79,15 @@ FL_INLINE void widen(const Shape &shape, WideShape &wide) {
 
 // Profile and its slope dm/dq: one exponential, the rest of the ladder by squaring.
 FL_INLINE void profile_at(const WideShape &shape, Float8 q, Float8 &value, Float8 &slope) {
-    Float8 e = exp_negative(q * all(-1.0f / 32.0f)); // lambda = 16
+    const Float8 bend = shape.square * q;
+    Float8 e = exp_negative(q * (shape.linear + bend) * all(-1.0f / 32.0f)); // lambda = 16
     value = e * shape.amplitude[5], slope = e * shape.slope[5];
 #pragma GCC unroll 5
     for (int k = 4; k >= 0; --k) {
         e = e * e;
         value += e * shape.amplitude[k], slope += e * shape.slope[k];
     }
+    slope = slope * (shape.linear + bend + bend); // dt/dq
 }
 
 FL_INLINE Float8 ramp(float start) {
@@ -222,9 +225,9 @@ FL_CLONES void moments(const Stamp &stamp, const Shape &shape, float x, float y,
     }
 }
 
-// The ladder's rungs, flux * norm * exp(-q / (2 lambda_k)).
-FL_INLINE void rungs_at(Float8 q, Float8 scale, Float8 *rung) {
-    Float8 e = exp_negative(q * all(-1.0f / 32.0f));
+// The ladder's rungs, flux * norm * exp(-t / (2 lambda_k)).
+FL_INLINE void rungs_at(const WideShape &shape, Float8 q, Float8 scale, Float8 *rung) {
+    Float8 e = exp_negative(q * (shape.linear + shape.square * q) * all(-1.0f / 32.0f));
 #pragma GCC unroll 6
     for (int k = 5; k >= 0; --k, e = e * e) rung[k] = e * scale;
 }
@@ -245,7 +248,7 @@ FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, 
             const Float8 dx = columns + static_cast<float>(i);
             const Float8 q = (shape.xx * dx + shape.xy * dy) * dx + shape.yy * dy * dy;
             Float8 rung[6];
-            rungs_at(q, scale, rung);
+            rungs_at(shape, q, scale, rung);
             Float8 model = rung[0] * shape.amplitude[0];
             for (int k = 1; k < 6; ++k) model += rung[k] * shape.amplitude[k];
             const Float8 positive = model > zero ? model : zero;

@@ -32,10 +32,13 @@ struct Stamp {
     void resize(int x, int y, int w, int h);
 };
 
-// One spot's ellipse, q = xx dx^2 + xy dx dy + yy dy^2, and its profile with the norm multiplied in.
+// One spot's ellipse, q = xx dx^2 + xy dx dy + yy dy^2, and its profile in t = linear q + square q^2 with the norm
+// multiplied in.
 struct Shape {
     float xx, xy, yy;
     std::array<float, 6> amplitude;
+    float linear = 1;
+    float square = 0;
 };
 
 struct State {

@@ -14,6 +14,7 @@ constexpr double same_fwhm = 0.4;    // nearer than this, it is one
 constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
 constexpr double most_unexplained = 0.04; // of what the profile explains
 constexpr double most_ragged = 0.2;   // of the pixels, left out where the others do not fit either
+constexpr double good_misfit = 0.05;  // a profile that knows the shape of its spots
 constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
 constexpr double poor_chi2 = 2.0;
 constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
@@ -139,11 +140,13 @@ class Frame {
     }
 
     // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots.
-    static bool has_the_shape(const Fit &f, double sigma) {
+    // A profile that does not fit its own spots cannot judge others.
+    bool has_the_shape(const Fit &f, double sigma) const {
         const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
+        const double allowed = most_unexplained + 10 * profile_.misfit * profile_.misfit;
         // a spot hit by a cosmic ray loses pixels and fits well with the others; a track does neither
         const bool ragged = f.chi2 > poor_chi2 && f.left_out > most_ragged * (f.left_out + f.freedom);
-        return left_over < most_unexplained * sigma * sigma && !ragged;
+        return left_over < allowed * sigma * sigma && !(ragged && profile_.misfit < good_misfit);
     }
 
     void drop_what_is_none() {
@@ -220,8 +223,12 @@ double Profile::fwhm_px(double x_px, double y_px) const {
 namespace {
 
 Result measure(const ImageView &image, const Background &background, const Settings &settings,
-               const std::vector<Seed> &seeds, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
+               const std::vector<Seed> &found, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
     Result result;
+    const double fwhm = known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px)
+                                         : first_look_px(image, background, settings, found);
+    const std::vector<Seed> seeds =
+        of_seeds == nullptr ? gather_wide(image, background, settings, found, fwhm) : found;
     result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
     result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
     Frame frame(image, background, settings, result.profile);

@@ -51,7 +51,8 @@ int JointSearch::encounters(size_t which, const Piece &step, int when) const {
     const Segment &mid = step.at[2];
     const Vec2 centre = middle(mid.a, mid.b);
     const double radius = 0.5 * length(mid.b - mid.a) + step.sway_mm + ask_.need_mm;
-    for (const Crowd::Entry &e : ask_.crowds[which]->at(ask_.backward ? ask_.steps - when : when)) {
+    for (int index : ask_.crowds[which]->at(ask_.backward ? ask_.steps - when : when)) {
+        const Crowd::Visit &e = ask_.crowds[which]->visit(index);
         const Vec2 gap = e.centre - centre;
         const double touch = radius + e.radius_mm;
         if (dot(gap, gap) < touch * touch && !stay_apart(step, *e.piece, ask_.need_mm)) ++met;

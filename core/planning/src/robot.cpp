@@ -4,6 +4,15 @@
 #include <utility>
 
 namespace fl::planning {
+namespace {
+
+// How far an axis turns, in steps at most, from mid-step (with the corner cut) to the end of the step towards
+// one line, when it is on the other line at the other end.
+double way_from_middle(int towards, int other) {
+    return std::abs(3 * towards - other) / 16.0 + std::abs(towards) / 4.0;
+}
+
+} // namespace
 
 Robot::Robot(const Arm &arm, double from_mm, double to_mm, AxisGrid alpha, AxisGrid beta, double step_rad)
     : arm_(arm), from_mm_(from_mm), to_mm_(to_mm), alpha_(std::move(alpha)), beta_(std::move(beta)) {
@@ -11,6 +20,14 @@ Robot::Robot(const Arm &arm, double from_mm, double to_mm, AxisGrid alpha, AxisG
     const double quarter = step_rad / quarters;
     // second derivative of the end's position over a quarter, at most: both axes at full speed
     bulge_mm_ = (l_a * quarter * quarter + far * 4.0 * quarter * quarter) / 8.0;
+    for (int code = 0; code < 81; ++code) {
+        const Bends b{{code / 27 - 1, code / 9 % 3 - 1}, {code / 3 % 3 - 1, code % 3 - 1}};
+        const double turn_alpha =
+            std::max(way_from_middle(b.alpha.from, b.alpha.to), way_from_middle(b.alpha.to, b.alpha.from));
+        const double turn_beta =
+            std::max(way_from_middle(b.beta.from, b.beta.to), way_from_middle(b.beta.to, b.beta.from));
+        sways_[b.code()] = b.rests() ? 0.0 : (l_a * turn_alpha + far * (turn_alpha + turn_beta)) * step_rad + bulge_mm_;
+    }
     widest_sway_mm_ = (l_a + 2.0 * far) * 0.5 * step_rad + bulge_mm_;
     reach_mm_ = l_a + far;
 }
@@ -30,7 +47,7 @@ Piece Robot::piece(Cell c, Bends bends) const {
         piece.at[static_cast<size_t>(k)] =
             line(alpha_.turn(c.alpha, bends.alpha, k), beta_.turn(c.beta, bends.beta, k));
     piece.bulge_mm = bulge_mm_;
-    piece.sway_mm = widest_sway_mm_;
+    piece.sway_mm = sways_[bends.code()];
     return piece;
 }
 

@@ -6,6 +6,7 @@
 #include "grid.hpp"
 #include "piece.hpp"
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -21,6 +22,11 @@ struct Cell {
 struct Bends {
     Bend alpha;
     Bend beta;
+    // 0 .. 80
+    size_t code() const {
+        return static_cast<size_t>(((alpha.from + 1) * 3 + alpha.to + 1) * 9 + (beta.from + 1) * 3 + beta.to +
+                                   1);
+    }
     bool rests() const { return alpha.from == 0 && alpha.to == 0 && beta.from == 0 && beta.to == 0; }
 };
 
@@ -51,9 +57,15 @@ class Robot {
     }
 
     Segment line(Cell c) const;
+    // Where the arm is at mid-step, and how far its points get from there during the step.
+    Segment middle_line(Cell c, Bends bends) const {
+        return line(alpha_.turn(c.alpha, bends.alpha, 2), beta_.turn(c.beta, bends.beta, 2));
+    }
+    double sway_mm(Bends bends) const { return sways_[bends.code()]; }
     Piece piece(Cell c, Bends bends) const;
     // No step around a cell takes a point of the arm farther than this from its place at the cell.
     double widest_sway_mm() const { return widest_sway_mm_; }
+    double bulge_mm() const { return bulge_mm_; }
     double reach_mm() const { return reach_mm_; }
     Vec2 centre() const { return arm_.centre_mm; }
 
@@ -73,6 +85,7 @@ class Robot {
     double from_mm_ = 0.0, to_mm_ = 0.0;
     AxisGrid alpha_, beta_;
     double bulge_mm_ = 0.0, widest_sway_mm_ = 0.0, reach_mm_ = 0.0;
+    std::array<double, 81> sways_{};
     std::vector<Obstacle> obstacles_;
     std::vector<State> states_; // per cell, once looked at
 };

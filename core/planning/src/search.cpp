@@ -17,12 +17,6 @@ Bend reversed(Bend b) { return {b.to, b.from}; }
 
 } // namespace
 
-void Crowd::add(int robot, const Piece &piece, int cost) {
-    const Segment &mid = piece.at[2];
-    const double radius = 0.5 * length(mid.b - mid.a) + piece.sway_mm;
-    entries_.push_back({middle(mid.a, mid.b), radius, &piece, robot, cost});
-}
-
 // The bends of the true motion, whatever the direction of the search.
 Bends Search::bends(int move_in, int move_out) const {
     const Bends b{bend(move_in % 3 - 1, move_out % 3 - 1), bend(move_in / 3 - 1, move_out / 3 - 1)};
@@ -104,7 +98,8 @@ void Search::gather_near(Place at) {
     const Vec2 centre = middle(here.a, here.b);
     const double room = ask_.need_mm + ask_.robot->widest_sway_mm();
     const double radius = 0.5 * length(here.b - here.a) + room;
-    for (const Crowd::Entry &e : ask_.crowd->at(ask_.backward ? ask_.steps - at.step : at.step)) {
+    for (int index : ask_.crowd->at(ask_.backward ? ask_.steps - at.step : at.step)) {
+        const Crowd::Visit &e = ask_.crowd->visit(index);
         const Vec2 gap = e.centre - centre;
         const double touch = radius + e.radius_mm;
         if (dot(gap, gap) >= touch * touch) continue;
@@ -115,13 +110,33 @@ void Search::gather_near(Place at) {
 
 int Search::encounters(const Piece &step) const {
     int cost = 0;
-    for (const Crowd::Entry *e : near_)
+    for (const Crowd::Visit *e : near_)
         if (!stay_apart(step, *e->piece, ask_.need_mm)) cost += e->cost;
     return cost;
 }
 
-int Search::encounters(Place at, Bends bends) {
-    return near_.empty() ? 0 : encounters(ask_.robot->piece(at.cell, bends));
+int Search::encounters(Place at, Bends turn) {
+    if (near_.empty()) return 0;
+    // most are seen to be clear, or not, from mid-step alone
+    const Segment here = ask_.robot->middle_line(at.cell, turn);
+    const double sway = ask_.robot->sway_mm(turn);
+    int cost = 0;
+    doubtful_.clear();
+    for (const Crowd::Visit *e : near_) {
+        const double d2 = squared_distance(here, e->piece->at[2]);
+        const double clear =
+            ask_.need_mm + ask_.robot->bulge_mm() + e->piece->bulge_mm + sway + e->piece->sway_mm;
+        if (d2 >= clear * clear) continue;
+        if (d2 < ask_.need_mm * ask_.need_mm)
+            cost += e->cost;
+        else
+            doubtful_.push_back(e);
+    }
+    if (doubtful_.empty()) return cost;
+    const Piece piece = ask_.robot->piece(at.cell, turn);
+    for (const Crowd::Visit *e : doubtful_)
+        if (!stay_apart(piece, *e->piece, ask_.need_mm)) cost += e->cost;
+    return cost;
 }
 
 int Search::base_cost(Place at, Bends turn, int move) const {

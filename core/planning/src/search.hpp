@@ -4,45 +4,13 @@
 // (so that a way is found even where none is free), bodies that stand still may not be touched at all.
 #pragma once
 
+#include "crowd.hpp"
 #include "robot.hpp"
 
 #include <cstdint>
 #include <vector>
 
 namespace fl::planning {
-
-// What moves near one positioner in each step.
-class Crowd {
-  public:
-    struct Entry {
-        Vec2 centre;
-        double radius_mm = 0.0; // of the circle around the centre line, during the whole step
-        const Piece *piece = nullptr;
-        int robot = -1;
-        int cost = 0;
-    };
-    struct View {
-        const Entry *first;
-        const Entry *last;
-        const Entry *begin() const { return first; }
-        const Entry *end() const { return last; }
-    };
-
-    void clear() {
-        entries_.clear();
-        ends_.clear();
-    }
-    void add(int robot, const Piece &piece, int cost);
-    void end_step() { ends_.push_back(entries_.size()); }
-    View at(int step) const {
-        const auto k = static_cast<size_t>(step);
-        return {entries_.data() + (k == 0 ? 0 : ends_[k - 1]), entries_.data() + ends_[k]};
-    }
-
-  private:
-    std::vector<Entry> entries_;
-    std::vector<size_t> ends_;
-};
 
 // What a way costs beside the encounters on it. Units are arbitrary; encounters cost about 1000 a step.
 struct Costs {
@@ -108,7 +76,7 @@ class Search {
     Request ask_;
     std::vector<Node> nodes_;
     std::vector<std::uint64_t> queue_; // a heap of cost, way to go, node
-    std::vector<const Crowd::Entry *> near_;
+    std::vector<const Crowd::Visit *> near_, doubtful_;
     std::vector<int> end_cost_; // of standing at the last cell from a step to the end
     std::vector<Cell> path_;
     std::uint32_t round_ = 0;

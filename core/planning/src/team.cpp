@@ -85,21 +85,22 @@ const Piece *Team::piece_of(const Member &m, int step) const {
     return step > m.deadline - stand ? &m.at_goal : nullptr;
 }
 
-void Team::gather_step(const Member &me, int step, Crowd &crowd) const {
+void Team::gather_one(const Member &me, int other, Crowd &crowd) const {
     const Segment centre{me.robot.centre(), me.robot.centre()};
-    for (int j : me.neighbours) {
-        const Member &other = at(j);
-        const Piece *piece = piece_of(other, step);
+    const Member &them = at(other);
+    if (them.presence == Presence::absent) return;
+    for (int step = 0; step <= steps_; ++step) {
+        const Piece *piece = piece_of(them, step);
         if (piece == nullptr) continue;
         const double reach = me.robot.reach_mm() + need_mm_ + piece->sway_mm;
-        if (squared_distance(centre, piece->at[2]) < reach * reach) crowd.add(j, *piece, other.cost);
+        if (squared_distance(centre, piece->at[2]) < reach * reach) crowd.add(other, step, *piece, them.cost);
     }
-    crowd.end_step();
 }
 
 void Team::gather(int robot, Crowd &crowd) const {
     crowd.clear();
-    for (int step = 0; step <= steps_; ++step) gather_step(at(robot), step, crowd);
+    for (int j : at(robot).neighbours) gather_one(at(robot), j, crowd);
+    crowd.sort(steps_);
 }
 
 bool Team::seek_joint(const std::vector<int> &robots, bool backward, int most_nodes, JointSearch &search) {
@@ -122,10 +123,11 @@ bool Team::seek_joint(const std::vector<int> &robots, bool backward, int most_no
 
 bool Team::seek(int robot, const Costs &costs, int give_up, Mode mode, Search &search) {
     gather(robot, crowd_);
-    const auto &way = search.run({&at(robot).robot, &crowd_, &costs, steps_, at(robot).deadline, give_up,
-                                  need_mm_, mode.backward, mode.hold});
+    Member &m = at(robot);
+    const auto &way = search.run(
+        {&m.robot, &crowd_, &costs, steps_, m.deadline, give_up, need_mm_, mode.backward, mode.hold});
     if (way.empty()) return false;
-    at(robot).still = false;
+    m.still = false;
     set_way(robot, way);
     return true;
 }

@@ -88,7 +88,7 @@ class Team {
 
   private:
     void gather(int robot, Crowd &crowd) const;
-    void gather_step(const Member &me, int step, Crowd &crowd) const;
+    void gather_one(const Member &me, int other, Crowd &crowd) const;
     void extend(int steps);
     const Piece *piece_of(const Member &member, int step) const;
     void forget_meetings(int robot);

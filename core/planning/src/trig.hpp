@@ -23,9 +23,9 @@ inline Turn small_turn(double x) {
 inline Turn turn(double angle_rad) {
     // pi/2 in two parts: the first has 33 bits, so that small multiples of it are exact
     constexpr double high = 1.57079632673412561417, low = 6.07710050650619224932e-11;
-    const double quarters = std::floor(angle_rad / (high + low) + 0.5);
-    const Turn t = small_turn((angle_rad - quarters * high) - quarters * low);
-    switch (static_cast<long long>(quarters) & 3) {
+    const double count = std::floor(angle_rad / (high + low) + 0.5);
+    const Turn t = small_turn((angle_rad - count * high) - count * low);
+    switch (static_cast<long long>(count) & 3) {
     case 0:
         return t;
     case 1:

@@ -11,11 +11,22 @@
 namespace fl::twin {
 namespace {
 
-// Not first samples: an axis sets out from a known angle.
+#define X(type, name) +1
+static_assert(4 * (0 FL_LAW_HALL(X)) == sizeof(fl_hall_config_t), "FL_LAW_HALL lists its fields");
+static_assert(4 * (0 FL_LAW_SERVO(X)) == sizeof(fl_servo_config_t), "FL_LAW_SERVO lists its fields");
+static_assert(4 * (0 FL_LAW_COLLISION(X)) == sizeof(fl_collision_config_t),
+              "FL_LAW_COLLISION lists its fields");
+static_assert(4 * (0 FL_LAW_STATE(X)) == sizeof(fl_servo_state_t), "FL_LAW_STATE lists its fields");
+static_assert(4 * (0 FL_LAW_INPUT(X)) == sizeof(fl_servo_in_t), "FL_LAW_INPUT lists its fields");
+static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE lists its fields");
+#undef X
+
+// Not first samples: an axis that tracks has looked before.
 void hall_law(LawBatch &b) {
     for (int i = 0; i < squad_size; ++i) {
-        const fl_hall_config_t config = {b.hall_offset_a[i], b.hall_offset_b[i],  b.hall_gain_a[i],
-                                         b.hall_gain_b[i],   b.hall_sec_phase[i], b.hall_tan_phase[i]};
+#define X(type, name) b.hall.name[i],
+        const fl_hall_config_t config = {FL_LAW_HALL(X)};
+#undef X
         fl_hall_state_t state = {b.angle_cnt[i], true};
         const uint16_t adc_cnt[2] = {static_cast<uint16_t>(b.adc_a_cnt[i]),
                                      static_cast<uint16_t>(b.adc_b_cnt[i])};
@@ -28,22 +39,26 @@ void hall_law(LawBatch &b) {
 
 void drive_law(LawBatch &b) {
     for (int i = 0; i < squad_size; ++i) {
-        const fl_servo_config_t servo = {
-            b.k_p[i],         b.k_i[i],      b.integral_limit[i],   b.drag[i],
-            b.inertia[i],     b.learning[i], b.coulomb[i],          b.spring_torque[i],
-            b.spring_rate[i], b.cogging[i],  b.cogging_phase_cnt[i]};
-        const fl_collision_config_t collision = {b.threshold_Nm[i], b.drag_doubt[i], 0};
-        fl_servo_state_t state = {b.integral_Nm[i], b.direction[i], b.drag_scale[i]};
-        const fl_servo_in_t in = {b.error_cnt[i],   b.command_cnt[i],         b.rotor_cnt[i],
-                                  b.speed_rad_s[i], b.acceleration_rad_s2[i], b.stiffness[i]};
+#define X(type, name) b.servo.name[i],
+        const fl_servo_config_t servo = {FL_LAW_SERVO(X)};
+#undef X
+#define X(type, name) b.collision.name[i],
+        const fl_collision_config_t collision = {FL_LAW_COLLISION(X)};
+#undef X
+#define X(type, name) b.state.name[i],
+        fl_servo_state_t state = {FL_LAW_STATE(X)};
+#undef X
+#define X(type, name) b.input.name[i],
+        const fl_servo_in_t in = {FL_LAW_INPUT(X)};
+#undef X
         const fl_drive_out_t out = fl_drive_step(&servo, b.voltage_per_Nm[i], &collision, &state, &in,
                                                  {b.rotor_sin[i], b.rotor_cos[i]});
-        b.integral_Nm[i] = state.integral_Nm;
-        b.direction[i] = state.direction;
-        b.drag_scale[i] = state.drag_scale;
-        b.torque_Nm[i] = out.torque.torque_Nm;
-        b.feedforward_Nm[i] = out.torque.feedforward_Nm;
-        b.watched_Nm[i] = out.torque.watched_Nm;
+#define X(type, name) b.state.name[i] = state.name;
+        FL_LAW_STATE(X)
+#undef X
+#define X(type, name) b.torque.name[i] = out.torque.name;
+        FL_LAW_TORQUE(X)
+#undef X
         b.voltage[i] = out.voltage;
         b.duty_a[i] = out.duty.phase[0];
         b.duty_b[i] = out.duty.phase[1];

@@ -15,47 +15,36 @@ void fetch(const fl_positioner_t &firmware) {
             __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
 }
 
-void load_hall(LawBatch &b, int i, const fl_hall_config_t &hall) {
-    b.hall_offset_a[i] = hall.offset_a_cnt;
-    b.hall_offset_b[i] = hall.offset_b_cnt;
-    b.hall_gain_a[i] = hall.gain_a;
-    b.hall_gain_b[i] = hall.gain_b;
-    b.hall_sec_phase[i] = hall.sec_phase;
-    b.hall_tan_phase[i] = hall.tan_phase;
-}
-
-void load_servo(LawBatch &b, int i, const fl_servo_config_t &servo) {
-    b.k_p[i] = servo.k_p;
-    b.k_i[i] = servo.k_i;
-    b.integral_limit[i] = servo.integral_limit;
-    b.drag[i] = servo.drag;
-    b.inertia[i] = servo.inertia;
-    b.learning[i] = servo.learning;
-    b.coulomb[i] = servo.coulomb;
-    b.spring_torque[i] = servo.spring_torque;
-    b.spring_rate[i] = servo.spring_rate;
-    b.cogging[i] = servo.cogging;
-    b.cogging_phase_cnt[i] = servo.cogging_phase_cnt;
-}
-
 void load_law(LawBatch &b, int i, const fl_axis_law_t &law) {
-    load_hall(b, i, law.hall);
-    load_servo(b, i, law.servo);
+#define X(type, name) b.hall.name[i] = law.hall.name;
+    FL_LAW_HALL(X)
+#undef X
+#define X(type, name) b.servo.name[i] = law.servo.name;
+    FL_LAW_SERVO(X)
+#undef X
+#define X(type, name) b.collision.name[i] = law.collision.name;
+    FL_LAW_COLLISION(X)
+#undef X
     b.voltage_per_Nm[i] = law.voltage_per_Nm;
-    b.threshold_Nm[i] = law.collision.threshold_Nm;
-    b.drag_doubt[i] = law.collision.drag_doubt;
 }
 
 void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_servo_state_t &state) {
-    b.error_cnt[i] = in.error_cnt;
-    b.command_cnt[i] = in.command_cnt;
-    b.rotor_cnt[i] = in.rotor_cnt;
-    b.speed_rad_s[i] = in.speed_rad_s;
-    b.acceleration_rad_s2[i] = in.acceleration_rad_s2;
-    b.stiffness[i] = in.stiffness;
-    b.integral_Nm[i] = state.integral_Nm;
-    b.direction[i] = state.direction;
-    b.drag_scale[i] = state.drag_scale;
+#define X(type, name) b.input.name[i] = in.name;
+    FL_LAW_INPUT(X)
+#undef X
+#define X(type, name) b.state.name[i] = state.name;
+    FL_LAW_STATE(X)
+#undef X
+}
+
+void take_output(const LawBatch &b, int i, fl_axis_t &a) {
+#define X(type, name) a.servo.name = b.state.name[i];
+    FL_LAW_STATE(X)
+#undef X
+#define X(type, name) a.torque.name = b.torque.name[i];
+    FL_LAW_TORQUE(X)
+#undef X
+    a.voltage = b.voltage[i];
 }
 
 } // namespace
@@ -136,13 +125,7 @@ void Squad::conclude(int axis, const Tracker &t, const LawBatch &b) {
     fl_positioner_t &firmware = t.who->firmware();
     fl_axis_t &a = firmware.axis[axis];
     const int i = t.lane;
-    a.servo.integral_Nm = b.integral_Nm[i];
-    a.servo.direction = b.direction[i];
-    a.servo.drag_scale = b.drag_scale[i];
-    a.torque.torque_Nm = b.torque_Nm[i];
-    a.torque.feedforward_Nm = b.feedforward_Nm[i];
-    a.torque.watched_Nm = b.watched_Nm[i];
-    a.voltage = b.voltage[i];
+    take_output(b, i, a);
     const bool stops = b.stuck[i] != 0 && a.detect;
     if (!stops) {
         const int lane = axis * squad_size + i;

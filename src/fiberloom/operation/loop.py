@@ -154,7 +154,11 @@ class Loop:
             if known[i] not in found:
                 self._flag(i, Status.DEAD, "does not answer on the bus")
         await self._read_positions(self.maps, self.plane.positioner_id[self.mobile])
-        self._look_for_dark_fibres(self.hardware.camera.measure())
+        self._look_for_dark_fibres(self._look())
+
+    def _look(self) -> Measurement:
+        """An image, with what the positioners say of where they are."""
+        return self.hardware.camera.measure(self._metrology_mm(self.here_deg))
 
     def _look_for_dark_fibres(self, image: Measurement) -> None:
         dark = ~image.seen & self.mobile
@@ -255,7 +259,7 @@ class Loop:
         before_deg = self.here_deg.copy()
         commanded_deg = planned.end_deg
         results = await self._execute(planned, maps)
-        image = self.hardware.camera.measure()
+        image = self._look()
         interrupted = self._judge(results, image, before_deg, commanded_deg)
         error_um = self._measured_error_um(image)
         move = Move(

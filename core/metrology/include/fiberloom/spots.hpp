@@ -39,14 +39,16 @@ struct Spot {
     std::uint32_t flags = not_found;
 };
 
-// Flux 1: m(q) = sum_k a_k exp(-q / (2 lambda_k)) / (2 pi sqrt|S|), sum_k a_k lambda_k = 1, where
-// q = d^T S^-1 d is the elliptical radius and lambda_k = 1/2, 1, 2, 4, 8, 16. One ladder holds Gaussians,
-// Moffat wings and flat tops; S varies with the position in the image as a polynomial of fourth degree.
+// Flux 1: m(q) = sum_k a_k exp(-t / (2 lambda_k)) / (2 pi sqrt|S|), where q = d^T S^-1 d is the elliptical radius
+// squared, lambda_k = 1/2, 1, 2, 4, 8, 16, and t = q: one ladder holds Gaussians and Moffat wings. For flat tops,
+// fibre tips large against the pixel, t = q^2 / 2. S varies with the position in the image as a polynomial of
+// fourth degree.
 struct Profile {
     static constexpr int components = 6;
     static constexpr int terms = 15; // u^i v^j, i + j <= 4, by rising degree; u, v in [-1, 1] over the image
     std::array<double, components> amplitude{0, 1, 0, 0, 0, 0};
     std::array<std::array<double, terms>, 3> shape{}; // S_xx, S_xy, S_yy in px^2
+    bool flat_top = false;
     double half_width_px = 1;                         // u = x / half_width - 1
     double half_height_px = 1;
     double misfit = 0; // rms of the residuals beyond noise over the brightness of the pixel
