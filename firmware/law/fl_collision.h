@@ -18,6 +18,10 @@
 
 #include "fl_math.h"
 
+/* Setting out from inside the backlash costs more than driving on; and slow contacts are gentle. */
+#define FL_CONTACT_SLOW 0.8f    /* added share at standstill */
+#define FL_CONTACT_RAD_S 100.0f /* none from here on */
+
 typedef struct fl_collision_config {
     float threshold_Nm;
     float contact_Nm;
@@ -35,7 +39,9 @@ typedef struct fl_collision_in {
 static inline bool fl_collision_closed(const fl_collision_config_t *cfg, fl_collision_in_t in) {
     const float drag_Nm = cfg->drag * fl_abs(in.speed_rad_s);
     const bool stuck = fl_abs(in.feedback_Nm) > cfg->threshold_Nm + cfg->drag_share * drag_Nm;
-    const bool contact = in.feedback_Nm * in.direction > cfg->contact_Nm + in.drag_doubt * drag_Nm;
+    const float slow = fl_max(1.0f - fl_abs(in.speed_rad_s) * (1.0f / FL_CONTACT_RAD_S), 0.0f);
+    const float contact_Nm = cfg->contact_Nm * (1.0f + FL_CONTACT_SLOW * slow) + in.drag_doubt * drag_Nm;
+    const bool contact = in.feedback_Nm * in.direction > contact_Nm;
     return stuck || contact;
 }
 
