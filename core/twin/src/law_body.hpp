@@ -48,7 +48,7 @@ void drive_law(LawBatch &b) {
 #define X(type, name) b.state.name[i],
         fl_servo_state_t state = {FL_LAW_STATE(X)};
 #undef X
-#define X(type, name) b.input.name[i],
+#define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(b.input.name[i]),
         const fl_servo_in_t in = {FL_LAW_INPUT(X)};
 #undef X
         const fl_drive_out_t out = fl_drive_step(&servo, b.voltage_per_Nm[i], &collision, &state, &in,

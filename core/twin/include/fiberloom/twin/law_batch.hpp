@@ -24,7 +24,7 @@
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
 #define FL_LAW_INPUT(X) \
     X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
-    X(float, acceleration_rad_s2) X(bool, settling)
+    X(float, acceleration_rad_s2) X(int32_t, settling)
 #define FL_LAW_TORQUE(X) \
     X(float, torque_Nm) X(float, feedforward_Nm) X(float, watched_Nm)
 // clang-format on
