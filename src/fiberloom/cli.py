@@ -278,6 +278,8 @@ def _print_report(report: Any, as_json: bool) -> None:
         print_report(report)
 
 
+INTERRUPTED = 130
+
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 """ClickException, of the click that this typer uses: newer ones bring their own."""
 
@@ -285,11 +287,14 @@ _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
     try:
-        sys.exit(app(standalone_mode=False))
+        code = app(standalone_mode=False)
+        if code == INTERRUPTED:  # how typer tells of Ctrl-C
+            raise KeyboardInterrupt
+        sys.exit(code)
     except InputError as error:
         _fail(str(error), 2)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
+        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", INTERRUPTED)
     except _BAD_WORDS as error:
         _fail(f"{error.format_message()}; see `fiberloom --help`", 2)
     except OSError as error:
