@@ -43,7 +43,8 @@ std::array<float, 4096> quantiles() {
     for (int k = 0; k < n; ++k) {
         const double p = (k + 0.5) / n;
         for (int i = 0; i < 20; ++i)
-            x -= (0.5 * std::erfc(-x / std::sqrt(2.0)) - p) / (std::exp(-0.5 * x * x) / std::sqrt(2 * std::acos(-1.0)));
+            x -= (0.5 * std::erfc(-x / std::sqrt(2.0)) - p) /
+                 (std::exp(-0.5 * x * x) / std::sqrt(2 * std::acos(-1.0)));
         out[static_cast<std::size_t>(k)] = static_cast<float>(x);
         squares += x * x;
     }
@@ -55,7 +56,8 @@ std::array<float, 4096> quantiles() {
 float normal(Random &random) {
     static const std::array<float, 4096> table = quantiles();
     const std::uint64_t b = random.bits();
-    return 0.5f * ((table[b >> 52] + table[(b >> 40) & 4095]) + (table[(b >> 28) & 4095] + table[(b >> 16) & 4095]));
+    return 0.5f *
+           ((table[b >> 52] + table[(b >> 40) & 4095]) + (table[(b >> 28) & 4095] + table[(b >> 16) & 4095]));
 }
 
 // By the sum of the probabilities: few steps where the mean is small.
@@ -78,8 +80,8 @@ double electrons(double mean, double read_variance, Random &random) {
 
 } // namespace
 
-void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector, std::uint64_t seed,
-            std::span<std::uint16_t> adu) {
+void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
+            std::uint64_t seed, std::span<std::uint16_t> adu) {
     const double read_variance = detector.read_noise_e * detector.read_noise_e;
     const std::size_t w = static_cast<std::size_t>(width);
     for (std::size_t j = 0; (j + 1) * w <= light_e.size(); ++j) {

@@ -27,7 +27,9 @@ FL_INLINE Float8 load(const float *p) {
 FL_INLINE void store(float *p, Float8 v) { std::memcpy(p, &v, sizeof v); }
 
 // 1 where the comparison holds, 0 elsewhere
-FL_INLINE Float8 unit(Int8 mask) { return reinterpret_cast<Float8>(mask & reinterpret_cast<Int8>(all(1.0f))); }
+FL_INLINE Float8 unit(Int8 mask) {
+    return reinterpret_cast<Float8>(mask & reinterpret_cast<Int8>(all(1.0f)));
+}
 
 // The fitted region ends softly, for the same reason as below.
 FL_INLINE Float8 window(Float8 q, Float8 q_max, Float8 steepness) {
@@ -90,23 +92,24 @@ FL_INLINE void profile_at(const WideShape &shape, Float8 q, Float8 &value, Float
     slope = slope * (shape.linear + bend + bend); // dt/dq
 }
 
-FL_INLINE Float8 ramp(float start) {
-    return Float8{0, 1, 2, 3, 4, 5, 6, 7} + all(start);
-}
+FL_INLINE Float8 ramp(float start) { return Float8{0, 1, 2, 3, 4, 5, 6, 7} + all(start); }
 
 template <class P> struct Rows {
     const typename P::Raw *above, *row, *below;
 };
 
-template <class P> FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
+template <class P>
+FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
     using Key = typename P::Key;
     const Key bar = static_cast<Key>(limit);
     alignas(64) unsigned char top[chunk_px] = {};
     for (int i = from; i < to; ++i) {
         const Key v = P::key(r.row[i]);
-        const bool is = (v > bar) & (v >= P::key(r.above[i - 1])) & (v >= P::key(r.above[i])) &
-                        (v >= P::key(r.above[i + 1])) & (v >= P::key(r.row[i - 1])) & (v > P::key(r.row[i + 1])) &
-                        (v > P::key(r.below[i - 1])) & (v > P::key(r.below[i])) & (v > P::key(r.below[i + 1]));
+        // written as "not higher", so that a neighbour that is not a number is no obstacle
+        const bool is = (v > bar) & !(P::key(r.above[i - 1]) > v) & !(P::key(r.above[i]) > v) &
+                        !(P::key(r.above[i + 1]) > v) & !(P::key(r.row[i - 1]) > v) &
+                        !(P::key(r.row[i + 1]) >= v) & !(P::key(r.below[i - 1]) >= v) &
+                        !(P::key(r.below[i]) >= v) & !(P::key(r.below[i + 1]) >= v);
         top[i - from] = static_cast<unsigned char>(is);
     }
     for (int word = 0; word < chunk_px; word += 8) {
@@ -116,7 +119,8 @@ template <class P> FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int
     }
 }
 
-template <class P> FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::vector<int> &out) {
+template <class P>
+FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::vector<int> &out) {
     using Key = typename P::Key;
     for (int c = 0; c * chunk_px < width; ++c) {
         const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
@@ -133,9 +137,13 @@ template <class P> Rows<P> rows_of(const std::byte *above, const std::byte *row,
 }
 
 FL_CLONES void scan_u16(Rows<PixelU16> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
-FL_CLONES void scan_u16_fits(Rows<PixelU16Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_u16_fits(Rows<PixelU16Fits> r, int w, const float *t, std::vector<int> &o) {
+    scan(r, w, t, o);
+}
 FL_CLONES void scan_f32(Rows<PixelF32> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
-FL_CLONES void scan_f32_fits(Rows<PixelF32Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_f32_fits(Rows<PixelF32Fits> r, int w, const float *t, std::vector<int> &o) {
+    scan(r, w, t, o);
+}
 FL_CLONES void scan_f64(Rows<PixelF64> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
 
 // The columns of one row that the ellipse q <= q_max covers, in whole lanes.
@@ -164,8 +172,8 @@ FL_INLINE void widen(const Judge &judge, WideJudge &wide) {
     wide.q_max = all(judge.q_max), wide.steepness = all(5.0f / judge.q_max);
 }
 
-FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state, const Judge &narrow_judge,
-                          Float8 *sum) {
+FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state,
+                          const Judge &narrow_judge, Float8 *sum) {
     using N = Normal;
     WideShape shape;
     WideJudge judge;
@@ -294,15 +302,20 @@ FL_CLONES void subtract(Stamp &stamp, const Shape &narrow, float flux, float x, 
 
 } // namespace
 
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below, int width,
-               const float *threshold, std::vector<int> &peaks) {
+void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
+               int width, const float *threshold, std::vector<int> &peaks) {
     peaks.clear();
     switch (type) {
-    case PixelType::U16: return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
-    case PixelType::U16Fits: return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
-    case PixelType::F32: return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
-    case PixelType::F32Fits: return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
-    case PixelType::F64: return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
+    case PixelType::U16:
+        return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
+    case PixelType::U16Fits:
+        return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F32:
+        return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
+    case PixelType::F32Fits:
+        return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F64:
+        return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
     }
 }
 
@@ -326,7 +339,8 @@ Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &sta
 }
 
 void subtract_profile(Stamp &stamp, const Shape &shape, double flux, double x, double y, float inverse_gain) {
-    subtract(stamp, shape, static_cast<float>(flux), static_cast<float>(x), static_cast<float>(y), inverse_gain);
+    subtract(stamp, shape, static_cast<float>(flux), static_cast<float>(x), static_cast<float>(y),
+             inverse_gain);
 }
 
 std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, double x, double y) {

@@ -29,8 +29,7 @@ double median_of(std::vector<double> values) {
 }
 
 // How far from (x, y) the light falls below half, in one direction, between pixels.
-template <class P>
-double half_way(const Pixels<P> &pixels, int x, int y, int dx, int dy, float half) {
+template <class P> double half_way(const Pixels<P> &pixels, int x, int y, int dx, int dy, float half) {
     float before = pixels.at(x, y);
     for (int k = 1; k < 100; ++k) {
         const int u = x + k * dx, v = y + k * dy;
@@ -113,14 +112,17 @@ bool adaptive_moments(const Stamp &stamp, Sample &sample) {
     Ellipse &s = sample.s;
     for (int k = 0; k < 30; ++k) {
         const double det = s.xx * s.yy - s.xy * s.xy;
-        const Shape shape{static_cast<float>(s.yy / det), static_cast<float>(-2 * s.xy / det),
-                          static_cast<float>(s.xx / det), {}};
+        const Shape shape{static_cast<float>(s.yy / det),
+                          static_cast<float>(-2 * s.xy / det),
+                          static_cast<float>(s.xx / det),
+                          {}};
         const auto m = weighted_moments(stamp, shape, x, y);
         if (!(m[0] > 0)) return false;
         const double ux = m[1] / m[0], uy = m[2] / m[0];
         const double mxx = m[3] / m[0] - ux * ux, mxy = m[4] / m[0] - ux * uy, myy = m[5] / m[0] - uy * uy;
         const double mdet = mxx * myy - mxy * mxy;
-        const double ixx = myy / mdet - s.yy / det, ixy = -mxy / mdet + s.xy / det, iyy = mxx / mdet - s.xx / det;
+        const double ixx = myy / mdet - s.yy / det, ixy = -mxy / mdet + s.xy / det,
+                     iyy = mxx / mdet - s.xx / det;
         const double idet = ixx * iyy - ixy * ixy;
         if (!(mdet > 0 && idet > 0 && ixx > 0)) return false;
         const Ellipse next{iyy / idet, -ixy / idet, ixx / idet};
@@ -219,14 +221,15 @@ struct ProfileSpot {
     Fit fit;
 };
 
-void add_spots(const Profile &profile, const Settings &settings, const std::vector<ProfileSpot> &spots, int round,
-               LadderSums &sums) {
+void add_spots(const Profile &profile, const Settings &settings, const std::vector<ProfileSpot> &spots,
+               int round, LadderSums &sums) {
     constexpr float pi = 3.14159265f;
     for (const ProfileSpot &s : spots) {
         if (!s.fit.converged || !(s.fit.flux > 0)) continue;
         const Ellipse e = ellipse_at(profile, s.fit.x, s.fit.y);
         const auto norm = static_cast<float>(1 / (2 * pi * e.area()));
-        const Judge judge{6.0f, round < 2 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu), 120.0f};
+        const Judge judge{6.0f, round < 2 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu),
+                          120.0f};
         const State state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
         add_ladder(s.stamp, shape_of(profile, e), norm, state, judge, sums);
     }
@@ -258,7 +261,8 @@ void fit_ladder(Profile &profile, const Settings &settings, std::vector<ProfileS
         LadderSums sums{};
         add_spots(profile, settings, spots, round, sums);
         take_ladder(sums, profile);
-        profile.misfit = std::clamp(std::sqrt(std::max(sums[27], 0.0) / std::max(sums[28], 1e-300)), 0.001, 0.2);
+        profile.misfit =
+            std::clamp(std::sqrt(std::max(sums[27], 0.0) / std::max(sums[28], 1e-300)), 0.001, 0.2);
     }
 }
 
@@ -277,16 +281,17 @@ void fit_profile(Profile &profile, const Settings &settings, std::vector<Profile
 
 Profile round_profile(const ImageView &image, double fwhm_px) {
     Profile p;
-    p.half_width_px = 0.5 * std::max(image.width - 1, 1), p.half_height_px = 0.5 * std::max(image.height - 1, 1);
+    p.half_width_px = 0.5 * std::max(image.width - 1, 1),
+    p.half_height_px = 0.5 * std::max(image.height - 1, 1);
     const double s = fwhm_px * fwhm_px / (fwhm_per_sigma * fwhm_per_sigma);
     p.shape[0][0] = p.shape[2][0] = s;
-    p.misfit = 0.05;
+    p.misfit = 0.03; // not known, but a spot is round
     return p;
 }
 
 // Centre of light under a round Gaussian weight, moved along until it stands still.
-void centre_on_light(const ImageView &image, const Background &background, const Settings &settings, double fwhm_px,
-                     Seed &seed) {
+void centre_on_light(const ImageView &image, const Background &background, const Settings &settings,
+                     double fwhm_px, Seed &seed) {
     const float s = static_cast<float>(fwhm_per_sigma * fwhm_per_sigma / (fwhm_px * fwhm_px));
     const Shape weight{s, 0, s, {}};
     Stamp stamp;
@@ -299,7 +304,8 @@ void centre_on_light(const ImageView &image, const Background &background, const
 }
 
 // lonely spots tell the wings; where there are none, the core must do
-std::vector<const Seed *> lonely_seeds(const std::vector<Seed> &seeds, std::vector<const Seed *> bright, double fwhm) {
+std::vector<const Seed *> lonely_seeds(const std::vector<Seed> &seeds, std::vector<const Seed *> bright,
+                                       double fwhm) {
     const Neighbours neighbours(seeds);
     for (const double distance : {6.0, 4.0, 2.5, 1.5}) {
         std::vector<const Seed *> lonely;
@@ -310,8 +316,9 @@ std::vector<const Seed *> lonely_seeds(const std::vector<Seed> &seeds, std::vect
     return bright;
 }
 
-std::vector<Sample> sample_shapes(const ImageView &image, const Background &background, const Settings &settings,
-                                  const std::vector<const Seed *> &bright, double fwhm) {
+std::vector<Sample> sample_shapes(const ImageView &image, const Background &background,
+                                  const Settings &settings, const std::vector<const Seed *> &bright,
+                                  double fwhm) {
     const double s = fwhm * fwhm / (fwhm_per_sigma * fwhm_per_sigma);
     std::vector<Sample> samples;
     Stamp stamp;
@@ -324,14 +331,16 @@ std::vector<Sample> sample_shapes(const ImageView &image, const Background &back
     return samples;
 }
 
-std::vector<ProfileSpot> cut_wide(const ImageView &image, const Background &background, const Settings &settings,
-                                  const Profile &profile, const std::vector<Sample> &samples) {
+std::vector<ProfileSpot> cut_wide(const ImageView &image, const Background &background,
+                                  const Settings &settings, const Profile &profile,
+                                  const std::vector<Sample> &samples) {
     std::vector<ProfileSpot> spots;
     for (const Sample &s : samples) {
         if (!s.good) continue;
         ProfileSpot &spot = spots.emplace_back();
         const Ellipse e = ellipse_at(profile, s.x, s.y);
-        cut_out(image, background, settings, s.x, s.y, e.half_width(wing_q), e.half_height(wing_q), spot.stamp);
+        cut_out(image, background, settings, s.x, s.y, e.half_width(wing_q), e.half_height(wing_q),
+                spot.stamp);
         spot.fit.x = s.x, spot.fit.y = s.y, spot.fit.q_max = core_q;
         // a Gaussian under its own weight gives half its flux
         spot.fit.flux = 2 * weighted_moments(spot.stamp, shape_of(profile, e), s.x - spot.stamp.x0,

@@ -10,7 +10,8 @@ namespace fl::metrology {
 double first_look_px(const ImageView &image, const Background &background, const Settings &settings,
                      const std::vector<Seed> &seeds);
 
-// Spots far wider than the 5 x 5 pixels that detection climbs on have many tops: one seed for each, at its middle.
+// Spots far wider than the 5 x 5 pixels that detection climbs on have many tops: one seed for each, at its
+// middle.
 std::vector<Seed> gather_wide(const ImageView &image, const Background &background, const Settings &settings,
                               const std::vector<Seed> &seeds, double fwhm_px);
 

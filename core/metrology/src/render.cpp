@@ -28,9 +28,12 @@ struct Source {
 
 double density(PsfKind kind, double q, double parameter) {
     switch (kind) {
-    case PsfKind::Gaussian: return std::exp(-0.5 * q);
-    case PsfKind::Moffat: return std::pow(1 + q, -parameter);
-    case PsfKind::Disc: break;
+    case PsfKind::Gaussian:
+        return std::exp(-0.5 * q);
+    case PsfKind::Moffat:
+        return std::pow(1 + q, -parameter);
+    case PsfKind::Disc:
+        break;
     }
     return 0.5 * std::erfc((std::sqrt(q) - 1) / (std::sqrt(2.0) * parameter));
 }
@@ -38,21 +41,32 @@ double density(PsfKind kind, double q, double parameter) {
 // Integral of density over the plane for S = 1.
 double volume(PsfKind kind, double parameter) {
     switch (kind) {
-    case PsfKind::Gaussian: return 2 * pi;
-    case PsfKind::Moffat: return pi / (parameter - 1);
-    case PsfKind::Disc: break;
+    case PsfKind::Gaussian:
+        return 2 * pi;
+    case PsfKind::Moffat:
+        return pi / (parameter - 1);
+    case PsfKind::Disc:
+        break;
     }
     return pi * (1 + parameter * parameter);
 }
 
 Source source(const double *s, PsfKind kind, double radius_q) {
     const double det = s[3] * s[5] - s[4] * s[4];
-    return {s[0], s[1], s[5] / det, -2 * s[4] / det, s[3] / det,
-            s[2] / (volume(kind, s[6]) * std::sqrt(det)), s[6],
-            std::sqrt(radius_q * s[3]) + 0.5, std::sqrt(radius_q * s[5]) + 0.5};
+    return {s[0],
+            s[1],
+            s[5] / det,
+            -2 * s[4] / det,
+            s[3] / det,
+            s[2] / (volume(kind, s[6]) * std::sqrt(det)),
+            s[6],
+            std::sqrt(radius_q * s[3]) + 0.5,
+            std::sqrt(radius_q * s[5]) + 0.5};
 }
 
-double q_at(const Source &s, double dx, double dy) { return s.xx * dx * dx + s.xy * dx * dy + s.yy * dy * dy; }
+double q_at(const Source &s, double dx, double dy) {
+    return s.xx * dx * dx + s.xy * dx * dy + s.yy * dy * dy;
+}
 
 double pixel(const Source &s, PsfKind kind, int i, int j) {
     const double q = q_at(s, i - s.x, j - s.y);

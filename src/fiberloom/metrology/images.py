@@ -112,6 +112,7 @@ def _mapped(path: Path, hdu: Any) -> NDArray | None:
     if type(hdu).__name__ == "CompImageHDU" or path.suffix in (".gz", ".bz2", ".xz"):
         return None
     scale, zero = hdu._orig_bscale, hdu._orig_bzero
+    dtype: np.dtype[Any]
     if hdu._orig_bitpix == 16 and (scale, zero) == (1, 32768) and "BLANK" not in header:
         dtype = np.dtype(np.uint16)
     elif hdu._orig_bitpix == -32 and (scale, zero) == (1, 0):
