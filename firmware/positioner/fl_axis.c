@@ -295,16 +295,13 @@ FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
 }
 
 /* What the servo is asked at the command of this tick. */
-static fl_servo_in_t servo_input(const fl_axis_t *a) {
-    const fl_servo_in_t in = {
-        .error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt),
-        .command_cnt = a->command.position_cnt,
-        .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
-        .speed_rad_s = a->command.speed_rad_s,
-        .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .settling = creeping(a->plan[a->leg].kind),
-    };
-    return in;
+static inline void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
+    in->error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    in->command_cnt = a->command.position_cnt;
+    in->rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt);
+    in->speed_rad_s = a->command.speed_rad_s;
+    in->acceleration_rad_s2 = a->command.acceleration_rad_s2;
+    in->settling = creeping(a->plan[a->leg].kind);
 }
 
 /* Eq. 20 to 22; true when something blocks. */
@@ -377,18 +374,11 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
-bool fl_axis_tracks(const fl_axis_t *a) {
-    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind == FL_LEG_FOLLOW || kind == FL_LEG_GOTO || kind == FL_LEG_LAND || kind == FL_LEG_SETTLE;
-}
-
-static inline fl_axis_demand_t advance(fl_axis_t *a, const fl_path_t *path) {
+static inline void advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
     a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
-    const bool ended = leg_step(a, path);
+    demand->way_ended = leg_step(a, path);
     a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
-    const fl_axis_demand_t demand = {servo_input(a), ended};
-    return demand;
+    ask_servo(a, &demand->servo);
 }
 
 static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended,
@@ -401,11 +391,12 @@ static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int 
     return FL_AXIS_NONE;
 }
 
-fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path) { return advance(a, path); }
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
+    advance(a, path, demand);
+}
 
-fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
-                                 bool stuck) {
-    return conclude(a, port, index, demand.way_ended, stuck);
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck) {
+    return conclude(a, port, index, way_ended, stuck);
 }
 
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
@@ -417,7 +408,8 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const fl_axis_demand_t demand = advance(a, path);
+    fl_axis_demand_t demand;
+    advance(a, path, &demand);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;

@@ -140,13 +140,16 @@ typedef struct fl_axis_demand {
 } fl_axis_demand_t;
 
 /* In closed loop along a way of the ordinary kinds, not in its first tick. */
-bool fl_axis_tracks(const fl_axis_t *a);
+static inline bool fl_axis_tracks(const fl_axis_t *a) {
+    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
+    const uint8_t kind = a->plan[a->leg].kind;
+    return kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
+}
 /* a->hall is that of this tick. Moves the command on. */
-fl_axis_demand_t fl_axis_advance(fl_axis_t *a, const fl_path_t *path);
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
 /* a->servo, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
  * are as in the tick before. */
-fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, fl_axis_demand_t demand,
-                                 bool stuck);
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck);
 
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);

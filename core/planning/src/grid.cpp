@@ -45,17 +45,6 @@ AxisGrid::AxisGrid(double start_rad, double goal_rad, double step_rad, double lo
                 fl::planning::turn(slot_angle(line, s) + zero_rad);
 }
 
-size_t AxisGrid::slot(Bend bend, int k) {
-    if (k == 2) {
-        if (bend.from == 0 && bend.to == 0) return 0;
-        const int both = bend.from + bend.to;
-        return both < 0 ? 5 : (both > 0 ? 6 : 7);
-    }
-    const int side = k < 2 ? bend.from : bend.to;
-    const bool half = k == 0 || k == 4;
-    return side == 0 ? 0 : (side < 0 ? (half ? 1 : 3) : (half ? 2 : 4));
-}
-
 double AxisGrid::slot_angle(int line, size_t slot) const {
     const double here = angle(line);
     const double below = angle(std::max(line - 1, 0)) - here,

@@ -42,7 +42,22 @@ class AxisGrid {
   private:
     // on the line; half and a quarter of the way to the line below, above; the three cut corners
     static constexpr size_t slots = 8;
-    static size_t slot(Bend bend, int k);
+    static size_t slot(Bend bend, int k) {
+        constexpr size_t half[] = {1, 0, 2}, quarter[] = {3, 0, 4}, cut[] = {5, 5, 7, 5, 0, 6, 7, 6, 6};
+        const auto from = static_cast<size_t>(bend.from + 1), to = static_cast<size_t>(bend.to + 1);
+        switch (k) {
+        case 0:
+            return half[from];
+        case 1:
+            return quarter[from];
+        case 2:
+            return cut[3 * from + to];
+        case 3:
+            return quarter[to];
+        default:
+            return half[to];
+        }
+    }
     double slot_angle(int line, size_t slot) const;
 
     std::vector<double> lines_;

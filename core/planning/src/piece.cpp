@@ -3,15 +3,6 @@
 namespace fl::planning {
 namespace {
 
-double clamp01(double t) { return t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t); }
-
-// Squared distance of the point r (seen from the segment's first end) from a segment d.
-double squared_to(Vec2 r, Vec2 d, double inverse) {
-    const double t = clamp01(dot(r, d) * inverse);
-    const double x = r.x - t * d.x, y = r.y - t * d.y;
-    return x * x + y * y;
-}
-
 // The distance of two segments whose ends run on straight lines from (p0, q0) to (p1, q1). d0 and d1
 // are the distances at the ends of the interval. Halves the interval until the answer is sure.
 bool chords_apart(const Segment &p0, const Segment &p1, const Segment &q0, const Segment &q1, double d0,
@@ -26,22 +17,6 @@ bool chords_apart(const Segment &p0, const Segment &p1, const Segment &q0, const
 }
 
 } // namespace
-
-double squared_distance(const Segment &p, const Segment &q) {
-    const Vec2 dp = p.b - p.a, dq = q.b - q.a, r = p.a - q.a;
-    const Vec2 r1{r.x + dp.x, r.y + dp.y}; // p.b from q.a
-    const double side0 = cross(dq, r), side1 = cross(dq, r1);
-    if ((side0 < 0.0) != (side1 < 0.0)) {
-        // the ends of p lie on both sides of q's line; now those of q
-        const double other0 = cross(r, dp), other1 = cross({r.x - dq.x, r.y - dq.y}, dp);
-        if ((other0 < 0.0) != (other1 < 0.0)) return 0.0;
-    }
-    const double lp = dot(dp, dp), lq = dot(dq, dq);
-    const double ip = lp > 0.0 ? 1.0 / lp : 0.0, iq = lq > 0.0 ? 1.0 / lq : 0.0;
-    const double a = squared_to(r, dq, iq), b = squared_to(r1, dq, iq);
-    const double c = squared_to({-r.x, -r.y}, dp, ip), d = squared_to({dq.x - r.x, dq.y - r.y}, dp, ip);
-    return std::min(std::min(a, b), std::min(c, d));
-}
 
 double relative_way(const Segment &p0, const Segment &p1, const Segment &q0, const Segment &q1) {
     const Vec2 pa = p1.a - p0.a, pb = p1.b - p0.b, qa = q1.a - q0.a, qb = q1.b - q0.b;

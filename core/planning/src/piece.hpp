@@ -28,8 +28,31 @@ inline double length(Vec2 p) { return std::sqrt(dot(p, p)); }
 inline Vec2 middle(Vec2 p, Vec2 q) { return {0.5 * (p.x + q.x), 0.5 * (p.y + q.y)}; }
 inline Segment middle(const Segment &p, const Segment &q) { return {middle(p.a, q.a), middle(p.b, q.b)}; }
 
+inline double clamp01(double t) { return t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t); }
+
+// Squared distance of the point r (seen from the segment's first end) from a segment d.
+inline double squared_to(Vec2 r, Vec2 d, double inverse) {
+    const double t = clamp01(dot(r, d) * inverse);
+    const double x = r.x - t * d.x, y = r.y - t * d.y;
+    return x * x + y * y;
+}
+
 // Squared distance of two segments, 0 where they cross.
-double squared_distance(const Segment &p, const Segment &q);
+inline double squared_distance(const Segment &p, const Segment &q) {
+    const Vec2 dp = p.b - p.a, dq = q.b - q.a, r = p.a - q.a;
+    const Vec2 r1{r.x + dp.x, r.y + dp.y}; // p.b from q.a
+    const double side0 = cross(dq, r), side1 = cross(dq, r1);
+    if ((side0 < 0.0) != (side1 < 0.0)) {
+        // the ends of p lie on both sides of q's line; now those of q
+        const double other0 = cross(r, dp), other1 = cross({r.x - dq.x, r.y - dq.y}, dp);
+        if ((other0 < 0.0) != (other1 < 0.0)) return 0.0;
+    }
+    const double lp = dot(dp, dp), lq = dot(dq, dq);
+    const double ip = lp > 0.0 ? 1.0 / lp : 0.0, iq = lq > 0.0 ? 1.0 / lq : 0.0;
+    const double a = squared_to(r, dq, iq), b = squared_to(r1, dq, iq);
+    const double c = squared_to({-r.x, -r.y}, dp, ip), d = squared_to({dq.x - r.x, dq.y - r.y}, dp, ip);
+    return std::min(std::min(a, b), std::min(c, d));
+}
 
 inline double distance(const Segment &p, const Segment &q) { return std::sqrt(squared_distance(p, q)); }
 

@@ -1,8 +1,6 @@
 #include "repair.hpp"
 
 #include <algorithm>
-#include <cstdio>
-#include <cstdlib>
 #include <numeric>
 
 namespace fl::planning {
@@ -11,8 +9,9 @@ namespace {
 constexpr int any_cost = 1 << 25;  // more than any way costs
 constexpr int meeting_cost = 1000; // per step
 constexpr int tidy_cost = 1 << 20; // per step: as good as forbidden
+constexpr int way_itself = 400;    // moves, bends and waits cost about so much
 constexpr int longest_hold = 24;   // steps
-static const int most_joint_nodes = std::getenv("FLJ") ? std::atoi(std::getenv("FLJ")) : 60000;
+constexpr int most_joint_nodes = 60000;
 constexpr int joint_every = 6; // of the repairs around a pair, one is a joint search
 constexpr int more_steps = 8;  // a deadline grows by
 constexpr int hurry_tries = 8;
@@ -56,32 +55,6 @@ bool Repair::rounds(int most) {
     for (int k = 0; k < most; ++k) {
         const auto all = pairs();
         if (all.empty()) return true;
-        if (std::getenv("FLDBG") && k % 25 == 0) {
-            std::fprintf(stderr, "round %ld pairs %zu steps %d exp %ldk searches %ld:", (long)k, all.size(),
-                         team_.steps(), (long)search_.expansions() / 1000, (long)statistics_.searches);
-            for (auto [a, b] : all) std::fprintf(stderr, " %d-%d", a, b);
-            std::fprintf(stderr, "\n");
-            if (std::getenv("FLDBG2"))
-                for (auto [a, b] : all) {
-                    std::fprintf(stderr, "  %d travel %d, %d travel %d, steps ", a,
-                                 team_.at(a).robot.travel_steps(), b, team_.at(b).robot.travel_steps());
-                    for (int q = 0; q <= team_.steps(); ++q)
-                        if (!stay_apart(team_.at(a).pieces[q], team_.at(b).pieces[q], team_.need_mm()))
-                            std::fprintf(stderr, " %d", q);
-                    std::fprintf(stderr, "\n");
-                    if (k > 300)
-                        for (int q = 0; q <= team_.steps(); ++q) {
-                            auto &A = team_.at(a);
-                            auto &B = team_.at(b);
-                            std::fprintf(stderr, "   %d: %.1f %.1f | %.1f %.1f  d %.2f\n", q,
-                                         A.robot.alpha().angle(A.way[q].alpha) * 57.2958,
-                                         A.robot.beta().angle(A.way[q].beta) * 57.2958,
-                                         B.robot.alpha().angle(B.way[q].alpha) * 57.2958,
-                                         B.robot.beta().angle(B.way[q].beta) * 57.2958,
-                                         distance(A.pieces[q].at[2], B.pieces[q].at[2]));
-                        }
-                }
-        }
         round(all[static_cast<size_t>(random_.below(static_cast<int>(all.size())))]);
         ++statistics_.repairs;
     }
@@ -195,12 +168,21 @@ void Repair::give_time(std::pair<int, int> pair) {
     }
 }
 
+// A way that meets others more often than the whole group did is not worth looking for.
+int Repair::affordable(const Group &group) const {
+    int steps = 1;
+    for (int i : group.robots)
+        for (const Meeting &m : team_.at(i).meetings) steps += m.steps;
+    return steps * meeting_cost + way_itself;
+}
+
 void Repair::round(std::pair<int, int> pair) {
     const int tries = std::min(team_.at(pair.first).tries, team_.at(pair.second).tries);
     if (tries % joint_every == joint_every - 1) return joint_round(pair);
     Group group = choose(pair);
+    const int most = affordable(group);
     forget_ways(group);
-    if (!replan(group.robots, any_cost)) {
+    if (!replan(group.robots, most)) {
         take_back(group);
         return judge(pair, group, group.meetings);
     }
@@ -241,9 +223,6 @@ void Repair::joint_round(std::pair<int, int> pair) {
     forget_ways(group);
     const int most_nodes = knot.size() == 2 ? most_joint_nodes : 2 * most_joint_nodes;
     const bool found = team_.seek_joint(knot, random_.chance(70), most_nodes, joint_);
-    if (std::getenv("FLDBG"))
-        std::fprintf(stderr, "joint %zu found %d nodes %zu exp %ld steps %d\n", knot.size(), found,
-                     joint_.size(), (long)joint_.expansions(), team_.steps());
     take_back(group);
     if (!found) return judge(pair, group, group.meetings);
     std::vector<Memory> before;
@@ -307,9 +286,17 @@ int Repair::way_cost(const Member &member, const Costs &costs) const {
         const Cell v{next.alpha - here.alpha, next.beta - here.beta};
         cost += costs.move * (std::abs(v.alpha) + std::abs(v.beta));
         cost += costs.bend * ((v.alpha != last.alpha) + (v.beta != last.beta));
+        if (v == Cell{} && !(here == member.way.back())) cost += costs.wait;
         last = v;
     }
     return cost;
+}
+
+// No way is cheaper than both axes straight from start to goal.
+int Repair::least_cost(const Robot &robot, const Costs &costs) {
+    const Cell from = robot.start(), to = robot.goal();
+    const int alpha = std::abs(to.alpha - from.alpha), beta = std::abs(to.beta - from.beta);
+    return costs.move * (alpha + beta) + 2 * costs.bend * ((alpha > 0) + (beta > 0));
 }
 
 void Repair::tidy() {
@@ -317,8 +304,10 @@ void Repair::tidy() {
     for (int i = 0; i < team_.size(); ++i) team_.at(i).cost = tidy_cost;
     for (int i = 0; i < team_.size(); ++i) {
         if (team_.at(i).still) continue;
+        const int cost = way_cost(team_.at(i), costs);
+        if (cost <= least_cost(team_.at(i).robot, costs)) continue;
         ++statistics_.searches;
-        team_.seek(i, costs, way_cost(team_.at(i), costs), {}, search_);
+        team_.seek(i, costs, cost, {}, search_);
     }
 }
 

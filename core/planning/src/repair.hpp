@@ -34,6 +34,7 @@ class Repair {
     void set_joint(const std::vector<int> &knot, Group &group);
     Group choose(std::pair<int, int> pair);
     void remember(Group &group) const;
+    int affordable(const Group &group) const;
     int touching(const Group &group) const;
     void forget_ways(const Group &group);
     Costs random_costs(const Robot &robot);
@@ -45,6 +46,7 @@ class Repair {
     int arrival() const;
     bool rounds(int most);
     void give_time(std::pair<int, int> pair);
+    static int least_cost(const Robot &robot, const Costs &costs);
     int way_cost(const Member &member, const Costs &costs) const;
 
     Team &team_;

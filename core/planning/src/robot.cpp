@@ -26,19 +26,12 @@ Robot::Robot(const Arm &arm, double from_mm, double to_mm, AxisGrid alpha, AxisG
             std::max(way_from_middle(b.alpha.from, b.alpha.to), way_from_middle(b.alpha.to, b.alpha.from));
         const double turn_beta =
             std::max(way_from_middle(b.beta.from, b.beta.to), way_from_middle(b.beta.to, b.beta.from));
-        sways_[b.code()] = b.rests() ? 0.0 : (l_a * turn_alpha + far * (turn_alpha + turn_beta)) * step_rad + bulge_mm_;
+        sways_[b.code()] =
+            b.rests() ? 0.0 : (l_a * turn_alpha + far * (turn_alpha + turn_beta)) * step_rad + bulge_mm_;
     }
     widest_sway_mm_ = (l_a + 2.0 * far) * 0.5 * step_rad + bulge_mm_;
     reach_mm_ = l_a + far;
 }
-
-Segment Robot::line(Turn alpha, Turn beta) const {
-    const Turn u = alpha * beta;
-    const Vec2 e{arm_.centre_mm.x + arm_.l_alpha_mm * alpha.c, arm_.centre_mm.y + arm_.l_alpha_mm * alpha.s};
-    return {{e.x + from_mm_ * u.c, e.y + from_mm_ * u.s}, {e.x + to_mm_ * u.c, e.y + to_mm_ * u.s}};
-}
-
-Segment Robot::line(Cell c) const { return line(alpha_.turn(c.alpha), beta_.turn(c.beta)); }
 
 Piece Robot::piece(Cell c, Bends bends) const {
     if (bends.rests()) return standing(line(c));

@@ -56,7 +56,7 @@ class Robot {
         return c.alpha >= 0 && c.beta >= 0 && c.alpha < alpha_.size() && c.beta < beta_.size();
     }
 
-    Segment line(Cell c) const;
+    Segment line(Cell c) const { return line(alpha_.turn(c.alpha), beta_.turn(c.beta)); }
     // Where the arm is at mid-step, and how far its points get from there during the step.
     Segment middle_line(Cell c, Bends bends) const {
         return line(alpha_.turn(c.alpha, bends.alpha, 2), beta_.turn(c.beta, bends.beta, 2));
@@ -79,7 +79,12 @@ class Robot {
   private:
     enum State : std::uint8_t { unknown, all_clear, some_clear, none_clear };
     State look(Cell c) const;
-    Segment line(Turn alpha, Turn beta) const;
+    Segment line(Turn alpha, Turn beta) const {
+        const Turn u = alpha * beta;
+        const Vec2 e{arm_.centre_mm.x + arm_.l_alpha_mm * alpha.c,
+                     arm_.centre_mm.y + arm_.l_alpha_mm * alpha.s};
+        return {{e.x + from_mm_ * u.c, e.y + from_mm_ * u.s}, {e.x + to_mm_ * u.c, e.y + to_mm_ * u.s}};
+    }
 
     Arm arm_;
     double from_mm_ = 0.0, to_mm_ = 0.0;

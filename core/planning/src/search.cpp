@@ -1,41 +1,29 @@
 #include "search.hpp"
 
 #include <algorithm>
-#include <functional>
 
 namespace fl::planning {
 namespace {
 
-constexpr int stay = 4;
+constexpr std::uint8_t stay = 4;
+constexpr size_t most_buckets = 1 << 17; // costs above this are all the same: a hundred encounters
 
-Cell moved(Cell c, int move) { return {c.alpha + move % 3 - 1, c.beta + move / 3 - 1}; }
-
-// How an axis bends around a line it reached by one move and leaves by another (-1, 0, 1 each).
-Bend bend(int in, int out) { return {-in, out}; }
-
+int alpha_of(int move) { return move % 3 - 1; }
+int beta_of(int move) { return move / 3 - 1; }
+Cell moved(Cell c, int move) { return {c.alpha + alpha_of(move), c.beta + beta_of(move)}; }
 Bend reversed(Bend b) { return {b.to, b.from}; }
 
 } // namespace
-
-// The bends of the true motion, whatever the direction of the search.
-Bends Search::bends(int move_in, int move_out) const {
-    const Bends b{bend(move_in % 3 - 1, move_out % 3 - 1), bend(move_in / 3 - 1, move_out / 3 - 1)};
-    return ask_.backward ? Bends{reversed(b.alpha), reversed(b.beta)} : b;
-}
-
-int Search::steps_to_go(Cell c) const {
-    const Cell end = last_cell();
-    return std::max(std::abs(c.alpha - end.alpha), std::abs(c.beta - end.beta));
-}
 
 std::uint32_t Search::id(Place at) const {
     return static_cast<std::uint32_t>(at.step * ask_.robot->cells() + ask_.robot->index(at.cell));
 }
 
 Search::Place Search::place(std::uint32_t id) const {
-    const int cells = ask_.robot->cells(), width = ask_.robot->alpha().size();
-    const int step = static_cast<int>(id) / cells, cell = static_cast<int>(id) % cells;
-    return {{cell % width, cell / width}, step};
+    const auto cells = static_cast<std::uint32_t>(ask_.robot->cells());
+    const auto width = static_cast<std::uint32_t>(ask_.robot->alpha().size());
+    const std::uint32_t step = id / cells, cell = id % cells;
+    return {{static_cast<int>(cell % width), static_cast<int>(cell / width)}, static_cast<int>(step)};
 }
 
 Search::Node &Search::node(std::uint32_t id) {
@@ -44,31 +32,71 @@ Search::Node &Search::node(std::uint32_t id) {
     return n;
 }
 
-int Search::heuristic(Cell c) const {
-    const Cell end = last_cell();
-    return ask_.costs->move * (std::abs(c.alpha - end.alpha) + std::abs(c.beta - end.beta));
+int Search::steps_to_go(Cell c) const {
+    return std::max(std::abs(c.alpha - last_cell_.alpha), std::abs(c.beta - last_cell_.beta));
 }
 
-void Search::push(std::uint32_t id, int cost, int to_go) {
-    const auto total = static_cast<std::uint64_t>(cost + to_go);
-    queue_.push_back(total << 38 | static_cast<std::uint64_t>(std::min(to_go, 1023)) << 28 | id);
-    std::push_heap(queue_.begin(), queue_.end(), std::greater<>());
+int Search::heuristic(Cell c) const {
+    return ask_.costs->move * (std::abs(c.alpha - last_cell_.alpha) + std::abs(c.beta - last_cell_.beta));
+}
+
+int Search::beta_cost(Cell c) const {
+    return ask_.costs->beta.empty() ? 0 : ask_.costs->beta[static_cast<size_t>(c.beta)];
+}
+
+void Search::push(std::uint32_t id, int total) {
+    const size_t bucket = std::min(static_cast<size_t>(total), most_buckets - 1);
+    if (bucket >= buckets_.size()) buckets_.resize(bucket + 1);
+    buckets_[bucket].push_back(id);
+    lowest_ = std::min(lowest_, bucket);
+    highest_ = std::max(highest_, bucket);
+    ++open_;
+}
+
+// The open node of lowest total cost; false if there is none below the best way found.
+bool Search::pop(std::uint32_t &id) {
+    if (open_ == 0) return false;
+    while (buckets_[lowest_].empty()) ++lowest_;
+    if (static_cast<int>(lowest_) >= best_) return false;
+    id = buckets_[lowest_].back();
+    buckets_[lowest_].pop_back();
+    --open_;
+    return true;
 }
 
 void Search::begin() {
     // backward, the time after the deadline comes first: it is spent at the goal
     if (ask_.backward) ask_.hold += ask_.steps - ask_.deadline;
     last_step_ = ask_.backward ? ask_.steps : ask_.deadline;
+    last_cell_ = ask_.backward ? ask_.robot->start() : ask_.robot->goal();
     const size_t size = static_cast<size_t>(ask_.robot->cells()) * static_cast<size_t>(ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
     if (++round_ == 0) { // after 2^32 searches the marks would repeat
         std::fill(nodes_.begin(), nodes_.end(), Node{});
         round_ = 1;
     }
-    queue_.clear();
+    for (size_t k = 0; k < std::min(highest_ + 1, buckets_.size()); ++k) buckets_[k].clear();
+    lowest_ = most_buckets;
+    highest_ = 0;
+    open_ = 0;
     path_.clear();
     best_ = ask_.give_up;
+    list_turnings();
     prepare_end();
+}
+
+void Search::list_turnings() {
+    const Costs &c = *ask_.costs;
+    for (int in = 0; in < 9; ++in)
+        for (int out = 0; out < 9; ++out) {
+            Turning &t = turnings_[static_cast<size_t>(9 * in + out)];
+            const Bends b{{-alpha_of(in), alpha_of(out)}, {-beta_of(in), beta_of(out)}};
+            t.possible = !b.alpha.reverses() && !b.beta.reverses();
+            // the bends of the true motion, whatever the direction of the search
+            t.bends = ask_.backward ? Bends{reversed(b.alpha), reversed(b.beta)} : b;
+            const int changes = (alpha_of(in) != alpha_of(out)) + (beta_of(in) != beta_of(out));
+            t.cost = c.bend * changes + c.move * (std::abs(alpha_of(out)) + std::abs(beta_of(out)));
+        }
 }
 
 int Search::hold_cost() {
@@ -83,10 +111,10 @@ int Search::hold_cost() {
 
 // What it costs to stand at the last cell from each step to the end.
 void Search::prepare_end() {
-    const Piece rest = ask_.robot->piece(last_cell(), {});
+    const Piece rest = ask_.robot->piece(last_cell_, {});
     end_cost_.assign(static_cast<size_t>(ask_.steps + 2), 0);
     for (int step = ask_.steps; step >= 0; --step) {
-        gather_near({last_cell(), step});
+        gather_near({last_cell_, step});
         end_cost_[static_cast<size_t>(step)] = end_cost_[static_cast<size_t>(step + 1)] + encounters(rest);
     }
 }
@@ -119,13 +147,12 @@ int Search::encounters(Place at, Bends turn) {
     if (near_.empty()) return 0;
     // most are seen to be clear, or not, from mid-step alone
     const Segment here = ask_.robot->middle_line(at.cell, turn);
-    const double sway = ask_.robot->sway_mm(turn);
+    const double room = ask_.need_mm + ask_.robot->bulge_mm() + ask_.robot->sway_mm(turn);
     int cost = 0;
     doubtful_.clear();
     for (const Crowd::Visit *e : near_) {
         const double d2 = squared_distance(here, e->piece->at[2]);
-        const double clear =
-            ask_.need_mm + ask_.robot->bulge_mm() + e->piece->bulge_mm + sway + e->piece->sway_mm;
+        const double clear = room + e->piece->bulge_mm + e->piece->sway_mm;
         if (d2 >= clear * clear) continue;
         if (d2 < ask_.need_mm * ask_.need_mm)
             cost += e->cost;
@@ -139,56 +166,51 @@ int Search::encounters(Place at, Bends turn) {
     return cost;
 }
 
-int Search::base_cost(Place at, Bends turn, int move) const {
-    const Costs &c = *ask_.costs;
-    const int moves = std::abs(move % 3 - 1) + std::abs(move / 3 - 1);
-    const int changes = (turn.alpha.from != -turn.alpha.to) + (turn.beta.from != -turn.beta.to);
-    const int here = c.beta.empty() ? 0 : c.beta[static_cast<size_t>(at.cell.beta)];
-    return c.move * moves + c.bend * changes + here;
-}
-
 // To stand at the last cell from here to the end.
 void Search::finish(std::uint32_t from, Place at) {
     const Node n = node(from);
-    const Bends turn = bends(n.move, stay);
-    if (!ask_.robot->clear(at.cell, turn)) return;
-    const int cost = n.cost + base_cost(at, turn, stay) + encounters(at, turn) +
-                     end_cost_[static_cast<size_t>(at.step + 1)];
+    const Turning &turn = turning(n.move, stay);
+    if (!ask_.robot->clear(at.cell, turn.bends)) return;
+    const int cost =
+        n.cost + turn.cost + encounters(at, turn.bends) + end_cost_[static_cast<size_t>(at.step + 1)];
     if (cost >= best_) return;
     best_ = cost;
     last_ = from;
 }
 
-void Search::relax(std::uint32_t from, Place at, int move) {
-    const Node n = node(from);
-    const Bends turn = bends(n.move, move);
-    if (turn.alpha.reverses() || turn.beta.reverses()) return;
+void Search::relax(std::uint32_t from, Place at, const Node &here, int move) {
+    const Turning &turn = turning(here.move, move);
+    if (!turn.possible) return;
     const Place next{moved(at.cell, move), at.step + 1};
     if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
-    const std::uint32_t to = id(next);
     const int to_go = heuristic(next.cell);
+    int cost = here.cost + turn.cost + beta_cost(at.cell);
+    if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
+    if (cost + to_go >= best_) return;
+    const std::uint32_t to = from + static_cast<std::uint32_t>(ask_.robot->cells() + alpha_of(move) +
+                                                               beta_of(move) * ask_.robot->alpha().size());
     Node &m = node(to);
-    int cost = n.cost + base_cost(at, turn, move);
-    if (m.closed || cost >= m.cost || cost + to_go >= best_) return;
-    if (!ask_.robot->clear(at.cell, turn)) return;
-    cost += encounters(at, turn);
+    if (m.closed || cost >= m.cost) return;
+    if (!ask_.robot->clear(at.cell, turn.bends)) return;
+    cost += encounters(at, turn.bends);
     if (cost >= m.cost || cost + to_go >= best_) return;
     m.cost = cost;
     m.move = static_cast<std::uint8_t>(move);
-    push(to, cost, to_go);
+    push(to, cost + to_go);
 }
 
 void Search::expand(std::uint32_t from) {
     ++expansions_;
     const Place at = place(from);
     gather_near(at);
-    if (at.cell == last_cell()) finish(from, at);
+    if (at.cell == last_cell_) finish(from, at);
     if (at.step == last_step_) return;
-    for (int move = 0; move < 9; ++move) relax(from, at, move);
+    const Node here = node(from);
+    for (int move = 0; move < 9; ++move) relax(from, at, here, move);
 }
 
 void Search::trace() {
-    path_.assign(static_cast<size_t>(ask_.steps + 1), last_cell());
+    path_.assign(static_cast<size_t>(ask_.steps + 1), last_cell_);
     Place at = place(last_);
     while (true) {
         path_[static_cast<size_t>(at.step)] = at.cell;
@@ -205,15 +227,11 @@ const std::vector<Cell> &Search::run(const Request &request) {
     begin();
     const std::uint32_t first = id({first_cell(), ask_.hold});
     node(first).cost = hold_cost();
-    push(first, node(first).cost, heuristic(first_cell()));
-    while (!queue_.empty()) {
-        const std::uint64_t top = queue_.front();
-        if (static_cast<int>(top >> 38) >= best_) break;
-        std::pop_heap(queue_.begin(), queue_.end(), std::greater<>());
-        queue_.pop_back();
-        const auto from = static_cast<std::uint32_t>(top & 0xfffffffu);
-        if (node(from).closed) continue;
-        node(from).closed = true;
+    push(first, node(first).cost + heuristic(first_cell()));
+    for (std::uint32_t from = 0; pop(from);) {
+        Node &n = node(from);
+        if (n.closed) continue;
+        n.closed = true;
         expand(from);
     }
     if (best_ < ask_.give_up) trace();
