@@ -121,7 +121,7 @@ def bound(frame, index):
 
 def _bound_of(spot, scene, size):
     def at(dx, dy):
-        return light((spot + [dx, dy, 0, 0, 0, 0, 0])[None], scene.kind, (size, size)).astype(float)
+        return light((spot + np.array([dx, dy, 0, 0, 0, 0, 0]))[None], scene.kind, (size, size)).astype(float)
 
     h = 0.02
     m = at(0, 0)

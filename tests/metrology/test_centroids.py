@@ -6,8 +6,8 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 from scenes import BIAS, Scene, make, same_but, score
+from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.metrology import Flag, SpotSettings, find_expected, find_spots

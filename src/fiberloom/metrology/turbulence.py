@@ -26,11 +26,14 @@ from fiberloom.units import MM_PER_UM, UM_PER_MM
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_AMPLITUDES_UM = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0)
+_AMPLITUDES = (0.6, 0.8, 1.0, 1.3, 1.7)
+"""Tried, in units of the scatter of the shifts beyond their noise."""
+_LEAST_UM = 0.3
 _LENGTHS_MM = (25.0, 35.0, 50.0, 70.0, 100.0, 150.0)
-_FIT_ON = 400
+_FIT_ON = 250
 """Points that the hyperparameters are fitted on, at most: more tell nothing new about two numbers."""
 _CLIP = 5.0
+_ROUNDS = 12
 
 
 @dataclass(frozen=True)
@@ -69,10 +72,12 @@ def remove_turbulence(
     noise = np.broadcast_to(np.square(np.asarray(sigma_mm, dtype=np.float64)), (len(at),))
     used = np.isfinite(shift).all(axis=1) & (noise > 0)
     s_um, l_mm = _hyperparameters(at[used], shift[used], noise[used], amplitude_um, length_mm)
-    for _ in range(5):
+    for _ in range(_ROUNDS):
         process = _Process(at[used], noise[used], s_um * MM_PER_UM, l_mm)
         off, spread = process.left_out(shift[used])
-        bad = np.hypot(*off.T) > _CLIP * np.sqrt(spread)
+        size = np.hypot(*off.T) / np.sqrt(spread)
+        # the worst first: its neighbours look wrong only because of it
+        bad = size > max(_CLIP, 0.3 * float(size.max(initial=0.0)))
         if not bad.any() or used.sum() - bad.sum() < 3:
             break
         used[np.flatnonzero(used)[bad]] = False
@@ -119,14 +124,17 @@ def _hyperparameters(
     # a point that moved must not pass for strong turbulence
     size = np.hypot(*(shift - np.median(shift, axis=0)).T)
     calm = size <= 6 * np.median(size) + 1e-12
-    best, answer = -np.inf, (_AMPLITUDES_UM[0], _LENGTHS_MM[0])
-    for s_um in _AMPLITUDES_UM if amplitude_um is None else (amplitude_um,):
-        for l_mm in _LENGTHS_MM if length_mm is None else (length_mm,):
-            process = _Process(at[calm], noise[calm], s_um * MM_PER_UM, l_mm)
-            value = process.log_likelihood(shift[calm])
-            if value > best:
-                best, answer = value, (s_um, l_mm)
-    return answer
+    at, shift, noise = at[calm], shift[calm], noise[calm]
+    beyond = max(float(np.mean(shift**2) - np.mean(noise)), 0.0)
+    scatter_um = max(UM_PER_MM * float(np.sqrt(beyond)), _LEAST_UM)
+    sizes = [scatter_um * a for a in _AMPLITUDES] if amplitude_um is None else [amplitude_um]
+    lengths = _LENGTHS_MM if length_mm is None else (length_mm,)
+    tried = [
+        (_Process(at, noise, s * MM_PER_UM, length).log_likelihood(shift), s, length)
+        for s in sizes
+        for length in lengths
+    ]
+    return max(tried)[1:]
 
 
 def rms_um(shift_mm: ArrayLike) -> float:

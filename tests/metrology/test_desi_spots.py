@@ -1,0 +1,82 @@
+"""Spots of DESI's own camera against DESI's own metrology (desimeter's test data, not in this tree)."""
+
+import csv
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiberloom.metrology import zhao_burge
+from fiberloom.metrology.acquisition import AcquisitionError, AcquisitionSettings, CameraGeometry, acquire
+from fiberloom.metrology.transform import fit_transform
+
+
+@pytest.fixture(scope="module")
+def folder():
+    root = Path(__file__).resolve().parents[2]
+    for parent in (root.parent, root.parent.parent):
+        found = parent / "shared" / "data" / "desi" / "desimeter"
+        if found.is_dir():
+            return found
+    pytest.skip("no ../shared/data/desi beside the checkout")
+
+
+@pytest.fixture(scope="module")
+def pinholes(folder):
+    with gzip.open(folder / "fp-metrology.csv.gz", "rt") as file:
+        rows = [r for r in csv.DictReader(file) if r["PINHOLE_ID"] not in ("", "0")]
+    return {(int(r["LOCATION"]), int(r["PINHOLE_ID"])): (float(r["X_FP"]), float(r["Y_FP"])) for r in rows}
+
+
+@pytest.fixture(scope="module")
+def spots(folder):
+    with open(folder / "test-spots.csv") as file:
+        rows = list(csv.DictReader(file))
+    px = np.array([(float(r["XPIX"]), float(r["YPIX"])) for r in rows])
+    return px, [(int(r["LOCATION"]), int(r["PINHOLE_ID"])) for r in rows]
+
+
+@pytest.fixture(scope="module")
+def pairs(spots, pinholes):
+    px, names = spots
+    known = [k for k, name in enumerate(names) if name in pinholes]
+    return px[known], np.array([pinholes[names[k]] for k in known])
+
+
+def test_the_published_residual_is_reached(pairs):
+    px, mm = pairs
+    assert len(px) == 448
+    fit = fit_transform(px, mm, radius_mm=420.0, flipped=True)
+    # desimeter with --zbfit: 22.6 um rms
+    assert 22.0 < fit.rms_um < 23.0
+    assert fit.leave_one_out_rms_um < 23.5
+
+
+def test_more_terms_leave_less_and_not_by_chance(pairs):
+    px, mm = pairs
+    fit = fit_transform(px, mm, radius_mm=420.0, flipped=True, terms=range(zhao_burge.N_TERMS))
+    assert 14.5 < fit.rms_um < 15.5
+    assert fit.leave_one_out_rms_um < 16.0
+
+
+@pytest.mark.parametrize("turn", [0.0, 5.0, 73.0])
+def test_fiducials_are_found_in_the_real_image_turned_by_any_angle(spots, pinholes, turn):
+    px, names = spots
+    seen = {name for name in names if name in pinholes}
+    table = np.array([pinholes[name] for name in sorted(seen)])
+    c, s = np.cos(np.deg2rad(turn)), np.sin(np.deg2rad(turn))
+    turned = (px - 3000) @ np.array([[c, s], [-s, c]]) + 3000
+    geometry = CameraGeometry(6000, 6000, 0.155, rotation_deg=180.0, flipped=True)
+    settings = AcquisitionSettings(coarse_mm=6.0)
+    found = acquire(turned, table, geometry, radius_mm=420.0, settings=settings)
+    right = [names[k] == sorted(seen)[f] for f, k in zip(found.fiducial, found.spot, strict=True)]
+    assert all(right)
+    assert len(right) >= 440
+
+
+def test_the_wrong_handedness_is_refused(spots, pinholes):
+    px, names = spots
+    table = np.array([pinholes[name] for name in sorted({n for n in names if n in pinholes})])
+    with pytest.raises(AcquisitionError):
+        acquire(px, table, CameraGeometry(6000, 6000, 0.155, flipped=False), radius_mm=420.0)

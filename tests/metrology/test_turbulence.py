@@ -1,0 +1,74 @@
+"""Turbulence taken off: how much is left, and whether it is known how much."""
+
+import numpy as np
+import pytest
+
+from fiberloom.errors import InputError
+from fiberloom.metrology.acquisition import CameraGeometry
+from fiberloom.metrology.turbulence import remove_turbulence, rms_um
+from fiberloom.twin.imaging import Optics
+
+AIR = Optics(CameraGeometry(10, 10, 1.0), 1.0, turbulence_um=5.0, turbulence_length_mm=50.0)
+
+
+def disc(rng, n, radius=400.0):
+    r, a = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    return np.column_stack([r * np.cos(a), r * np.sin(a)])
+
+
+def scene(seed, n_standing=700, n=1500, noise_um=1.0):
+    rng = np.random.default_rng([seed, 1])
+    at = disc(rng, n_standing + n)
+    true = AIR.turbulence_mm(at, rng)
+    seen = true[:n_standing] + rng.normal(0, noise_um * 1e-3, (n_standing, 2))
+    return at[:n_standing], seen, at[n_standing:], true[n_standing:]
+
+
+def test_the_field_of_the_twin_is_what_it_says():
+    rng = np.random.default_rng(0)
+    at = np.array([[0.0, 0.0], [50.0, 0.0], [200.0, 100.0]])
+    draws = np.array([AIR.turbulence_mm(at, rng) for _ in range(3000)]) * 1e3
+    # 3000 draws: 2 % on a variance
+    np.testing.assert_allclose(draws.var(axis=0), 25.0, rtol=0.1)
+    np.testing.assert_allclose((draws[:, 0] * draws[:, 1]).mean(axis=0), 25 * np.exp(-0.5), rtol=0.12)
+    np.testing.assert_allclose((draws[:, 0] * draws[:, 2]).mean(axis=0), 0, atol=1.5)
+
+
+def test_what_is_left_is_small_and_known():
+    standing, seen, places, true = scene(3)
+    air = remove_turbulence(standing, seen, 1e-3, places)
+    left = true - air.shift_mm
+    assert rms_um(true) > 5.5
+    assert rms_um(left) < 1.3
+    assert 3 <= air.amplitude_um <= 8
+    assert 35 <= air.length_mm <= 70
+    pull = np.sqrt(np.mean(left**2 / air.variance_mm2[:, None]))
+    assert 0.8 < pull < 1.25
+
+
+def test_one_that_moved_after_all_is_left_out():
+    standing, seen, places, true = scene(4)
+    seen[[10, 200, 500]] += [[0.3, 0.0], [0.0, 0.05], [2.0, 2.0]]
+    air = remove_turbulence(standing, seen, 1e-3, places)
+    assert not air.used[[10, 200, 500]].any()
+    assert air.used.sum() > 690
+    assert rms_um(true - air.shift_mm) < 1.3
+
+
+def test_calm_air_is_left_alone():
+    rng = np.random.default_rng(1)
+    at, places = disc(rng, 300), disc(rng, 300)
+    air = remove_turbulence(at, rng.normal(0, 1e-3, (300, 2)), 1e-3, places)
+    assert rms_um(air.shift_mm) < 0.5
+
+
+def test_far_from_all_that_stands_nothing_is_claimed():
+    standing, seen, _, _ = scene(5)
+    air = remove_turbulence(standing, seen, 1e-3, [[5000.0, 0.0]], amplitude_um=5.0, length_mm=50.0)
+    np.testing.assert_allclose(air.shift_mm, 0, atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(air.variance_mm2), 5e-3)
+
+
+def test_too_few_are_refused():
+    with pytest.raises(InputError, match="at least 3"):
+        remove_turbulence(np.zeros((2, 2)), np.zeros((2, 2)), 1e-3, np.zeros((1, 2)))

@@ -1,0 +1,64 @@
+"""The vector polynomials against their defining properties."""
+
+import numpy as np
+import pytest
+
+from fiberloom.metrology import zhao_burge
+
+ALL = range(zhao_burge.N_TERMS)
+
+
+def disc_quadrature():
+    """Points and weights that integrate polynomials of degree 20 over the unit disc, area 1."""
+    r, w = np.polynomial.legendre.leggauss(12)
+    r, w = (r + 1) / 2, w / 2
+    angle = np.arange(24) * 2 * np.pi / 24
+    rr, aa = np.meshgrid(r, angle)
+    weight = np.broadcast_to(w * r, rr.shape) * 2 / 24
+    return np.column_stack([(rr * np.cos(aa)).ravel(), (rr * np.sin(aa)).ravel()]), weight.ravel()
+
+
+def test_all_terms_are_orthonormal_on_the_disc():
+    xy, weight = disc_quadrature()
+    b = zhao_burge.basis(xy, ALL)
+    gram = np.einsum("knc,lnc,n->kl", b, b, weight)
+    np.testing.assert_allclose(gram, np.eye(zhao_burge.N_TERMS), atol=1e-12)
+
+
+def test_one_family_has_no_curl_and_the_other_no_divergence():
+    xy, _ = disc_quadrature()
+    j = zhao_burge.basis_jacobian(xy, ALL)
+    np.testing.assert_allclose(j[:27, :, 1, 0], j[:27, :, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(j[27:, :, 0, 0], -j[27:, :, 1, 1], atol=1e-12)
+    # and neither is trivially both
+    assert np.abs(j[2:27, :, 0, 0] + j[2:27, :, 1, 1]).max() > 1
+    assert np.abs(j[27:, :, 1, 0] - j[27:, :, 0, 1]).max() > 1
+
+
+def test_the_jacobian_is_the_derivative():
+    rng = np.random.default_rng(0)
+    xy, h = rng.uniform(-0.7, 0.7, (20, 2)), 1e-5
+    for axis in range(2):
+        step = np.eye(2)[axis] * h
+        slope = (zhao_burge.basis(xy + step, ALL) - zhao_burge.basis(xy - step, ALL)) / (2 * h)
+        np.testing.assert_allclose(zhao_burge.basis_jacobian(xy, ALL)[..., axis], slope, atol=1e-7)
+
+
+def test_named_terms_are_what_they_are_called():
+    xy = np.array([[0.3, 0.4], [-0.6, 0.2]])
+    x, y = xy.T
+    shift_x, shift_y, scale, turn = zhao_burge.basis(xy, [0, 1, 2, 27])
+    np.testing.assert_allclose(shift_x, [[1, 0], [1, 0]])
+    np.testing.assert_allclose(shift_y, [[0, 1], [0, 1]])
+    np.testing.assert_allclose(scale, np.sqrt(2) * xy)
+    np.testing.assert_allclose(turn, np.sqrt(2) * np.column_stack([y, -x]))
+    third, fifth = zhao_burge.basis(xy, [9, 20])
+    for radial in (third, fifth):  # radial: no component across
+        np.testing.assert_allclose(radial[:, 0] * y, radial[:, 1] * x, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("j", "nm"), [(1, (0, 0)), (2, (1, 1)), (3, (1, -1)), (4, (2, 0)), (11, (4, 0)), (28, (6, 6))]
+)
+def test_noll_order(j, nm):
+    assert zhao_burge.noll(j) == nm
