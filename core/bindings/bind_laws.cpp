@@ -93,17 +93,19 @@ nb::object rotating_field(float u, Input1<int32_t> field_cnt) {
 
 // Rows in: command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2. Rows out: torque, feedforward,
 // watched feedback, learnt drag scale, collision (0 or 1).
-nb::object servo(Params params, Input2<double> rows, float stiffness) {
+nb::object servo(Params params, Input2<double> rows, bool settling) {
     if (rows.shape(1) != 4) throw nb::value_error("rows: (n, 4)");
     const auto axis = axis_of(params);
     auto out = new_array<double>({rows.shape(0), 5});
     for (size_t i = 0; i < rows.shape(0); ++i) {
         const double *r = rows.data() + 4 * i;
         const auto command = static_cast<int32_t>(r[0]), measured = static_cast<int32_t>(r[1]);
-        const fl_servo_in_t in = {fl_sub_i32(command, measured), command,  command, static_cast<float>(r[2]),
-                                  static_cast<float>(r[3]),      stiffness};
+        const fl_servo_in_t in = {fl_sub_i32(command, measured), command, command, static_cast<float>(r[2]),
+                                  static_cast<float>(r[3]),      settling};
         const fl_servo_out_t o = fl_servo_step(&axis->law.servo, &axis->servo, &in, FL_TICK_S);
-        const bool hit = fl_collision_closed(&axis->law.collision, o.watched_Nm, in.speed_rad_s);
+        const bool hit =
+            fl_collision_closed(&axis->law.collision, {o.watched_Nm, in.speed_rad_s, axis->servo.direction,
+                                                       axis->servo.drag_doubt});
         const double row[5] = {o.torque_Nm, o.feedforward_Nm, o.watched_Nm, axis->servo.drag_scale,
                                double(hit)};
         std::copy_n(row, 5, out.data() + 5 * i);
@@ -208,7 +210,8 @@ nb::dict enumeration(std::initializer_list<std::pair<const char *, int>> items) 
 } // namespace
 
 void bind_laws(nb::module_ &m) {
-    m.def("sincos", &sine_cosine, nb::arg("angle_cnt"), "(n, 2) sine and cosine of motor angles, 2**20 a turn.");
+    m.def("sincos", &sine_cosine, nb::arg("angle_cnt"),
+          "(n, 2) sine and cosine of motor angles, 2**20 a turn.");
     m.def("atan2_cnt", &atan2_cnt, nb::arg("sin"), nb::arg("cos"));
     m.def("sqrt", &square_root, nb::arg("x"));
     m.def("hall_angle", &hall_angle, nb::arg("params"), nb::arg("adc_cnt"),
@@ -216,7 +219,7 @@ void bind_laws(nb::module_ &m) {
     m.def("commutate", &commutate, nb::arg("voltage"), nb::arg("rotor"), nb::arg("lead_rad") = 0.0f,
           "Duties (n, 3). Eq. 18 and 20.");
     m.def("rotating_field", &rotating_field, nb::arg("u"), nb::arg("field_cnt"), "Duties (n, 3). Eq. 18.");
-    m.def("servo", &servo, nb::arg("params"), nb::arg("rows"), nb::arg("stiffness") = 1.0f,
+    m.def("servo", &servo, nb::arg("params"), nb::arg("rows"), nb::arg("settling") = false,
           "Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.");
     m.def("smooth", &smooth, nb::arg("raw_cnt"), nb::arg("start_cnt"));
     m.def("profile", &profile, nb::arg("from_cnt"), nb::arg("to_cnt"), nb::arg("speed_rpm"),

@@ -1,14 +1,17 @@
 // Spots in images. Images are read where they lie: no copy, no lock while reading.
 #include "bind.hpp"
+#include "fiberloom/expose.hpp"
 #include "fiberloom/render.hpp"
 #include "fiberloom/spots.hpp"
+
+#include <nanobind/stl/array.h>
 
 namespace {
 
 using namespace fl::metrology;
 using Image = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
 using Positions = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
-constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 4;
+constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 5;
 
 // `fits`: the bytes are those of an uncompressed FITS file, big-endian, 16 bits with BZERO 32768.
 PixelType pixel_type(const Image &image, bool fits) {
@@ -31,7 +34,8 @@ nb::object packed(const Profile &p) {
     auto out = new_array<double>({profile_size});
     double *v = std::copy(p.amplitude.begin(), p.amplitude.end(), out.data());
     for (const auto &s : p.shape) v = std::copy(s.begin(), s.end(), v);
-    *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit, *v++ = p.n_spots;
+    *v++ = p.flat_top ? 1 : 0, *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit,
+    *v++ = p.n_spots;
     return out.cast();
 }
 
@@ -43,7 +47,8 @@ Profile unpacked(const Input1<double> &in) {
     for (double &a : p.amplitude) a = *v++;
     for (auto &s : p.shape)
         for (double &c : s) c = *v++;
-    p.half_width_px = *v++, p.half_height_px = *v++, p.misfit = *v++, p.n_spots = static_cast<int>(*v);
+    p.flat_top = *v++ > 0, p.half_width_px = *v++, p.half_height_px = *v++, p.misfit = *v++,
+    p.n_spots = static_cast<int>(*v);
     return p;
 }
 
@@ -96,26 +101,40 @@ nb::tuple expected(Image image, bool fits, double gain, double saturation, doubl
 nb::tuple widths(Input1<double> profile, Positions xy) {
     const Profile p = unpacked(profile);
     auto fwhm = new_array<double>({xy.shape(0)});
-    for (size_t i = 0; i < xy.shape(0); ++i) fwhm.data()[i] = p.fwhm_px(xy.data()[2 * i], xy.data()[2 * i + 1]);
+    for (size_t i = 0; i < xy.shape(0); ++i)
+        fwhm.data()[i] = p.fwhm_px(xy.data()[2 * i], xy.data()[2 * i + 1]);
     return nb::make_tuple(fwhm.cast());
 }
 
 void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image,
-            nb::ndarray<const double, nb::shape<-1, spot_columns>, nb::c_contig, nb::device::cpu> spots, int kind,
-            double radius_q) {
+            nb::ndarray<const double, nb::shape<-1, spot_columns>, nb::c_contig, nb::device::cpu> spots,
+            int kind, double radius_q) {
     if (kind < 0 || kind > 2) throw nb::value_error("kind: 0 Gaussian, 1 Moffat, 2 disc");
     nb::gil_scoped_release release;
-    render_spots({image.data(), image.size()}, static_cast<int>(image.shape(1)), static_cast<int>(image.shape(0)),
-                 {spots.data(), spots.size()}, static_cast<PsfKind>(kind), radius_q);
+    render_spots({image.data(), image.size()}, static_cast<int>(image.shape(1)),
+                 static_cast<int>(image.shape(0)), {spots.data(), spots.size()}, static_cast<PsfKind>(kind),
+                 radius_q);
+}
+
+nb::object expose_image(nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> light,
+                        std::array<double, 3> sky, std::array<double, 4> detector, uint64_t seed) {
+    auto adu = new_array<uint16_t>({light.shape(0), light.shape(1)});
+    {
+        nb::gil_scoped_release release;
+        expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), {sky[0], sky[1], sky[2]},
+               {detector[0], detector[1], detector[2], detector[3]}, seed, {adu.data(), light.size()});
+    }
+    return adu.cast();
 }
 
 } // namespace
 
 void bind_metrology(nb::module_ &m) {
-    nb::module_ g = m.def_submodule("metrology", "Detection and centroids; px, ADU. See fiberloom.metrology.");
+    nb::module_ g =
+        m.def_submodule("metrology", "Detection and centroids; px, ADU. See fiberloom.metrology.");
     g.attr("COLUMNS") = "x_px y_px var_x_px2 cov_xy_px2 var_y_px2 flux_adu flux_err_adu background_adu chi2";
-    g.def("find_spots", &find, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"), nb::arg("saturation_adu"),
-          nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
+    g.def("find_spots", &find, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"),
+          nb::arg("saturation_adu"), nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
           "Table (N, 9), flags (N,), profile, background and noise in ADU.");
     g.def("find_expected", &expected, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"),
           nb::arg("saturation_adu"), nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
@@ -123,4 +142,7 @@ void bind_metrology(nb::module_ &m) {
     g.def("fwhm", &widths, nb::arg("profile"), nb::arg("xy_px"), "FWHM of the profile at positions.");
     g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
           "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");
+    g.def("expose", &expose_image, nb::arg("light_e"), nb::arg("sky"), nb::arg("detector"), nb::arg("seed"),
+          "uint16 image: Poisson and read noise on light + sky (level, slope_x, slope_y), then detector "
+          "(gain_e_adu, read_noise_e, bias_adu, full_well_e).");
 }

@@ -71,7 +71,8 @@ struct TestPlant {
 void set_duty(Plant &plant, const double *duty) {
     for (size_t i = 0; i < plant.axis_count(); ++i)
         for (size_t k = 0; k < 3; ++k)
-            plant.group(i / lane_count).duty[k][i % lane_count] = static_cast<float>(duty[3 * i + k]);
+            plant.group(Plant::place(i).group).duty[k][Plant::place(i).lane] =
+                static_cast<float>(duty[3 * i + k]);
 }
 
 void write_row(Plant &plant, double *row, int32_t *hall) {
@@ -80,7 +81,7 @@ void write_row(Plant &plant, double *row, int32_t *hall) {
         const double values[4] = {s.theta_rad, s.momentum_Nms, s.gear_rad, s.output_rad};
         std::copy(values, values + 4, row + 4 * i);
         for (size_t k = 0; k < 2; ++k)
-            hall[2 * i + k] = plant.group(i / lane_count).hall_cnt[k][i % lane_count];
+            hall[2 * i + k] = plant.group(Plant::place(i).group).hall_cnt[k][Plant::place(i).lane];
     }
 }
 
@@ -117,7 +118,7 @@ void drive_torque(Plant &plant, const double *torque_fraction) {
         const double field = plant.motor_rad(i) + (u < 0.0 ? -1.5707963267948966 : 1.5707963267948966);
         const double phase[3] = {field + third, field - third, field};
         for (size_t k = 0; k < 3; ++k)
-            plant.group(i / lane_count).duty[k][i % lane_count] =
+            plant.group(Plant::place(i).group).duty[k][Plant::place(i).lane] =
                 static_cast<float>(0.5 * std::abs(u) * (1.0 + std::cos(phase[k])));
     }
 }
@@ -218,13 +219,14 @@ TwinSetup setup_of(const Input1<uint16_t> &ids, const Doubles &plant, const Doub
 
 void twin_init(Twin *self, Input1<uint16_t> ids, Doubles plant, Doubles transmission, Floats firmware,
                Rows2 start_rad, Rows5 arms, Rows5 obstacles, std::tuple<double, double, double> body_mm,
-               uint64_t seed, int threads, bool neighbours, bool skip_resting, int substeps,
-               std::string kernel) {
+               uint64_t seed, int threads, bool neighbours, bool skip_resting, bool side_by_side,
+               int substeps, std::string kernel) {
     TwinSetup s = setup_of(ids, plant, transmission, firmware, start_rad, arms, obstacles, body_mm);
     s.seed = seed;
     s.threads = threads;
     s.neighbours = neighbours;
     s.skip_resting = skip_resting;
+    s.side_by_side = side_by_side;
     s.substeps = substeps;
     s.kernel = std::move(kernel);
     new (self) Twin(s);
@@ -314,7 +316,7 @@ void bind_whole_twin(nb::module_ &m) {
         .def("__init__", &twin_init, nb::kw_only(), nb::arg("ids"), nb::arg("plant"), nb::arg("transmission"),
              nb::arg("firmware"), nb::arg("start_rad"), nb::arg("arms"), nb::arg("obstacles"),
              nb::arg("body_mm"), nb::arg("seed"), nb::arg("threads"), nb::arg("neighbours"),
-             nb::arg("skip_resting"), nb::arg("substeps"), nb::arg("kernel"))
+             nb::arg("skip_resting"), nb::arg("side_by_side"), nb::arg("substeps"), nb::arg("kernel"))
         .def("send", &twin_send, nb::arg("id"), nb::arg("data"))
         .def("run", &twin_run, nb::arg("ticks"), "Replies (id, data, time_s) since the last call.")
         .def("outputs_rad", &twin_outputs)

@@ -5,6 +5,10 @@
  * by 13 uNm for alpha, so that a blocked rotor is found in 15 ms instead of 11, inside the 16 ms that
  * the paper allows.
  *
+ * A blocked rotor is one thing, a blocked arm another: it winds up the gear first. Where K_P is high
+ * enough for the feedback to follow the load within some ms, `contact_Nm` finds that much earlier: it
+ * watches the resisting side only, for crossing the backlash unloads the motor by more.
+ *
  * In open loop there is no feedback term. A magnet that follows lags the field by less than 90
  * degrees; a blocked one lets the field turn away. The same smallest error as in closed loop is the
  * limit there.
@@ -14,15 +18,31 @@
 
 #include "fl_math.h"
 
+/* Setting out from inside the backlash costs more than driving on; and slow contacts are gentle. */
+#define FL_CONTACT_SLOW 0.8f    /* added share at standstill */
+#define FL_CONTACT_RAD_S 100.0f /* none from here on */
+
 typedef struct fl_collision_config {
     float threshold_Nm;
-    float drag_doubt;      /* Nm s/rad: what the drag may be wrong by before it is learnt */
+    float contact_Nm;
+    float drag;            /* Nm s/rad */
+    float drag_share;      /* of the drag torque, added to threshold_Nm */
     int32_t error_min_cnt; /* Eq. 23, lower bound */
 } fl_collision_config_t;
 
-static inline bool fl_collision_closed(const fl_collision_config_t *cfg, float feedback_Nm,
-                                       float speed_rad_s) {
-    return fl_abs(feedback_Nm) > cfg->threshold_Nm + cfg->drag_doubt * fl_abs(speed_rad_s);
+typedef struct fl_collision_in {
+    float feedback_Nm;
+    float speed_rad_s, direction; /* commanded */
+    float drag_doubt;             /* share of the drag that may not have been learnt yet */
+} fl_collision_in_t;
+
+static inline bool fl_collision_closed(const fl_collision_config_t *cfg, fl_collision_in_t in) {
+    const float drag_Nm = cfg->drag * fl_abs(in.speed_rad_s);
+    const bool stuck = fl_abs(in.feedback_Nm) > cfg->threshold_Nm + cfg->drag_share * drag_Nm;
+    const float slow = fl_max(1.0f - fl_abs(in.speed_rad_s) * (1.0f / FL_CONTACT_RAD_S), 0.0f);
+    const float contact_Nm = cfg->contact_Nm * (1.0f + FL_CONTACT_SLOW * slow) + in.drag_doubt * drag_Nm;
+    const bool contact = in.feedback_Nm * in.direction > contact_Nm;
+    return stuck || contact;
 }
 
 static inline bool fl_collision_open(const fl_collision_config_t *cfg, int32_t field_minus_rotor_cnt) {

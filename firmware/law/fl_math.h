@@ -44,7 +44,7 @@ static inline int32_t fl_round_i32(float x) { return (int32_t)(x < 0.0f ? x - 0.
 /* A selection by arithmetic: which octant an angle is in cannot be predicted. */
 static inline int32_t fl_negate_if(bool negative, int32_t x) { return (x ^ -(int32_t)negative) + negative; }
 
-/* Sine of a motor angle. Largest error 7e-7 (tests/firmware/test_fw_laws.py). */
+/* Sine of a motor angle. Largest error 8e-7 (tests/firmware/test_fw_laws.py). */
 static inline float fl_sin_cnt(int32_t angle_cnt) {
     const int32_t quarter = FL_TURN_CNT / 4;
     /* reflected to -90 .. 90 degrees, where the sine is the same */

@@ -6,22 +6,26 @@
  *      + c_tot w + J dw/dt                           speed and inertia
  *
  * S is the spring's torque on the motor: EQUATIONS T_spring with the other sign. The Coulomb term
- * keeps the sign of the last commanded direction at standstill. `stiffness` multiplies both gains;
- * it is 1 in motion and settle_gain at the end of a move, where the drag no longer hides a small
- * remaining error; Eq. 22 watches the term with stiffness 1.
+ * keeps the sign of the last commanded direction at standstill. While settling both gains are
+ * multiplied by settle_gain: the drag no longer hides a small remaining error; Eq. 22 watches the
+ * term without that factor.
  */
 #ifndef FL_SERVO_H
 #define FL_SERVO_H
 
 #include "fl_math.h"
 
-#define FL_SETTLE_RAD 0.05f       /* 3 motor degrees */
+#define FL_SETTLE_RAD 0.05f /* 3 motor degrees */
+#define FL_DOUBT_FIRST 0.4f /* grease half or twice as stiff: -19, +38 % of the drag */
+#define FL_DOUBT_LAST 0.05f
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
     float k_p, k_i;                   /* Nm/rad, Nm/(rad s) */
+    float settle_gain;                /* factor on both while settling */
     float integral_limit;             /* Nm */
     float drag, inertia;              /* Nm s/rad, kg m^2: zero switches the term off */
+    float doubting;                   /* s/rad^2: how fast the doubt goes, half as fast as it is learnt */
     float learning;                   /* 1/(Nm rad): how fast the drag's scale follows the feedback */
     float coulomb;                    /* Nm */
     float spring_torque, spring_rate; /* Nm at output zero, Nm per motor rad */
@@ -32,6 +36,7 @@ typedef struct fl_servo_config {
 typedef struct fl_servo_state {
     float integral_Nm;
     float direction;  /* -1, 0 or 1: the last commanded one */
+    float drag_doubt; /* share of the drag that may not be learnt yet: FL_DOUBT_FIRST .. FL_DOUBT_LAST */
     float drag_scale; /* learnt: 1 as identified; grease is half as stiff or twice with temperature */
 } fl_servo_state_t;
 
@@ -40,7 +45,7 @@ typedef struct fl_servo_in {
     int32_t command_cnt; /* commanded position, zero at output zero */
     int32_t rotor_cnt;   /* the same as the rotor's angle, whole turns free */
     float speed_rad_s, acceleration_rad_s2;
-    float stiffness;
+    bool settling; /* at creep speed or standing, at the end of a move */
 } fl_servo_in_t;
 
 typedef struct fl_servo_out {
@@ -60,18 +65,20 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
                                            const fl_servo_in_t *in, float dt_s) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
     if (in->speed_rad_s != 0.0f) st->direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
-    /* with the higher gain, what is left of a fast arrival must not fill the integral */
-    const float e_integral = in->stiffness > 1.0f ? fl_clamp(e_rad, -FL_SETTLE_RAD, FL_SETTLE_RAD) : e_rad;
-    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * in->stiffness * dt_s * e_integral,
-                               -cfg->integral_limit, cfg->integral_limit);
+    const float gain = in->settling ? cfg->settle_gain : 1.0f;
+    /* what is left of a fast arrival must not fill the integral */
+    const float e_integral = in->settling ? fl_clamp(e_rad, -FL_SETTLE_RAD, FL_SETTLE_RAD) : e_rad;
+    st->integral_Nm = fl_clamp(st->integral_Nm + cfg->k_i * gain * dt_s * e_integral, -cfg->integral_limit,
+                               cfg->integral_limit);
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
+    st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * dt_s * pace * pace);
     st->drag_scale =
         fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, 2.0f);
     const float feedforward = fl_servo_break_away(cfg, in, st->direction) +
                               cfg->drag * st->drag_scale * in->speed_rad_s +
                               cfg->inertia * in->acceleration_rad_s2;
-    const fl_servo_out_t out = {proportional * in->stiffness + st->integral_Nm + feedforward, feedforward,
+    const fl_servo_out_t out = {proportional * gain + st->integral_Nm + feedforward, feedforward,
                                 proportional + st->integral_Nm};
     return out;
 }

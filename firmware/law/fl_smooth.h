@@ -16,10 +16,10 @@
 
 typedef struct fl_smooth_state {
     int64_t sum_cnt;
-    int32_t ring_cnt[FL_SMOOTH_TICKS];
     int32_t value_cnt; /* at the end of the tick that begins now */
     float speed_rad_s; /* of the last tick */
     uint32_t next;
+    int32_t ring_cnt[FL_SMOOTH_TICKS];
 } fl_smooth_state_t;
 
 typedef struct fl_command {

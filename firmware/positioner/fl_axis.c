@@ -1,5 +1,9 @@
 #include "fl_axis.h"
 
+/* Seldom done inside a tick: kept apart, so that the compiler does not shape the rest around it. Loads
+ * of both hall channels at once, which copies invite, would wait for the two stores of read_hall. */
+#define FL_COLD __attribute__((noinline, cold))
+
 /* Field speed of the hall calibration: 240 rpm */
 enum { SPIN_STEP_CNT = 2097 };
 
@@ -219,7 +223,7 @@ static void leg_next(fl_axis_t *a) {
 }
 
 /* From where the rotor is, without a jump. */
-static void plan_begin(fl_axis_t *a) {
+FL_COLD static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->servo.integral_Nm = a->servo.direction = 0.0f;
@@ -270,15 +274,15 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
     }
 }
 
-/* Legs at creep speed, where the higher gain holds. */
-static bool stiff(uint8_t kind) {
+/* Legs at creep speed. */
+static bool creeping(uint8_t kind) {
     return kind == FL_LEG_LAND || kind == FL_LEG_SETTLE || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
 }
 
 static bool spinning(uint8_t kind) { return kind >= FL_LEG_SPIN && kind <= FL_LEG_SPIN_FIT; }
 
 /* What the calibrating legs are there for. */
-static void observe(fl_axis_t *a, uint8_t kind) {
+FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SPIN_RANGE) fl_hall_fit_range(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SPIN_FIT) fl_hall_fit_add(&a->fit.hall, a->adc_cnt);
     if (kind == FL_LEG_SWEEP) {
@@ -290,20 +294,24 @@ static void observe(fl_axis_t *a, uint8_t kind) {
     }
 }
 
+/* What the servo is asked at the command of this tick. */
+static inline void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
+    in->error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt);
+    in->command_cnt = a->command.position_cnt;
+    in->rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt);
+    in->speed_rad_s = a->command.speed_rad_s;
+    in->acceleration_rad_s2 = a->command.acceleration_rad_s2;
+    in->settling = creeping(a->plan[a->leg].kind);
+}
+
 /* Eq. 20 to 22; true when something blocks. */
-static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, fl_duty_t *duty) {
-    const fl_servo_in_t in = {
-        .error_cnt = fl_sub_i32(a->command.position_cnt, a->position_cnt),
-        .command_cnt = a->command.position_cnt,
-        .rotor_cnt = fl_sub_i32(a->command.position_cnt, a->zero_cnt),
-        .speed_rad_s = a->command.speed_rad_s,
-        .acceleration_rad_s2 = a->command.acceleration_rad_s2,
-        .stiffness = stiff(a->plan[a->leg].kind) ? a->law.settle_gain : 1.0f,
-    };
-    a->torque = fl_servo_step(&a->law.servo, &a->servo, &in, FL_TICK_S);
-    a->voltage = fl_clamp(a->torque.torque_Nm * a->law.voltage_per_Nm, -1.0f, 1.0f);
-    *duty = fl_commutate(a->voltage, rotor, in.speed_rad_s * (0.5f * FL_TICK_S));
-    return fl_collision_closed(&a->law.collision, a->torque.watched_Nm, in.speed_rad_s);
+static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, const fl_servo_in_t *in, fl_duty_t *duty) {
+    const fl_drive_out_t out =
+        fl_drive_step(&a->law.servo, a->law.voltage_per_Nm, &a->law.collision, &a->servo, in, rotor);
+    a->torque = out.torque;
+    a->voltage = out.voltage;
+    *duty = out.duty;
+    return out.stuck;
 }
 
 /* The field where the command is in the middle of the coming tick; true when the magnet lost it. */
@@ -366,25 +374,48 @@ static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_NONE;
 }
 
+static inline void advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
+    a->position_cnt = fl_add_i32(a->hall.angle_cnt, a->zero_cnt);
+    demand->way_ended = leg_step(a, path);
+    a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
+    ask_servo(a, &demand->servo);
+}
+
+static inline fl_axis_event_t conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended,
+                                       bool stuck) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    if (stuck && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
+    if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
+    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
+    if (way_ended) leg_next(a);
+    return FL_AXIS_NONE;
+}
+
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand) {
+    advance(a, path, demand);
+}
+
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck) {
+    return conclude(a, port, index, way_ended, stuck);
+}
+
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
+    const uint8_t kind = a->plan[a->leg].kind;
+    /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
+    if (kind == FL_LEG_REST) return finish(a, port, index);
     const fl_hall_out_t hall = look(a, port, index);
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
-    const uint8_t kind = a->plan[a->leg].kind;
-    if (kind == FL_LEG_REST) return finish(a, port, index);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
 
-    const bool ended = leg_step(a, path);
-    a->command = fl_smooth_step(&a->smooth, a->raw_cnt);
+    fl_axis_demand_t demand;
+    advance(a, path, &demand);
     fl_duty_t duty;
     const bool spin = spinning(kind);
     const bool closed = (a->closed_loop && !spin) || kind == FL_LEG_SWEEP || kind == FL_LEG_SWEEP_IN;
-    const bool stuck = closed ? drive_closed(a, hall.rotor, &duty) : drive_open(a, &duty);
+    const bool stuck = closed ? drive_closed(a, hall.rotor, &demand.servo, &duty) : drive_open(a, &duty);
     if (stuck && !spin && (a->detect || kind == FL_LEG_SEARCH)) return blocked(a, port, index);
     if (kind > FL_LEG_BRAKE) observe(a, kind);
     port->set_phases(port->ctx, index, duty.phase);
-    if (kind == FL_LEG_SETTLE && settled(a)) return finish(a, port, index);
-    if (kind == FL_LEG_SEARCH && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
-    if (ended) leg_next(a);
-    return FL_AXIS_NONE;
+    return conclude(a, port, index, demand.way_ended, false);
 }

@@ -9,6 +9,7 @@
 
 #include "fl_collision.h"
 #include "fl_commutation.h"
+#include "fl_drive.h"
 #include "fl_friction_fit.h"
 #include "fl_hall.h"
 #include "fl_hall_fit.h"
@@ -25,7 +26,7 @@ typedef struct fl_axis_law {
     fl_servo_config_t servo;
     fl_collision_config_t collision;
     float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
-    float settle_gain, open_loop_voltage, holding_voltage;
+    float open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
     int32_t datum_step_cnt;
     uint32_t search_ticks;
@@ -65,46 +66,47 @@ typedef enum fl_axis_event {
     FL_AXIS_BLOCKED, /* collision */
 } fl_axis_event_t;
 
+/* What every tick touches comes first: it is what a simulator of many positioners waits for. */
 typedef struct fl_axis {
-    fl_axis_law_t law;
-    fl_hall_state_t hall;
-    fl_smooth_state_t smooth;
-    fl_servo_state_t servo;
-    fl_profile_state_t profile;
-    fl_path_cursor_t cursor;
-
-    fl_leg_t plan[FL_PLAN_LEGS];
     uint8_t leg, legs;
     bool fresh; /* the next tick starts from where the rotor is */
     bool closed_loop, detect, precise;
     bool datum_calibrated;
     bool datum_found;     /* by the search under way or the last one */
     bool datum_calibrate; /* that search defines the reference */
-    uint32_t leg_ticks, calm_ticks;
-    int32_t lag_cnt;  /* behind the command while settling, averaged */
-    int32_t calm_cnt; /* rotor angle at which it was last calm; in a sweep a tick ago */
-
-    int32_t zero_cnt;      /* position - rotor angle */
-    int32_t datum_ref_cnt; /* rotor angle of the datum within its turn */
-    int32_t position_cnt;  /* last measured; at rest where the move settled */
+    uint16_t adc_cnt[2];  /* the hall channels, last */
+    int32_t zero_cnt;     /* position - rotor angle */
+    int32_t position_cnt; /* last measured; at rest where the move settled */
     int32_t raw_cnt;
+    fl_hall_state_t hall;
+    fl_servo_state_t servo;
+
+    /* the last tick, for logs */
+    fl_command_t command;
+    fl_servo_out_t torque;
+    float voltage;
+
+    fl_path_cursor_t cursor;
+    fl_axis_law_t law;
+    fl_smooth_state_t smooth;
+    fl_leg_t plan[FL_PLAN_LEGS];
+    fl_profile_state_t profile;
+
+    uint32_t leg_ticks, calm_ticks;
+    int32_t lag_cnt;         /* behind the command while settling, averaged */
+    int32_t calm_cnt;        /* rotor angle at which it was last calm; in a sweep a tick ago */
+    int32_t datum_ref_cnt;   /* rotor angle of the datum within its turn */
     int32_t start_cnt;       /* where the plan began */
     float margin_rad;        /* SET_INCREASE_COLLISION_MARGIN */
     int32_t hall_error_mdeg; /* rms residual of the last hall calibration, motor millidegrees */
     int32_t offset_cnt;      /* SET_OFFSETS: added to the position of the datum */
     uint32_t speed_rpm;      /* of go-to moves */
-    uint16_t adc_cnt[2];     /* the hall channels, last */
 
     uint16_t start_adc_cnt[2]; /* where a hall calibration began */
     union {
         fl_hall_fit_t hall;
         fl_friction_fit_t friction;
     } fit;
-
-    /* the last tick, for logs */
-    fl_command_t command;
-    fl_servo_out_t torque;
-    float voltage;
 } fl_axis_t;
 
 /* Constants from the parameters. Call again when a parameter has changed; not in motion. */
@@ -128,6 +130,26 @@ void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
 
 /* One control period. Only while the axis does not rest. The path is the one it was told to follow. */
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index);
+
+/* The same in parts, for hosts that do the laws of many axes at once. While fl_axis_tracks:
+ *   fl_hall_step and fl_drive_step, side by side, between them fl_axis_advance, after them fl_axis_conclude
+ * is fl_axis_tick to the bit. */
+typedef struct fl_axis_demand {
+    fl_servo_in_t servo;
+    bool way_ended; /* the leg's way; it may still have to settle */
+} fl_axis_demand_t;
+
+/* In closed loop along a way of the ordinary kinds, not in its first tick. */
+static inline bool fl_axis_tracks(const fl_axis_t *a) {
+    if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
+    const uint8_t kind = a->plan[a->leg].kind;
+    return kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
+}
+/* a->hall is that of this tick. Moves the command on. */
+void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
+/* a->servo, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
+ * are as in the tick before. */
+fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck);
 
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);

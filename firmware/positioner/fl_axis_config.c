@@ -24,9 +24,11 @@ static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
     const fl_servo_config_t cfg = {
         .k_p = p->k_p,
         .k_i = p->k_i,
+        .settle_gain = p->settle_gain,
         .integral_limit = p->integral_limit,
         .drag = p->use_speed * p->drag,
         .learning = drag_learning(p),
+        .doubting = 0.5f * p->drag * drag_learning(p),
         .inertia = p->use_inertia * p->inertia,
         .coulomb = ba * p->coulomb,
         .spring_torque = ba * p->spring_torque,
@@ -42,7 +44,13 @@ static fl_collision_config_t collision_config(const fl_axis_params_t *p, float m
     const float threshold = fl_max(p->collision_torque + p->k_p * margin_rad, 0.0f);
     const float error_rad = (threshold - p->integral_limit) / fl_max(p->k_p, 1e-12f);
     const float error_cnt = fl_clamp(error_rad * FL_CNT_PER_RAD, 0.0f, 1e9f);
-    const fl_collision_config_t cfg = {threshold, p->collision_speed_share * p->drag, (int32_t)error_cnt};
+    const fl_collision_config_t cfg = {
+        .threshold_Nm = threshold,
+        .contact_Nm = p->contact_torque > 0.0f ? p->contact_torque + p->k_p * margin_rad : 1e9f,
+        .drag = p->drag,
+        .drag_share = p->collision_speed_share,
+        .error_min_cnt = (int32_t)error_cnt,
+    };
     return cfg;
 }
 
@@ -68,7 +76,6 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
         .servo = servo_config(p),
         .collision = collision_config(p, a->margin_rad),
         .voltage_per_Nm = 1.0f / (p->torque_per_volt * p->u_dc),
-        .settle_gain = p->settle_gain,
         .open_loop_voltage = p->open_loop_voltage,
         .holding_voltage = p->holding_voltage,
         .acceleration_cnt_tick2 = p->acceleration * FL_CNT_TICK2_PER_RAD_S2,
@@ -92,7 +99,7 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->margin_rad = 0.0f;
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
-    a->servo = (fl_servo_state_t){0.0f, 0.0f, 1.0f};
+    a->servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;

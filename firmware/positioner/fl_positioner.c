@@ -99,26 +99,32 @@ static void axis_done(fl_positioner_t *p, int axis) {
     fl_positioner_refresh(p);
 }
 
-void fl_positioner_tick(fl_positioner_t *p) {
+bool fl_positioner_begin_tick(fl_positioner_t *p) {
     ++p->ticks;
     if (p->tx.count != 0) fl_positioner_flush(p);
-    if (p->state == FL_STATE_BOOTLOADER) {
-        fl_boot_tick(p);
-        return;
+    if (p->state != FL_STATE_BOOTLOADER) return true;
+    fl_boot_tick(p);
+    return false;
+}
+
+void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event) {
+    switch (event) {
+    case FL_AXIS_DONE:
+        axis_done(p, axis);
+        break;
+    case FL_AXIS_BLOCKED:
+        collide(p, axis);
+        break;
+    case FL_AXIS_NONE:
+        break;
     }
-    for (int i = 0; i < FL_AXES; ++i) {
-        if (fl_axis_rests(&p->axis[i])) continue;
-        switch (fl_axis_tick(&p->axis[i], &p->path[i], &p->port, i)) {
-        case FL_AXIS_DONE:
-            axis_done(p, i);
-            break;
-        case FL_AXIS_BLOCKED:
-            collide(p, i);
-            break;
-        case FL_AXIS_NONE:
-            break;
-        }
-    }
+}
+
+void fl_positioner_tick(fl_positioner_t *p) {
+    if (!fl_positioner_begin_tick(p)) return;
+    for (int i = 0; i < FL_AXES; ++i)
+        if (!fl_axis_rests(&p->axis[i]))
+            fl_positioner_end_axis(p, i, fl_axis_tick(&p->axis[i], &p->path[i], &p->port, i));
 }
 
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis) {

@@ -18,8 +18,8 @@ extern "C" {
 enum { FL_TX_FRAMES = 16 };
 
 typedef struct fl_tx_queue {
-    fl_can_frame_t frame[FL_TX_FRAMES];
     uint8_t first, count;
+    fl_can_frame_t frame[FL_TX_FRAMES];
 } fl_tx_queue_t;
 
 /* What the bootloader knows of the image that arrives. */
@@ -35,29 +35,28 @@ typedef struct fl_boot {
 /* Visible, so that it can be placed, copied and inspected; only the functions below change it. */
 typedef struct fl_positioner {
     fl_port_t port;
-    uint16_t id; /* 1..2047, bits 28..18 of the identifier */
-    fl_axis_params_t params[FL_AXES];
-    uint64_t status; /* what command 3 reports */
-
-    fl_axis_t axis[FL_AXES];
+    uint16_t id;             /* 1..2047, bits 28..18 of the identifier */
     uint8_t state;           /* fl_state_t */
     uint8_t collided;        /* per axis, bit 0 = alpha: kept until STOP_TRAJECTORY */
     uint8_t hall_calibrated; /* likewise */
     uint8_t datum_known;
     uint8_t cogging_calibrated;
+    bool path_bad;         /* a point was out of order or too fast */
+    bool settings_changed; /* since the last save */
+    bool led;              /* as commanded: no LED on the port */
+    bool params_good;
+    uint32_t ticks; /* since power-up */
+    fl_axis_t axis[FL_AXES];
 
-    uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
-    bool path_bad;            /* a point was out of order or too fast */
-    bool settings_changed;    /* since the last save */
+    fl_tx_queue_t tx;
+    uint64_t status;          /* what command 3 reports */
     uint64_t options;         /* status bits that are only remembered */
-    uint32_t ticks;           /* since power-up */
+    uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
     uint32_t trajectories;    /* started so far */
     uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
-    bool led;                 /* as commanded: no LED on the port */
-    bool params_good;
     fl_boot_t boot;
-    fl_tx_queue_t tx;
-    fl_path_t path[FL_AXES]; /* last: large and seldom looked at */
+    fl_axis_params_t params[FL_AXES];
+    fl_path_t path[FL_AXES];
 } fl_positioner_t;
 
 /* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */
@@ -69,6 +68,11 @@ void fl_positioner_enter_bootloader(fl_positioner_t *p);
 
 /* The control interrupt: call every 0.5 ms. */
 void fl_positioner_tick(fl_positioner_t *p);
+
+/* The same in parts, for hosts that do the laws of many axes at once: begin, then for alpha and then for
+ * beta whatever fl_axis_tick does, and what came of it. Begin returns false when the tick is over. */
+bool fl_positioner_begin_tick(fl_positioner_t *p);
+void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event);
 
 /* A frame seen on the bus (for whomever it is). Replies go out through port->send_frame. */
 void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);

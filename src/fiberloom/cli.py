@@ -71,9 +71,7 @@ def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | N
     if layout is None:
         return generate(model, seed, n_positioners=positioners)
     if positioners is not None:
-        raise InputError(
-            "--positioners goes with a preset; a --layout says itself how many there are"
-        )
+        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
     return read_layout(layout, model)
 
 
@@ -88,12 +86,8 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[
-        CameraKind, typer.Option(help="Camera images, or a noise model.")
-    ] = CameraKind.noise,
-    faults: Annotated[
-        str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")
-    ] = "",
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False,
@@ -147,9 +141,7 @@ def assign(
 
 @app.command()
 def plan(
-    start: Annotated[
-        Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")
-    ],
+    start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")],
     goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")],
     instrument: InstrumentOption = "sdssv",
     layout: LayoutOption = None,
@@ -226,6 +218,57 @@ def runs(
     _print_report(runs_step(where), as_json)
 
 
+@app.command()
+def centroid(
+    image: Annotated[Path, typer.Argument(help="FITS image of back-lit fibres.")],
+    out: Annotated[Path, typer.Option(help="Spots to write.")] = Path("spots.csv"),
+    gain: Annotated[float | None, typer.Option(help="Electrons per count; default: the header's.")] = None,
+    saturation: Annotated[float | None, typer.Option(help="Counts; default: the header's.")] = None,
+    threshold: Annotated[float, typer.Option(help="Faintest spot, in sigmas of the noise.")] = 6.0,
+    extension: Annotated[str | None, typer.Option(help="HDU, by number or name.")] = None,
+    expected: Annotated[Path | None, typer.Option(help="Look only there: CSV with x_px, y_px.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the image with its spots.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find and measure the spots of a camera image."""
+    from fiberloom.metrology.commands import CentroidRequest
+    from fiberloom.metrology.commands import centroid as run_centroid
+
+    request = CentroidRequest(
+        image=image,
+        out=out,
+        gain_e_adu=gain,
+        saturation_adu=saturation,
+        threshold=threshold,
+        extension=extension,
+        expected=expected,
+        plot=plot,
+    )
+    _print_report(run_centroid(request), as_json)
+
+
+@app.command()
+def match(
+    source: Annotated[Path, typer.Argument(help="Spots of `centroid`, or an image.")],
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    expected: Annotated[
+        Path | None, typer.Option(help="Configuration CSV that the positioners should have.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Positions to write.")] = Path("positions.csv"),
+    as_json: JsonOption = False,
+) -> None:
+    """Tell which spot is whose, and where it is in the focal plane."""
+    from fiberloom.metrology.commands import MatchRequest
+    from fiberloom.metrology.commands import match as run_match
+
+    plane = _plane(instrument, layout, seed, positioners)
+    request = MatchRequest(source=source, out=out, expected=expected)
+    _print_report(run_match(plane, request), as_json)
+
+
 def _print_report(report: Any, as_json: bool) -> None:
     from fiberloom.report.tables import print_report
 
@@ -235,6 +278,8 @@ def _print_report(report: Any, as_json: bool) -> None:
         print_report(report)
 
 
+INTERRUPTED = 130
+
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 """ClickException, of the click that this typer uses: newer ones bring their own."""
 
@@ -242,11 +287,14 @@ _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
     try:
-        sys.exit(app(standalone_mode=False))
+        code = app(standalone_mode=False)
+        if code == INTERRUPTED:  # how typer tells of Ctrl-C
+            raise KeyboardInterrupt
+        sys.exit(code)
     except InputError as error:
         _fail(str(error), 2)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", 130)
+        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", INTERRUPTED)
     except _BAD_WORDS as error:
         _fail(f"{error.format_message()}; see `fiberloom --help`", 2)
     except OSError as error:

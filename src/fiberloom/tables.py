@@ -86,9 +86,7 @@ def read_table(path: str | Path) -> TableFile:
     path = Path(path)
     suffix = "".join(path.suffixes[-2:]).lower() if path.suffix == ".gz" else path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}"
-        )
+        raise InputError(f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     if suffix == ".csv" and not _is_ecsv(path):
@@ -111,9 +109,7 @@ def read_csv(path: Path) -> TableFile:
     places = [f"line {number}" for number, _ in lines[1:]]
     for place, row in zip(places, rows[1:], strict=True):
         if len(row) != len(header):
-            raise InputError(
-                f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns"
-            )
+            raise InputError(f"{path}, {place}: {len(row)} cells, the header has {len(header)} columns")
     columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
     return TableFile(path, columns, places)
 

@@ -134,9 +134,7 @@ def test_higher_priority_wins(small):
     row = 30
     centre = small.centres_mm[row]
     only_here = small.select([row])
-    two = make_targets(
-        [centre + np.array([15.0, 0.0]), centre + np.array([0.0, 15.0])], priority=[1, 2]
-    )
+    two = make_targets([centre + np.array([15.0, 0.0]), centre + np.array([0.0, 15.0])], priority=[1, 2])
     found = assign(only_here, two)
     assert found.target.tolist() == [1]
     assert found.unassigned[0] == (
@@ -196,9 +194,7 @@ def demanded_field(plane, seed):
     """A field in which each positioner demands a place of its own, free of collisions."""
     base = assign(plane, random_targets(plane, 3 * plane.n, seed))
     rows = np.flatnonzero(base.target >= 0)
-    xy = [
-        plane.forward(base.alpha_deg[[i]], base.beta_deg[[i]], base.fibre[i], [i])[0] for i in rows
-    ]
+    xy = [plane.forward(base.alpha_deg[[i]], base.beta_deg[[i]], base.fibre[i], [i])[0] for i in rows]
     return rows, make_targets(xy, fibre=base.fibre[rows], positioner_id=plane.positioner_id[rows])
 
 
@@ -300,9 +296,7 @@ def test_the_real_field(shared_sdssv, sdssv):
     field = read_targets(shared_sdssv / "confSummary-test.par.gz")
     found = assign(plane, field)
     served = found.target >= 0
-    np.testing.assert_array_equal(
-        plane.positioner_id[served], field.positioner_id[found.target[served]]
-    )
+    np.testing.assert_array_equal(plane.positioner_id[served], field.positioner_id[found.target[served]])
     # The file itself breaks the buffer of 2.0 mm twice at rest: arms 724 and 779 overlap by 54 um,
     # and 990 its fiducial by 19 um. One of the pair and 990 must go; all others stay.
     assert found.n_assigned == 488

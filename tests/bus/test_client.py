@@ -347,9 +347,7 @@ def test_more_requests_than_uids_wait_for_their_turn():
 
 def test_one_batch_larger_than_the_uid_pool_is_answered():
     _, client = setup(1, 2)
-    replies = asyncio.run(
-        client.exchange.unicast(Command.GET_STATUS, [1, 2] * 100, [b""] * 200, 1.0)
-    )
+    replies = asyncio.run(client.exchange.unicast(Command.GET_STATUS, [1, 2] * 100, [b""] * 200, 1.0))
     assert all(r is not None for r in replies)
 
 

@@ -76,13 +76,11 @@ class Bench:
         return self.done(ids)
 
     def done(self, ids, values=()):
-        return Results(
-            {i: Result(i, self.results.get(i, Outcome.DONE), values=values) for i in ids}
-        )
+        return Results({i: Result(i, self.results.get(i, Outcome.DONE), values=values) for i in ids})
 
     # the camera
 
-    def measure(self):
+    def measure(self, expected_mm=None):
         xy = self.plane.forward(self.output[:, 0], self.output[:, 1])
         xy = xy + self.rng.normal(0.0, self.sigma_mm or 1e-300, xy.shape)
         xy[self.dark] = np.nan

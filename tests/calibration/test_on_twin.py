@@ -6,7 +6,7 @@ import numpy as np
 
 from fiberloom._core import twin as core
 from fiberloom.bus import Client, Outcome, Trajectory
-from fiberloom.calibration import SweepSettings, calibrate_transmission
+from fiberloom.calibration import calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, draw_units
 from fiberloom.twin.units import GEAR, plain
@@ -45,10 +45,7 @@ def test_the_calibration_finds_the_true_gear():
     at = np.linspace(20, 160, 50)
     measured = found.maps.backlash_motor_deg(at).mean(axis=2)
     true = [
-        [
-            np.rad2deg(core.transmission(plain(gear).ravel(), GEAR, np.deg2rad(at))[1]).mean()
-            for gear in unit
-        ]
+        [np.rad2deg(core.transmission(plain(gear).ravel(), GEAR, np.deg2rad(at))[1]).mean() for gear in unit]
         for unit in units.gear
     ]
     # 40 points cannot follow the ripple: what is left of it after averaging, in motor deg
@@ -64,8 +61,7 @@ def test_trajectories_run_on_the_twin():
         time_s = np.linspace(0.5, 6.0, 30)
         rise = 0.5 * (1 - np.cos(np.pi * (time_s - 0.5) / 5.5))
         plan = {
-            i: Trajectory.from_deg(time_s, start[0] + 30.0 * rise, start[1] - 30.0 * rise)
-            for i in ids[:4]
+            i: Trajectory.from_deg(time_s, start[0] + 30.0 * rise, start[1] - 30.0 * rise) for i in ids[:4]
         }
         return ids, await client.run_trajectories(plan), await client.positions_deg()
 
@@ -73,9 +69,7 @@ def test_trajectories_run_on_the_twin():
     assert ids == plane.positioner_id.tolist()
     assert [r.outcome for r in results.values()] == [Outcome.DONE] * 4
     assert ok.all()
-    np.testing.assert_allclose(
-        where_deg[:4], np.tile(start + np.array([30.0, -30.0]), (4, 1)), atol=0.01
-    )
+    np.testing.assert_allclose(where_deg[:4], np.tile(start + np.array([30.0, -30.0]), (4, 1)), atol=0.01)
     # at rest, as powered up: the motor of a gear whose non-linearity is accepted up to 0.6 deg
     np.testing.assert_allclose(where_deg[4], start, atol=0.6)
     assert 6.0 < twin.time_s < 8.0

@@ -19,9 +19,7 @@ def small_plane(n=12):
 
 
 def calibrate(bench, plane=None, n_points=200, **kwargs):
-    return asyncio.run(
-        calibrate_transmission(bench, bench, plane or bench.plane, n_points, **kwargs)
-    )
+    return asyncio.run(calibrate_transmission(bench, bench, plane or bench.plane, n_points, **kwargs))
 
 
 def truth(bench, theta, side):

@@ -94,9 +94,7 @@ def test_rows_can_be_picked():
 def test_delta_and_backlash_are_those_of_eq_7():
     maps = some_maps(1)
     at = THETA[[20, 75]]
-    np.testing.assert_allclose(
-        maps.delta_deg(at)[0, 1], maps.wire_deg[0, 1, 0, [20, 75]] - at, atol=1e-12
-    )
+    np.testing.assert_allclose(maps.delta_deg(at)[0, 1], maps.wire_deg[0, 1, 0, [20, 75]] - at, atol=1e-12)
     backlash = maps.backlash_motor_deg(THETA)
     assert 40.0 < backlash.min() < 60.0
     assert 230.0 < backlash.max() < 250.0

@@ -43,9 +43,7 @@ def test_a_number_that_is_none(tmp_path):
 
 
 def test_two_targets_for_one_positioner(tmp_path):
-    (tmp_path / "t.csv").write_text(
-        "target_id,x_mm,y_mm,fibre,positioner_id\na,1,2,BOSS,1\nb,2,2,BOSS,1\n"
-    )
+    (tmp_path / "t.csv").write_text("target_id,x_mm,y_mm,fibre,positioner_id\na,1,2,BOSS,1\nb,2,2,BOSS,1\n")
     refused(run("observe", "t.csv", "--positioners", "7", cwd=tmp_path), "positioner")
 
 
@@ -62,8 +60,7 @@ def test_a_layout_without_the_hole_of_a_positioner(tmp_path):
         "R0C1,1,7.4,14.3,0,14.96,0.37,14.96,-0.37,0,0,0,0\n"
     )
     (layout / "wokCoords.csv").write_text(
-        "holeID,holeType,xWok,yWok,zWok,ix,iy,iz,jx,jy,jz,kx,ky,kz\n"
-        "R0C2,Boss,0,0,0,0,-1,0,1,0,0,0,0,1\n"
+        "holeID,holeType,xWok,yWok,zWok,ix,iy,iz,jx,jy,jz,kx,ky,kz\nR0C2,Boss,0,0,0,0,-1,0,1,0,0,0,0,1\n"
     )
     (layout / "fiducialCoords.csv").write_text("id,xWok,yWok,zWok\n")
     (tmp_path / "t.csv").write_text(GOOD)
@@ -73,9 +70,7 @@ def test_a_layout_without_the_hole_of_a_positioner(tmp_path):
 def test_an_out_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "t.csv").write_text(GOOD)
     (tmp_path / "taken").write_text("a file, not a folder")
-    refused(
-        run("observe", "t.csv", "--positioners", "7", "--out", "taken/x", cwd=tmp_path), "taken"
-    )
+    refused(run("observe", "t.csv", "--positioners", "7", "--out", "taken/x", cwd=tmp_path), "taken")
 
 
 def test_a_word_too_many(tmp_path):

@@ -36,8 +36,8 @@ def test_sine_and_cosine():
     cnt = np.arange(-TURN, 2 * TURN, 37, dtype=np.int32)
     got = fw.sincos(cnt).astype(np.float64)
     want = np.stack([np.sin(cnt / CNT_PER_RAD), np.cos(cnt / CNT_PER_RAD)], axis=1)
-    # polynomials 5.6e-7 (fit), the rest rounding of float32
-    assert np.abs(got - want).max() < 7e-7
+    # polynomial 5.9e-7 (fit), the rest rounding of float32
+    assert np.abs(got - want).max() < 8e-7
 
 
 def test_angle_of_a_vector():
@@ -148,15 +148,16 @@ def test_the_lead_turns_the_field_on():
     assert np.abs(lead - 0.1).max() < 5e-4
 
 
-def reference_servo(p, rows, stiffness):
+def reference_servo(p, rows, settling):
     """Eq. 21 in float64."""
     v = dict(zip(NAMES, p.astype(float), strict=True))
     integral, direction, scale, out = 0.0, 0.0, 1.0, []
+    gain = v["settle_gain"] if settling else 1.0
     for command, measured, speed, acceleration in rows:
         e = (command - measured) / CNT_PER_RAD
         theta = command / CNT_PER_RAD
         direction = np.sign(speed) if speed else direction
-        charge = v["k_i"] * stiffness * 0.0005 * (np.clip(e, -0.05, 0.05) if np.float32(stiffness) > 1 else e)
+        charge = v["k_i"] * gain * 0.0005 * (np.clip(e, -0.05, 0.05) if settling else e)
         integral = np.clip(integral + charge, -v["integral_limit"], v["integral_limit"])
         watched = v["k_p"] * e + integral
         pace = np.clip(speed, -209.44, 209.44)
@@ -171,13 +172,13 @@ def reference_servo(p, rows, stiffness):
             + v["drag"] * scale * speed
             + v["inertia"] * acceleration
         )
-        out.append((v["k_p"] * e * stiffness + integral + feedforward, feedforward, watched, scale))
+        out.append((v["k_p"] * e * gain + integral + feedforward, feedforward, watched, scale))
     return np.array(out)
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(1, 5), st.sampled_from([0.0, 0.1]))
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from([0.0, 0.1]))
 @settings(max_examples=25)
-def test_servo_is_equation_21(seed, stiffness, learning):
+def test_servo_is_equation_21(seed, settling, learning):
     rng = np.random.default_rng(seed)
     p = alpha_params(cogging_phase=rng.uniform(-3, 3), drag_learning_time=learning)
     command = np.cumsum(rng.integers(-30_000, 30_000, 300)) + rng.integers(0, 2**30)
@@ -185,8 +186,8 @@ def test_servo_is_equation_21(seed, stiffness, learning):
     rows = np.stack(
         [command, measured, rng.uniform(-300, 300, 300), rng.uniform(-2e4, 2e4, 300)], axis=1
     ).astype(float)
-    got = fw.servo(p, rows, stiffness)[:, :4]
-    want = reference_servo(p, rows, stiffness)
+    got = fw.servo(p, rows, settling)[:, :4]
+    want = reference_servo(p, rows, settling)
     # float32 of torques up to 5e-4 Nm, the integral a sum of 300
     assert np.abs(got - want)[:, :3].max() < 1e-9
     assert np.abs(got - want)[:, 3].max() < 1e-4

@@ -353,6 +353,24 @@ def test_holding_current_keeps_the_field_on_at_rest():
     assert abs(errors_motor_deg(unit, 11, 21)[0]) < 90
 
 
+def test_an_axis_that_is_to_stay_does_not_start_its_motor():
+    unit = Rig()
+    unit.goto(12, 20)
+    unit.wait()
+    stood = unit.position_deg
+    # without current the rotor falls back inside the backlash; the arm does not
+    unit.unit.set_plant(0, "theta_rad", unit.unit.plant(0, "theta_rad") + 1.0)
+    unit.unit.set_plant(0, "omega_rad_s", 0.0)
+    for _ in range(3):
+        assert unit.code(31, bytes(8)) == ACCEPTED
+        assert unit.wait() < 0.01
+    unit.follow([(0.1, stood[0]), (1.0, stood[0])], [(0.1, 20), (0.6, 21)])
+    unit.unit.tick(100)
+    assert unit.unit.duty(0) == (0, 0, 0)
+    unit.wait()
+    assert unit.position_deg[0] == stood[0]
+
+
 def test_parameters_cannot_change_in_motion():
     unit = Rig()
     unit.goto(12, 20)
@@ -371,3 +389,44 @@ def test_tracking_is_reported_in_motor_degrees():
     assert log[-1, 0] - log[-1, 1] + lag == pytest.approx(true[-1] % 5760, abs=2.0)
     assert NAMES[0] == "hall_offset_a"
     assert pytest.approx(2912.71, abs=0.01) == MOTOR_DEG
+
+
+def with_contact_watch(**changes):
+    """A stiff servo and a threshold for contacts, alpha's numbers for both axes."""
+    gains = {"k_p": 1.3e-4, "k_i": 2.85e-3, "collision_torque": 2.9e-4, "settle_gain": 1.0}
+    unit = Rig(position_deg=(100.0, 100.0), contact_torque=5e-5, **gains, **changes)
+    unit.goto(60, 100)
+    unit.wait()  # learns the drag
+    assert not unit.unsolicited
+    return unit
+
+
+def load_at_stop(unit, target_deg, rate_Nm_s):
+    """Moves while a load grows; the load when it stopped, None if it arrived."""
+    unit.goto(target_deg, 100)
+    unit.unit.tick(1000)
+    for tick in range(100):
+        load = rate_Nm_s * tick / rig.TICKS_PER_S
+        unit.unit.set_plant(0, "external_torque", load)
+        unit.unit.tick()
+        if unit.unit.state == fw.STATES["STOPPING"]:
+            return abs(load)
+    return None
+
+
+@pytest.mark.parametrize(("target", "sign"), [(20.0, 1.0), (100.0, -1.0)])
+def test_a_contact_of_the_arm_is_found_by_its_load(target, sign):
+    # 3.85e-3 Nm/s: what the gear of alpha winds up to at 2000 rpm against a wall
+    load = load_at_stop(with_contact_watch(), target, sign * 3.85e-3)
+    assert 5e-5 < load < 1.1e-4  # 13 to 29 ms
+    # without the watch Eq. 22 waits for 120 motor degrees
+    unit = with_contact_watch()
+    unit.unit.set_params(
+        0, np.where(np.array(NAMES) == "contact_torque", 0, unit.unit.params(0)).astype("f4")
+    )
+    assert load_at_stop(unit, target, sign * 3.85e-3) is None
+
+
+@pytest.mark.parametrize(("target", "sign"), [(20.0, -1.0), (100.0, 1.0)])
+def test_a_load_that_helps_is_no_contact(target, sign):
+    assert load_at_stop(with_contact_watch(), target, sign * 3.85e-3) is None

@@ -49,11 +49,7 @@ def test_closest_points_lie_on_the_segments_at_the_distance(p, q):
 @given(segment, segment, st.floats(0, 6.2), coordinate, coordinate)
 def test_distance_does_not_see_order_or_place(p, q, turn, dx, dy):
     def moved(s):
-        z = (
-            (np.array([s[0], s[2]]) + 1j * np.array([s[1], s[3]])) * np.exp(1j * turn)
-            + dx
-            + 1j * dy
-        )
+        z = (np.array([s[0], s[2]]) + 1j * np.array([s[1], s[3]])) * np.exp(1j * turn) + dx + 1j * dy
         return z[0].real, z[0].imag, z[1].real, z[1].imag
 
     d = distance(p, q)
@@ -87,6 +83,4 @@ def test_the_beta_segment_is_two_points_of_the_arm(alpha, beta):
     arm, angles = np.array([[3.0, -4.0, 7.4, 0.3, -0.02]]), np.array([[alpha, beta]])
     s = geometry.beta_segment(arm, 0.5, 14.7276, angles)[0]
     for x, xy in ((0.5, s[:2]), (14.7276, s[2:])):
-        np.testing.assert_allclose(
-            xy, geometry.forward(arm, np.array([[x, 0.0]]), angles)[0], atol=1e-12
-        )
+        np.testing.assert_allclose(xy, geometry.forward(arm, np.array([[x, 0.0]]), angles)[0], atol=1e-12)

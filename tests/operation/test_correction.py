@@ -47,9 +47,7 @@ def rms(errors_um):
 
 def several(filtered, moves=6, goal_deg=None):
     """rms over four fields of 500: known to 1.1 % (4000 Gaussian numbers)."""
-    fields = [
-        observe(goals(s) if goal_deg is None else goal_deg, moves, filtered, s) for s in range(4)
-    ]
+    fields = [observe(goals(s) if goal_deg is None else goal_deg, moves, filtered, s) for s in range(4)]
     return [rms(np.concatenate([f[k] for f in fields], axis=1)) for k in (0, 1)]
 
 

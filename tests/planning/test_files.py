@@ -77,9 +77,7 @@ def entry(**changes) -> dict:
 
 
 def document(*robots, **changes) -> str:
-    return json.dumps(
-        {"instrument": "sdssv", "collision_buffer_mm": 2.0, "robots": list(robots)} | changes
-    )
+    return json.dumps({"instrument": "sdssv", "collision_buffer_mm": 2.0, "robots": list(robots)} | changes)
 
 
 def test_one_plan_or_many_may_be_in_a_file(tmp_path):

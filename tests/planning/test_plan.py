@@ -313,9 +313,7 @@ def test_a_motion_that_fails_its_verification_is_never_given_out(monkeypatch):
 
 
 def test_what_the_instrument_says_is_what_is_used():
-    narrow = SDSSV.model_copy(
-        update={"bodies": SDSSV.bodies.model_copy(update={"collision_buffer_mm": 1.0})}
-    )
+    narrow = SDSSV.model_copy(update={"bodies": SDSSV.bodies.model_copy(update={"collision_buffer_mm": 1.0})})
     plane = replace(field(7), instrument=narrow)
     made = plan(plane, *random_pair(plane, 0))
     assert made.collision_buffer_mm == 1.0

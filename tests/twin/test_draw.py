@@ -28,8 +28,8 @@ def blind_errors_um(row, rng, points):
         knots = np.linspace(*RANGE_DEG[axis], points)
         wire = UNITS.transmission(row, axis, knots)[0]
         asked = UNITS.transmission(row, axis, angles[axis])[0]
-        ratio = np.polyfit(wire, knots, 1)
-        errors["linear"].append(np.deg2rad(np.polyval(ratio, asked) - angles[axis]))
+        offset = np.mean(wire - knots)  # the ratio itself is the gear's 1024
+        errors["linear"].append(np.deg2rad(asked - offset - angles[axis]))
         errors["map"].append(np.deg2rad(np.interp(asked, wire, knots) - angles[axis]))
     a, b = np.deg2rad(angles)
     lever_a = L_ALPHA * np.exp(1j * a) + L_BETA * np.exp(1j * (a + b))

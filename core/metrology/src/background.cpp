@@ -10,6 +10,8 @@ constexpr int rows_per_tile = 8;
 constexpr int columns_per_tile = 8;
 // what a Gaussian loses of its standard deviation when cut at 3 sigma: 1 / 0.98657
 constexpr float cut_correction = 1.01361f;
+constexpr float inverse_root_two = 0.70710678f;
+constexpr float least_noise = 0.28867513f; // 1 / sqrt(12)
 
 float median_of(std::vector<float> &values) {
     const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
@@ -17,40 +19,52 @@ float median_of(std::vector<float> &values) {
     return *middle;
 }
 
+// Standard deviation about zero of what lies within 3 robust deviations: it does not know the step of the
+// converter, as a median would.
+float deviation(const std::vector<float> &values, std::vector<float> &scratch) {
+    scratch.clear();
+    for (float v : values) scratch.push_back(std::fabs(v));
+    const float cut = std::max(3.0f * 1.4826f * median_of(scratch), 1.0f);
+    float squares = 0, n = 0;
+    for (float v : values) {
+        const float inside = std::fabs(v) <= cut ? 1.0f : 0.0f;
+        squares += inside * v * v, n += inside;
+    }
+    return std::sqrt(squares / n) * cut_correction;
+}
+
 struct LevelNoise {
     float level;
     float noise;
 };
 
-// Median and median deviation find the cut; mean and deviation inside it do not know the step of the converter.
-LevelNoise clipped(std::vector<float> &values, std::vector<float> &scratch) {
-    const float median = median_of(values);
-    scratch.clear();
-    for (float v : values) scratch.push_back(std::fabs(v - median));
-    const float cut = std::max(3.0f * 1.4826f * median_of(scratch), 1.0f);
-    double sum = 0, squares = 0, n = 0;
-    for (float v : values) {
-        const double d = v - median;
-        if (std::fabs(d) > cut) continue;
-        sum += d, squares += d * d, n += 1;
-    }
-    const double mean = sum / n;
-    // never below the step of the converter, so that a flat synthetic image is no special case
-    const double variance = std::max(squares / n - mean * mean, 1.0 / 12.0);
-    return {static_cast<float>(median + mean), static_cast<float>(std::sqrt(variance)) * cut_correction};
-}
+// Pixels here and there in a tile, and each one's difference from the next: its noise does not know of
+// gradients.
+struct Sample {
+    std::vector<float> values, steps, scratch;
 
-template <class P> void sample(const Pixels<P> &pixels, int x0, int y0, std::vector<float> &values) {
-    const int x1 = std::min(x0 + Background::tile_px, pixels.image.width);
-    const int y1 = std::min(y0 + Background::tile_px, pixels.image.height);
-    const int dy = std::max(1, (y1 - y0) / rows_per_tile);
-    const int dx = std::max(1, (x1 - x0) / columns_per_tile);
-    values.clear();
-    for (int y = y0 + dy / 2, k = 0; y < y1; y += dy, ++k)
-        // another phase in every row: no column of the detector weighs more than others
-        for (int x = x0 + (3 * k) % dx; x < x1; x += dx)
-            if (const float v = pixels.at(x, y); std::isfinite(v)) values.push_back(v);
-}
+    template <class P> void take(const Pixels<P> &pixels, int x0, int y0) {
+        const int x1 = std::min(x0 + Background::tile_px, pixels.image.width);
+        const int y1 = std::min(y0 + Background::tile_px, pixels.image.height);
+        const int dy = std::max(1, (y1 - y0) / rows_per_tile), dx = std::max(2, (x1 - x0) / columns_per_tile);
+        values.clear(), steps.clear();
+        for (int y = y0 + dy / 2, k = 0; y < y1; y += dy, ++k)
+            // another phase in every row: no column of the detector weighs more than others
+            for (int x = x0 + (3 * k) % dx; x + 1 < x1; x += dx) add(pixels.at(x, y), pixels.at(x + 1, y));
+    }
+
+    void add(float here, float next) {
+        if (!std::isfinite(here) || !std::isfinite(next)) return;
+        values.push_back(here), steps.push_back(next - here);
+    }
+
+    LevelNoise measure() {
+        if (values.empty()) return {NAN, NAN};
+        // never below the step of the converter, so that a flat synthetic image is no special case
+        const float noise = std::max(deviation(steps, scratch) * inverse_root_two, least_noise);
+        return {median_of(values), noise};
+    }
+};
 
 // Replaces every tile by the median of its neighbourhood: a tile full of light must not hide its own spots.
 std::vector<float> smoothed(const std::vector<float> &grid, int nx, int ny) {
@@ -72,11 +86,11 @@ template <class P> Background measure(const Pixels<P> &pixels) {
     Background b;
     b.nx = (pixels.image.width + t - 1) / t;
     b.ny = (pixels.image.height + t - 1) / t;
-    std::vector<float> values, scratch;
+    Sample sample;
     for (int j = 0; j < b.ny; ++j)
         for (int i = 0; i < b.nx; ++i) {
-            sample(pixels, i * t, j * t, values);
-            const LevelNoise s = values.empty() ? LevelNoise{NAN, NAN} : clipped(values, scratch);
+            sample.take(pixels, i * t, j * t);
+            const LevelNoise s = sample.measure();
             b.level.push_back(s.level);
             b.noise.push_back(s.noise);
         }

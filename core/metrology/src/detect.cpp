@@ -9,7 +9,8 @@
 namespace fl::metrology {
 namespace {
 
-// A spot of FWHM 2.5 px has its fifth brightest of 3 x 3 pixels at 0.41 of the peak or more; a hot pixel has not.
+// A spot of FWHM 2.5 px has its fifth brightest of 3 x 3 pixels at 0.41 of the peak or more; a hot pixel has
+// not.
 constexpr float peak_over_median = 2.7f;
 constexpr float neighbour_share = 0.25f;
 constexpr int neighbours_needed = 3;
@@ -21,7 +22,8 @@ using Block = std::array<float, 9>;
 // One bit per pixel: climbs that meet share their end.
 class Visited {
   public:
-    Visited(int width, int height) : width_(width), bits_((static_cast<std::size_t>(width) * height + 63) / 64) {}
+    Visited(int width, int height)
+        : width_(width), bits_((static_cast<std::size_t>(width) * height + 63) / 64) {}
     // true when the pixel was marked before
     bool mark(int x, int y) {
         const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + x;
@@ -44,13 +46,15 @@ struct Ground {
 
 template <class P> class Hills {
   public:
-    Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings)
-        : pixels_(pixels), background_(background), saturation_(static_cast<float>(settings.saturation_adu)),
+    Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box)
+        : box_(box), pixels_(pixels), background_(background),
+          saturation_(static_cast<float>(settings.saturation_adu)),
           threshold_(static_cast<float>(settings.threshold)) {}
 
     Ground ground(int x, int y) const { return {background_.level_at(x, y), background_.noise_at(x, y)}; }
 
-    // A hot pixel is lonely, a spot is not; on the flank of a spot it may hide the top and must not hide the spot.
+    // A hot pixel is lonely, a spot is not; on the flank of a spot it may hide the top and must not hide the
+    // spot.
     bool lit(int x, int y) const {
         const Ground g = ground(x, y);
         const Block b = block(x, y, g);
@@ -61,14 +65,15 @@ template <class P> class Hills {
                above(3.0f * g.noise) >= 5;
     }
 
-    // Uphill on the sum of 5 x 5 clipped pixels. False: this hill was climbed before.
+    // Uphill on the sum of the clipped pixels of the box. False: this hill was climbed before.
     bool climb(int x, int y, Visited *visited, Seed &seed) const {
         const Ground g = ground(x, y);
         std::array<std::pair<int, int>, longest_climb_px> path;
         for (std::size_t n = 0; n < path.size(); ++n) {
             if (visited != nullptr && visited->mark(x, y)) {
                 // the clip level moves along: a step back to where we come from is the top
-                if (std::find(path.begin(), path.begin() + n, std::pair{x, y}) == path.begin() + n) return false;
+                if (std::find(path.begin(), path.begin() + n, std::pair{x, y}) == path.begin() + n)
+                    return false;
                 break;
             }
             path[n] = {x, y};
@@ -123,22 +128,23 @@ template <class P> class Hills {
         square<3>(x, y, g, v.data());
         const float clip = clip_level({v[16], v[17], v[18], v[23], v[24], v[25], v[30], v[31], v[32]}, g);
         for (float &value : v) value = std::min(value, clip);
-        std::array<float, 7> column{}; // sums of rows 1 to 5, then moved up and down
+        std::array<float, 7> column{}; // sums of the rows of the box, then moved up and down
         for (int i = 0; i < 7; ++i)
-            for (int j = 1; j < 6; ++j) column[i] += v[7 * j + i];
-        float best = five(column, 1);
+            for (int j = 3 - box_; j <= 3 + box_; ++j) column[i] += v[7 * j + i];
+        float best = sum_of(column, 3);
         for (int move = -1; move <= 1; ++move) {
             std::array<float, 7> moved = column;
-            for (int i = 0; i < 7 && move != 0; ++i)
-                moved[i] += move > 0 ? v[42 + i] - v[7 + i] : v[i] - v[35 + i];
+            const int gained = 7 * (3 + move * (box_ + 1)), lost = 7 * (3 - move * box_);
+            for (int i = 0; i < 7 && move != 0; ++i) moved[i] += v[gained + i] - v[lost + i];
             for (int u = -1; u <= 1; ++u)
-                if (const float s = five(moved, u + 1); s > best) best = s, dx = u, dy = move;
+                if (const float s = sum_of(moved, 3 + u); s > best) best = s, dx = u, dy = move;
         }
         if (!pixels_.inside(x + dx, y + dy)) dx = dy = 0;
     }
 
-    static float five(const std::array<float, 7> &c, int from) {
-        return ((c[from] + c[from + 1]) + (c[from + 2] + c[from + 3])) + c[from + 4];
+    float sum_of(const std::array<float, 7> &c, int middle) const {
+        const float three = c[middle - 1] + c[middle] + c[middle + 1];
+        return box_ == 1 ? three : three + (c[middle - 2] + c[middle + 2]);
     }
 
     Seed at_top(int x, int y) const {
@@ -175,6 +181,7 @@ template <class P> class Hills {
         return {sx / n, sy / n, above, above, true};
     }
 
+    int box_;
     const Pixels<P> &pixels_;
     const Background &background_;
     float saturation_;
@@ -196,9 +203,10 @@ std::vector<float> chunk_thresholds(const ImageView &image, const Background &b,
 }
 
 template <class P>
-std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &background, const Settings &settings) {
+std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &background, const Settings &settings,
+                            int box) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings);
+    const Hills<P> hills(pixels, background, settings, box);
     Visited visited(image.width, image.height);
     std::vector<float> thresholds;
     std::vector<int> peaks;
@@ -207,7 +215,8 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
     for (int y = 1; y + 1 < image.height; ++y) {
         if (y % 16 == 1) thresholds = chunk_thresholds(image, background, settings.threshold, y + 8);
         const std::byte *row = image.data + y * image.row_bytes;
-        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, image.width, thresholds.data(), peaks);
+        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, image.width,
+                  thresholds.data(), peaks);
         for (const int x : peaks)
             if (Seed seed; hills.lit(x, y) && hills.climb(x, y, &visited, seed) && hills.significant(seed))
                 seeds.push_back(seed);
@@ -216,10 +225,10 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
 }
 
 template <class P>
-bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, double x_px,
-             double y_px, double radius_px, Seed &best) {
+bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box,
+             double x_px, double y_px, double radius_px, Seed &best) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings);
+    const Hills<P> hills(pixels, background, settings, box);
     // one pixel more on the left and right, which the scan leaves alone
     const int x0 = std::max(static_cast<int>(std::floor(x_px - radius_px)) - 1, 0);
     const int x1 = std::min(static_cast<int>(std::ceil(x_px + radius_px)) + 1, image.width - 1);
@@ -233,7 +242,8 @@ bool near_in(const Pixels<P> &pixels, const Background &background, const Settin
     bool found = false;
     for (int y = y0; y <= y1; ++y) {
         const auto *row = reinterpret_cast<const std::byte *>(pixels.row(y) + x0);
-        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, x1 - x0 + 1, thresholds.data(), peaks);
+        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, x1 - x0 + 1,
+                  thresholds.data(), peaks);
         for (const int x : peaks) {
             Seed seed;
             if (!hills.lit(x0 + x, y) || !hills.climb(x0 + x, y, nullptr, seed)) continue;
@@ -246,14 +256,15 @@ bool near_in(const Pixels<P> &pixels, const Background &background, const Settin
 
 } // namespace
 
-std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings) {
-    return with_pixels(image, [&](const auto &p) { return detect_in(p, background, settings); });
+std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings,
+                         int box) {
+    return with_pixels(image, [&](const auto &p) { return detect_in(p, background, settings, box); });
 }
 
-bool detect_near(const ImageView &image, const Background &background, const Settings &settings, double x_px,
-                 double y_px, double radius_px, Seed &seed) {
+bool detect_near(const ImageView &image, const Background &background, const Settings &settings, int box,
+                 double x_px, double y_px, double radius_px, Seed &seed) {
     return with_pixels(image, [&](const auto &p) {
-        return near_in(p, background, settings, x_px, y_px, radius_px, seed);
+        return near_in(p, background, settings, box, x_px, y_px, radius_px, seed);
     });
 }
 

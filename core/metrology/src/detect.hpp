@@ -11,15 +11,17 @@ namespace fl::metrology {
 struct Seed {
     double x = 0; // px
     double y = 0;
-    float height = 0;    // ADU above the background: mean of the 3 x 3 pixels, outliers clipped
-    float lowest = 0;    // ADU above the background: the third faintest of the 3 x 3 pixels
+    float height = 0; // ADU above the background: mean of the 3 x 3 pixels, outliers clipped
+    float lowest = 0; // ADU above the background: the third faintest of the 3 x 3 pixels
     bool saturated = false;
 };
 
-std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings);
+// `box` 1 or 2: hills are climbed on sums of 3 x 3 or 5 x 5 pixels.
+std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings,
+                         int box);
 
 // The nearest seed within `radius_px` of a position, if any.
-bool detect_near(const ImageView &image, const Background &background, const Settings &settings, double x_px,
-                 double y_px, double radius_px, Seed &seed);
+bool detect_near(const ImageView &image, const Background &background, const Settings &settings, int box,
+                 double x_px, double y_px, double radius_px, Seed &seed);
 
 } // namespace fl::metrology

@@ -7,15 +7,17 @@ namespace fl::metrology {
 
 std::array<double, Profile::terms> polynomial_terms(double u, double v) {
     const double u2 = u * u, v2 = v * v;
-    return {1, u, v, u2, u * v, v2, u2 * u, u2 * v, u * v2, v2 * v, u2 * u2, u2 * u * v, u2 * v2, u * v2 * v, v2 * v2};
+    return {1,      u,      v,       u2,         u * v,   v2,         u2 * u, u2 * v,
+            u * v2, v2 * v, u2 * u2, u2 * u * v, u2 * v2, u * v2 * v, v2 * v2};
 }
 
 namespace {
 
 constexpr int most_iterations = 15;
-constexpr double enough = 0.1;        // of the statistical error: the step after would be a tenth of it again
-constexpr float cut_sigma = 5.0f;     // a Poisson pixel beyond this is rarer than a cosmic ray
+constexpr double enough = 0.1;    // of the statistical error: the step after would be a tenth of it again
+constexpr float cut_sigma = 5.0f; // a Poisson pixel beyond this is rarer than a cosmic ray
 constexpr double kept_knowledge = 0.99;
+constexpr double flat_square = 0.5;
 constexpr double pi = 3.14159265358979323846;
 constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
@@ -76,7 +78,8 @@ Judge judge_at(int iteration, const Profile &profile, const Settings &settings, 
 }
 
 void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
-    const auto cx = solver.solve({0, 1, 0, 0}), cy = solver.solve({0, 0, 1, 0}), cf = solver.solve({1, 0, 0, 0});
+    const auto cx = solver.solve({0, 1, 0, 0}), cy = solver.solve({0, 0, 1, 0}),
+               cf = solver.solve({1, 0, 0, 0});
     fit.var_x = cx[1], fit.cov_xy = cx[2], fit.var_y = cy[2], fit.var_flux = cf[0];
     fit.freedom = std::max(normal.sum[Normal::pixels] - solver.n, 1.0);
     fit.chi2 = normal.sum[Normal::chi2] / fit.freedom;
@@ -101,23 +104,39 @@ Ellipse ellipse_at(const Profile &profile, double x_px, double y_px) {
 
 Shape shape_of(const Profile &profile, const Ellipse &e) {
     const double det = e.xx * e.yy - e.xy * e.xy, norm = 1 / (2 * pi * std::sqrt(det));
-    Shape s{static_cast<float>(e.yy / det), static_cast<float>(-2 * e.xy / det), static_cast<float>(e.xx / det), {}};
+    Shape s{static_cast<float>(e.yy / det),
+            static_cast<float>(-2 * e.xy / det),
+            static_cast<float>(e.xx / det),
+            {}};
     for (std::size_t k = 0; k < lambda.size(); ++k)
         s.amplitude[k] = static_cast<float>(profile.amplitude[k] * norm);
+    if (profile.flat_top) s.linear = 0, s.square = static_cast<float>(flat_square);
     return s;
 }
 
+std::array<double, Profile::components> rung_weights(const Profile &profile) {
+    if (!profile.flat_top) return lambda;
+    std::array<double, Profile::components> out{};
+    // pi int exp(-q^2 / (4 lambda)) dq over 2 pi
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = 0.5 * std::sqrt(pi * lambda[k]);
+    return out;
+}
+
 double profile_value(const Profile &profile, double q) {
+    const double t = profile.flat_top ? flat_square * q * q : q;
     double sum = 0;
-    for (std::size_t k = 0; k < lambda.size(); ++k) sum += profile.amplitude[k] * std::exp(-q / (2 * lambda[k]));
+    for (std::size_t k = 0; k < lambda.size(); ++k)
+        sum += profile.amplitude[k] * std::exp(-t / (2 * lambda[k]));
     return sum / (2 * pi);
 }
 
 double profile_slope(const Profile &profile, double q) {
+    const double t = profile.flat_top ? flat_square * q * q : q,
+                 rate = profile.flat_top ? 2 * flat_square * q : 1.0;
     double sum = 0;
     for (std::size_t k = 0; k < lambda.size(); ++k)
-        sum -= profile.amplitude[k] / (2 * lambda[k]) * std::exp(-q / (2 * lambda[k]));
-    return sum / (2 * pi);
+        sum -= profile.amplitude[k] / (2 * lambda[k]) * std::exp(-t / (2 * lambda[k]));
+    return rate * sum / (2 * pi);
 }
 
 // The information on x inside q is proportional to int q' slope^2 / (1 + contrast * value / peak) dq'.
@@ -137,7 +156,8 @@ double reach(const Profile &profile, double contrast) {
 }
 
 Reach::Reach(const Profile &profile) {
-    for (std::size_t k = 0; k < q_max_.size(); ++k) q_max_[k] = reach(profile, std::ldexp(1.0, static_cast<int>(k)));
+    for (std::size_t k = 0; k < q_max_.size(); ++k)
+        q_max_[k] = reach(profile, std::ldexp(1.0, static_cast<int>(k)));
 }
 
 double Reach::operator()(double contrast) const {
@@ -169,23 +189,28 @@ Cut copy_pixels(const Pixels<P> &pixels, const Background &background, const Set
     Cut cut;
     const double x1 = stamp.x0 + width - 1, y1 = stamp.y0 + stamp.height - 1;
     const float corner = background.level_at(stamp.x0, stamp.y0);
-    const float across = (background.level_at(x1, stamp.y0) - corner) / static_cast<float>(std::max(width - 1, 1));
-    const float down = (background.level_at(stamp.x0, y1) - corner) / static_cast<float>(std::max(stamp.height - 1, 1));
+    const float across =
+        (background.level_at(x1, stamp.y0) - corner) / static_cast<float>(std::max(width - 1, 1));
+    const float down =
+        (background.level_at(stamp.x0, y1) - corner) / static_cast<float>(std::max(stamp.height - 1, 1));
     const auto saturation = static_cast<float>(settings.saturation_adu);
     for (int j = 0; j < stamp.height; ++j) {
         const std::size_t at = static_cast<std::size_t>(j * stamp.width);
-        cut.saturated |= copy_row<P>(pixels.row(stamp.y0 + j) + stamp.x0, width, corner + down * static_cast<float>(j),
-                                     across, saturation, &stamp.value[at], &stamp.usable[at]);
+        cut.saturated |=
+            copy_row<P>(pixels.row(stamp.y0 + j) + stamp.x0, width, corner + down * static_cast<float>(j),
+                        across, saturation, &stamp.value[at], &stamp.usable[at]);
     }
     return cut;
 }
 
 } // namespace
 
-Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
-            double half_width, double half_height, Stamp &stamp) {
-    const int x0 = static_cast<int>(std::floor(x - half_width)), x1 = static_cast<int>(std::ceil(x + half_width));
-    const int y0 = static_cast<int>(std::floor(y - half_height)), y1 = static_cast<int>(std::ceil(y + half_height));
+Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x,
+            double y, double half_width, double half_height, Stamp &stamp) {
+    const int x0 = static_cast<int>(std::floor(x - half_width)),
+              x1 = static_cast<int>(std::ceil(x + half_width));
+    const int y0 = static_cast<int>(std::floor(y - half_height)),
+              y1 = static_cast<int>(std::ceil(y + half_height));
     const int left = std::clamp(x0, 0, image.width - 1), right = std::clamp(x1, left, image.width - 1);
     const int top = std::clamp(y0, 0, image.height - 1), bottom = std::clamp(y1, top, image.height - 1);
     stamp.resize(left, top, right - left + 1, bottom - top + 1);
@@ -215,7 +240,8 @@ void fetch_ahead(const ImageView &image, double x, double y, double half_width, 
     }
 }
 
-void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit) {
+void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background,
+           Fit &fit) {
     const Ellipse ellipse = ellipse_at(profile, fit.x, fit.y);
     const Shape shape = shape_of(profile, ellipse);
     const double peak_share = profile_value(profile, 0) / ellipse.area();
@@ -227,7 +253,8 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
         const Normal n = normal_equations(stamp, shape, state, judge);
         const Solver solver(n, free_background && k >= rough_iterations ? 4 : 3);
         if (!solver.regular) break;
-        const auto step = solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
+        const auto step =
+            solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
         const double size = std::hypot(step[1], step[2]), brake = size > longest ? longest / size : 1.0;
         state.flux = std::max(state.flux + step[0], 0.3 * state.flux); // a flux below zero has no gradient
         state.x += brake * step[1], state.y += brake * step[2];

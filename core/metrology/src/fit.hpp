@@ -8,8 +8,8 @@
 namespace fl::metrology {
 
 struct Ellipse {
-    double xx, xy, yy; // S in px^2
-    double area() const;   // sqrt|S|
+    double xx, xy, yy;   // S in px^2
+    double area() const; // sqrt|S|
     // half the size of the box that holds q <= q_max
     double half_width(double q_max) const;
     double half_height(double q_max) const;
@@ -18,6 +18,9 @@ struct Ellipse {
 std::array<double, Profile::terms> polynomial_terms(double u, double v);
 Ellipse ellipse_at(const Profile &profile, double x_px, double y_px);
 Shape shape_of(const Profile &profile, const Ellipse &ellipse);
+
+// What each rung of the ladder weighs in the flux: its integral over the plane over 2 pi sqrt|S|.
+std::array<double, Profile::components> rung_weights(const Profile &profile);
 
 // The profile for q = 0 .. as flux 1 on an ellipse of area 1, and its derivative.
 double profile_value(const Profile &profile, double q);
@@ -38,21 +41,21 @@ class Reach {
 };
 
 struct Fit {
-    std::size_t seed = 0; // which of the frame's seeds
+    std::size_t seed = 0;          // which of the frame's seeds
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
-    double chi2 = 0;   // per degree of freedom
+    double chi2 = 0; // per degree of freedom
     double freedom = 1;
-    double lost = 0;   // share of the profile's squared light without a say
+    double lost = 0;     // share of the profile's squared light without a say
     double left_out = 0; // pixels
     double q_max = 0;
-    double moved = 0;  // px from where the fit began
+    double moved = 0; // px from where the fit began
     bool saturated = false;
     bool truncated = false;
     bool converged = false;
     bool orphaned = false; // a neighbour that was taken off turned out to be none
-    float height = 0; // ADU, of the seed
+    float height = 0;      // ADU, of the seed
 };
 
 // Cuts the box of q <= q_max out; true when the box leaves the image.
@@ -60,13 +63,14 @@ struct Cut {
     bool truncated = false;
     bool saturated = false;
 };
-Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x, double y,
-            double half_width, double half_height, Stamp &stamp);
+Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x,
+            double y, double half_width, double half_height, Stamp &stamp);
 
 // Asks the memory for the pixels of the next spot while this one is fitted: spots lie far apart.
 void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height);
 
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
-void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background, Fit &fit);
+void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background,
+           Fit &fit);
 
 } // namespace fl::metrology

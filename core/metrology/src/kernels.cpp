@@ -27,7 +27,9 @@ FL_INLINE Float8 load(const float *p) {
 FL_INLINE void store(float *p, Float8 v) { std::memcpy(p, &v, sizeof v); }
 
 // 1 where the comparison holds, 0 elsewhere
-FL_INLINE Float8 unit(Int8 mask) { return reinterpret_cast<Float8>(mask & reinterpret_cast<Int8>(all(1.0f))); }
+FL_INLINE Float8 unit(Int8 mask) {
+    return reinterpret_cast<Float8>(mask & reinterpret_cast<Int8>(all(1.0f)));
+}
 
 // The fitted region ends softly, for the same reason as below.
 FL_INLINE Float8 window(Float8 q, Float8 q_max, Float8 steepness) {
@@ -63,12 +65,13 @@ FL_INLINE Float8 exp_negative(Float8 x) {
 
 // One spot's shape with every number in all lanes: set up once, outside the loops.
 struct WideShape {
-    Float8 xx, xy, yy;
+    Float8 xx, xy, yy, linear, square;
     Float8 amplitude[6], slope[6];
 };
 
 FL_INLINE void widen(const Shape &shape, WideShape &wide) {
     wide.xx = all(shape.xx), wide.xy = all(shape.xy), wide.yy = all(shape.yy);
+    wide.linear = all(shape.linear), wide.square = all(shape.square);
     float rate = -1.0f;
     for (int k = 0; k < 6; ++k, rate *= 0.5f) {
         wide.amplitude[k] = all(shape.amplitude[k]);
@@ -78,32 +81,35 @@ FL_INLINE void widen(const Shape &shape, WideShape &wide) {
 
 // Profile and its slope dm/dq: one exponential, the rest of the ladder by squaring.
 FL_INLINE void profile_at(const WideShape &shape, Float8 q, Float8 &value, Float8 &slope) {
-    Float8 e = exp_negative(q * all(-1.0f / 32.0f)); // lambda = 16
+    const Float8 bend = shape.square * q;
+    Float8 e = exp_negative(q * (shape.linear + bend) * all(-1.0f / 32.0f)); // lambda = 16
     value = e * shape.amplitude[5], slope = e * shape.slope[5];
 #pragma GCC unroll 5
     for (int k = 4; k >= 0; --k) {
         e = e * e;
         value += e * shape.amplitude[k], slope += e * shape.slope[k];
     }
+    slope = slope * (shape.linear + bend + bend); // dt/dq
 }
 
-FL_INLINE Float8 ramp(float start) {
-    return Float8{0, 1, 2, 3, 4, 5, 6, 7} + all(start);
-}
+FL_INLINE Float8 ramp(float start) { return Float8{0, 1, 2, 3, 4, 5, 6, 7} + all(start); }
 
 template <class P> struct Rows {
     const typename P::Raw *above, *row, *below;
 };
 
-template <class P> FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
+template <class P>
+FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
     using Key = typename P::Key;
     const Key bar = static_cast<Key>(limit);
     alignas(64) unsigned char top[chunk_px] = {};
     for (int i = from; i < to; ++i) {
         const Key v = P::key(r.row[i]);
-        const bool is = (v > bar) & (v >= P::key(r.above[i - 1])) & (v >= P::key(r.above[i])) &
-                        (v >= P::key(r.above[i + 1])) & (v >= P::key(r.row[i - 1])) & (v > P::key(r.row[i + 1])) &
-                        (v > P::key(r.below[i - 1])) & (v > P::key(r.below[i])) & (v > P::key(r.below[i + 1]));
+        // written as "not higher", so that a neighbour that is not a number is no obstacle
+        const bool is = (v > bar) & !(P::key(r.above[i - 1]) > v) & !(P::key(r.above[i]) > v) &
+                        !(P::key(r.above[i + 1]) > v) & !(P::key(r.row[i - 1]) > v) &
+                        !(P::key(r.row[i + 1]) >= v) & !(P::key(r.below[i - 1]) >= v) &
+                        !(P::key(r.below[i]) >= v) & !(P::key(r.below[i + 1]) >= v);
         top[i - from] = static_cast<unsigned char>(is);
     }
     for (int word = 0; word < chunk_px; word += 8) {
@@ -113,7 +119,8 @@ template <class P> FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int
     }
 }
 
-template <class P> FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::vector<int> &out) {
+template <class P>
+FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::vector<int> &out) {
     using Key = typename P::Key;
     for (int c = 0; c * chunk_px < width; ++c) {
         const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
@@ -130,9 +137,13 @@ template <class P> Rows<P> rows_of(const std::byte *above, const std::byte *row,
 }
 
 FL_CLONES void scan_u16(Rows<PixelU16> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
-FL_CLONES void scan_u16_fits(Rows<PixelU16Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_u16_fits(Rows<PixelU16Fits> r, int w, const float *t, std::vector<int> &o) {
+    scan(r, w, t, o);
+}
 FL_CLONES void scan_f32(Rows<PixelF32> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
-FL_CLONES void scan_f32_fits(Rows<PixelF32Fits> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
+FL_CLONES void scan_f32_fits(Rows<PixelF32Fits> r, int w, const float *t, std::vector<int> &o) {
+    scan(r, w, t, o);
+}
 FL_CLONES void scan_f64(Rows<PixelF64> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
 
 // The columns of one row that the ellipse q <= q_max covers, in whole lanes.
@@ -161,8 +172,8 @@ FL_INLINE void widen(const Judge &judge, WideJudge &wide) {
     wide.q_max = all(judge.q_max), wide.steepness = all(5.0f / judge.q_max);
 }
 
-FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state, const Judge &narrow_judge,
-                          Float8 *sum) {
+FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state,
+                          const Judge &narrow_judge, Float8 *sum) {
     using N = Normal;
     WideShape shape;
     WideJudge judge;
@@ -222,9 +233,9 @@ FL_CLONES void moments(const Stamp &stamp, const Shape &shape, float x, float y,
     }
 }
 
-// The ladder's rungs, flux * norm * exp(-q / (2 lambda_k)).
-FL_INLINE void rungs_at(Float8 q, Float8 scale, Float8 *rung) {
-    Float8 e = exp_negative(q * all(-1.0f / 32.0f));
+// The ladder's rungs, flux * norm * exp(-t / (2 lambda_k)).
+FL_INLINE void rungs_at(const WideShape &shape, Float8 q, Float8 scale, Float8 *rung) {
+    Float8 e = exp_negative(q * (shape.linear + shape.square * q) * all(-1.0f / 32.0f));
 #pragma GCC unroll 6
     for (int k = 5; k >= 0; --k, e = e * e) rung[k] = e * scale;
 }
@@ -245,7 +256,7 @@ FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, 
             const Float8 dx = columns + static_cast<float>(i);
             const Float8 q = (shape.xx * dx + shape.xy * dy) * dx + shape.yy * dy * dy;
             Float8 rung[6];
-            rungs_at(q, scale, rung);
+            rungs_at(shape, q, scale, rung);
             Float8 model = rung[0] * shape.amplitude[0];
             for (int k = 1; k < 6; ++k) model += rung[k] * shape.amplitude[k];
             const Float8 positive = model > zero ? model : zero;
@@ -291,15 +302,20 @@ FL_CLONES void subtract(Stamp &stamp, const Shape &narrow, float flux, float x, 
 
 } // namespace
 
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below, int width,
-               const float *threshold, std::vector<int> &peaks) {
+void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
+               int width, const float *threshold, std::vector<int> &peaks) {
     peaks.clear();
     switch (type) {
-    case PixelType::U16: return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
-    case PixelType::U16Fits: return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
-    case PixelType::F32: return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
-    case PixelType::F32Fits: return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
-    case PixelType::F64: return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
+    case PixelType::U16:
+        return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
+    case PixelType::U16Fits:
+        return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F32:
+        return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
+    case PixelType::F32Fits:
+        return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
+    case PixelType::F64:
+        return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
     }
 }
 
@@ -323,7 +339,8 @@ Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &sta
 }
 
 void subtract_profile(Stamp &stamp, const Shape &shape, double flux, double x, double y, float inverse_gain) {
-    subtract(stamp, shape, static_cast<float>(flux), static_cast<float>(x), static_cast<float>(y), inverse_gain);
+    subtract(stamp, shape, static_cast<float>(flux), static_cast<float>(x), static_cast<float>(y),
+             inverse_gain);
 }
 
 std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, double x, double y) {

@@ -12,10 +12,10 @@ namespace fl::metrology {
 constexpr int chunk_px = 64;
 
 // Columns of a row where a pixel is above its chunk's threshold, not below its four neighbours before it in
-// reading order and above the four after it (so of equal neighbours exactly one is the top). `above` and `below`
-// are the neighbouring rows; the first and last columns are left to the caller.
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below, int width,
-               const float *threshold, std::vector<int> &peaks);
+// reading order and above the four after it (so of equal neighbours exactly one is the top). `above` and
+// `below` are the neighbouring rows; the first and last columns are left to the caller.
+void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
+               int width, const float *threshold, std::vector<int> &peaks);
 
 // A rectangle cut out around one spot: what it shows less background and neighbours, the variance of those,
 // and 1 for a pixel that may be used. Rows are padded with unusable pixels to a multiple of `lanes`.
@@ -32,10 +32,13 @@ struct Stamp {
     void resize(int x, int y, int w, int h);
 };
 
-// One spot's ellipse, q = xx dx^2 + xy dx dy + yy dy^2, and its profile with the norm multiplied in.
+// One spot's ellipse, q = xx dx^2 + xy dx dy + yy dy^2, and its profile in t = linear q + square q^2 with the
+// norm multiplied in.
 struct Shape {
     float xx, xy, yy;
     std::array<float, 6> amplitude;
+    float linear = 1;
+    float square = 0;
 };
 
 struct State {
@@ -55,10 +58,25 @@ struct Judge {
 // Upper triangle of the Fisher matrix, the score, and what was seen on the way; p = (flux, x, y, background).
 struct Normal {
     enum {
-        ff, fx, fy, fb, xx, xy, xb, yy, yb, bb, // Fisher matrix
-        sf, sx, sy, sb,                         // score
-        chi2, pixels, left_out,                 // used, and left out by the judge
-        light, light_lost,                      // squared profile of all pixels, and of those without a say
+        ff,
+        fx,
+        fy,
+        fb,
+        xx,
+        xy,
+        xb,
+        yy,
+        yb,
+        bb, // Fisher matrix
+        sf,
+        sx,
+        sy,
+        sb, // score
+        chi2,
+        pixels,
+        left_out, // used, and left out by the judge
+        light,
+        light_lost, // squared profile of all pixels, and of those without a say
         size
     };
     std::array<double, size> sum{};
@@ -73,7 +91,8 @@ void subtract_profile(Stamp &stamp, const Shape &shape, double flux, double x, d
 std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, double x, double y);
 
 // Adds one spot to the normal equations of the ladder's amplitudes: 21 of the upper triangle, 6 of the right
-// side, then what the misfit needs: sum of (r^2 - variance) / variance^2, sum of model^2 / variance^2 for q < 8.
+// side, then what the misfit needs: sum of (r^2 - variance) / variance^2, sum of model^2 / variance^2 for q
+// < 8.
 using LadderSums = std::array<double, 29>;
 void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const State &state, const Judge &judge,
                 LadderSums &sums);

@@ -3,28 +3,37 @@
 #include "profile.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
 namespace fl::metrology {
 namespace {
 
-constexpr double blend_fwhm = 2.0;   // nearer than this, two spots share their pixels
-constexpr double same_fwhm = 0.4;    // nearer than this, it is one
-constexpr double most_lost = 0.6;    // of the squared light: then too little of the spot is left
-constexpr double most_unexplained = 0.04; // of what the profile explains
-constexpr double most_ragged = 0.2;   // of the pixels, left out where the others do not fit either
-constexpr double most_doubt = 0.7;   // pixels: what ordinary noise adds up to stays below
+constexpr double blend_fwhm = 2.0;        // nearer than this, two spots share their pixels
+constexpr double same_fwhm = 0.4;         // nearer than this, it is one
+constexpr double most_lost = 0.6;         // of the squared light: then too little of the spot is left
+constexpr double most_unexplained = 0.08; // of what the profile explains
+constexpr double doubt_chi2 = 15;         // what a pixel that was left out would have added to chi2, at least
+constexpr double forgiven_pixels = 2;     // hot ones
+constexpr double most_doubt = 0.7;        // pixels: what ordinary noise adds up to stays below
 constexpr double poor_chi2 = 2.0;
 constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
 constexpr double close_fwhm = 3.0;   // nearer than this, one fit moves the other
-constexpr int neighbour_rounds = 4;
+constexpr double split_sigma = 6;    // of chi2: then there is something to be seen
+constexpr double split_pixels = 2.5; // left out: a hot pixel is one
+constexpr double wide_q = 20;        // where a hidden neighbour is looked for
+constexpr double least_share = 0.04; // of the peak
+constexpr double narrow_fwhm_px = 4.5;
+constexpr int neighbour_rounds = 5;
 
 // Spots of one image and who stands near whom.
 class Frame {
   public:
-    Frame(const ImageView &image, const Background &background, const Settings &settings, const Profile &profile)
-        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile), typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
+    Frame(const ImageView &image, const Background &background, const Settings &settings,
+          const Profile &profile)
+        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile),
+          typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
 
     void add(const Seed &seed) {
         const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
@@ -36,6 +45,7 @@ class Frame {
         fit.flux = seed.height * e.area() / profile_value(profile_, 0.67 / e.area());
         const float noise = background_.noise_at(seed.x, seed.y);
         fit.q_max = reach_(seed.height / (settings_.gain_e_adu * noise * noise));
+        fit.orphaned = true; // not fitted yet
         fits_.push_back(fit);
     }
 
@@ -48,7 +58,8 @@ class Frame {
         erase_unless(keep);
     }
 
-    // Brightest first, each with the light of its neighbours taken off; those that share pixels again and again.
+    // Brightest first, each with the light of its neighbours taken off; those that share pixels again and
+    // again.
     void fit_all() {
         link(wing_fwhm * typical_fwhm_);
         std::vector<std::size_t> order(fits_.size());
@@ -58,13 +69,13 @@ class Frame {
             if (k + 1 < order.size()) fetch(fits_[order[k + 1]]);
             fit_one(order[k]);
         }
+        split_blends();
         for (int round = 1; round < neighbour_rounds; ++round) {
-            drop_what_is_none();
             link(wing_fwhm * typical_fwhm_);
             for (std::size_t i = 0; i < fits_.size(); ++i)
                 if (fits_[i].orphaned || shares_pixels(i)) fit_one(i);
+            drop_what_is_none();
         }
-        drop_what_is_none();
     }
 
     std::vector<Spot> spots() {
@@ -113,22 +124,71 @@ class Frame {
         fetch_ahead(image_, fit.x, fit.y, e.half_width(fit.q_max), e.half_height(fit.q_max));
     }
 
-    void fit_one(std::size_t i) {
-        Fit &fit = fits_[i];
+    // The stamp of spot i without its neighbours.
+    Cut prepare(std::size_t i, double q_max) {
+        const Fit &fit = fits_[i];
         const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
-        const Cut cut = cut_out(image_, background_, settings_, fit.x, fit.y, e.half_width(fit.q_max),
-                                e.half_height(fit.q_max), stamp_);
-        fit.truncated = cut.truncated;
-        fit.saturated = cut.saturated;
+        const Cut cut = cut_out(image_, background_, settings_, fit.x, fit.y, e.half_width(q_max),
+                                e.half_height(q_max), stamp_);
         const float noise = background_.noise_at(fit.x, fit.y);
         for (const std::size_t j : near_[i]) {
             const Fit &n = fits_[j];
             if (!reaches(n, fit, e, noise)) continue;
-            subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux, n.x - stamp_.x0,
-                             n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
+            subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux,
+                             n.x - stamp_.x0, n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
         }
+        return cut;
+    }
+
+    void fit_one(std::size_t i) {
+        Fit &fit = fits_[i];
+        const Cut cut = prepare(i, fit.q_max);
+        fit.truncated = cut.truncated;
+        fit.saturated = cut.saturated;
         solve(stamp_, profile_, settings_, true, fit);
         fit.orphaned = false;
+    }
+
+    // A spot that leaves a spot over was two.
+    void split_blends() {
+        const std::size_t n = fits_.size();
+        for (std::size_t i = 0; i < n; ++i) {
+            const Fit &f = fits_[i];
+            const bool strange = (f.chi2 - 1) * f.freedom > split_sigma * std::sqrt(2 * f.freedom);
+            if (f.saturated || !(f.flux > 0) || !(strange || f.left_out > split_pixels || !f.converged))
+                continue;
+            if (Seed left; left_over(i, left)) add(left);
+        }
+    }
+
+    // The brightest place of what remains without spot i and its neighbours, if it is lit like a spot.
+    bool left_over(std::size_t i, Seed &seed) {
+        const Fit fit = fits_[i];
+        const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
+        prepare(i, wide_q);
+        subtract_profile(stamp_, shape_of(profile_, e), fit.flux, fit.x - stamp_.x0, fit.y - stamp_.y0,
+                         static_cast<float>(1 / settings_.gain_e_adu));
+        const double peak = fit.flux * profile_value(profile_, 0) / e.area();
+        const double bar = peak * std::max(least_share, 5 * profile_.misfit);
+        seed.height = 0;
+        for (int y = 1; y + 1 < stamp_.height; ++y)
+            for (int x = 1; x + 1 < stamp_.width; ++x) {
+                const double away = std::hypot(stamp_.x0 + x - fit.x, stamp_.y0 + y - fit.y);
+                const float middle = middle_of_nine(x, y);
+                if (away > 0.4 * typical_fwhm_ && middle > seed.height && middle > bar)
+                    seed = {static_cast<double>(stamp_.x0 + x), static_cast<double>(stamp_.y0 + y), middle,
+                            middle};
+            }
+        return seed.height > 0;
+    }
+
+    // Median of 3 x 3 residuals, 0 where it does not stand out of the noise: no cosmic ray fills five of
+    // nine.
+    float middle_of_nine(int x, int y) const {
+        std::array<float, 9> v;
+        for (int k = 0; k < 9; ++k) v[k] = stamp_.value[(y + k / 3 - 1) * stamp_.width + x + k % 3 - 1];
+        std::nth_element(v.begin(), v.begin() + 4, v.end());
+        return v[4] > 3 * std::sqrt(stamp_.variance[y * stamp_.width + x]) ? v[4] : 0.0f;
     }
 
     bool is_spot(const Fit &f) const {
@@ -138,12 +198,16 @@ class Frame {
                f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
     }
 
-    // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots.
-    static bool has_the_shape(const Fit &f, double sigma) {
+    // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots,
+    // and a spot that a cosmic ray hits is, but for the pixels of the ray. A poor profile must not judge
+    // strictly.
+    bool has_the_shape(const Fit &f, double sigma) const {
+        // in a frame that has no spot to measure a profile on, nothing is likely to be one
+        if (!profile_.measured() && f.chi2 > poor_chi2) return false;
         const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
-        // a spot hit by a cosmic ray loses pixels and fits well with the others; a track does neither
-        const bool ragged = f.chi2 > poor_chi2 && f.left_out > most_ragged * (f.left_out + f.freedom);
-        return left_over < most_unexplained * sigma * sigma && !ragged;
+        const double thrown_out = doubt_chi2 * std::max(f.left_out - forgiven_pixels, 0.0);
+        const double allowed = most_unexplained + 10 * profile_.misfit * profile_.misfit;
+        return left_over + thrown_out < allowed * sigma * sigma;
     }
 
     void drop_what_is_none() {
@@ -213,15 +277,23 @@ class Frame {
 double Profile::fwhm_px(double x_px, double y_px) const {
     const double half = 0.5 * profile_value(*this, 0);
     double low = 0, high = 200;
-    for (int k = 0; k < 50; ++k) (profile_value(*this, 0.5 * (low + high)) > half ? low : high) = 0.5 * (low + high);
+    for (int k = 0; k < 50; ++k)
+        (profile_value(*this, 0.5 * (low + high)) > half ? low : high) = 0.5 * (low + high);
     return 2 * std::sqrt(low * ellipse_at(*this, x_px, y_px).area());
 }
 
 namespace {
 
+// Half the side of the box that detection climbs on: narrow spots near each other need a small one.
+int climb_box(double fwhm_px) { return fwhm_px > 0 && fwhm_px < narrow_fwhm_px ? 1 : 2; }
+
 Result measure(const ImageView &image, const Background &background, const Settings &settings,
-               const std::vector<Seed> &seeds, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
+               const std::vector<Seed> &found, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
     Result result;
+    const double fwhm = known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px)
+                                         : first_look_px(image, background, settings, found);
+    const std::vector<Seed> seeds =
+        of_seeds == nullptr ? gather_wide(image, background, settings, found, fwhm) : found;
     result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
     result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
     Frame frame(image, background, settings, result.profile);
@@ -237,18 +309,27 @@ Result measure(const ImageView &image, const Background &background, const Setti
 
 Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
     const Background background = measure_background(image);
-    return measure(image, background, settings, detect(image, background, settings), known, nullptr);
+    const double fwhm = known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px) : 0.0;
+    std::vector<Seed> seeds = detect(image, background, settings, climb_box(fwhm));
+    if (!known.measured()) {
+        // once more, now that the size of the spots is known
+        const int box = climb_box(first_look_px(image, background, settings, seeds));
+        if (box != climb_box(0)) seeds = detect(image, background, settings, box);
+    }
+    return measure(image, background, settings, seeds, known, nullptr);
 }
 
 Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
                      double radius_px, const Profile &known) {
     const Background background = measure_background(image);
     const std::size_t n = expected_xy_px.size() / 2;
+    const int box =
+        climb_box(known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px) : 0.0);
     std::vector<Seed> seeds;
     std::vector<std::size_t> owner;
     for (std::size_t i = 0; i < n; ++i) {
         const double x = expected_xy_px[2 * i], y = expected_xy_px[2 * i + 1];
-        if (Seed seed; detect_near(image, background, settings, x, y, radius_px, seed))
+        if (Seed seed; detect_near(image, background, settings, box, x, y, radius_px, seed))
             seeds.push_back(seed), owner.push_back(i);
     }
     std::vector<std::ptrdiff_t> of_seeds;

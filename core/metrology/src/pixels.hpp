@@ -55,11 +55,16 @@ template <class P> struct Pixels {
 // Calls `use` with the Pixels<...> of the image's type.
 template <class Use> decltype(auto) with_pixels(const ImageView &image, Use &&use) {
     switch (image.type) {
-    case PixelType::U16Fits: return use(Pixels<PixelU16Fits>{image});
-    case PixelType::F32: return use(Pixels<PixelF32>{image});
-    case PixelType::F32Fits: return use(Pixels<PixelF32Fits>{image});
-    case PixelType::F64: return use(Pixels<PixelF64>{image});
-    case PixelType::U16: break;
+    case PixelType::U16Fits:
+        return use(Pixels<PixelU16Fits>{image});
+    case PixelType::F32:
+        return use(Pixels<PixelF32>{image});
+    case PixelType::F32Fits:
+        return use(Pixels<PixelF32Fits>{image});
+    case PixelType::F64:
+        return use(Pixels<PixelF64>{image});
+    case PixelType::U16:
+        break;
     }
     return use(Pixels<PixelU16>{image});
 }

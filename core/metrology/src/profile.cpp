@@ -9,8 +9,11 @@ namespace {
 
 constexpr double fwhm_per_sigma = 2.354820045;
 constexpr double fallback_fwhm_px = 3.0;
+constexpr double wide_fwhm_px = 8.0; // detection climbs on 5 x 5 pixels
+constexpr double wing_q = 60.0;      // the profile is measured to here
+constexpr double core_q = 12.0;      // and the spots it is measured on are fitted to here
+constexpr double peaked_misfit = 0.02;
 constexpr int cells = 8; // per axis: bright spots are taken from everywhere in the image
-constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
 struct Sample {
     double x, y;
@@ -26,8 +29,7 @@ double median_of(std::vector<double> values) {
 }
 
 // How far from (x, y) the light falls below half, in one direction, between pixels.
-template <class P>
-double half_way(const Pixels<P> &pixels, int x, int y, int dx, int dy, float half) {
+template <class P> double half_way(const Pixels<P> &pixels, int x, int y, int dx, int dy, float half) {
     float before = pixels.at(x, y);
     for (int k = 1; k < 100; ++k) {
         const int u = x + k * dx, v = y + k * dy;
@@ -110,14 +112,17 @@ bool adaptive_moments(const Stamp &stamp, Sample &sample) {
     Ellipse &s = sample.s;
     for (int k = 0; k < 30; ++k) {
         const double det = s.xx * s.yy - s.xy * s.xy;
-        const Shape shape{static_cast<float>(s.yy / det), static_cast<float>(-2 * s.xy / det),
-                          static_cast<float>(s.xx / det), {}};
+        const Shape shape{static_cast<float>(s.yy / det),
+                          static_cast<float>(-2 * s.xy / det),
+                          static_cast<float>(s.xx / det),
+                          {}};
         const auto m = weighted_moments(stamp, shape, x, y);
         if (!(m[0] > 0)) return false;
         const double ux = m[1] / m[0], uy = m[2] / m[0];
         const double mxx = m[3] / m[0] - ux * ux, mxy = m[4] / m[0] - ux * uy, myy = m[5] / m[0] - uy * uy;
         const double mdet = mxx * myy - mxy * mxy;
-        const double ixx = myy / mdet - s.yy / det, ixy = -mxy / mdet + s.xy / det, iyy = mxx / mdet - s.xx / det;
+        const double ixx = myy / mdet - s.yy / det, ixy = -mxy / mdet + s.xy / det,
+                     iyy = mxx / mdet - s.xx / det;
         const double idet = ixx * iyy - ixy * ixy;
         if (!(mdet > 0 && idet > 0 && ixx > 0)) return false;
         const Ellipse next{iyy / idet, -ixy / idet, ixx / idet};
@@ -216,14 +221,15 @@ struct ProfileSpot {
     Fit fit;
 };
 
-void add_spots(const Profile &profile, const Settings &settings, const std::vector<ProfileSpot> &spots, int round,
-               LadderSums &sums) {
+void add_spots(const Profile &profile, const Settings &settings, const std::vector<ProfileSpot> &spots,
+               int round, LadderSums &sums) {
     constexpr float pi = 3.14159265f;
     for (const ProfileSpot &s : spots) {
         if (!s.fit.converged || !(s.fit.flux > 0)) continue;
         const Ellipse e = ellipse_at(profile, s.fit.x, s.fit.y);
         const auto norm = static_cast<float>(1 / (2 * pi * e.area()));
-        const Judge judge{6.0f, round == 0 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu), 120.0f};
+        const Judge judge{6.0f, round < 2 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu),
+                          120.0f};
         const State state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
         add_ladder(s.stamp, shape_of(profile, e), norm, state, judge, sums);
     }
@@ -238,11 +244,12 @@ void take_ladder(const LadderSums &sums, Profile &profile) {
         for (std::size_t j = i; j < 6; ++j) a[i][j] = a[j][i] = sums[n++];
     for (std::size_t i = 0; i < 6; ++i) {
         const double wish = 1e-6 * a[1][1];
-        a[i][i] += wish, b[i] += i == 1 ? wish : 0.0;
+        a[i][i] += wish, b[i] += i == 1 && !profile.flat_top ? wish : 0.0;
     }
     const auto c = least_squares(a, b);
     double flux = 0;
-    for (std::size_t k = 0; k < 6; ++k) flux += c[k] * lambda[k];
+    const auto weights = rung_weights(profile);
+    for (std::size_t k = 0; k < 6; ++k) flux += c[k] * weights[k];
     if (!(flux > 0)) return;
     for (std::size_t k = 0; k < 6; ++k) profile.amplitude[k] = c[k] / flux;
 }
@@ -254,71 +261,131 @@ void fit_ladder(Profile &profile, const Settings &settings, std::vector<ProfileS
         LadderSums sums{};
         add_spots(profile, settings, spots, round, sums);
         take_ladder(sums, profile);
-        profile.misfit = std::clamp(std::sqrt(std::max(sums[27], 0.0) / std::max(sums[28], 1e-300)), 0.001, 0.2);
+        profile.misfit =
+            std::clamp(std::sqrt(std::max(sums[27], 0.0) / std::max(sums[28], 1e-300)), 0.001, 0.2);
     }
+}
+
+// Peaked profiles first; where they do not fit, flat tops.
+void fit_profile(Profile &profile, const Settings &settings, std::vector<ProfileSpot> &spots) {
+    std::vector<ProfileSpot> again = spots;
+    fit_ladder(profile, settings, spots);
+    if (profile.misfit < peaked_misfit) return;
+    Profile flat = profile;
+    flat.flat_top = true;
+    flat.amplitude = {0, 0, 1, 0, 0, 0};
+    for (double &a : flat.amplitude) a /= rung_weights(flat)[2];
+    fit_ladder(flat, settings, again);
+    if (flat.misfit < profile.misfit) profile = flat;
 }
 
 Profile round_profile(const ImageView &image, double fwhm_px) {
     Profile p;
-    p.half_width_px = 0.5 * std::max(image.width - 1, 1), p.half_height_px = 0.5 * std::max(image.height - 1, 1);
+    p.half_width_px = 0.5 * std::max(image.width - 1, 1),
+    p.half_height_px = 0.5 * std::max(image.height - 1, 1);
     const double s = fwhm_px * fwhm_px / (fwhm_per_sigma * fwhm_per_sigma);
     p.shape[0][0] = p.shape[2][0] = s;
-    p.misfit = 0.05;
+    p.misfit = 0.03; // not known, but a spot is round
     return p;
 }
 
-// Size without a shape: the median width at half maximum of the brightest.
-double first_look(const ImageView &image, const Background &background, const std::vector<const Seed *> &bright) {
-    std::vector<double> widths;
-    for (const Seed *s : bright) widths.push_back(half_maximum_width(image, background, *s));
-    return std::clamp(median_of(widths), 1.0, 100.0);
+// Centre of light under a round Gaussian weight, moved along until it stands still.
+void centre_on_light(const ImageView &image, const Background &background, const Settings &settings,
+                     double fwhm_px, Seed &seed) {
+    const float s = static_cast<float>(fwhm_per_sigma * fwhm_per_sigma / (fwhm_px * fwhm_px));
+    const Shape weight{s, 0, s, {}};
+    Stamp stamp;
+    for (int k = 0; k < 5; ++k) {
+        cut_out(image, background, settings, seed.x, seed.y, 1.5 * fwhm_px, 1.5 * fwhm_px, stamp);
+        const auto m = weighted_moments(stamp, weight, seed.x - stamp.x0, seed.y - stamp.y0);
+        if (!(m[0] > 0)) return;
+        seed.x += 2 * m[1] / m[0], seed.y += 2 * m[2] / m[0];
+    }
 }
 
-} // namespace
-
-Profile measure_profile(const ImageView &image, const Background &background, const Settings &settings,
-                        const std::vector<Seed> &seeds) {
-    auto bright = bright_seeds(image, seeds, settings.max_profile_spots);
-    if (bright.empty()) return round_profile(image, settings.fwhm_px > 0 ? settings.fwhm_px : fallback_fwhm_px);
-    const double fwhm = first_look(image, background, bright);
-    Profile profile = round_profile(image, fwhm);
-
-    // lonely spots tell the wings; where there are none, the core must do
+// lonely spots tell the wings; where there are none, the core must do
+std::vector<const Seed *> lonely_seeds(const std::vector<Seed> &seeds, std::vector<const Seed *> bright,
+                                       double fwhm) {
     const Neighbours neighbours(seeds);
     for (const double distance : {6.0, 4.0, 2.5, 1.5}) {
         std::vector<const Seed *> lonely;
         for (const Seed *s : bright)
             if (neighbours.lonely(*s, distance * fwhm)) lonely.push_back(s);
-        if (lonely.size() >= 20 || distance < 2) {
-            if (!lonely.empty()) bright = lonely;
-            break;
-        }
+        if (lonely.size() >= 20 || (distance < 2 && !lonely.empty())) return lonely;
     }
+    return bright;
+}
 
+std::vector<Sample> sample_shapes(const ImageView &image, const Background &background,
+                                  const Settings &settings, const std::vector<const Seed *> &bright,
+                                  double fwhm) {
+    const double s = fwhm * fwhm / (fwhm_per_sigma * fwhm_per_sigma);
     std::vector<Sample> samples;
     Stamp stamp;
-    for (const Seed *s : bright) {
-        Sample sample{s->x, s->y, {profile.shape[0][0], 0, profile.shape[2][0]}};
-        cut_out(image, background, settings, s->x, s->y, 2 * fwhm, 2 * fwhm, stamp);
+    for (const Seed *seed : bright) {
+        Sample sample{seed->x, seed->y, {s, 0, s}};
+        cut_out(image, background, settings, seed->x, seed->y, 2 * fwhm, 2 * fwhm, stamp);
         drop_spikes(stamp);
         if (adaptive_moments(stamp, sample)) samples.push_back(sample);
     }
-    if (samples.empty()) return profile;
-    fit_shapes(profile, samples);
+    return samples;
+}
 
+std::vector<ProfileSpot> cut_wide(const ImageView &image, const Background &background,
+                                  const Settings &settings, const Profile &profile,
+                                  const std::vector<Sample> &samples) {
     std::vector<ProfileSpot> spots;
     for (const Sample &s : samples) {
         if (!s.good) continue;
         ProfileSpot &spot = spots.emplace_back();
         const Ellipse e = ellipse_at(profile, s.x, s.y);
-        cut_out(image, background, settings, s.x, s.y, e.half_width(60), e.half_height(60), spot.stamp);
-        spot.fit.x = s.x, spot.fit.y = s.y, spot.fit.q_max = 12;
-        spot.fit.flux = 0;
-        const Shape shape = shape_of(profile, e);
-        const auto m = weighted_moments(spot.stamp, shape, s.x - spot.stamp.x0, s.y - spot.stamp.y0);
-        spot.fit.flux = 2 * m[0];
+        cut_out(image, background, settings, s.x, s.y, e.half_width(wing_q), e.half_height(wing_q),
+                spot.stamp);
+        spot.fit.x = s.x, spot.fit.y = s.y, spot.fit.q_max = core_q;
+        // a Gaussian under its own weight gives half its flux
+        spot.fit.flux = 2 * weighted_moments(spot.stamp, shape_of(profile, e), s.x - spot.stamp.x0,
+                                             s.y - spot.stamp.y0)[0];
     }
-    fit_ladder(profile, settings, spots);
+    return spots;
+}
+
+} // namespace
+
+double first_look_px(const ImageView &image, const Background &background, const Settings &settings,
+                     const std::vector<Seed> &seeds) {
+    std::vector<double> widths;
+    for (const Seed *s : bright_seeds(image, seeds, settings.max_profile_spots))
+        widths.push_back(half_maximum_width(image, background, *s));
+    return widths.empty() ? 0.0 : std::clamp(median_of(widths), 1.0, 100.0);
+}
+
+std::vector<Seed> gather_wide(const ImageView &image, const Background &background, const Settings &settings,
+                              const std::vector<Seed> &seeds, double fwhm_px) {
+    if (fwhm_px < wide_fwhm_px) return seeds;
+    std::vector<Seed> order = seeds, out;
+    std::sort(order.begin(), order.end(), [](const Seed &a, const Seed &b) { return a.height > b.height; });
+    for (Seed &s : order) {
+        if (!s.saturated) centre_on_light(image, background, settings, fwhm_px, s);
+        const bool known = std::any_of(out.begin(), out.end(), [&](const Seed &o) {
+            return std::hypot(o.x - s.x, o.y - s.y) < 0.5 * fwhm_px;
+        });
+        if (!known) out.push_back(s);
+    }
+    return out;
+}
+
+Profile measure_profile(const ImageView &image, const Background &background, const Settings &settings,
+                        const std::vector<Seed> &seeds) {
+    const double look = first_look_px(image, background, settings, seeds);
+    const double hint = settings.fwhm_px > 0 ? settings.fwhm_px : fallback_fwhm_px;
+    Profile profile = round_profile(image, look > 0 ? look : hint);
+    if (!(look > 0)) return profile;
+    const auto bright = lonely_seeds(seeds, bright_seeds(image, seeds, settings.max_profile_spots), look);
+    std::vector<Sample> samples = sample_shapes(image, background, settings, bright, look);
+    if (samples.empty()) return profile;
+    fit_shapes(profile, samples);
+    std::vector<ProfileSpot> spots = cut_wide(image, background, settings, profile, samples);
+    fit_profile(profile, settings, spots);
     profile.n_spots = static_cast<int>(spots.size());
     return profile;
 }

@@ -5,6 +5,7 @@
 // Nothing here may call an inline function of another header: the linker would keep one copy of it,
 // perhaps the one that only runs on newer machines.
 #include "fiberloom/twin/axis_group.hpp"
+#include "law_body.hpp"
 
 namespace fl::twin {
 namespace {
@@ -19,6 +20,12 @@ inline V larger(V a, V b) { return a > b ? a : b; }
 inline V smaller(V a, V b) { return a < b ? a : b; }
 inline V all(double x) { return V{} + x; }
 inline V both(Mask m, V v) { return reinterpret_cast<V>(reinterpret_cast<Mask>(v) & m); }
+
+inline bool any(Mask m) {
+    long long bits = 0;
+    for (int i = 0; i < width; ++i) bits |= m[i];
+    return bits != 0;
+}
 
 // Nearest integer of |x| < 2^51: adding 1.5 * 2^52 shifts the fraction out. Every instruction set can.
 constexpr double round_magic = 6755399441055744.0;
@@ -108,10 +115,12 @@ inline void sense_hall(AxisGroup &g, int i, uint32_t tick, V sine, V cosine) {
             g.hall_cnt[1] + i);
 }
 
+inline bool is_still(const AxisGroup &g, int lane) { return (g.still >> (lane / chunk_size) & 1U) != 0; }
+
 void sense(AxisGroup &g, uint32_t tick) {
     for (int i = 0; i < lane_count; i += width) {
-        V sine, cosine;
-        sincos(load(g.theta_rad + i), sine, cosine);
+        V sine = load(g.sine + i), cosine = load(g.cosine + i); // exact already where nothing has moved
+        if (!is_still(g, i)) sincos(load(g.theta_rad + i), sine, cosine);
         store(g.sine + i, sine);
         store(g.cosine + i, cosine);
         sense_hall(g, i, tick, sine, cosine);
@@ -132,8 +141,11 @@ void drive(AxisGroup &g) {
         const V a = bridge(g.duty[0] + i, steps), b = bridge(g.duty[1] + i, steps),
                 c = bridge(g.duty[2] + i, steps);
         const V ab = b - a, bc = c - b, ca = a - c; // u_AB = u_B - u_A and cyclic
-        store(g.drive_cos_Nms + i, scale * (ab - 0.5 * (bc + ca)));
-        store(g.drive_sin_Nms + i, scale * (0.86602540378443864676 * (ca - bc)));
+        const V along = scale * (ab - 0.5 * (bc + ca)), across = scale * (0.86602540378443864676 * (ca - bc));
+        const Mask changed = (along != load(g.drive_cos_Nms + i)) | (across != load(g.drive_sin_Nms + i));
+        if (any(changed)) g.still &= ~(1U << (i / chunk_size));
+        store(g.drive_cos_Nms + i, along);
+        store(g.drive_sin_Nms + i, across);
     }
 }
 
@@ -226,6 +238,7 @@ inline void load_gear(AxisGroup &g, int i) {
 inline void begin_tick(AxisGroup &g, int i) {
     load_gear(g, i);
     Motion m = load_motion(g, i);
+    store(g.theta_before_rad + i, m.theta);
     drift(m, 0.5 * drift_now(g, i, m));
     store_motion(g, i, m);
 }
@@ -243,6 +256,11 @@ inline Mask end_tick(AxisGroup &g, int i) {
     return (gear < load(g.cell_lo_rad + i)) | (gear >= load(g.cell_hi_rad + i));
 }
 
+// At rest now, and where it was: then it was at rest all the time, for the field stands in a tick.
+inline Mask has_moved(const AxisGroup &g, int i) {
+    return (load(g.theta_rad + i) != load(g.theta_before_rad + i)) | (load(g.p_Nms + i) != V{});
+}
+
 uint32_t lanes_out_of_cell(const AxisGroup &g) {
     uint32_t out = 0;
     for (int i = 0; i < lane_count; ++i)
@@ -250,26 +268,40 @@ uint32_t lanes_out_of_cell(const AxisGroup &g) {
     return out;
 }
 
-bool any(Mask m) {
-    long long bits = 0;
-    for (int i = 0; i < width; ++i) bits |= m[i];
-    return bits != 0;
+inline void begin_chunk(AxisGroup &g, int chunk) {
+    for (int i = chunk; i < chunk + chunk_size; i += width) begin_tick(g, i);
 }
 
-// Half drift, kick, half drift; two half drifts between kicks are one.
+inline void substep_chunk(AxisGroup &g, int chunk, double share) {
+    for (int i = chunk; i < chunk + chunk_size; i += width) substep(g, i, share);
+}
+
+// Half drift, kick, half drift; two half drifts between kicks are one. Chunks in turn inside a substep,
+// so that the processor always has several independent ones to work on.
 TickEvents step(AxisGroup &g, int substeps) {
-    for (int i = 0; i < lane_count; i += width) begin_tick(g, i);
-    for (int k = 1; k < substeps; ++k)
-        for (int i = 0; i < lane_count; i += width) substep(g, i, 1.0);
-    for (int i = 0; i < lane_count; i += width) substep(g, i, 0.5);
+    int chunks[lane_count / chunk_size], count = 0;
+    for (int c = 0; c < lane_count; c += chunk_size)
+        if (!is_still(g, c)) chunks[count++] = c;
+    if (count == 0) return {};
+    for (int k = 0; k < count; ++k) begin_chunk(g, chunks[k]);
+    for (int n = 1; n < substeps; ++n)
+        for (int k = 0; k < count; ++k) substep_chunk(g, chunks[k], 1.0);
+    for (int k = 0; k < count; ++k) substep_chunk(g, chunks[k], 0.5);
     Mask left{};
-    for (int i = 0; i < lane_count; i += width) left |= end_tick(g, i);
+    for (int k = 0; k < count; ++k) {
+        Mask moved{};
+        for (int i = chunks[k]; i < chunks[k] + chunk_size; i += width) {
+            left |= end_tick(g, i);
+            moved |= has_moved(g, i);
+        }
+        if (!any(moved)) g.still |= 1U << (chunks[k] / chunk_size);
+    }
     return {any(left) ? lanes_out_of_cell(g) : 0};
 }
 
 } // namespace
 
 extern const Kernel FL_KERNEL_SYMBOL;
-const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step};
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, drive_law};
 
 } // namespace fl::twin

@@ -56,6 +56,10 @@ uint32_t noise_key(uint64_t seed, uint64_t axis) {
     return static_cast<uint32_t>((z ^ (z >> 31)) >> 16);
 }
 
+size_t axis_at(size_t group, size_t lane) {
+    return 2 * (group * squad_size + lane % squad_size) + lane / squad_size;
+}
+
 // Standard normal, nearly: twelve bytes of scrambled counter (Irwin-Hall, ends at six).
 double bell(uint32_t key, uint32_t count) {
     uint64_t z = (static_cast<uint64_t>(key) << 32 | count) * 0x9E3779B97F4A7C15ULL;
@@ -91,10 +95,10 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         axes_[axis].unit = units[axis];
-        groups_[axis / lane_count].noise_key[axis % lane_count] = noise_key(seed, axis);
+        group_of(axis).noise_key[place(axis).lane] = noise_key(seed, axis);
         axes_[axis].seat.key = noise_key(~seed, axis);
         configure(axis);
-        place(axis, output_rad[axis]);
+        put(axis, output_rad[axis]);
     }
 }
 
@@ -103,7 +107,7 @@ void Plant::step(size_t group) {
     kernel_->drive(g);
     TickEvents events = kernel_->step(g, substeps_);
     for (uint32_t left = events.left_cell; left != 0; left &= left - 1)
-        follow_cell(group * lane_count + static_cast<size_t>(__builtin_ctz(left)));
+        follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctz(left))));
 }
 
 AxisState Plant::state(size_t axis) const {
@@ -114,6 +118,7 @@ AxisState Plant::state(size_t axis) const {
 void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
     lane(axis, &AxisGroup::theta_rad) = theta_rad;
     lane(axis, &AxisGroup::p_Nms) = momentum_Nms;
+    group_of(axis).still = 0;
     lane(axis, &AxisGroup::gear_rad) = gear_rad;
     axes_[axis].cell =
         cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
@@ -149,6 +154,7 @@ double Plant::speed_limit_rad_s(size_t axis) const {
 
 void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
+    group_of(axis).still = 0;
     const PlantParams &p = params(axis);
     const double spring_Nm = p.spring_rate * p.spring_free;
     lane(axis, &AxisGroup::load_0_Nms) = h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio;
@@ -168,6 +174,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].unit.transmission = transmission;
+    group_of(axis).still = 0;
     const Cell start = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
     axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
     load_cell(axis);
@@ -175,7 +182,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     if (positive) lane(axis, &AxisGroup::theta_rad) = gear_rad + backlash_rad(axis);
 }
 
-void Plant::place(size_t axis, double output_rad) {
+void Plant::put(size_t axis, double output_rad) {
     const PlantParams &p = params(axis);
     if (!(output_rad >= p.stop_min && output_rad <= p.stop_max))
         refuse(axis, "output angle " + std::to_string(output_rad) + " rad lies beyond the hard stops");

@@ -8,8 +8,8 @@
 namespace fl::twin {
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
-    group_ = &plant.group(2 * index / lane_count);
-    lane_ = static_cast<int>(2 * index % lane_count);
+    group_ = &plant.group(Plant::place(2 * index).group);
+    lane_ = Plant::place(2 * index).lane;
     index_ = index;
     outbox_ = &outbox;
 }
@@ -37,12 +37,6 @@ void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
     wake(tick);
     now_ = tick;
     fl_positioner_receive(&firmware_, &frame);
-}
-
-void Positioner::tick_firmware(uint64_t tick) {
-    now_ = tick;
-    ++run_;
-    fl_positioner_tick(&firmware_);
 }
 
 // Ticks that left everything as it was: the next ones will, too, under the same duties.
@@ -88,7 +82,7 @@ void Positioner::record_axes(const Plant &plant, uint64_t tick) {
 
 ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) const {
     const size_t number = 2 * index_ + static_cast<size_t>(axis);
-    const int lane = lane_ + axis;
+    const int lane = lane_ + axis * squad_size;
     const AxisState state = plant.state(number);
     const fl_axis_telemetry_t t = fl_positioner_telemetry(&firmware_, axis);
     ScopeSample s{};
@@ -110,23 +104,27 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
     return s;
 }
 
-void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
-    auto &p = *static_cast<Positioner *>(ctx);
-    uint16_t *last = p.last_hall_[axis];
-    if (!p.faults.stuck_hall[axis])
-        for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(p.group_->hall_cnt[k][p.lane_ + axis]);
+void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
+    uint16_t *last = last_hall_[axis];
+    const int lane = lane_ + axis * squad_size;
+    if (!faults.stuck_hall[axis])
+        for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->hall_cnt[k][lane]);
     adc_cnt[0] = last[0];
     adc_cnt[1] = last[1];
 }
 
+void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
+    static_cast<Positioner *>(ctx)->hall(axis, adc_cnt);
+}
+
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
-    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis] = duty[k];
+    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * squad_size] = duty[k];
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     auto &p = *static_cast<Positioner *>(ctx);
-    if (!p.faults.mute) p.outbox_->frames.push_back({p.now_, *frame});
+    if (!p.faults.mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
     return true;
 }
 

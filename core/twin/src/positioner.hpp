@@ -11,8 +11,13 @@ namespace fl::twin {
 
 inline constexpr size_t storage_bytes = 4096;
 
+struct Sent {
+    Reply reply;
+    size_t sender; // index of the positioner
+};
+
 struct Outbox { // one per group of positioners: written by the thread that runs the group
-    std::vector<Reply> frames;
+    std::vector<Sent> frames;
     std::vector<Touch> touches;
 };
 
@@ -31,7 +36,14 @@ class Positioner {
     }
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
-    void tick_firmware(uint64_t tick);
+    // False when the firmware has nothing to do for its axes in this tick.
+    bool begin_tick(uint64_t tick) {
+        now_ = tick;
+        ++run_;
+        return fl_positioner_begin_tick(&firmware_);
+    }
+    // What the hall channels of an axis show in this tick.
+    void hall(int axis, uint16_t adc_cnt[2]);
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
@@ -40,6 +52,8 @@ class Positioner {
     uint64_t run() const { return run_; }
 
     const fl_positioner_t &firmware() const { return firmware_; }
+    fl_positioner_t &firmware() { return firmware_; }
+    size_t index() const { return index_; }
     uint16_t id() const { return firmware_.id; }
     PositionerFaults faults;
 
@@ -66,7 +80,7 @@ class Positioner {
 
     fl_positioner_t firmware_{};
     AxisGroup *group_ = nullptr;
-    int lane_ = 0;
+    int lane_ = 0; // of alpha; beta's is squad_size further
     size_t index_ = 0;
     Outbox *outbox_ = nullptr;
     std::vector<uint8_t> storage_;

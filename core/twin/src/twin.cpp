@@ -1,7 +1,7 @@
 #include "fiberloom/twin/twin.hpp"
 
 #include <algorithm>
-#include <array>
+
 #include <cmath>
 #include <numbers>
 #include <stdexcept>
@@ -9,13 +9,13 @@
 #include <unordered_map>
 #include <utility>
 
-#include "positioner.hpp"
+#include "squad.hpp"
 #include "workers.hpp"
 
 namespace fl::twin {
 namespace {
 
-constexpr size_t group_size = lane_count / FL_AXES; // positioners
+constexpr uint64_t lone_ticks = 32; // of a slice without neighbours: what a group needs stays in the cache
 constexpr double two_pi = 2.0 * std::numbers::pi;
 constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
 
@@ -57,13 +57,13 @@ struct Twin::State {
     void boot(const TwinSetup &s);
     void run_slice(uint64_t ticks);
     void run_group(size_t group, uint64_t ticks);
-    void tick_group(size_t group, uint64_t tick);
-    void wake_up(size_t group);
+
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
     void apply_torque(size_t i, const Push &push);
     void publish(size_t i);
     bool anybody_awake() const;
+    uint64_t ticks_to_sync() const { return feel ? sync_ticks - now % sync_ticks : lone_ticks; }
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -73,11 +73,7 @@ struct Twin::State {
     Plant plant;
     size_t count;
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
-    struct Awake {                             // of a group, during a slice
-        std::array<Positioner *, group_size> who;
-        size_t count = 0;
-    };
-    std::vector<Awake> awake;
+    std::vector<Squad> squads;                 // one per group of the plant
     std::vector<Outbox> outboxes;
     std::unordered_map<uint32_t, size_t> index_of_id;
     Neighbours neighbours;
@@ -93,7 +89,7 @@ struct Twin::State {
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
-      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)), awake(plant.group_count()),
+      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)), squads(plant.group_count()),
       outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
       feel(s.neighbours), skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
       workers(s.threads, plant.group_count(), [this](size_t group) { run_group(group, slice); }) {
@@ -107,10 +103,15 @@ void Twin::State::boot(const TwinSetup &s) {
         if (!index_of_id.emplace(s.ids[i], i).second)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
         Positioner &p = positioners[i];
-        p.attach(plant, i, outboxes[i / group_size]);
+        p.attach(plant, i, outboxes[i / squad_size]);
         p.boot(s.ids[i], &s.params[2 * i]);
     }
-    for (size_t g = 0; g < plant.group_count(); ++g) plant.sense(g, 0); // the first hall reading is real
+    for (size_t g = 0; g < plant.group_count(); ++g) {
+        const size_t first = g * squad_size;
+        squads[g].attach(plant, g, &positioners[first], std::min<size_t>(squad_size, count - first),
+                         s.side_by_side);
+        plant.sense(g, 0); // the first hall reading is real
+    }
     for (size_t i = 0; i < s.ids.size(); ++i) {
         int32_t position[FL_AXES];
         for (size_t axis = 0; axis < FL_AXES; ++axis)
@@ -119,35 +120,21 @@ void Twin::State::boot(const TwinSetup &s) {
     }
 }
 
-void Twin::State::tick_group(size_t group, uint64_t tick) {
-    const Awake &a = awake[group];
-    plant.sense(group, static_cast<uint32_t>(tick));
-    for (size_t k = 0; k < a.count; ++k) a.who[k]->tick_firmware(tick);
-    plant.step(group);
-    for (size_t k = 0; k < a.count; ++k) a.who[k]->record(plant, tick);
-}
-
-// Who is awake changes at the ends of slices only.
-void Twin::State::wake_up(size_t group) {
-    Awake &a = awake[group];
-    a.count = 0;
-    for (size_t i = group * group_size; i < std::min((group + 1) * group_size, count); ++i)
-        if (!positioners[i].asleep()) a.who[a.count++] = &positioners[i];
-}
-
 // One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
+    const size_t first = group * squad_size, last = std::min(first + squad_size, count);
     if (feel && now % sync_ticks == 0)
-        for (size_t i = group * group_size; i < std::min((group + 1) * group_size, count); ++i)
-            feel_neighbours(i, outboxes[group]);
-    wake_up(group);
-    const Awake &a = awake[group];
-    if (a.count == 0) return;
-    for (uint64_t tick = now; tick < now + ticks; ++tick) tick_group(group, tick);
-    for (size_t k = 0; k < a.count; ++k) {
-        a.who[k]->rest(plant, now + ticks, skip_resting);
-        if (feel) publish(static_cast<size_t>(a.who[k] - &positioners[0]));
+        for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
+    Squad &squad = squads[group];
+    if (!squad.muster()) return;
+    for (uint64_t tick = now; tick < now + ticks; ++tick) {
+        plant.sense(group, static_cast<uint32_t>(tick));
+        squad.tick(tick);
+        plant.step(group);
+        for (size_t i = first; i < last; ++i) positioners[i].record(plant, tick);
     }
+    squad.rest(now + ticks, skip_resting);
+    for (size_t i = first; feel && i < last; ++i) publish(i);
 }
 
 void Twin::State::publish(size_t i) {
@@ -200,13 +187,17 @@ void Twin::State::run_slice(uint64_t ticks) {
 }
 
 std::vector<Reply> Twin::State::collect() {
-    std::vector<Reply> all;
+    std::vector<Sent> all;
     for (Outbox &box : outboxes) {
         all.insert(all.end(), box.frames.begin(), box.frames.end());
         box.frames.clear();
     }
-    std::stable_sort(all.begin(), all.end(), [](const Reply &a, const Reply &b) { return a.tick < b.tick; });
-    return all;
+    std::stable_sort(all.begin(), all.end(), [](const Sent &a, const Sent &b) {
+        return a.reply.tick != b.reply.tick ? a.reply.tick < b.reply.tick : a.sender < b.sender;
+    });
+    std::vector<Reply> replies;
+    for (const Sent &sent : all) replies.push_back(sent.reply);
+    return replies;
 }
 
 Twin::Twin(const TwinSetup &setup) : s_(std::make_unique<State>(setup)) {}
@@ -230,12 +221,12 @@ void Twin::send(const fl_can_frame_t &frame) {
 std::vector<Reply> Twin::run(uint64_t ticks) {
     const uint64_t end = s_->now + ticks;
     while (s_->now < end) {
-        const bool resting = !s_->anybody_awake(), at_sync = s_->now % sync_ticks == 0;
+        const bool resting = !s_->anybody_awake(), at_sync = !s_->feel || s_->now % sync_ticks == 0;
         if (resting && s_->quiet) {
             s_->now = end;
             break;
         }
-        s_->run_slice(std::min(sync_ticks - s_->now % sync_ticks, end - s_->now));
+        s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
         s_->quiet = resting && at_sync && !s_->anybody_awake();
     }
     return s_->collect();
@@ -264,7 +255,8 @@ uint64_t Twin::ticks_run() const {
 // The firmware's own state is a board's business; neighbour lists are counted by their longest.
 size_t Twin::bytes_per_positioner() const {
     return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
-           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose);
+           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose) +
+           sizeof(Squad) / squad_size;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {

@@ -76,9 +76,7 @@ def find_candidates(plane: FocalPlane, targets: TargetList) -> Candidates:
     """Every choice that kinematics and axis limits allow, by exact inverse kinematics. Kronig 2020,
     Eq. 2. Offline positioners included: they are told apart later, with a reason."""
     near_positioner, near_target = _within_reach(plane, targets)
-    parts = [
-        _by_fibre(plane, targets, f, near_positioner, near_target) for f in plane.science_fibres
-    ]
+    parts = [_by_fibre(plane, targets, f, near_positioner, near_target) for f in plane.science_fibres]
     positioner, target, fibre, goal = (np.concatenate(x) for x in zip(*parts, strict=True))
     order = np.lexsort((target, positioner))
     return Candidates(positioner, target, fibre, goal).select(order)

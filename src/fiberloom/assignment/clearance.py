@@ -21,9 +21,7 @@ POSES = 3
 """Goal, middle and start of the approach."""
 
 
-def sweep(
-    plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats
-) -> Floats:
+def sweep(plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats) -> Floats:
     """(C, POSES, 4) mm: x0, y0, x1, y1 of the centre lines of these positioners (rows, repeats
     allowed) at their goals (C, 2) and on the way to them. approach_deg: one number, or (C,)."""
     start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
@@ -98,9 +96,7 @@ def obstacles(plane: FocalPlane, margin_mm: float) -> Floats:
     return np.vstack([np.hstack([xy, xy, r]), plane.guide_cameras, np.hstack([arms, radius])])
 
 
-def obstacle_gap_mm(
-    plane: FocalPlane, positioner: Ints, segments: Floats, bodies: Floats
-) -> Floats:
+def obstacle_gap_mm(plane: FocalPlane, positioner: Ints, segments: Floats, bodies: Floats) -> Floats:
     """(C,) gap between the arm's capsule in these poses (C, P, 4) and the nearest body (K, 5)."""
     gap = np.full(len(positioner), np.inf)
     which, body = _near_bodies(plane, positioner, bodies)

@@ -89,9 +89,7 @@ def _grid_deg(plane: FocalPlane) -> Floats:
     park = np.array(plane.instrument.positioner.park_deg)
     axes = [
         _steps(p, low, high, step)
-        for p, (low, high), step in zip(
-            park, plane.limits_deg, (STEP_ALPHA_DEG, STEP_BETA_DEG), strict=True
-        )
+        for p, (low, high), step in zip(park, plane.limits_deg, (STEP_ALPHA_DEG, STEP_BETA_DEG), strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     away = np.abs(grid - park)

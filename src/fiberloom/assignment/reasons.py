@@ -68,9 +68,7 @@ def _out_of_reach(plane: FocalPlane, targets: TargetList, row: int) -> str:
     return f"out of reach {whom}, gap {wanted[nearest]:.3f} mm"
 
 
-def _gaps(
-    plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: np.ndarray
-) -> np.ndarray:
+def _gaps(plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: np.ndarray) -> np.ndarray:
     return plane.inverse(targets.xy_mm[row], fibre, rows).gap_mm
 
 
@@ -99,9 +97,7 @@ def _lost(floor: Floor, targets: TargetList, mine: Candidates, limit_mm: float) 
             )
     best = int(np.argmax(targets.priority[floor.target[mine.positioner]]))
     row = int(mine.positioner[best])
-    return f"lost to another target: positioner {plane.positioner_id[row]}" + _busy_with(
-        floor, targets, row
-    )
+    return f"lost to another target: positioner {plane.positioner_id[row]}" + _busy_with(floor, targets, row)
 
 
 def _busy_with(floor: Floor, targets: TargetList, row: int) -> str:

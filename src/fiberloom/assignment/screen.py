@@ -23,9 +23,7 @@ def screen(
     return block
 
 
-def screen_placed(
-    floor: Floor, found: Candidates, segments: Floats, block: Ints, limit_mm: float
-) -> None:
+def screen_placed(floor: Floor, found: Candidates, segments: Floats, block: Ints, limit_mm: float) -> None:
     """Block also what is taken, or too near to somebody who stands already."""
     moving = floor.placed & ~floor.plane.offline
     block[(block == Block.NONE) & moving[found.positioner]] = Block.BUSY

@@ -109,9 +109,7 @@ class Client:
         if not ids:
             return Results()
         columns = [np.broadcast_to(np.asarray(v), len(ids)).tolist() for v in values]
-        payloads = [spec.pack(*row) for row in zip(*columns, strict=True)] or [spec.pack()] * len(
-            ids
-        )
+        payloads = [spec.pack(*row) for row in zip(*columns, strict=True)] or [spec.pack()] * len(ids)
         timeout_s = spec.timeout_s if timeout_s is None else timeout_s
         results = await self._unicast(command, ids, payloads, timeout_s)
         for _ in range(self.retries if spec.flags & Flag.REPEATABLE else 0):
@@ -232,9 +230,7 @@ class Client:
         self, ids: Iterable[int] | None, alpha_deg: ArrayLike, beta_deg: ArrayLike
     ) -> Results:
         """Declares where the axes are (33)."""
-        return await self.command(
-            Command.SET_ACTUAL_POSITION, ids, _counts(alpha_deg), _counts(beta_deg)
-        )
+        return await self.command(Command.SET_ACTUAL_POSITION, ids, _counts(alpha_deg), _counts(beta_deg))
 
     # moves
 

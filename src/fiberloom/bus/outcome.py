@@ -64,9 +64,7 @@ class Results(dict[int, Result]):
 
     def values_array(self, width: int) -> NDArray[np.int64]:
         """The integers of the replies, one row per positioner; zeros where there is no reply."""
-        rows = [
-            r.values if r.ok and len(r.values) == width else (0,) * width for r in self.values()
-        ]
+        rows = [r.values if r.ok and len(r.values) == width else (0,) * width for r in self.values()]
         return np.array(rows, dtype=np.int64).reshape(len(self), width)
 
     def __str__(self) -> str:

@@ -174,8 +174,7 @@ class CommandSpec:
             return struct.pack("<" + self.request, *values)
         except struct.error as error:
             raise InputError(
-                f"{self.command.name}: values {values} do not fit the payload "
-                f"'{self.request}' ({error})"
+                f"{self.command.name}: values {values} do not fit the payload '{self.request}' ({error})"
             ) from None
 
     def unpack(self, data: bytes) -> tuple[int, ...] | None:

@@ -125,9 +125,7 @@ async def _send_points(
         owners = np.repeat(waiting, [len(b) for b in bites]).tolist()
         raw = np.concatenate(bites).astype("<i4").tobytes()
         payloads = [raw[k : k + 8] for k in range(0, len(raw), 8)]
-        good = await _step(
-            exchange, Command.SEND_TRAJECTORY_DATA, owners, payloads, timeout_s, results
-        )
+        good = await _step(exchange, Command.SEND_TRAJECTORY_DATA, owners, payloads, timeout_s, results)
         failed = set(waiting) - set(good)
         alive = [i for i in alive if i not in failed]
         waiting = good

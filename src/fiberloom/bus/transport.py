@@ -79,9 +79,7 @@ class PythonCanTransport:
 
         try:
             for frame in frames:
-                message = can.Message(
-                    arbitration_id=frame[0], data=frame[1], is_extended_id=True, check=True
-                )
+                message = can.Message(arbitration_id=frame[0], data=frame[1], is_extended_id=True, check=True)
                 self._bus.send(message, timeout=1.0)
         except (can.CanError, OSError) as error:
             raise TransportLost(f"CAN bus: {error}") from None

@@ -19,9 +19,7 @@ def default_directory() -> Path:
     return Path.cwd() / ".cache" / "calibration"
 
 
-def cache_path(
-    config_hash: str, seed: int, settings: Any, directory: str | Path | None = None
-) -> Path:
+def cache_path(config_hash: str, seed: int, settings: Any, directory: str | Path | None = None) -> Path:
     """The file for this layout, seed and (dataclass of) settings, there or not yet."""
     inputs = {
         "layout": config_hash,

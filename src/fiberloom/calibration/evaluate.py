@@ -152,9 +152,7 @@ def _output_deg(
     return _fill(off, data.wire_deg[axis]) + data.wire_deg[axis]
 
 
-def _direction_at_zero_deg(
-    plane: FocalPlane, circles: list[Circles], rest: Floats, axis: int
-) -> Floats:
+def _direction_at_zero_deg(plane: FocalPlane, circles: list[Circles], rest: Floats, axis: int) -> Floats:
     """(N,) where the fibre would be, seen from the axis that turned, at its angle 0."""
     zero = _zeros_rad(plane)
     if axis == 1:

@@ -120,9 +120,7 @@ class TransmissionMaps:
         out = np.empty(given.shape)
         for k, row in enumerate(rows):
             for axis in range(2):
-                out[k, axis] = polyline(
-                    source[row, axis, side], goal[row, axis, side], given[k, axis]
-                )
+                out[k, axis] = polyline(source[row, axis, side], goal[row, axis, side], given[k, axis])
         return out
 
     def delta_deg(self, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
@@ -220,9 +218,7 @@ def load(path: str | Path) -> TransmissionMaps:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             parts = {name: file[name] for name in file.files}
     except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; make one with 'fiberloom calibrate transmission'"
-        ) from None
+        raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate transmission'") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
         raise InputError(f"{path}: not a file of transmission maps, or broken: {error}") from None
     return _from_parts(path, parts)

@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from fiberloom.assignment import Assignment, assign
+from fiberloom.assignment import Assignment, assign_relaxed
 from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.commands.terminal import Waiting, waiting
@@ -52,14 +52,12 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
         units = draw_units(plane, request.seed)
         maps = calibrated_maps(plane, units, request.seed, wait, path=request.calibration)
         wait.say("assigning targets")
-        assignment = assign(plane, targets, seed=request.seed)
-        hardware = field_hardware(
-            plane, units, request.seed, faults=request.faults, camera=request.camera
-        )
-        observed = _observe(plane, targets, assignment, maps, hardware, request, wait)
+        kept, assignment = assign_relaxed(plane, targets, seed=request.seed)
+        hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
+        observed = _observe(kept, targets, assignment, maps, hardware, request, wait)
     summary = summarise(observed) | marks(plane, request.seed)
     summary |= {"wall_s": time.monotonic() - started_s, "not_assigned": _reasons(assignment)}
-    summary |= {"put_in": put_in(plane)}
+    summary |= {"notes": assignment.notes, "put_in": put_in(plane)}
     write_results(observed, summary, out)
     if not request.quiet:
         _close(summary, out)
@@ -120,6 +118,8 @@ def _close(summary: dict[str, Any], out: Path) -> None:
         f"{summary['collisions_verified']} collisions in verified trajectories; "
         f"everything took {summary['wall_s']:.0f} s"
     )
+    for note in summary["notes"]:
+        console.print(f"note: {note}")
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     console.print(f"results in {out}/: summary.json, fibres.ecsv, trajectories.json, *.png")

@@ -21,9 +21,7 @@ def prepare_folder(out: Path) -> Path:
         probe.unlink()
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(
-            f"--out {out}: cannot write there ({reason}); choose another folder"
-        ) from None
+        raise InputError(f"--out {out}: cannot write there ({reason}); choose another folder") from None
     return out
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fiberloom.assignment import assign
+from fiberloom.assignment import assign_relaxed
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, instrument_names, load_instrument
@@ -26,7 +26,7 @@ def assign_step(plane: FocalPlane, targets: Path, seed: int, out: Path) -> dict[
     """Assign and write the goal configuration."""
     wanted = read_targets(targets)
     prepare_folder(out.parent)
-    found = assign(plane, wanted, seed=seed)
+    _, found = assign_relaxed(plane, wanted, seed=seed)
     write_configuration(out, plane.positioner_id, found.goal_deg)
     left_out = [f"{wanted.target_id[k]}: {why}" for k, why in sorted(found.unassigned.items())]
     return {

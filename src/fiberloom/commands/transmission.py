@@ -68,9 +68,7 @@ def calibrated_maps(
     return calibration.maps
 
 
-def _calibrate(
-    plane: FocalPlane, units: Units, seed: int, points: int, wait: Waiting
-) -> Calibration:
+def _calibrate(plane: FocalPlane, units: Units, seed: int, points: int, wait: Waiting) -> Calibration:
     wait.say("calibrating transmissions")
     hardware = bench_hardware(plane, units, seed)
     client = Client(hardware.transport)

@@ -69,8 +69,7 @@ class FocalPlane:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(
-                    f"focal plane: {name} has shape {getattr(self, name).shape}, "
-                    f"{n} positioners need {shape}"
+                    f"focal plane: {name} has shape {getattr(self, name).shape}, {n} positioners need {shape}"
                 )
         if METROLOGY not in self.points:
             self.points[METROLOGY] = self.points[self.instrument.seen_point]
@@ -144,9 +143,7 @@ class FocalPlane:
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
         return per_rad * RAD_PER_DEG
 
-    def inverse(
-        self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None
-    ) -> Inverse:
+    def inverse(self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None) -> Inverse:
         """Angles inside the limits that put a fibre on (n, 2) targets. Kronig 2020, Eq. 2.
 
         The right-handed elbow (beta in [0, 180]) first, then the lowest alpha; 0 where none.
@@ -228,6 +225,11 @@ class FocalPlane:
         if position_deg is not None:
             position[rows] = position_deg
         return replace(self, offline=offline, offline_position_deg=position)
+
+    def with_collision_buffer(self, collision_buffer_mm: float) -> "FocalPlane":
+        """The same plane with another radius of the beta arms' capsules."""
+        bodies = self.instrument.bodies.model_copy(update={"collision_buffer_mm": collision_buffer_mm})
+        return replace(self, instrument=self.instrument.model_copy(update={"bodies": bodies}))
 
     def config_hash(self) -> str:
         """16 hex digits that change with any number of the instrument or the layout."""

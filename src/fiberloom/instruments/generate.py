@@ -31,20 +31,12 @@ class Holes:
     def names(self) -> list[str]:
         """R+3C7: row 3 above the central one, seventh hole from the left."""
         first = -self.rings - np.minimum(self.r, 0)
-        return [
-            f"R{r:+d}C{c}" if r else f"R0C{c}"
-            for r, c in zip(self.r, self.q - first + 1, strict=True)
-        ]
+        return [f"R{r:+d}C{c}" if r else f"R0C{c}" for r, c in zip(self.r, self.q - first + 1, strict=True)]
 
 
 def hexagon(rings: int) -> Holes:
     """All holes within `rings` steps of the central one."""
-    rows = [
-        (q, r)
-        for r in range(-rings, rings + 1)
-        for q in range(-rings, rings + 1)
-        if abs(q + r) <= rings
-    ]
+    rows = [(q, r) for r in range(-rings, rings + 1) for q in range(-rings, rings + 1) if abs(q + r) <= rings]
     q, r = np.array(rows, dtype=np.int64).T
     return Holes(q, r, rings)
 
@@ -133,9 +125,7 @@ def _nearest(xy: Floats, candidates: Ints, n: int) -> Ints:
     return np.sort(candidates[np.argsort(distance, kind="stable")[:n]])
 
 
-def _draw(
-    instrument: Instrument, xy: Floats, rng: np.random.Generator
-) -> tuple[Floats, dict[str, Floats]]:
+def _draw(instrument: Instrument, xy: Floats, rng: np.random.Generator) -> tuple[Floats, dict[str, Floats]]:
     """Arms and points of one unit per hole."""
     n, scatter = len(xy), instrument.scatter
     orientation = deg_to_rad(instrument.layout.orientation_deg)
@@ -146,14 +136,10 @@ def _draw(
     shift = _sample(scatter.base_x_mm, n, rng), _sample(scatter.base_y_mm, n, rng)
     arms[:, :2] = xy + _turned(*shift, float(orientation))
     stretch = _sample(scatter.beta_length_mm, n, rng)
-    return arms, {
-        name: _draw_point(instrument, name, stretch, rng) for name in instrument.positioner.points
-    }
+    return arms, {name: _draw_point(instrument, name, stretch, rng) for name in instrument.positioner.points}
 
 
-def _draw_point(
-    instrument: Instrument, name: str, stretch: Floats, rng: np.random.Generator
-) -> Floats:
+def _draw_point(instrument: Instrument, name: str, stretch: Floats, rng: np.random.Generator) -> Floats:
     point, scatter, n = instrument.positioner.points[name], instrument.scatter, len(stretch)
     xy = np.column_stack([point.x_mm + stretch, np.full(n, point.y_mm)])
     if name != METROLOGY:

@@ -14,9 +14,7 @@ from .model import Instrument
 def instrument_names() -> list[str]:
     """Names of the presets that come with fiberloom."""
     folder = files("fiberloom.instruments.presets")
-    return sorted(
-        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
-    )
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
 def load_instrument(name_or_path: str | Path) -> Instrument:
@@ -43,8 +41,7 @@ def _read(name: str) -> tuple[str, str]:
     path = Path(name)
     if not path.is_file():
         raise InputError(
-            f"instrument '{name}': neither a preset ({', '.join(instrument_names())}) "
-            "nor a TOML file"
+            f"instrument '{name}': neither a preset ({', '.join(instrument_names())}) nor a TOML file"
         )
     try:
         return path.read_text(encoding="utf-8"), str(path)

@@ -91,13 +91,9 @@ class Axis(Table):
                 f"{[low, high]} and the approach of {self.approach_deg} deg above it"
             )
         if 0 < self.approach_deg < self.backlash_deg:
-            raise ValueError(
-                f"approach_deg {self.approach_deg} must exceed backlash_deg {self.backlash_deg}"
-            )
+            raise ValueError(f"approach_deg {self.approach_deg} must exceed backlash_deg {self.backlash_deg}")
         if high - low > 720.0:
-            raise ValueError(
-                f"target_range_deg {[low, high]}: more than two turns are not supported"
-            )
+            raise ValueError(f"target_range_deg {[low, high]}: more than two turns are not supported")
         return self
 
 
@@ -134,6 +130,8 @@ class Bodies(Table):
     """Centre line of the beta arm's capsule, from and to, along the arm from the beta axis."""
     collision_buffer_mm: Positive
     """Radius of that capsule."""
+    collision_shrink_mm: NotNegative = 0.0
+    """By how much that radius may give way to a configuration that somebody else has decided."""
     fiducial_radius_mm: Positive
     guide_camera_radius_mm: Positive = 1.0
 
@@ -141,6 +139,11 @@ class Bodies(Table):
     def _segment(self) -> Self:
         if not self.beta_segment_mm[0] < self.beta_segment_mm[1]:
             raise ValueError(f"beta_segment_mm {list(self.beta_segment_mm)}: from must be below to")
+        if self.collision_shrink_mm >= self.collision_buffer_mm:
+            raise ValueError(
+                f"collision_shrink_mm {self.collision_shrink_mm} must be below "
+                f"collision_buffer_mm {self.collision_buffer_mm}"
+            )
         return self
 
 
@@ -208,15 +211,12 @@ class Layout(Table):
     def _enough_holes(self) -> Self:
         if self.n_positioners > self.n_holes:
             raise ValueError(
-                f"n_positioners {self.n_positioners}: {self.rings} rings have only "
-                f"{self.n_holes} holes"
+                f"n_positioners {self.n_positioners}: {self.rings} rings have only {self.n_holes} holes"
             )
         if self.fiducial_lattice == (0, 0):
             raise ValueError("fiducial_lattice [0, 0] is no step")
         if bool(self.outer_fiducial_directions_deg) != (self.outer_fiducial_radius_mm is not None):
-            raise ValueError(
-                "give outer_fiducial_radius_mm and outer_fiducial_directions_deg, or neither"
-            )
+            raise ValueError("give outer_fiducial_radius_mm and outer_fiducial_directions_deg, or neither")
         return self
 
 
@@ -281,8 +281,7 @@ class Instrument(Table):
             low, high = getattr(self, axis).target_range_deg
             if not low <= angle <= high:
                 raise ValueError(
-                    f"positioner.park_deg: {axis} {angle} is outside "
-                    f"{axis}.target_range_deg {[low, high]}"
+                    f"positioner.park_deg: {axis} {angle} is outside {axis}.target_range_deg {[low, high]}"
                 )
         return self
 

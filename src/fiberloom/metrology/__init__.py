@@ -1,5 +1,47 @@
-"""Where the camera sees the fibres."""
+"""Where the camera sees the fibres: image, spots, which positioner, focal-plane mm."""
 
+from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.camera import Camera, Measurement
+from fiberloom.metrology.images import CameraImage, read_image, write_image
+from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
+from fiberloom.metrology.spots import (
+    Flag,
+    Found,
+    Profile,
+    Spots,
+    SpotSettings,
+    find_expected,
+    find_spots,
+    read_spots,
+    write_spots,
+)
+from fiberloom.metrology.transform import FieldTransform, Similarity, TransformFit, fit_transform
+from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
 
-__all__ = ["Camera", "Measurement"]
+__all__ = [
+    "Camera",
+    "CameraGeometry",
+    "CameraImage",
+    "FieldTransform",
+    "Flag",
+    "Found",
+    "Match",
+    "MatchSettings",
+    "MatchStatus",
+    "Measurement",
+    "Profile",
+    "Similarity",
+    "SpotSettings",
+    "Spots",
+    "TransformFit",
+    "Turbulence",
+    "find_expected",
+    "find_spots",
+    "fit_transform",
+    "match_spots",
+    "read_image",
+    "read_spots",
+    "remove_turbulence",
+    "write_image",
+    "write_spots",
+]

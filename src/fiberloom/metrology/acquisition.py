@@ -34,7 +34,10 @@ _PAIRS = 16
 """Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""
 _VOTERS = 14
 _KEPT = 12
-"""Proposals that are grown."""
+"""Proposals that are grown ..."""
+_HEARD = 300
+"""... out of so many that are looked at as a whole."""
+_PER_PAIR = 60
 _CHUNK = 200_000
 
 
@@ -59,10 +62,15 @@ class CameraGeometry:
     scale_tolerance: float = 0.05
     shift_tolerance_mm: float = np.inf
 
+    @property
+    def middle_px(self) -> tuple[float, float]:
+        """Where the centre of the focal plane is."""
+        return self.centre_px or (0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1))
+
     def similarity(self) -> Similarity:
         """The nominal transform."""
         a = self.scale_mm_px * np.exp(1j * np.deg2rad(self.rotation_deg))
-        x, y = self.centre_px or (0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1))
+        x, y = self.middle_px
         z = complex(x, -y if self.flipped else y)
         return Similarity(complex(a), complex(-a * z), self.flipped)
 
@@ -93,6 +101,8 @@ class AcquisitionSettings:
     """A spot farther than this from where a fitted fiducial must be is not the fiducial's."""
     seen_at_least: float = 0.4
     """Share of the fiducials that must be found."""
+    rms_below_um: float = 60.0
+    """Residuals of a transform that is believed: spots of others happen to lie near, but not nearer."""
     seed: int = 0
 
 
@@ -104,20 +114,22 @@ def acquire(
     expected_mm: ArrayLike | None = None,
     covariance_px2: ArrayLike | None = None,
     sigma_mm: ArrayLike = 0.0,
-    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS,
+    terms: Sequence[int] | None = None,
     radius_mm: float | None = None,
     settings: AcquisitionSettings | None = None,
 ) -> Acquisition:
     """Finds fiducials (m, 2) among spots (n, 2).
 
     `expected_mm`: where fibres should be; they help to tell symmetric answers apart, and some may
-    be wrong. Raises AcquisitionError where too few are found or two answers are as good.
+    be wrong. Without `terms` the default set and the full one are fitted, and the one with smaller
+    leave-one-out residuals is kept. Raises AcquisitionError where too few are found or two answers
+    are as good.
     """
     s = settings or AcquisitionSettings()
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.help = _finite(expected_mm)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = tuple(terms), radius_mm or hunt.field_radius_mm
+    hunt.terms, hunt.radius_mm = _sets(terms), radius_mm or hunt.field_radius_mm
     return hunt.best(hunt.proposals())
 
 
@@ -136,12 +148,10 @@ def refine(
     geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = tuple(terms or start.terms), start.radius_mm
+    hunt.terms, hunt.radius_mm = _sets(terms), start.radius_mm
     grown = hunt.polish(start)
     if grown is None:
-        raise AcquisitionError(
-            "the fiducials are not where the last transform has them; acquire them anew"
-        )
+        raise AcquisitionError("the fiducials are not where the last transform has them; acquire them anew")
     return grown
 
 
@@ -160,7 +170,7 @@ class _Hunt:
         self.help = np.zeros((0, 2))
         self.sigma_mm: ArrayLike = 0.0
         self.covariance_px2: ArrayLike | None = None
-        self.terms: tuple[int, ...] = zhao_burge.DEFAULT_TERMS
+        self.terms = _sets(None)
         self.field_radius_mm = float(np.hypot(*(fiducials - fiducials.mean(0)).T).max()) or 1.0
         self.radius_mm = self.field_radius_mm
         self.needed = max(4, int(np.ceil(s.seen_at_least * len(fiducials))))
@@ -170,16 +180,17 @@ class _Hunt:
     def proposals(self) -> list[Similarity]:
         """The similarities that most fiducials around a pair vote for."""
         z = self._px_complex()[self._candidates()]
-        if self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
-            nominal = self._near_nominal()
-            if nominal is not None:
-                return [nominal]
+        nominal = self._near_nominal()
+        if nominal is not None and self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
+            return [nominal]
         grid = _Map(z, self.s.coarse_mm / self.geometry.scale_mm_px)
         votes: list[tuple[int, complex, complex]] = []
         for one, two in self._pairs():
             votes += self._vote(one, two, z, grid)
-        votes.sort(key=lambda v: -v[0])
-        return [Similarity(a, b, self.geometry.flipped) for _, a, b in self._distinct(votes)]
+        votes = self._heard(votes, _Map(self._px_complex(), self.s.coarse_mm / self.geometry.scale_mm_px))
+        flipped = self.geometry.flipped
+        out = [Similarity(a, b, flipped) for _, a, b in self._distinct(votes, _KEPT)]
+        return out if nominal is None else [nominal, *out]
 
     def _candidates(self) -> NDArray[np.bool_]:
         """Where a fiducial is several pinholes, only spots that have neighbours as near."""
@@ -231,7 +242,7 @@ class _Hunt:
             keep = self._allowed(a, b)
             a, b = a[keep], b[keep]
             count = grid.count((voters[None, :] - b[:, None]) / a[:, None])
-            top = np.argsort(-count, kind="stable")[:_KEPT]
+            top = np.argsort(-count, kind="stable")[:_PER_PAIR]
             best += [(int(count[k]), complex(a[k]), complex(b[k])) for k in top]
         return best
 
@@ -247,9 +258,7 @@ class _Hunt:
         p, q = pairs[gap > near].T.astype(np.int64)
         return np.concatenate([p, q]), np.concatenate([q, p])
 
-    def _allowed(
-        self, a: NDArray[np.complex128], b: NDArray[np.complex128]
-    ) -> NDArray[np.bool_]:
+    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.bool_]:
         g, nominal = self.geometry, self.geometry.similarity()
         off_deg = np.rad2deg(np.abs(np.angle(a / nominal.a)))
         ok = (off_deg <= g.rotation_tolerance_deg) & (
@@ -258,24 +267,37 @@ class _Hunt:
         centre = -nominal.b / nominal.a
         return ok & (np.abs(a * centre + b) <= g.shift_tolerance_mm)
 
-    def _distinct(
-        self, votes: list[tuple[int, complex, complex]]
+    def _heard(
+        self, votes: list[tuple[int, complex, complex]], grid: _Map
     ) -> list[tuple[int, complex, complex]]:
-        """The best of each bundle of proposals that mean the same."""
+        """The best proposals once more, by all that is known: a regular array fits itself shifted."""
+        votes = self._distinct(sorted(votes, key=lambda v: -v[0]), _HEARD)
+        if not votes:
+            return []
+        known = np.vstack([self.fiducials, self.help])
+        m = known[:, 0] + 1j * known[:, 1]
+        a, b = np.array([v[1] for v in votes]), np.array([v[2] for v in votes])
+        count = grid.count((m[None, :] - b[:, None]) / a[:, None])
+        order = np.argsort(-count, kind="stable")
+        return [(int(count[k]), votes[k][1], votes[k][2]) for k in order]
+
+    def _distinct(
+        self, votes: list[tuple[int, complex, complex]], most: int
+    ) -> list[tuple[int, complex, complex]]:
+        """The best of each bundle of proposals that mean the same: they move the field alike."""
+        nominal = self.geometry.similarity()
+        corner = self.field_radius_mm / abs(nominal.a)
+        places = -nominal.b / nominal.a + corner * np.array([1, 1j, -1, -1j])
+        moved = np.zeros((0, 4), dtype=complex)
         out: list[tuple[int, complex, complex]] = []
         for vote in votes:
-            if all(self._differ(vote, other) for other in out):
+            here = vote[1] * places + vote[2]
+            if (np.abs(moved - here).max(axis=1) > 4 * self.s.coarse_mm).all():
                 out.append(vote)
-            if len(out) >= _KEPT:
+                moved = np.vstack([moved, here])
+            if len(out) >= most:
                 break
         return out
-
-    def _differ(self, one: tuple, two: tuple) -> bool:
-        corner = self.field_radius_mm / abs(one[1])
-        centre = -one[2] / one[1]
-        places = centre + corner * np.array([1, 1j, -1, -1j])
-        apart = np.abs((one[1] - two[1]) * places + one[2] - two[2])
-        return bool(apart.max() > 4 * self.s.coarse_mm)
 
     # growing
 
@@ -292,10 +314,7 @@ class _Hunt:
         for other_score, other in grown[1:]:
             same = np.abs(winner.transform.to_mm(self.px) - other.transform.to_mm(self.px)).max()
             if same > 1.0 and other_score > 0.8 * score:
-                turn = (
-                    other.transform.similarity.rotation_deg
-                    - winner.transform.similarity.rotation_deg
-                )
+                turn = other.transform.similarity.rotation_deg - winner.transform.similarity.rotation_deg
                 raise AcquisitionError(
                     f"the fiducials fit as well turned by {turn:.0f} deg; give the rotation to "
                     "within less than that, or the expected positions of the fibres"
@@ -322,7 +341,7 @@ class _Hunt:
 
     def _radial(self, index: Ints, spot: Ints, base: Similarity) -> FieldTransform:
         """Few terms first: they are robust against the wrong pairs of a wide gate."""
-        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms) or self.terms
+        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms[0]) or self.terms[0]
         return fit_transform(
             self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
             flipped=base.flipped, terms=few,
@@ -336,14 +355,24 @@ class _Hunt:
             index, spot = self._near(transform.to_px(self.fiducials), scale, gate_mm)
             if len(index) < max(self.needed, 4):
                 return None
-            fit = fit_transform(
-                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
-                flipped=transform.similarity.flipped, terms=self.terms,
-                covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
-            )  # fmt: skip
+            fit = self._best_fit(index, spot, transform.similarity.flipped)
             transform = fit.transform
             found = Acquisition(index[fit.used], spot[fit.used], _only_used(fit))
-        return found
+        believed = found is not None and found.fit.rms_um < self.s.rms_below_um
+        return found if believed else None
+
+    def _best_fit(self, index: Ints, spot: Ints, flipped: bool) -> TransformFit:
+        """With the set of terms that predicts left-out fiducials best."""
+        fits = [
+            fit_transform(
+                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm, flipped=flipped,
+                terms=terms, covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
+            )
+            for terms in self.terms
+        ]  # fmt: skip
+        # over the same fiducials: a fit must not win by leaving out those that it cannot explain
+        both = np.logical_and.reduce([fit.used for fit in fits])
+        return min(fits, key=lambda fit: float(np.sum(fit.leave_one_out_mm[both] ** 2)))
 
     def _covariance(self, spot: Ints) -> Floats | None:
         return None if self.covariance_px2 is None else np.asarray(self.covariance_px2)[spot]
@@ -396,25 +425,25 @@ def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Si
     """The similarity that moves known places onto the spots near them, a few times over."""
     tree = cKDTree(px)
     for _ in range(4):
-        distance, spot = tree.query(
-            base.to_px(known_mm), distance_upper_bound=gate_mm / base.scale_mm_px
-        )
+        distance, spot = tree.query(base.to_px(known_mm), distance_upper_bound=gate_mm / base.scale_mm_px)
         near = np.isfinite(distance)
         if near.sum() < 4:
             return base
         off_mm = np.hypot(*(base.to_mm(px[spot[near]]) - known_mm[near]).T)
         weight = 1.0 / np.maximum(off_mm, 0.3 * gate_mm)
-        base = fit_similarity(
-            px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight
-        )
+        base = fit_similarity(px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight)
     return base
+
+
+def _sets(terms: Sequence[int] | None) -> tuple[tuple[int, ...], ...]:
+    if terms is not None:
+        return (tuple(terms),)
+    return (zhao_burge.DEFAULT_TERMS, tuple(range(zhao_burge.N_TERMS)))
 
 
 def _only_used(fit: TransformFit) -> TransformFit:
     u = fit.used
-    return TransformFit(
-        fit.transform, fit.residual_mm[u], fit.leave_one_out_mm[u], u[u], fit.chi2
-    )
+    return TransformFit(fit.transform, fit.residual_mm[u], fit.leave_one_out_mm[u], u[u], fit.chi2)
 
 
 def _finite(expected_mm: ArrayLike | None) -> Floats:

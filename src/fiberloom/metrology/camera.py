@@ -8,22 +8,28 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
     """One image's worth of positions, a row for each positioner of the focal plane.
 
-    `seen` is False where no spot belongs to the positioner; its x and y are then NaN, so that
-    nobody takes them for a place.
+    `seen` is False where no spot belongs to the positioner for certain; its x and y are then NaN,
+    so that nobody takes them for a place.
     """
 
-    x_mm: NDArray[np.float64]
-    y_mm: NDArray[np.float64]
+    x_mm: Floats
+    y_mm: Floats
     seen: NDArray[np.bool_]
     time_s: float
+    covariance_mm2: Floats | None = None
+    """(N, 2, 2) of the positions, where the camera knows it."""
+    ambiguous: NDArray[np.bool_] | None = None
+    """(N,) not seen because it cannot be told which spot is whose; False: dark."""
 
     @property
-    def xy_mm(self) -> NDArray[np.float64]:
+    def xy_mm(self) -> Floats:
         """Positions (N, 2)."""
         return np.column_stack([self.x_mm, self.y_mm])
 
@@ -31,6 +37,7 @@ class Measurement:
 class Camera(Protocol):
     """Looks at all fibres at once."""
 
-    def measure(self) -> Measurement:
-        """Takes an image now."""
+    def measure(self, expected_mm: Floats | None = None) -> Measurement:
+        """Takes an image now. `expected_mm` (N, 2): where each metrology fibre should be, NaN where
+        nobody knows; a camera with images needs it to tell the spots apart."""
         ...

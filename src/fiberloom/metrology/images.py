@@ -68,7 +68,7 @@ def read_image(
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        with fits.open(path, memmap=True) as hdus:
+        with fits.open(path, memmap=False) as hdus:  # pixels are read only where they are asked for
             hdu = _image_hdu(hdus, extension, path)
             pixels, fits_bytes = _mapped(path, hdu), True
             if pixels is None:
@@ -112,10 +112,11 @@ def _mapped(path: Path, hdu: Any) -> NDArray | None:
     if type(hdu).__name__ == "CompImageHDU" or path.suffix in (".gz", ".bz2", ".xz"):
         return None
     scale, zero = hdu._orig_bscale, hdu._orig_bzero
+    dtype: np.dtype[Any]
     if hdu._orig_bitpix == 16 and (scale, zero) == (1, 32768) and "BLANK" not in header:
-        dtype = np.uint16
+        dtype = np.dtype(np.uint16)
     elif hdu._orig_bitpix == -32 and (scale, zero) == (1, 0):
-        dtype = np.uint32
+        dtype = np.dtype(np.uint32)
     else:
         return None
     return np.memmap(path, dtype, "r", hdu._data_offset, tuple(hdu.shape))

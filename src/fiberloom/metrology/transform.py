@@ -103,13 +103,13 @@ class FieldTransform:
         return s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
-        """Pixel positions (n, 2), to 1e-9 px: the inverse, by iteration."""
+        """Pixel positions (n, 2), to 1e-7 px: the inverse, by Newton's method."""
         goal = np.asarray(xy_mm, dtype=np.float64)
         px = self.similarity.to_px(goal)
-        for _ in range(50):
+        for _ in range(12):
             step = np.linalg.solve(self.jacobian(px), (goal - self.to_mm(px))[..., None])[..., 0]
             px = px + step
-            if np.abs(step).max(initial=0.0) < 1e-9:
+            if np.abs(step).max(initial=0.0) < 1e-7:
                 break
         return px
 
@@ -179,13 +179,13 @@ def fit_transform(
     """Fits fiducials seen at `xy_px` (m, 2) and known to be at `xy_mm`.
 
     `sigma_mm` is how well they are known, per coordinate. Without any variance all weigh the same.
-    Fiducials beyond 4.5 robust standard deviations are left out. Where fewer than four more than
-    half the number of terms are left, only the similarity is fitted.
+    Fiducials beyond 4.5 robust standard deviations are left out. Where there are fewer than four
+    more than half the number of terms, fewer terms are fitted.
     """
     px, mm = (np.asarray(a, dtype=np.float64) for a in (xy_px, xy_mm))
     if px.shape != mm.shape or len(px) < 3:
         raise InputError(f"{len(px)} fiducials seen: a transform needs at least 3")
-    terms = tuple(terms) if 2 * len(px) >= len(terms) + 8 else zhao_burge.SIMILARITY_TERMS
+    terms = _affordable(tuple(terms), len(px))
     base = _robust_similarity(px, mm, flipped) if robust else fit_similarity(
         px, mm, flipped=flipped)  # fmt: skip
     variance, known = _variance(base, len(px), covariance_px2, sigma_mm)
@@ -205,11 +205,21 @@ def fit_transform(
     freedom = 2 * int(used.sum()) - len(terms)
     chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
     inflate = max(chi2, 1.0) if known else chi2
-    transform = FieldTransform(base, radius_mm, terms, c, np.linalg.inv(normal) * inflate)
+    transform = FieldTransform(
+        base, radius_mm, terms, c, np.asarray(np.linalg.inv(normal) * inflate, dtype=np.float64)
+    )
     return TransformFit(transform, residual, loo, used, chi2)
 
 
-def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Floats, ...]:
+def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
+    """As many terms as the fiducials carry: all, the default ones among them, or a similarity."""
+    for some in (terms, tuple(t for t in terms if t in zhao_burge.DEFAULT_TERMS)):
+        if 2 * n >= len(some) + 8:
+            return some
+    return zhao_burge.SIMILARITY_TERMS
+
+
+def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[NDArray, ...]:
     """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
     w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
     normal = a.T @ (a * w[:, None])

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 N_TERMS = 33
 DEFAULT_TERMS = (0, 1, 2, 3, 4, 5, 6, 9, 20, 27, 28, 29, 30)
@@ -63,9 +64,7 @@ def _times_angular(m: int, half_power: int) -> Floats:
         if part == 0:
             continue
         for c in range(half_power + 1):
-            out[abs(m) - b + 2 * (half_power - c), b + 2 * c] += (
-                part * comb(abs(m), b) * comb(half_power, c)
-            )
+            out[abs(m) - b + 2 * (half_power - c), b + 2 * c] += part * comb(abs(m), b) * comb(half_power, c)
     return out
 
 
@@ -96,26 +95,35 @@ def _coefficients() -> Floats:
     return np.array(terms)
 
 
+@cache
+def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
+    """Powers of x, powers of y (both (p,)), and coefficients (33, 2 or 4, p) of fields (order 0) or
+    of their derivatives (1: component, then axis)."""
+    c = _coefficients()
+    if order:
+        c = np.array([[_gradient(part) for part in pair] for pair in c])
+        c = c.reshape(N_TERMS, 4, *c.shape[3:])
+    a, b = np.nonzero((c != 0).any(axis=(0, 1)))
+    return a, b, c[:, :, a, b]
+
+
 def basis(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
     """(len(terms), n, 2): the vector fields at points (n, 2) of the unit disc."""
-    return _evaluate(_coefficients()[list(terms)], np.asarray(xy, dtype=np.float64))
+    return _evaluate(xy, terms, 0)
 
 
 def basis_jacobian(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
     """(len(terms), n, 2, 2): d(component)/d(x, y) of the vector fields."""
-    c = _coefficients()[list(terms)]
-    points = np.asarray(xy, dtype=np.float64)
-    derivatives = [[_gradient(field) for field in pair] for pair in c]
-    by_axis = np.array(derivatives)  # term, component, axis, a, b
-    flat = _evaluate(by_axis.reshape(len(c), 4, *c.shape[2:]), points)
-    return flat.reshape(len(c), len(points), 2, 2)
+    flat = _evaluate(xy, terms, 1)
+    return flat.reshape(*flat.shape[:2], 2, 2)
 
 
-def _evaluate(coefficients: Floats, xy: Floats) -> Floats:
-    """(k, p, 7, 7) coefficients at (n, 2) points: (k, n, p)."""
+def _evaluate(xy: ArrayLike, terms: Sequence[int], order: int) -> Floats:
+    xy = np.asarray(xy, dtype=np.float64)
+    a, b, coefficients = _monomials(order)
     x = np.vander(xy[:, 0], _DEGREE + 1, increasing=True)
     y = np.vander(xy[:, 1], _DEGREE + 1, increasing=True)
-    monomials = (x[:, :, None] * y[:, None, :]).reshape(len(xy), -1)
-    k, p = coefficients.shape[:2]
-    values = monomials @ coefficients.reshape(k * p, -1).T
+    chosen = coefficients[list(terms)]
+    k, p = chosen.shape[:2]
+    values = (x[:, a] * y[:, b]) @ chosen.reshape(k * p, -1).T
     return np.moveaxis(values.reshape(len(xy), k, p), 0, 1)

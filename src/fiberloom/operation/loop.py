@@ -110,9 +110,7 @@ class Loop:
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
         self.has_target = assignment.target >= 0
-        self.faults: list[Status | None] = [
-            Status.OFFLINE if offline else None for offline in plane.offline
-        ]
+        self.faults: list[Status | None] = [Status.OFFLINE if offline else None for offline in plane.offline]
         self.blocked = np.zeros(len(plane), dtype=bool)
         self.here_deg = plane.offline_position_deg.copy()
         self.wire_deg = np.zeros((len(plane), 2))
@@ -154,9 +152,13 @@ class Loop:
             )
         for i in np.flatnonzero(self.mobile):
             if known[i] not in found:
-                self._flag(i, Status.DEAD, "does not answer on the bus")
+                self._flag(int(i), Status.DEAD, "does not answer on the bus")
         await self._read_positions(self.maps, self.plane.positioner_id[self.mobile])
-        self._look_for_dark_fibres(self.hardware.camera.measure())
+        self._look_for_dark_fibres(self._look())
+
+    def _look(self) -> Measurement:
+        """An image, with what the positioners say of where they are."""
+        return self.hardware.camera.measure(self._metrology_mm(self.here_deg))
 
     def _look_for_dark_fibres(self, image: Measurement) -> None:
         dark = ~image.seen & self.mobile
@@ -166,7 +168,7 @@ class Loop:
                 "check the back-illumination"
             )
         for i in np.flatnonzero(dark):
-            self._flag(i, Status.DARK, "its fibre is not seen")
+            self._flag(int(i), Status.DARK, "its fibre is not seen")
 
     async def _read_positions(self, maps: TransmissionMaps, ids: NDArray[np.int64]) -> None:
         wire_deg, answered = await self.client.positions_deg(ids)
@@ -257,7 +259,7 @@ class Loop:
         before_deg = self.here_deg.copy()
         commanded_deg = planned.end_deg
         results = await self._execute(planned, maps)
-        image = self.hardware.camera.measure()
+        image = self._look()
         interrupted = self._judge(results, image, before_deg, commanded_deg)
         error_um = self._measured_error_um(image)
         move = Move(
@@ -285,9 +287,7 @@ class Loop:
 
     async def _execute(self, planned: Plan, maps: TransmissionMaps) -> Results:
         trajectories = {
-            robot.positioner_id: self._on_the_wire(robot, maps)
-            for robot in planned.robots
-            if robot.moves
+            robot.positioner_id: self._on_the_wire(robot, maps) for robot in planned.robots if robot.moves
         }
         results = await self.client.run_trajectories(trajectories)
         if not results.ok.all():

@@ -17,11 +17,9 @@ from fiberloom.targets import TargetList
 class StoreRecorder:
     """Implements `operation.loop.Recorder` on a run of the store."""
 
-    def __init__(
-        self, run: Run, plane: FocalPlane, targets: TargetList, assignment: Assignment
-    ) -> None:
+    def __init__(self, run: Run, plane: FocalPlane, targets: TargetList, assignment: Assignment) -> None:
         self._run, self._plane = run, plane
-        names = np.append(np.asarray(targets.target_id, dtype=object), None)  # -1: no target
+        names = np.array([*targets.target_id, None], dtype=object)  # -1: no target
         x_mm, y_mm = np.append(targets.x_mm, np.nan), np.append(targets.y_mm, np.nan)
         chosen = assignment.target
         self._targets = {

@@ -24,9 +24,7 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> NDArray[np.float6
     known = np.isin(ids, plane.positioner_id)
     if not known.all():
         row = int(np.flatnonzero(~known)[0])
-        raise table.error(
-            row, COLUMNS[0], f"= {ids[row]}: not in this focal plane of {plane.n} positioners"
-        )
+        raise table.error(row, COLUMNS[0], f"= {ids[row]}: not in this focal plane of {plane.n} positioners")
     missing = ~np.isin(plane.positioner_id, ids) & ~plane.offline
     if missing.any():
         raise InputError(

@@ -52,8 +52,7 @@ class PlanSettings:
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
-            acceleration_deg_s2=self.acceleration_deg_s2
-            or min(a.acceleration_deg_s2 for a in axes),
+            acceleration_deg_s2=self.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes),
             collision_buffer_mm=self.collision_buffer_mm or plane.collision_buffer_mm,
         )
 
@@ -175,9 +174,7 @@ def _planned(task: _Task, fixed: Bools, seed: int, unsafe: dict[int, str]) -> Pl
 
 
 def _reason(names: NDArray[np.int64], row: int, why: str, other: int) -> str:
-    return f"positioner {names[row]}: {why}" + (
-        f" (positioner {names[other]})" if other >= 0 else ""
-    )
+    return f"positioner {names[row]}: {why}" + (f" (positioner {names[other]})" if other >= 0 else "")
 
 
 def _assembled(

@@ -158,9 +158,7 @@ def _get(document: Mapping[str, Any], key: str, kind: type | tuple[type, ...], w
     if not isinstance(document, Mapping):
         raise InputError(f"{where}: a JSON object is expected")
     if key not in document:
-        raise InputError(
-            f"{where}: no '{key}'; it has {', '.join(map(str, document)) or 'nothing'}"
-        )
+        raise InputError(f"{where}: no '{key}'; it has {', '.join(map(str, document)) or 'nothing'}")
     value = document[key]
     if not isinstance(value, kind) or isinstance(value, bool):
         raise InputError(f"{where}: '{key}' has the wrong type ({type(value).__name__})")

@@ -123,9 +123,7 @@ def verify(
         _arrives(plane, plan),
         np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
         speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
-        acceleration=float(
-            deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))
-        ),
+        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
         rounding=ROUNDING_RAD,
     )
     return Verification(
@@ -169,9 +167,7 @@ def _arrives(plane: FocalPlane, plan: Plan) -> NDArray[np.bool_]:
     return arrives
 
 
-def _violation(
-    plane: FocalPlane, kind: str, row: int, other: int, time_s: float, depth: float
-) -> Violation:
+def _violation(plane: FocalPlane, kind: str, row: int, other: int, time_s: float, depth: float) -> Violation:
     name = ""
     if kind in ("robots", "contact") and other >= 0:
         name = str(plane.positioner_id[other])

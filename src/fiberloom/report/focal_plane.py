@@ -41,11 +41,14 @@ def plot_focal_plane(
 
     served = np.isfinite(error_um) & ~flagged
     dots = axes.scatter(
-        *tip[served].T, c=error_um[served], s=14, cmap="viridis_r", vmin=0, vmax=requirement_um,
+        tip[served, 0],
+        tip[served, 1], c=error_um[served], s=14, cmap="viridis_r", vmin=0, vmax=requirement_um,
         zorder=3,
     )  # fmt: skip
     if flagged.any():
-        axes.scatter(*tip[flagged].T, s=60, facecolors="none", edgecolors="crimson", zorder=4)
+        axes.scatter(
+            tip[flagged, 0], tip[flagged, 1], s=60, facecolors="none", edgecolors="crimson", zorder=4
+        )
         for index in np.flatnonzero(flagged):
             axes.annotate(str(plane.positioner_id[index]), tip[index], color="crimson", fontsize=7)
     figure.colorbar(dots, ax=axes, label="error of the fibre [µm]", shrink=0.75, extend="max")
@@ -65,9 +68,7 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
     return base, elbow, tip
 
 
-def plot_errors(
-    path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float
-) -> None:
+def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:
     """Cumulative distribution of the true (or measured) error after each move, on a log axis."""
     figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for error, label in zip(errors_um, labels, strict=True):
@@ -77,14 +78,10 @@ def plot_errors(
         share = 100.0 * np.arange(1, len(values) + 1) / len(values)
         rms = float(np.sqrt(np.mean(values**2)))
         axes.step(values, share, where="post", label=f"{label}: {rms:.2f} µm rms")
-    axes.axvline(
-        requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm"
-    )
-    axes.set(
-        xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101)
-    )
+    axes.axvline(requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm")
+    axes.set(xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
     axes.set_title("Each correction brings the fibres nearer to their targets")
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower right", fontsize=8)
     figure.savefig(path, dpi=120)
     plt.close(figure)

@@ -101,9 +101,7 @@ class Run:
         if kind is None:
             self.end(FINISHED)
             return
-        by_hand = issubclass(kind, (KeyboardInterrupt, SystemExit)) or (
-            kind.__name__ == "CancelledError"
-        )
+        by_hand = issubclass(kind, (KeyboardInterrupt, SystemExit)) or (kind.__name__ == "CancelledError")
         # where the store itself failed, the first error is the one to tell
         with contextlib.suppress(InputError):
             self.end(INTERRUPTED if by_hand else FAILED, f"{kind.__name__}: {error}")
@@ -170,9 +168,7 @@ class Run:
     ) -> None:
         """Which calibration file these positioners' axis got or used."""
         common = {"run_id": self.id, "axis": axis, "kind": kind, "file": file, "hash": hash}
-        rows = [
-            {**common, "utc": datetime.now(UTC), "positioner_id": int(p)} for p in positioner_id
-        ]
+        rows = [{**common, "utc": datetime.now(UTC), "positioner_id": int(p)} for p in positioner_id]
         if rows:
             with self._transaction() as connection:
                 connection.execute(insert(CalibrationRow), rows)
@@ -184,9 +180,7 @@ def _rows(measured: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str,
         return []
     unknown = set(measured) - MEASURED
     if unknown:
-        raise ValueError(
-            f"measurements have no column {sorted(unknown)}; known: {sorted(MEASURED)}"
-        )
+        raise ValueError(f"measurements have no column {sorted(unknown)}; known: {sorted(MEASURED)}")
     columns = {"seen": True, **measured}
     n = len(np.atleast_1d(columns["positioner_id"]))
     plain = {name: _plain(values, n) for name, values in columns.items()}

@@ -46,8 +46,7 @@ def write_targets(targets: TargetList, path: str | Path, comments: tuple[str, ..
 def _from_table(table: TableFile) -> TargetList:
     if "x_mm" not in table and _is_sky(table):
         raise InputError(
-            f"{table.path}: sky coordinates are not supported yet; "
-            "give x_mm, y_mm in the focal plane"
+            f"{table.path}: sky coordinates are not supported yet; give x_mm, y_mm in the focal plane"
         )
     table.require(*REQUIRED)
     table.unique("target_id")
@@ -80,9 +79,7 @@ def _positioners(table: TableFile) -> np.ndarray:
         if ids[row] < 0:
             raise table.error(row, "positioner_id", f"= {ids[row]}: -1 means any, others count up")
         if (other := first.setdefault(int(ids[row]), row)) != row:
-            raise table.error(
-                row, "positioner_id", f"= {ids[row]} is demanded by {table.places[other]} too"
-            )
+            raise table.error(row, "positioner_id", f"= {ids[row]} is demanded by {table.places[other]} too")
     return ids
 
 
@@ -119,9 +116,7 @@ def _fibermap(file: Yanny) -> TableFile:
             f"{file.path}: no structure FIBERMAP; a confSummary has one "
             f"(found {', '.join(file.structs) or 'none'})"
         )
-    columns = {
-        name: [row[name] for row in file.rows["FIBERMAP"]] for name in file.structs["FIBERMAP"]
-    }
+    columns = {name: [row[name] for row in file.rows["FIBERMAP"]] for name in file.structs["FIBERMAP"]}
     return TableFile(file.path, columns, [f"line {n}" for n in file.lines["FIBERMAP"]])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
@@ -21,8 +22,8 @@ class NoiseCamera:
         self._sigma_mm = rms_um * 1e-3 / np.sqrt(2.0)
         self._rng = np.random.default_rng([seed, 0xCA3E])
 
-    def measure(self) -> Measurement:
-        """Takes an image now."""
+    def measure(self, expected_mm: NDArray[np.float64] | None = None) -> Measurement:
+        """Takes an image now; whose spot is whose it knows without being told."""
         true_mm = self._twin.fibre_xy(METROLOGY)
         noisy_mm = true_mm + self._rng.normal(0.0, self._sigma_mm, true_mm.shape)
         seen = ~(self._twin.dark | np.isnan(true_mm[:, 0]))

@@ -9,9 +9,12 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.hardware import Hardware
 from fiberloom.twin.camera import NoiseCamera
 from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.twin.imaging import image_camera
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
+
+CAMERAS = ("noise", "image")
 
 
 def bench_hardware(plane: FocalPlane, units: Units, seed: int) -> Hardware:
@@ -23,20 +26,22 @@ def field_hardware(
     plane: FocalPlane, units: Units, seed: int, faults: str = "", camera: str = "noise"
 ) -> Hardware:
     """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
-    if camera != "noise":
-        raise InputError(f"--camera {camera}: only the noise model is there yet; use --camera noise")
+    if camera not in CAMERAS:
+        raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
     twin = Twin(plane, units, seed=seed)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)
-    return _hardware(twin, seed)
+    return _hardware(twin, seed, camera)
 
 
-def _hardware(twin: Twin, seed: int) -> Hardware:
+def _hardware(twin: Twin, seed: int, camera: str = "noise") -> Hardware:
     metrology = twin.plane.instrument.metrology
     if not metrology.present:
         raise InputError(
             f"{twin.plane.instrument.name} has no metrology camera: it cannot be observed in a loop"
         )
+    if camera == "image":
+        return Hardware(TwinTransport(twin), image_camera(twin, seed), twin)
     return Hardware(TwinTransport(twin), NoiseCamera(twin, metrology.noise_rms_um, seed), twin)
 
 

@@ -48,7 +48,8 @@ class Twin:
 
     `start_deg` (N, 2): output angles at power-up, told to the firmware as after a datum; folded by
     default. Without `neighbours` arms pass through each other (the bench). The same arguments
-    give the same bytes for any number of `threads`.
+    give the same bytes for any number of `threads`, with `skip_resting` (who rests costs nothing)
+    and `side_by_side` (laws of the firmware in vectors) or without.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Twin:
         neighbours: bool = True,
         start_deg: ArrayLike | None = None,
         skip_resting: bool = True,
+        side_by_side: bool = True,
         substeps: int = 10,
         kernel: str = "",
     ) -> None:
@@ -83,6 +85,7 @@ class Twin:
                 threads=threads or os.cpu_count() or 1,
                 neighbours=neighbours,
                 skip_resting=skip_resting,
+                side_by_side=side_by_side,
                 substeps=substeps,
                 kernel=kernel,
             )

@@ -15,7 +15,8 @@ enum class PsfKind {
 constexpr int spot_columns = 7;
 
 // Adds flux * (profile integrated over the pixel) out to `radius_q`, the ellipse where a spot ends, by
-// Gauss-Legendre quadrature (4 x 4 points; relative error below 1e-6 of the peak for FWHM >= 2 px).
+// Gauss-Legendre quadrature: 4 x 4 points in the core (error below 1e-6 of the peak for FWHM >= 2 px), fewer
+// in the wings.
 void render_spots(std::span<float> image, int width, int height, std::span<const double> spots, PsfKind kind,
                   double radius_q);
 

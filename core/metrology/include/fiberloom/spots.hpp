@@ -2,9 +2,9 @@
 //
 // Detection reads the image once, against a background of tiles. The centroid is the solution of the
 // maximum-likelihood equations sum (d - m)/var(m) dm/dp = 0 for p = (flux, x, y, background), with
-// var(m) = var(background) + m/gain, which for Poisson counts is the exact score. Its covariance is the inverse
-// Fisher matrix at the solution, so with the right profile it is the Cramer-Rao bound.
-// The profile is measured in the image (profile.cpp); it already contains the integration over the pixel.
+// var(m) = var(background) + m/gain, which for Poisson counts is the exact score. Its covariance is the
+// inverse Fisher matrix at the solution, so with the right profile it is the Cramer-Rao bound. The profile is
+// measured in the image (profile.cpp); it already contains the integration over the pixel.
 #pragma once
 
 #include "fiberloom/image.hpp"
@@ -39,15 +39,17 @@ struct Spot {
     std::uint32_t flags = not_found;
 };
 
-// Flux 1: m(q) = sum_k a_k exp(-q / (2 lambda_k)) / (2 pi sqrt|S|), sum_k a_k lambda_k = 1, where
-// q = d^T S^-1 d is the elliptical radius and lambda_k = 1/2, 1, 2, 4, 8, 16. One ladder holds Gaussians,
-// Moffat wings and flat tops; S varies with the position in the image as a polynomial of fourth degree.
+// Flux 1: m(q) = sum_k a_k exp(-t / (2 lambda_k)) / (2 pi sqrt|S|), where q = d^T S^-1 d is the elliptical
+// radius squared, lambda_k = 1/2, 1, 2, 4, 8, 16, and t = q: one ladder holds Gaussians and Moffat wings. For
+// flat tops, fibre tips large against the pixel, t = q^2 / 2. S varies with the position in the image as a
+// polynomial of fourth degree.
 struct Profile {
     static constexpr int components = 6;
     static constexpr int terms = 15; // u^i v^j, i + j <= 4, by rising degree; u, v in [-1, 1] over the image
     std::array<double, components> amplitude{0, 1, 0, 0, 0, 0};
     std::array<std::array<double, terms>, 3> shape{}; // S_xx, S_xy, S_yy in px^2
-    double half_width_px = 1;                         // u = x / half_width - 1
+    bool flat_top = false;
+    double half_width_px = 1; // u = x / half_width - 1
     double half_height_px = 1;
     double misfit = 0; // rms of the residuals beyond noise over the brightness of the pixel
     int n_spots = 0;   // spots that it was measured on; 0 means not measured
@@ -57,10 +59,10 @@ struct Profile {
 };
 
 struct Settings {
-    double gain_e_adu = 1;   // electrons per digital unit
+    double gain_e_adu = 1; // electrons per digital unit
     double saturation_adu = std::numeric_limits<double>::infinity();
-    double threshold = 6;    // brightest pixel over the noise of the background
-    double fwhm_px = 0;      // a hint for the first look; 0 means that the image tells
+    double threshold = 6; // brightest pixel over the noise of the background
+    double fwhm_px = 0;   // a hint for the first look; 0 means that the image tells
     int max_profile_spots = 150;
 };
 
@@ -71,7 +73,8 @@ struct Result {
     double noise_adu = 0;
 };
 
-// Every spot in the image, in rows from the top. A measured profile is used as it is; otherwise it is measured.
+// Every spot in the image, in rows from the top. A measured profile is used as it is; otherwise it is
+// measured.
 Result find_spots(const ImageView &image, const Settings &settings, const Profile &known = {});
 
 // One spot per expected position (x, y), the nearest within `radius_px`; not_found where there is none.

@@ -1,4 +1,4 @@
-// Thirty-two axes (16 positioners, alpha and beta in turn) side by side: what one tick of the plant
+// Thirty-two axes (16 positioners, first all alpha, then all beta) side by side: what one tick of the plant
 // touches, about 10 KB, so a group stays in the first-level cache while it is stepped.
 //
 // Everything that is a torque in the model is an impulse here: torque times the step h, in Nm s.
@@ -8,17 +8,20 @@
 
 namespace fl::twin {
 
-inline constexpr int lane_count = 32;
+inline constexpr int squad_size = 16; // positioners of a group
+inline constexpr int lane_count = 2 * squad_size;
+inline constexpr int chunk_size = 8;     // lanes that are left out together when nothing moves in them
 inline constexpr double tick_s = 0.0005; // 2 kHz control
 
 struct alignas(64) AxisGroup {
     using Lanes = double[lane_count];
 
     // state
-    Lanes theta_rad;    // motor
-    Lanes p_Nms;        // momentum of what moves with the rotor
-    Lanes gear_rad;     // motor angle at which negative contact is closed
-    Lanes sine, cosine; // of theta, exact at the start of a tick, turned along inside it
+    Lanes theta_rad;        // motor
+    Lanes p_Nms;            // momentum of what moves with the rotor
+    Lanes gear_rad;         // motor angle at which negative contact is closed
+    Lanes theta_before_rad; // at the start of the tick
+    Lanes sine, cosine;     // of theta, exact at the start of a tick, turned along inside it
 
     // transmission, linear inside the cell: positive contact at gear = (theta - backlash_0) backlash_scale
     Lanes backlash_0_rad, backlash_scale;
@@ -46,6 +49,7 @@ struct alignas(64) AxisGroup {
 
     float duty[3][lane_count]; // phases A, B, C as the firmware last set them
     uint32_t noise_key[lane_count];
+    uint32_t still; // a bit for each chunk: the last tick changed nothing, and nothing has been changed since
     int32_t hall_cnt[2][lane_count];
 };
 
@@ -56,11 +60,15 @@ struct TickEvents {
 
 // One build of the inner loops for one instruction set. All builds do the same operations in the same
 // order without contraction, so they agree to the bit.
+struct LawBatch;
+
 struct Kernel {
     const char *name;
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, int substeps);
+    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a squad, law_batch.hpp
+    void (*drive_law)(LawBatch &batch);
 };
 
 // The kernels this machine runs, slowest first; ends with a nullptr.

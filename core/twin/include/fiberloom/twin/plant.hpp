@@ -46,6 +46,16 @@ class Plant {
 
     size_t bytes_per_axis() const { return sizeof(Axis) + sizeof(AxisGroup) / lane_count; }
 
+    // Axis 2 i is alpha of positioner i, 2 i + 1 its beta.
+    struct Place {
+        size_t group;
+        int lane;
+    };
+    static Place place(size_t axis) {
+        const size_t positioner = axis / 2;
+        return {positioner / squad_size, static_cast<int>(axis % 2 * squad_size + positioner % squad_size)};
+    }
+    const Kernel &kernel() const { return *kernel_; }
     AxisGroup &group(size_t index) { return groups_[index]; }
     const PlantParams &params(size_t axis) const { return axes_[axis].unit.params; }
     struct Rotor {
@@ -92,10 +102,11 @@ class Plant {
         double held_rad = 0.0; // where the arm stands while the coupling is open
     };
     using Field = AxisGroup::Lanes AxisGroup::*;
-    double lane(size_t axis, Field f) const { return (groups_[axis / lane_count].*f)[axis % lane_count]; }
-    double &lane(size_t axis, Field f) { return (groups_[axis / lane_count].*f)[axis % lane_count]; }
+    AxisGroup &group_of(size_t axis) { return groups_[place(axis).group]; }
+    double lane(size_t axis, Field f) const { return (groups_[place(axis).group].*f)[place(axis).lane]; }
+    double &lane(size_t axis, Field f) { return (groups_[place(axis).group].*f)[place(axis).lane]; }
 
-    void place(size_t axis, double output_rad);
+    void put(size_t axis, double output_rad);
     void configure(size_t axis);
     void configure_drive(size_t axis);
     void configure_cogging(size_t axis);

@@ -10,7 +10,9 @@
 // C gives structs and functions the same name; C++ finds that worth a warning
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wshadow"
+extern "C" {
 #include "fl_positioner.h"
+}
 #pragma GCC diagnostic pop
 
 #include "fiberloom/twin/neighbours.hpp"
@@ -32,6 +34,7 @@ struct TwinSetup {
     Body body;
     bool neighbours = true;
     bool skip_resting = true;
+    bool side_by_side = true; // the firmware's laws, as vector code where axes track
     uint64_t seed = 0;
     int threads = 1;
     int substeps = 10;

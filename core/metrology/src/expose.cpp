@@ -1,0 +1,99 @@
+#include "fiberloom/expose.hpp"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+
+namespace fl::metrology {
+namespace {
+
+constexpr double poisson_below_e = 40;
+
+// xoshiro256+ (Blackman and Vigna 2018), seeded by splitmix64.
+class Random {
+  public:
+    explicit Random(std::uint64_t seed) {
+        for (std::uint64_t &word : state_) {
+            seed += 0x9E3779B97F4A7C15u;
+            std::uint64_t z = seed;
+            z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+            z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+            word = z ^ (z >> 31);
+        }
+    }
+    std::uint64_t bits() {
+        const std::uint64_t out = state_[0] + state_[3], t = state_[1] << 17;
+        state_[2] ^= state_[0], state_[3] ^= state_[1], state_[1] ^= state_[2], state_[0] ^= state_[3];
+        state_[2] ^= t;
+        state_[3] = std::rotl(state_[3], 45);
+        return out;
+    }
+    double uniform() { return static_cast<double>(bits() >> 11) * 0x1p-53; }
+
+  private:
+    std::array<std::uint64_t, 4> state_{};
+};
+
+// Quantiles of the normal distribution at the middles of 4096 equal parts, by Newton from one to the next.
+std::array<float, 4096> quantiles() {
+    constexpr int n = 4096;
+    std::array<float, n> out{};
+    double x = -4, squares = 0;
+    for (int k = 0; k < n; ++k) {
+        const double p = (k + 0.5) / n;
+        for (int i = 0; i < 20; ++i)
+            x -= (0.5 * std::erfc(-x / std::sqrt(2.0)) - p) /
+                 (std::exp(-0.5 * x * x) / std::sqrt(2 * std::acos(-1.0)));
+        out[static_cast<std::size_t>(k)] = static_cast<float>(x);
+        squares += x * x;
+    }
+    for (float &v : out) v *= static_cast<float>(std::sqrt(n / squares));
+    return out;
+}
+
+// The mean of four quantiles, scaled: Gaussian to far beyond six sigma, four looks into a small table.
+float normal(Random &random) {
+    static const std::array<float, 4096> table = quantiles();
+    const std::uint64_t b = random.bits();
+    return 0.5f *
+           ((table[b >> 52] + table[(b >> 40) & 4095]) + (table[(b >> 28) & 4095] + table[(b >> 16) & 4095]));
+}
+
+// By the sum of the probabilities: few steps where the mean is small.
+double poisson(double mean, Random &random) {
+    double left = random.uniform(), p = std::exp(-mean);
+    int k = 0;
+    for (; left > p && k < 1000; ++k) {
+        left -= p;
+        p *= mean / (k + 1);
+    }
+    return k;
+}
+
+double electrons(double mean, double read_variance, Random &random) {
+    const double z = normal(random);
+    if (mean < poisson_below_e) return poisson(std::max(mean, 0.0), random) + std::sqrt(read_variance) * z;
+    const double variance = mean + read_variance;
+    return mean + std::sqrt(variance) * z + mean / (6 * variance) * (z * z - 1);
+}
+
+} // namespace
+
+void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
+            std::uint64_t seed, std::span<std::uint16_t> adu) {
+    const double read_variance = detector.read_noise_e * detector.read_noise_e;
+    const std::size_t w = static_cast<std::size_t>(width);
+    for (std::size_t j = 0; (j + 1) * w <= light_e.size(); ++j) {
+        Random random(seed + 0x632BE59BD9B4E019u * (j + 1));
+        for (std::size_t i = 0; i < w; ++i) {
+            const double x = static_cast<double>(i), y = static_cast<double>(j);
+            const double mean = light_e[j * w + i] + sky.level_e + sky.slope_x_e * x + sky.slope_y_e * y;
+            const double e = std::min(electrons(mean, read_variance, random), detector.full_well_e);
+            const double value = std::nearbyint(detector.bias_adu + e / detector.gain_e_adu);
+            adu[j * w + i] = static_cast<std::uint16_t>(std::clamp(value, 0.0, 65535.0));
+        }
+    }
+}
+
+} // namespace fl::metrology

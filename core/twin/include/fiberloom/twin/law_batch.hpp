@@ -1,0 +1,68 @@
+// The firmware's laws for the same axis of sixteen positioners side by side: the very functions of
+// firmware/law, inlined into loops that the compiler turns into vector code. Same operations in the
+// same order, so the same bits as the firmware's own tick (tests/twin/test_laws_side_by_side.py).
+//
+// Structures of the firmware lie here field by field, an array each; the lists name the fields in the
+// order of the structure, and law_body.hpp does not compile when one is missing.
+#pragma once
+
+#include <cstdint>
+
+#include "fiberloom/twin/axis_group.hpp"
+
+// clang-format off
+#define FL_LAW_HALL(X) \
+    X(float, offset_a_cnt) X(float, offset_b_cnt) X(float, gain_a) X(float, gain_b) X(float, sec_phase) \
+    X(float, tan_phase)
+#define FL_LAW_SERVO(X) \
+    X(float, k_p) X(float, k_i) X(float, settle_gain) X(float, integral_limit) X(float, drag) \
+    X(float, inertia) X(float, doubting) X(float, learning) X(float, coulomb) X(float, spring_torque) \
+    X(float, spring_rate) X(float, cogging) X(int32_t, cogging_phase_cnt)
+#define FL_LAW_COLLISION(X) \
+    X(float, threshold_Nm) X(float, contact_Nm) X(float, drag) X(float, drag_share) X(int32_t, error_min_cnt)
+#define FL_LAW_STATE(X) \
+    X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
+#define FL_LAW_INPUT(X) \
+    X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
+    X(float, acceleration_rad_s2) X(int32_t, settling)
+#define FL_LAW_TORQUE(X) \
+    X(float, torque_Nm) X(float, feedforward_Nm) X(float, watched_Nm)
+// clang-format on
+
+namespace fl::twin {
+
+struct alignas(64) LawBatch {
+    using Floats = float[squad_size];
+    using Ints = int32_t[squad_size];
+
+#define X(type, name) type name[squad_size];
+    // configuration, loaded when an axis sets out
+    struct {
+        FL_LAW_HALL(X)
+    } hall;
+    struct {
+        FL_LAW_SERVO(X)
+    } servo;
+    struct {
+        FL_LAW_COLLISION(X)
+    } collision;
+    // the servo's state, in and out; its input; its output
+    struct {
+        FL_LAW_STATE(X)
+    } state;
+    struct {
+        FL_LAW_INPUT(X)
+    } input;
+    struct {
+        FL_LAW_TORQUE(X)
+    } torque;
+#undef X
+    Floats voltage_per_Nm;
+    Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
+    Floats rotor_sin, rotor_cos;
+    Floats voltage;
+    Floats duty_a, duty_b, duty_c;
+    Ints stuck;
+};
+
+} // namespace fl::twin

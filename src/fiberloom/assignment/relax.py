@@ -1,0 +1,42 @@
+"""Configurations that somebody else has decided, and that stand nearer than our own buffer."""
+
+import numpy as np
+
+from ..instruments import FocalPlane
+from ..targets import TargetList
+from ..targets.target_list import FREE
+from .assign import Assignment, assign
+
+STEPS = 4
+"""In which the collision buffer gives way; few, since each is a whole assignment."""
+
+
+def assign_relaxed(plane: FocalPlane, targets: TargetList, *, seed: int = 0) -> tuple[FocalPlane, Assignment]:
+    """Assign; where targets that demand a positioner do not fit, shrink the collision buffer a little.
+
+    The buffer gives way in steps, by `bodies.collision_shrink_mm` at most (SDSS-V's telescope
+    configurations keep 1.92 mm of 2.0 mm), and only as far as it brings more of the demanded
+    targets in. Returns the plane with the buffer that holds, for planning and verification.
+    """
+    best = plane, assign(plane, targets, seed=seed)
+    left = _left_out(best[1], targets)
+    bodies = plane.instrument.bodies
+    for step in range(1, STEPS + 1):
+        if left == 0 or bodies.collision_shrink_mm == 0.0:
+            break
+        buffer_mm = bodies.collision_buffer_mm - bodies.collision_shrink_mm * step / STEPS
+        nearer = plane.with_collision_buffer(buffer_mm)
+        tried = assign(nearer, targets, seed=seed)
+        if _left_out(tried, targets) < left:
+            best, left = (nearer, tried), _left_out(tried, targets)
+            best[1].notes.append(
+                f"collision buffer {buffer_mm:g} mm instead of {bodies.collision_buffer_mm:g} mm: "
+                "the demanded configuration stands so near"
+            )
+    return best
+
+
+def _left_out(assignment: Assignment, targets: TargetList) -> int:
+    """How many targets that demand a positioner did not get it."""
+    missing = np.array(list(assignment.unassigned), dtype=np.int64)
+    return int((targets.positioner_id[missing] != FREE).sum())

@@ -1,0 +1,254 @@
+"""From an image to the positions of the fibres, with covariance: spots, fiducials, pairs, mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.errors import InputError
+from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.metrology.acquisition import (
+    Acquisition,
+    AcquisitionError,
+    AcquisitionSettings,
+    CameraGeometry,
+    acquire,
+    refine,
+)
+from fiberloom.metrology.camera import Measurement
+from fiberloom.metrology.images import CameraImage
+from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
+from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
+from fiberloom.metrology.transform import FieldTransform
+from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
+from fiberloom.units import MM_PER_UM
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class ImageSource(Protocol):
+    """Something that takes images: a camera, the camera of a twin, a folder of files."""
+
+    def expose(self) -> CameraImage:
+        """The next image."""
+        ...
+
+
+@dataclass(frozen=True)
+class ReductionSettings:
+    """How an image becomes positions."""
+
+    geometry: CameraGeometry
+    terms: Sequence[int] | None = None
+    """Zhao-Burge terms; by default those that predict the fiducials best."""
+    radius_mm: float | None = None
+    """That scales the terms; the outermost fiducial when left out."""
+    fiducial_sigma_um: float = 0.0
+    """How well the table of fiducials is known, per coordinate; 0: better than the camera."""
+    threshold: float = 6.0
+    turbulence: bool = False
+    """Remove it, with fiducials and the positioners that stand still."""
+    standing_sigma_um: float = 1.0
+    """How well the place of a standing positioner is known, per coordinate."""
+    matching: MatchSettings = field(default_factory=MatchSettings)
+    acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What one image told. Rows of `match`, `xy_mm` and `covariance_mm2` are positioners."""
+
+    image: CameraImage
+    found: Found
+    acquisition: Acquisition
+    match: Match
+    spot_of_match: NDArray[np.int64]
+    """(N,) index into `found.spots`, -1 where not seen."""
+    xy_mm: Floats
+    """(N, 2); NaN where not seen."""
+    covariance_mm2: Floats
+    expected_mm: Floats
+    turbulence: Turbulence | None = None
+
+    @property
+    def spots(self) -> Spots:
+        """All spots of the image."""
+        return self.found.spots
+
+    @property
+    def transform(self) -> FieldTransform:
+        """Pixels to focal plane."""
+        return self.acquisition.transform
+
+    @property
+    def seen(self) -> Flags:
+        """(N,) whose fibre was seen for certain."""
+        return self.spot_of_match >= 0
+
+    def measurement(self) -> Measurement:
+        """As the loop wants it."""
+        return Measurement(
+            self.xy_mm[:, 0],
+            self.xy_mm[:, 1],
+            self.seen,
+            self.image.time_s,
+            self.covariance_mm2,
+            self.match.status == MatchStatus.AMBIGUOUS,
+        )
+
+
+def reduce_image(
+    image: CameraImage,
+    plane: FocalPlane,
+    settings: ReductionSettings,
+    *,
+    expected_mm: Floats | None = None,
+    previous_mm: Floats | None = None,
+    standing_mm: Floats | None = None,
+    profile: Profile | None = None,
+    start: FieldTransform | None = None,
+) -> Reduction:
+    """Everything from pixels to millimetres.
+
+    `standing_mm` (N, 2): known places of positioners that stand still, NaN for the others; used
+    against turbulence. `profile` and `start` (the transform) of an earlier image save time, and are
+    dropped where they do not hold.
+    """
+    found = find_spots(
+        image.pixels,
+        SpotSettings(image.gain_e_adu, image.saturation_adu, settings.threshold),
+        profile=profile,
+        fits_bytes=image.fits_bytes,
+    )
+    expected = np.full((len(plane), 2), np.nan) if expected_mm is None else expected_mm
+    acquisition = _fiducials(found.spots, plane, settings, expected, start)
+    free = np.setdiff1d(np.arange(len(found.spots)), acquisition.spot)
+    others = found.spots.select(free)
+    spots_mm = acquisition.transform.to_mm(others.xy_px)
+    match = match_spots(
+        spots_mm, expected, plane.centres_mm, metrology_reach_mm(plane),
+        previous_mm=previous_mm, settings=settings.matching,
+    )  # fmt: skip
+    covariance = acquisition.transform.covariance(others.xy_px, others.covariance_px2)
+    seen = match.spot >= 0
+    xy, cov = np.full((len(plane), 2), np.nan), np.full((len(plane), 2, 2), np.nan)
+    xy[seen], cov[seen] = spots_mm[match.spot[seen]], covariance[match.spot[seen]]
+    air = _calm(plane, settings, acquisition, standing_mm, xy, cov) if settings.turbulence else None
+    spot = np.where(seen, free[match.spot] if len(free) else -1, -1)
+    return Reduction(image, found, acquisition, match, spot, xy, cov, expected, air)
+
+
+def metrology_reach_mm(plane: FocalPlane) -> Floats:
+    """(N, 2) inner and outer radius that the metrology fibres reach."""
+    alpha, beta = plane.arms[:, 2], np.hypot(*plane.points[METROLOGY].T)
+    return np.column_stack([np.abs(alpha - beta), alpha + beta])
+
+
+def _fiducials(
+    spots: Spots,
+    plane: FocalPlane,
+    settings: ReductionSettings,
+    expected: Floats,
+    start: FieldTransform | None,
+) -> Acquisition:
+    sigma = settings.fiducial_sigma_um * MM_PER_UM
+    fiducials = plane.fiducials[:, :2]
+    if start is not None:
+        try:
+            return refine(
+                spots.xy_px,
+                fiducials,
+                start,
+                covariance_px2=spots.covariance_px2,
+                sigma_mm=sigma,
+                terms=settings.terms,
+                settings=settings.acquisition,
+            )
+        except AcquisitionError:
+            pass  # the camera has moved: look for them as on the first image
+    return acquire(
+        spots.xy_px,
+        fiducials,
+        settings.geometry,
+        expected_mm=expected,
+        covariance_px2=spots.covariance_px2,
+        sigma_mm=sigma,
+        terms=settings.terms,
+        radius_mm=settings.radius_mm,
+        settings=settings.acquisition,
+    )
+
+
+def _calm(
+    plane: FocalPlane,
+    settings: ReductionSettings,
+    acquisition: Acquisition,
+    standing_mm: Floats | None,
+    xy: Floats,
+    cov: Floats,
+) -> Turbulence:
+    """Takes the turbulence off `xy`, in place, and adds what is not known of it to `cov`."""
+    at = plane.fiducials[acquisition.fiducial, :2]
+    shift = -acquisition.fit.residual_mm
+    sigma = np.full(len(at), max(settings.fiducial_sigma_um, 0.1) * MM_PER_UM)
+    if standing_mm is not None:
+        still = np.isfinite(standing_mm).all(axis=1) & np.isfinite(xy).all(axis=1)
+        at = np.vstack([at, standing_mm[still]])
+        shift = np.vstack([shift, xy[still] - standing_mm[still]])
+        own = np.sqrt(0.5 * np.trace(cov[still], axis1=1, axis2=2))
+        sigma = np.concatenate([sigma, np.hypot(own, settings.standing_sigma_um * MM_PER_UM)])
+    seen = np.isfinite(xy).all(axis=1)
+    air = remove_turbulence(at, shift, sigma, xy[seen])
+    xy[seen] -= air.shift_mm
+    cov[seen] += air.variance_mm2[:, None, None] * np.eye(2)
+    return air
+
+
+class ImageCamera:
+    """Measures the metrology fibres in images. Implements `fiberloom.metrology.Camera`.
+
+    Remembers from image to image the profile of the spots, the transform and where each fibre was
+    seen; `last` is the latest reduction, for plots and reports.
+    """
+
+    def __init__(self, source: ImageSource, plane: FocalPlane, settings: ReductionSettings) -> None:
+        self.source, self.plane, self.settings = source, plane, settings
+        self.last: Reduction | None = None
+        self.profile: Profile | None = None
+        self.previous_mm = np.full((len(plane), 2), np.nan)
+        self.standing_mm: Floats | None = None
+        """(N, 2) known places of positioners that stand still, against turbulence."""
+
+    def measure(self, expected_mm: Floats | None = None) -> Measurement:
+        """Takes an image now and reduces it."""
+        image = self.source.expose()
+        if image.pixels.ndim != 2:
+            raise InputError("the camera delivered something that is no image")
+        reduction = reduce_image(
+            image,
+            self.plane,
+            self.settings,
+            expected_mm=expected_mm,
+            previous_mm=self.previous_mm,
+            standing_mm=self.standing_mm,
+            profile=self.profile,
+            start=self.last.transform if self.last else None,
+        )
+        self._remember(reduction)
+        return reduction.measurement()
+
+    def _remember(self, reduction: Reduction) -> None:
+        self.last = reduction
+        # a profile that no longer fits is measured again on the next image
+        worn = np.median(reduction.spots.chi2) > _WORN_CHI2 if len(reduction.spots) else True
+        self.profile = None if worn else reduction.found.profile
+        seen = reduction.seen
+        self.previous_mm[seen] = reduction.xy_mm[seen]
+
+
+_WORN_CHI2 = 1.3

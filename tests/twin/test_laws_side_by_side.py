@@ -1,0 +1,46 @@
+"""The firmware's laws run for sixteen axes at once give the bits of the firmware's own tick."""
+
+import numpy as np
+import pytest
+from wire import COLLISION, commands, goto, start, upload
+
+from fiberloom._core import twin as core
+from fiberloom.bus.identifier import encode
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.twin import Fault, Twin, draw_units
+
+PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)  # a squad and a quarter
+UNITS = draw_units(PLANE, seed=11)
+IDS = [int(i) for i in PLANE.positioner_id]
+HOME, STOP, OPEN_LOOP_BETA = 20, 15, 125
+
+
+def everything(side_by_side, kernel=""):
+    """Moves of all kinds, collisions, faults, a homing, a stop, open loop: all that came of it."""
+    rng = np.random.default_rng(7)
+    twin = Twin(PLANE, UNITS, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
+    scopes = [twin.scope(row, axis) for row in (0, 5, 17) for axis in (0, 1)]
+    replies = []
+    wire = [[UNITS.transmission(17, k, x)[0][0]] * 3 + np.arange(3) for k, x in enumerate((10, 170))]
+    upload(twin, IDS[17], np.array([0.0, 0.4, 0.8]), *wire)
+    twin.send([(encode(IDS[5], OPEN_LOOP_BETA, 1), b"")])
+    for number in IDS[:17]:
+        goto(twin, number, rng.uniform(60, 90), rng.uniform(100, 130))
+    start(twin)
+    twin.send([(encode(IDS[18], HOME, 1), b"")])
+    replies += twin.run(0.9003)
+    twin.inject(Fault("blocked", IDS[2], "alpha"))
+    twin.inject(Fault("stuck_hall", IDS[3], "beta"))
+    replies += twin.run(0.3)
+    twin.send([(encode(IDS[7], STOP, 1), b"")])
+    replies += twin.run(1.2)
+    logs = b"".join(s.take().tobytes() for s in scopes)
+    return repr(replies).encode() + twin.truth().tobytes() + logs, commands(replies)
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+def test_side_by_side_is_the_firmware_to_the_bit(kernel):
+    alone, seen = everything(False)
+    together, _ = everything(True, kernel)
+    assert COLLISION in {c[1] for c in seen}
+    assert alone == together
