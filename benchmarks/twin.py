@@ -71,11 +71,16 @@ def whole(plane, units, seconds, repeats, **options):
 
 
 def plant_only(units, seconds, repeats, kernel):
-    """The same axes with standing fields and no firmware."""
-    rng = np.random.default_rng(0)
-    n = units.plant.size
-    plant = core.Plant(plain(units.plant.ravel()), plain(units.gear.ravel()), np.full(n, 1.0), kernel=kernel)
-    plant.run(rng.uniform(0, 1, (1, n, 3)))
+    """The same axes without firmware, coasting at 2000 rpm: no friction, so that they do not stop."""
+    params = units.plant.ravel().copy()
+    for name in ("coulomb_motor", "coulomb_gear", "viscous_motor", "viscous_gear", "cogging_2"):
+        params[name] = 0.0
+    params["flux_linkage"], params["coil_resistance"] = 1e-6, 1e3
+    n = len(params)
+    plant = core.Plant(plain(params), plain(units.gear.ravel()), np.full(n, 0.2), kernel=kernel)
+    for axis in range(n):
+        theta, _, gear, _ = plant.state(axis)
+        plant.set_state(axis, theta, 209.0 * params["inertia_motor"][axis], gear)
     return best(timed(lambda: plant.advance(round(seconds / core.TICK_S)), repeats))
 
 
