@@ -16,7 +16,8 @@ void bind_twin(nb::module_ &m);
 
 // Read-only, C-contiguous, on the CPU: nanobind converts or copies where the caller's is not.
 template <class T, size_t... Shape>
-using Input = nb::ndarray<const T, nb::shape<static_cast<nb::ssize_t>(Shape)...>, nb::c_contig, nb::device::cpu>;
+using Input =
+    nb::ndarray<const T, nb::shape<static_cast<nb::ssize_t>(Shape)...>, nb::c_contig, nb::device::cpu>;
 template <class T> using Input1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 template <class T> using Input2 = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 

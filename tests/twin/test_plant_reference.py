@@ -106,7 +106,7 @@ def test_second_order_where_nothing_happens():
     params, gear = nominal(coulomb_motor=0.0, pwm_steps=1e6), gear_of(250.0)
     duty = field(0.5, 2.0 * np.ones((80, 1)))
     errors = []
-    for substeps in (5, 10, 20):
+    for substeps in (2, 4, 8):  # finer steps end at the rounding of single precision
         ours, theirs = plant(params, gear, 0.0, substeps=substeps), Axis(params, gear, 0.0)
         ours.set_state(0, 2.4, 0.0, 0.0)
         theirs.theta, theirs.contact = 2.4, 0

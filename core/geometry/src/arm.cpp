@@ -38,8 +38,8 @@ Vec2 elbow(const Arm &arm, double alpha_rad) {
 
 Vec2 forward(const Arm &arm, Vec2 point_mm, Angles angles) {
     const Vec2 e = elbow(arm, angles.alpha_rad);
-    const Vec2 p = rotate(point_mm, angles.alpha_rad + arm.alpha_off_rad + angles.beta_rad +
-                                        arm.beta_off_rad);
+    const Vec2 p =
+        rotate(point_mm, angles.alpha_rad + arm.alpha_off_rad + angles.beta_rad + arm.beta_off_rad);
     return {e.x + p.x, e.y + p.y};
 }
 
@@ -67,8 +67,8 @@ Solutions inverse(const Arm &arm, Vec2 point_mm, Vec2 target_mm, const Limits &l
     const bool straight = stretch == 0.0 || fold == 0.0;
     for (double side : {1.0, -1.0}) {
         if (side < 0.0 && straight) break; // both elbows coincide
-        add_turns(out, {direction - side * xi - arm.alpha_off_rad,
-                        side * bend - psi - arm.beta_off_rad}, limits);
+        add_turns(out, {direction - side * xi - arm.alpha_off_rad, side * bend - psi - arm.beta_off_rad},
+                  limits);
     }
     return out;
 }

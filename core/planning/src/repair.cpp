@@ -12,6 +12,7 @@ constexpr int tidy_cost = 1 << 20; // per step: as good as forbidden
 constexpr int way_itself = 400;    // moves, bends and waits cost about so much
 constexpr int longest_hold = 24;   // steps
 constexpr int most_joint_nodes = 60000;
+constexpr int dance = 60;      // cost above the least
 constexpr int joint_every = 6; // of the repairs around a pair, one is a joint search
 constexpr int more_steps = 8;  // a deadline grows by
 constexpr int hurry_tries = 8;
@@ -299,16 +300,22 @@ int Repair::least_cost(const Robot &robot, const Costs &costs) {
     return costs.move * (alpha + beta) + 2 * costs.bend * ((alpha > 0) + (beta > 0));
 }
 
+void Repair::tidy_one(int robot, const Costs &costs) {
+    const Member &member = team_.at(robot);
+    if (member.still) return;
+    const int cost = way_cost(member, costs);
+    if (cost <= least_cost(member.robot, costs)) return;
+    ++statistics_.searches;
+    team_.seek(robot, costs, cost, {}, search_);
+}
+
 void Repair::tidy() {
-    const Costs costs;
+    const Costs costs{2, 4, 1, {}}; // few corners: each costs three points on the bus
     for (int i = 0; i < team_.size(); ++i) team_.at(i).cost = tidy_cost;
-    for (int i = 0; i < team_.size(); ++i) {
-        if (team_.at(i).still) continue;
-        const int cost = way_cost(team_.at(i), costs);
-        if (cost <= least_cost(team_.at(i).robot, costs)) continue;
-        ++statistics_.searches;
-        team_.seek(i, costs, cost, {}, search_);
-    }
+    for (int i = 0; i < team_.size(); ++i) tidy_one(i, costs);
+    // whoever still dances may have room now that the others are tidy
+    for (int i = team_.size() - 1; i >= 0; --i)
+        if (way_cost(team_.at(i), costs) > least_cost(team_.at(i).robot, costs) + dance) tidy_one(i, costs);
 }
 
 } // namespace fl::planning

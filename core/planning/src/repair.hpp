@@ -47,6 +47,7 @@ class Repair {
     bool rounds(int most);
     void give_time(std::pair<int, int> pair);
     static int least_cost(const Robot &robot, const Costs &costs);
+    void tidy_one(int robot, const Costs &costs);
     int way_cost(const Member &member, const Costs &costs) const;
 
     Team &team_;

@@ -1,4 +1,4 @@
 #define FL_KERNEL_NAME "avx512"
 #define FL_KERNEL_SYMBOL kernel_avx512
-#define FL_KERNEL_WIDTH 8
+#define FL_KERNEL_WIDTH 16
 #include "kernel_body.hpp"

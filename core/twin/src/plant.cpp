@@ -75,8 +75,9 @@ double bell(uint32_t key, uint32_t count) {
 AxisGroup idle_group() {
     AxisGroup g{};
     for (size_t i = 0; i < lane_count; ++i) {
-        g.pwm_steps[i] = g.backlash_scale[i] = g.cosine[i] = 1.0;
-        g.coulomb_motor_Nms[i] = blocked_Nm;
+        g.pwm_steps[i] = g.cosine[i] = 1.0f;
+        g.backlash_scale[i] = 1.0;
+        g.coulomb_motor_Nms[i] = static_cast<float>(blocked_Nm);
         g.cell_lo_rad[i] = g.stop_lo_rad[i] = -1.0;
         g.cell_hi_rad[i] = g.stop_hi_rad[i] = 1.0;
     }
@@ -116,10 +117,10 @@ AxisState Plant::state(size_t axis) const {
 }
 
 void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
-    lane(axis, &AxisGroup::theta_rad) = theta_rad;
-    lane(axis, &AxisGroup::p_Nms) = momentum_Nms;
+    set(axis, &AxisGroup::theta_rad, theta_rad);
+    set(axis, &AxisGroup::p_Nms, momentum_Nms);
     group_of(axis).still = 0;
-    lane(axis, &AxisGroup::gear_rad) = gear_rad;
+    set(axis, &AxisGroup::gear_rad, gear_rad);
     axes_[axis].cell =
         cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
     load_cell(axis);
@@ -157,7 +158,7 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
     group_of(axis).still = 0;
     const PlantParams &p = params(axis);
     const double spring_Nm = p.spring_rate * p.spring_free;
-    lane(axis, &AxisGroup::load_0_Nms) = h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio;
+    set(axis, &AxisGroup::load_0_Nms, h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio);
 }
 
 void Plant::set_faults(size_t axis, AxisFaults faults) {
@@ -179,7 +180,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
     load_cell(axis);
     configure_stops(axis);
-    if (positive) lane(axis, &AxisGroup::theta_rad) = gear_rad + backlash_rad(axis);
+    if (positive) set(axis, &AxisGroup::theta_rad, gear_rad + backlash_rad(axis));
 }
 
 void Plant::put(size_t axis, double output_rad) {
@@ -189,8 +190,8 @@ void Plant::put(size_t axis, double output_rad) {
     Axis &a = axes_[axis];
     a.cell = cell_of_output(a.unit.transmission, p.gear_ratio, output_rad);
     load_cell(axis);
-    lane(axis, &AxisGroup::gear_rad) = gear_of_output(a.cell, output_rad);
-    lane(axis, &AxisGroup::theta_rad) = lane(axis, &AxisGroup::gear_rad);
+    set(axis, &AxisGroup::gear_rad, gear_of_output(a.cell, output_rad));
+    set(axis, &AxisGroup::theta_rad, lane(axis, &AxisGroup::gear_rad));
 }
 
 void Plant::configure(size_t axis) {
@@ -205,17 +206,17 @@ void Plant::configure(size_t axis) {
 void Plant::configure_drive(size_t axis) {
     const PlantParams &p = params(axis);
     const double supply_V = axes_[axis].faults.dead ? 0.0 : p.supply;
-    lane(axis, &AxisGroup::drive_scale_Nms) =
-        h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps;
-    lane(axis, &AxisGroup::pwm_steps) = p.pwm_steps;
+    set(axis, &AxisGroup::drive_scale_Nms,
+        h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps);
+    set(axis, &AxisGroup::pwm_steps, p.pwm_steps);
 }
 
 void Plant::configure_cogging(size_t axis) {
     const PlantParams &p = params(axis);
-    lane(axis, &AxisGroup::cog_2s_Nms) = h_s_ * p.cogging_2 * std::cos(p.cogging_2_phase);
-    lane(axis, &AxisGroup::cog_2c_Nms) = h_s_ * p.cogging_2 * std::sin(p.cogging_2_phase);
-    lane(axis, &AxisGroup::cog_4s_Nms) = 2.0 * h_s_ * p.cogging_4 * std::cos(p.cogging_4_phase);
-    lane(axis, &AxisGroup::cog_4c_Nms) = h_s_ * p.cogging_4 * std::sin(p.cogging_4_phase);
+    set(axis, &AxisGroup::cog_2s_Nms, h_s_ * p.cogging_2 * std::cos(p.cogging_2_phase));
+    set(axis, &AxisGroup::cog_2c_Nms, h_s_ * p.cogging_2 * std::sin(p.cogging_2_phase));
+    set(axis, &AxisGroup::cog_4s_Nms, 2.0 * h_s_ * p.cogging_4 * std::cos(p.cogging_4_phase));
+    set(axis, &AxisGroup::cog_4c_Nms, h_s_ * p.cogging_4 * std::sin(p.cogging_4_phase));
 }
 
 void Plant::configure_gear(size_t axis) {
@@ -225,16 +226,16 @@ void Plant::configure_gear(size_t axis) {
     const double inertia = p.inertia_motor + p.inertia_gear;
     const double free = 0.5 * h_s_ * (back_emf + p.viscous_motor) / p.inertia_motor;
     const double push = 0.5 * h_s_ * (back_emf + p.viscous_motor + p.viscous_gear) / inertia;
-    lane(axis, &AxisGroup::coulomb_motor_Nms) =
-        h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor);
-    lane(axis, &AxisGroup::coulomb_gear_Nms) = h_s_ * p.coulomb_gear;
-    lane(axis, &AxisGroup::load_1_Nms) = -h_s_ * p.spring_rate / (p.gear_ratio * p.gear_ratio);
-    lane(axis, &AxisGroup::drag_free) = free;
-    lane(axis, &AxisGroup::drag_free_inverse) = 1.0 / (1.0 + free);
-    lane(axis, &AxisGroup::drag_push) = push;
-    lane(axis, &AxisGroup::drag_push_inverse) = 1.0 / (1.0 + push);
-    lane(axis, &AxisGroup::step_per_p_free) = h_s_ / p.inertia_motor;
-    lane(axis, &AxisGroup::step_per_p_push) = h_s_ / inertia;
+    set(axis, &AxisGroup::coulomb_motor_Nms,
+        h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor));
+    set(axis, &AxisGroup::coulomb_gear_Nms, h_s_ * p.coulomb_gear);
+    set(axis, &AxisGroup::load_1_Nms, -h_s_ * p.spring_rate / (p.gear_ratio * p.gear_ratio));
+    set(axis, &AxisGroup::drag_free, free);
+    set(axis, &AxisGroup::drag_free_inverse, 1.0 / (1.0 + free));
+    set(axis, &AxisGroup::drag_push, push);
+    set(axis, &AxisGroup::drag_push_inverse, 1.0 / (1.0 + push));
+    set(axis, &AxisGroup::step_per_p_free, h_s_ / p.inertia_motor);
+    set(axis, &AxisGroup::step_per_p_push, h_s_ / inertia);
 }
 
 // A stop acts on the arm; seen from the gear it lies at T- of its angle, behind the gear's compliance.
@@ -245,33 +246,33 @@ void Plant::configure_stops(size_t axis) {
         return gear_of_output(cell_of_output(a.unit.transmission, p.gear_ratio, theta), theta);
     };
     const double series = 1.0 / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
-    lane(axis, &AxisGroup::stop_lo_rad) = gear_at(p.stop_min - a.slip_rad);
-    lane(axis, &AxisGroup::stop_hi_rad) = gear_at(p.stop_max - a.slip_rad);
-    lane(axis, &AxisGroup::stop_Nms) = a.faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio);
+    set(axis, &AxisGroup::stop_lo_rad, gear_at(p.stop_min - a.slip_rad));
+    set(axis, &AxisGroup::stop_hi_rad, gear_at(p.stop_max - a.slip_rad));
+    set(axis, &AxisGroup::stop_Nms, a.faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio));
 }
 
 void Plant::configure_hall(size_t axis) {
     const PlantParams &p = params(axis);
-    lane(axis, &AxisGroup::hall_offset_a) = p.hall_offset_a;
-    lane(axis, &AxisGroup::hall_sin_a) = p.hall_amplitude_a;
-    lane(axis, &AxisGroup::hall_offset_b) = p.hall_offset_b;
-    lane(axis, &AxisGroup::hall_cos_b) = p.hall_amplitude_b * std::cos(p.hall_phase);
-    lane(axis, &AxisGroup::hall_sin_b) = -p.hall_amplitude_b * std::sin(p.hall_phase);
-    lane(axis, &AxisGroup::hall_noise) = p.hall_noise;
+    set(axis, &AxisGroup::hall_offset_a, p.hall_offset_a);
+    set(axis, &AxisGroup::hall_sin_a, p.hall_amplitude_a);
+    set(axis, &AxisGroup::hall_offset_b, p.hall_offset_b);
+    set(axis, &AxisGroup::hall_cos_b, p.hall_amplitude_b * std::cos(p.hall_phase));
+    set(axis, &AxisGroup::hall_sin_b, -p.hall_amplitude_b * std::sin(p.hall_phase));
+    set(axis, &AxisGroup::hall_noise, p.hall_noise);
 }
 
 void Plant::load_cell(size_t axis) {
     const Cell &cell = axes_[axis].cell;
-    lane(axis, &AxisGroup::backlash_0_rad) = cell.backlash_0_rad;
-    lane(axis, &AxisGroup::backlash_scale) = 1.0 / (1.0 + cell.backlash_1);
-    lane(axis, &AxisGroup::cell_lo_rad) = cell.lo.gear_rad;
-    lane(axis, &AxisGroup::cell_hi_rad) = cell.hi.gear_rad;
+    set(axis, &AxisGroup::backlash_0_rad, cell.backlash_0_rad);
+    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + cell.backlash_1));
+    set(axis, &AxisGroup::cell_lo_rad, cell.lo.gear_rad);
+    set(axis, &AxisGroup::cell_hi_rad, cell.hi.gear_rad);
 }
 
 // The gear left its cell inside a tick. In positive contact the old cell's B placed it: the new one's
 // does now, so that where the gear is never depends on how it came there.
 void Plant::follow_cell(size_t axis) {
-    double &gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
     const Cell old = axes_[axis].cell;
     const double backlash_rad = old.backlash_0_rad + old.backlash_1 * gear_rad;
@@ -280,8 +281,8 @@ void Plant::follow_cell(size_t axis) {
     load_cell(axis);
     follow_seat(axis, axes_[axis].cell.index - old.index);
     if (positive)
-        gear_rad =
-            (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale);
+        set(axis, &AxisGroup::gear_rad,
+            (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale));
 }
 
 double Plant::next_seat(size_t axis, double from_rad) {

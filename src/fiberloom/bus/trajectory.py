@@ -121,6 +121,8 @@ async def _send_points(
     waiting = alive
     for first in range(0, longest, bite):
         waiting = [i for i in waiting if len(points[i]) > first]
+        if not waiting:  # the longest one has been refused
+            break
         bites = [points[i][first : first + bite] for i in waiting]
         owners = np.repeat(waiting, [len(b) for b in bites]).tolist()
         raw = np.concatenate(bites).astype("<i4").tobytes()

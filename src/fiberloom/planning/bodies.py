@@ -19,6 +19,10 @@ BEYOND_RANGE_DEG = np.array([-4.0, 10.0])
 """How far beyond the range of targets an axis may go on its way, if the hard stops allow: for the
 approach, and to fold a little more than fully. All of 360 deg for beta would double the search."""
 
+STOP_ROOM_DEG = 1.0
+"""Kept to the hard stops on the way: the motor's angle, which is what the firmware limits, differs from
+the output's by the non-linearity (up to 0.6 deg accepted) and the backlash (0.25 deg)."""
+
 
 @dataclass(frozen=True)
 class Bodies:
@@ -45,9 +49,15 @@ class Bodies:
 
 def travel_rad(plane: FocalPlane) -> Floats:
     """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
-    stops, wanted = plane.hard_stops_deg, plane.limits_deg + BEYOND_RANGE_DEG
-    low = np.maximum(stops[:, 0], wanted[:, 0])
-    high = np.minimum(stops[:, 1], wanted[:, 1])
+    stops, range_deg = plane.hard_stops_deg, plane.limits_deg
+    wanted = range_deg + BEYOND_RANGE_DEG
+    axes = (plane.instrument.alpha, plane.instrument.beta)
+    approach_deg = np.array([axis.approach_deg for axis in axes])
+    low = np.maximum(stops[:, 0] + STOP_ROOM_DEG, wanted[:, 0])
+    high = np.minimum(stops[:, 1] - STOP_ROOM_DEG, wanted[:, 1])
+    # never less than what targets and their approach need
+    low = np.minimum(low, range_deg[:, 0])
+    high = np.maximum(high, range_deg[:, 1] + approach_deg)
     return deg_to_rad(np.column_stack([low, high]))
 
 

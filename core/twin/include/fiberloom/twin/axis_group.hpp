@@ -1,5 +1,9 @@
 // Thirty-two axes (16 positioners, first all alpha, then all beta) side by side: what one tick of the plant
-// touches, about 10 KB, so a group stays in the first-level cache while it is stepped.
+// touches, about 8 KB, so a group stays in the first-level cache while it is stepped.
+//
+// Angles are kept in double: 1024 turns of the motor leave single precision a hundredth of a degree. What
+// happens inside a tick is told in single precision, as way since its start, which loses nothing
+// (docs/twin.md) and puts twice as many axes into a vector.
 //
 // Everything that is a torque in the model is an impulse here: torque times the step h, in Nm s.
 #pragma once
@@ -10,22 +14,32 @@ namespace fl::twin {
 
 inline constexpr int squad_size = 16; // positioners of a group
 inline constexpr int lane_count = 2 * squad_size;
-inline constexpr int chunk_size = 8;     // lanes that are left out together when nothing moves in them
+inline constexpr int chunk_size = 16;    // lanes that are left out together when nothing moves in them
 inline constexpr double tick_s = 0.0005; // 2 kHz control
 
 struct alignas(64) AxisGroup {
-    using Lanes = double[lane_count];
+    using Exact = double[lane_count];
+    using Lanes = float[lane_count];
 
     // state
-    Lanes theta_rad;        // motor
-    Lanes p_Nms;            // momentum of what moves with the rotor
-    Lanes gear_rad;         // motor angle at which negative contact is closed
-    Lanes theta_before_rad; // at the start of the tick
-    Lanes sine, cosine;     // of theta, exact at the start of a tick, turned along inside it
+    Exact theta_rad; // motor
+    Exact gear_rad;  // motor angle at which negative contact is closed
+    Lanes p_Nms;     // momentum of what moves with the rotor
 
     // transmission, linear inside the cell: positive contact at gear = (theta - backlash_0) backlash_scale
-    Lanes backlash_0_rad, backlash_scale;
-    Lanes cell_lo_rad, cell_hi_rad;
+    Exact backlash_0_rad, backlash_scale;
+    Exact cell_lo_rad, cell_hi_rad;
+    // load of the gear, positive to positive angles: load_0 + load_1 gear, and stops beyond gear angles
+    Exact load_0_Nms, load_1_Nms;
+    Exact stop_lo_rad, stop_hi_rad, stop_Nms;
+
+    // inside a tick: ways since theta at its start, and the load as it was there
+    Lanes turned_rad;                     // of the rotor
+    Lanes gear_ahead_rad, gear_start_rad; // gear, now and at the start
+    Lanes closed_rad;                     // gear angle of positive contact at the start
+    Lanes closed_scale;                   // and its change with the rotor
+    Lanes sine, cosine;                   // of theta, exact at the start of a tick, turned along inside it
+    Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it
 
     // drive: impulse = drive_sin sin(theta) + drive_cos cos(theta)
     Lanes drive_sin_Nms, drive_cos_Nms;
@@ -35,14 +49,11 @@ struct alignas(64) AxisGroup {
     // cogging as resistance: c2s sin 2t + c2c cos 2t + (c4s/2) sin 4t + c4c cos 4t
     Lanes cog_2s_Nms, cog_2c_Nms, cog_4s_Nms, cog_4c_Nms;
 
-    // friction, load of the gear (positive pushes to positive angles), drag and inertia
+    // friction, drag and inertia
     Lanes coulomb_motor_Nms, coulomb_gear_Nms;
-    Lanes resist_up_Nms, resist_down_Nms;     // what the gear takes from the rotor that moves it, this tick
-    Lanes load_0_Nms, load_1_Nms;             // spring and outside torque: load = load_0 + load_1 gear
-    Lanes stop_lo_rad, stop_hi_rad, stop_Nms; // gear angles; impulse per radian beyond
-    Lanes drag_free, drag_free_inverse;       // h d / 2J and 1/(1 + that), rotor alone
-    Lanes drag_push, drag_push_inverse;       // rotor with gear
-    Lanes step_per_p_free, step_per_p_push;   // h / J
+    Lanes drag_free, drag_free_inverse;     // h d / 2J and 1/(1 + that), rotor alone
+    Lanes drag_push, drag_push_inverse;     // rotor with gear
+    Lanes step_per_p_free, step_per_p_push; // h / J
 
     // hall channels: offset + sin_a sine ; offset + cos_b cosine + sin_b sine ; noise
     Lanes hall_offset_a, hall_sin_a, hall_offset_b, hall_cos_b, hall_sin_b, hall_noise;

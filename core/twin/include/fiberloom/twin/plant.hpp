@@ -101,10 +101,14 @@ class Plant {
         double slip_rad = 0.0; // arm against gear, left by an open coupling
         double held_rad = 0.0; // where the arm stands while the coupling is open
     };
-    using Field = AxisGroup::Lanes AxisGroup::*;
+    template <class T> using Field = T (AxisGroup::*)[lane_count];
     AxisGroup &group_of(size_t axis) { return groups_[place(axis).group]; }
-    double lane(size_t axis, Field f) const { return (groups_[place(axis).group].*f)[place(axis).lane]; }
-    double &lane(size_t axis, Field f) { return (groups_[place(axis).group].*f)[place(axis).lane]; }
+    template <class T> double lane(size_t axis, Field<T> f) const {
+        return static_cast<double>((groups_[place(axis).group].*f)[place(axis).lane]);
+    }
+    template <class T> void set(size_t axis, Field<T> f, double value) {
+        (group_of(axis).*f)[place(axis).lane] = static_cast<T>(value);
+    }
 
     void put(size_t axis, double output_rad);
     void configure(size_t axis);
