@@ -38,6 +38,8 @@ _KEPT = 12
 _HEARD = 300
 """... out of so many that are looked at as a whole."""
 _PER_PAIR = 60
+_RINGS = (0.45, 0.7, 0.85, 1.01)
+"""Parts of the field, from the middle outwards: distortion grows with the third power."""
 _CHUNK = 200_000
 
 
@@ -167,6 +169,7 @@ class _Hunt:
             raise AcquisitionError(f"{len(px)} spots in the image: no fiducials to be found")
         self.px, self.fiducials, self.geometry, self.s = px, fiducials, geometry, s
         self.tree = cKDTree(px)
+        self.candidates = self._candidates()
         self.help = np.zeros((0, 2))
         self.sigma_mm: ArrayLike = 0.0
         self.covariance_px2: ArrayLike | None = None
@@ -179,7 +182,7 @@ class _Hunt:
 
     def proposals(self) -> list[Similarity]:
         """The similarities that most fiducials around a pair vote for."""
-        z = self._px_complex()[self._candidates()]
+        z = self._px_complex()[self.candidates]
         nominal = self._near_nominal()
         if nominal is not None and self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
             return [nominal]
@@ -208,13 +211,20 @@ class _Hunt:
 
     def _near_nominal(self) -> Similarity | None:
         """The nominal transform, moved to where fiducials and fibres fit best; small turns only."""
-        nominal = self.geometry.similarity()
-        known = np.vstack([self.fiducials, self.help])
-        moved = _align(self.px, known, nominal, self.s.coarse_mm)
+        moved = _align(self.px[self.candidates], self._guides(), self.geometry.similarity(), self.s.coarse_mm)
         return moved if self._hits(moved) >= self.needed else None
 
+    def _guides(self) -> Floats:
+        """Places that lead to a transform: fiducials, and fibres where they stand far enough apart
+        not to be taken for each other."""
+        if len(self.help) < 2:
+            return self.fiducials
+        gap = cKDTree(self.help).query(self.help, k=2)[0][:, 1]
+        apart = float(np.median(gap)) > 3 * self.s.coarse_mm
+        return np.vstack([self.fiducials, self.help]) if apart else self.fiducials
+
     def _hits(self, base: Similarity) -> int:
-        distance, _ = self.tree.query(base.to_px(self.fiducials))
+        distance, _ = cKDTree(self.px[self.candidates]).query(base.to_px(self.fiducials))
         return int((distance * base.scale_mm_px < self.s.coarse_mm).sum())
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -330,22 +340,35 @@ class _Hunt:
         return len(found.fiducial) + hits
 
     def grow(self, base: Similarity) -> Acquisition | None:
-        """From a proposal outwards: similarity on what is near, then all, then distortion."""
-        known = np.vstack([self.fiducials, self.help]) if len(self.help) else self.fiducials
+        """From a proposal outwards: similarity on what is near, then ring by ring with distortion."""
+        px, guides = self.px[self.candidates], self._guides()
+        middle = self.fiducials.mean(axis=0)
+        radius = np.hypot(*(self.fiducials - middle).T)
+        inner = np.hypot(*(guides - middle).T) <= _RINGS[0] * self.field_radius_mm
         for gate in (2.0, 1.0, 0.7):
-            base = _align(self.px, known, base, gate * self.s.coarse_mm)
-        index, spot = self._near(base.to_px(self.fiducials), base.scale_mm_px, self.s.coarse_mm)
+            base = _align(px, guides[inner], base, gate * self.s.coarse_mm)
+        transform = FieldTransform(base, self.radius_mm, (0,), np.zeros(1), np.zeros((1, 1)))
+        tree = cKDTree(px)
+        for ring in _RINGS:
+            near = np.flatnonzero(radius <= ring * self.field_radius_mm)
+            index, spot = self._near(
+                transform.to_px(self.fiducials[near]), base.scale_mm_px, self.s.coarse_mm, tree
+            )
+            if len(index) < 4:
+                continue
+            transform = self._few_terms(px[spot], self.fiducials[near[index]])
         if len(index) < self.needed:
             return None
-        return self.polish(self._radial(index, spot, base))
+        return self.polish(transform)
 
-    def _radial(self, index: Ints, spot: Ints, base: Similarity) -> FieldTransform:
-        """Few terms first: they are robust against the wrong pairs of a wide gate."""
-        few = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms[0]) or self.terms[0]
+    def _few_terms(self, px: Floats, mm: Floats) -> FieldTransform:
+        """Robust against the wrong pairs of a wide gate, and bent as lenses bend."""
+        terms = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms[0]) or self.terms[0]
+        if len(px) < 8:
+            terms = zhao_burge.SIMILARITY_TERMS
         return fit_transform(
-            self.px[spot], self.fiducials[index], radius_mm=self.radius_mm,
-            flipped=base.flipped, terms=few,
-        ).transform  # fmt: skip
+            px, mm, radius_mm=self.radius_mm, flipped=self.geometry.flipped, terms=terms
+        ).transform
 
     def polish(self, transform: FieldTransform) -> Acquisition | None:
         """Narrower and narrower gates, with all the terms."""
@@ -381,9 +404,11 @@ class _Hunt:
         sigma = np.asarray(self.sigma_mm)
         return sigma if sigma.ndim == 0 else sigma[index]
 
-    def _near(self, at_px: Floats, scale: float, gate_mm: float) -> tuple[Ints, Ints]:
+    def _near(
+        self, at_px: Floats, scale: float, gate_mm: float, tree: cKDTree | None = None
+    ) -> tuple[Ints, Ints]:
         """Fiducials and spots that are each other's nearest, within the gate."""
-        distance, spot = self.tree.query(at_px, distance_upper_bound=gate_mm / scale)
+        distance, spot = (tree or self.tree).query(at_px, distance_upper_bound=gate_mm / scale)
         index = np.flatnonzero(np.isfinite(distance))
         order = index[np.argsort(distance[index], kind="stable")]
         _, first = np.unique(spot[order], return_index=True)
