@@ -11,7 +11,7 @@
  * changes slowly at constant speed: the mean of some 60 ms, against which a touch stands out. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
- *   touch if sgn(w) L - mean - excess > touch + doubt c | |w| - mean |w| | + 0.08 J |dw/dt|
+ *   touch if sgn(w) L - mean - excess > touch + 2 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
  * only where the motor drives the gear: after FL_TOUCH_WAY_RAD of way one way, more than any backlash, not
@@ -28,12 +28,14 @@
 #define FL_TOUCH_GAIN_V 219.0362f /* 1/s */
 #define FL_TOUCH_GAIN_A 32717.51f /* 1/s^2 */
 #define FL_TOUCH_LAG 0.201484f    /* 1 - p */
-#define FL_TOUCH_WAY_RAD 12.0f    /* 690 motor degrees: the largest backlash, 250, and what follows its end */
+#define FL_TOUCH_WAY_RAD 16.0f    /* 920 motor degrees: the largest backlash, 250, and what follows its end */
 #define FL_TOUCH_SLOW_RAD_S 50.0f /* slower, contacts are gentle and cogging is not */
 #define FL_TOUCH_MEAN (1.0f / 120.0f) /* per tick: 60 ms */
 #define FL_TOUCH_CATCH 0.1f           /* the same while nothing is watched: 5 ms */
-#define FL_TOUCH_FADE 0.95f           /* of a surge per tick: 10 ms, for the observer is late */
-#define FL_TOUCH_INERTIA 0.08f        /* what it may be wrong by */
+#define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
+#define FL_TOUCH_FADE 0.96f           /* of a surge per tick: 12 ms, for the observer is late */
+#define FL_TOUCH_DOUBT 2.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
 
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */
@@ -42,12 +44,13 @@ typedef struct fl_touch_config {
 } fl_touch_config_t;
 
 typedef struct fl_touch_state {
-    float error_rad, rate_rad_s, load_rad_s2; /* the observer: load over inertia */
-    float mean_Nm, mean_speed_rad_s;
+    float error_rad, rate_rad_s, load_rad_s2;       /* the observer: load over inertia */
+    float mean_Nm, mean_speed_rad_s, follow;        /* follow: share of the news that a mean takes in */
     float late_1_rad_s, late_2_rad_s, late_3_rad_s; /* speed, as late as the load: three poles */
     float surge_rad_s2;                             /* largest acceleration lately */
-    float way_rad;                                  /* driven one way */
-    float rise_Nm; /* load beyond what was expected, and what is allowed; for logs */
+    float unrest_Nm; /* largest change of the load lately, before it was watched */
+    float way_rad;   /* driven one way */
+    float rise_Nm;   /* load beyond what was expected, and what is allowed; for logs */
     float limit_Nm;
 } fl_touch_state_t;
 
@@ -68,7 +71,8 @@ static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_stat
     st->error_rad += FL_TOUCH_GAIN_E * news;
     st->rate_rad_s += FL_TOUCH_GAIN_V * news;
     st->load_rad_s2 += FL_TOUCH_GAIN_A * news;
-    const float drives = (in->beyond_Nm + cfg->drag * st->rate_rad_s) * cfg->inertia_inverse;
+    const float drives =
+        (in->beyond_Nm + (cfg->drag + in->excess_Nms) * st->rate_rad_s) * cfg->inertia_inverse;
     const float gains_rad_s = (st->load_rad_s2 - drives) * dt_s;
     st->error_rad += (st->rate_rad_s + 0.5f * gains_rad_s) * dt_s;
     st->rate_rad_s += gains_rad_s;
@@ -95,11 +99,14 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
 
     const float faster = fl_touch_late(st, speed) - st->mean_speed_rad_s, more_Nm = load_Nm - st->mean_Nm;
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
-    st->limit_Nm = cfg->threshold_Nm + in->drag_doubt * cfg->drag * fl_abs(faster) +
+    const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
+    st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_FADE * st->unrest_Nm);
+    st->limit_Nm = cfg->threshold_Nm + st->unrest_Nm +
+                   FL_TOUCH_DOUBT * in->drag_doubt * cfg->drag * fl_abs(faster) +
                    FL_TOUCH_INERTIA * cfg->inertia * st->surge_rad_s2;
-    const float follow = watched ? FL_TOUCH_MEAN : FL_TOUCH_CATCH;
-    st->mean_Nm += follow * more_Nm;
-    st->mean_speed_rad_s += follow * faster;
+    st->follow = watched ? fl_max(FL_TOUCH_MEAN, FL_TOUCH_CALM * st->follow) : FL_TOUCH_CATCH;
+    st->mean_Nm += st->follow * more_Nm;
+    st->mean_speed_rad_s += st->follow * faster;
     return watched && st->rise_Nm > st->limit_Nm;
 }
 
