@@ -105,7 +105,7 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
     points = [(0.1, float(from_deg))]
     for _ in range(rng.integers(2, pieces + 1)):
         way_s = rng.uniform(0.1, longest_s)
-        top = FULL_SPEED_DEG_S * (10.0 ** rng.uniform(-3, -1) if kind == "crawl" else 1.0)
+        top = FULL_SPEED_DEG_S * (10.0 ** rng.uniform(-3.0, -0.3) if kind == "crawl" else 1.0)
         speed = top * (rng.choice([-1.0, 1.0]) if kind == "path" else rng.uniform(-1.0, 1.0))
         points.append((points[-1][0] + way_s, _held(points[-1][1] + speed * way_s, axis)))
     return points
