@@ -11,7 +11,7 @@
  * changes slowly at constant speed: the mean of some 60 ms, against which a touch stands out. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
- *   touch if sgn(w) L - mean - excess > touch + 2 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
+ *   touch if sgn(w) L - mean - excess > touch + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
  * only where the motor drives the gear: after FL_TOUCH_WAY_RAD of way one way, more than any backlash, not
@@ -35,8 +35,8 @@
 #define FL_TOUCH_MEAN (1.0f / 120.0f) /* per tick: 60 ms */
 #define FL_TOUCH_CATCH 0.1f           /* the same while nothing is watched: 5 ms */
 #define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
-#define FL_TOUCH_FADE 0.96f           /* of a surge per tick: 12 ms, for the observer is late */
-#define FL_TOUCH_DOUBT 2.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_FADE 0.97f           /* of a surge per tick: 16 ms, for the observer is late */
+#define FL_TOUCH_DOUBT 3.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
 #define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
 
 typedef struct fl_touch_config {

@@ -20,7 +20,8 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.trials import FULL_SPEED_DEG_S, go_to, greased
 from fiberloom.twin.twin import BODY_SHARE, Twin
-from fiberloom.units import deg_to_rad
+from fiberloom.twin.units import GEAR
+from fiberloom.units import TICK_S, deg_to_rad
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ KINDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 SYNC_S = 0.002
 _RUN_UP_S = (0.7, 2.5)  # after the start: full speed is reached, the gaps are closed
 _CLEAR_MM = 0.5  # before that
+_MIDDLE_DEG = 180.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,13 @@ class Stop:
     """To the moment its phases went off: by its own watch, or by the host's stop."""
     torque_Nm: tuple[float, float]
     """Largest torque of the contact on its alpha and beta arm."""
+    load_rate_Nm_s: tuple[float, float]
+    """How fast the load on each motor grew in the first 8 ms; negative where it helps the motion."""
+
+    @property
+    def head_on(self) -> bool:
+        """The contact resists one of its motors, not only pushes it from behind."""
+        return max(self.load_rate_Nm_s) > 0.0
 
 
 @dataclass(frozen=True)
@@ -109,13 +118,19 @@ def plan_meeting(
         if not len(meets) or not _RUN_UP_S[0] < time_s[meets[0]] or gap[: meets[0] // 2].min() < _CLEAR_MM:
             continue
         goal = start + sense * 60.0
-        if (goal[:, 0] > 5.0).all() and (goal[:, 0] < 355.0).all() and (np.abs(goal[:, 1] - 175.0) < 175.0).all():
+        if (np.abs(goal - _MIDDLE_DEG) < 175.0).all():
             return start, goal
     raise RuntimeError(f"no meeting of kind {kind!r} found")
 
 
 def meetings(
-    plane: FocalPlane, kind: str, *, seed: int, host_s: float | None = None, touch: bool = True, threads: int = 2
+    plane: FocalPlane,
+    kind: str,
+    *,
+    seed: int,
+    host_s: float | None = None,
+    touch: bool = True,
+    threads: int = 2,
 ) -> list[Meeting]:
     """One meeting of every isolated pair of the plane, units and temperatures drawn from the seed.
 
@@ -188,5 +203,16 @@ class _Meetings:
         own = self.own.get(row, np.inf)
         stopped = min(own, self.told.get(row, np.inf))
         seen = logs[0]["time_s"] <= stopped + 0.02
-        torque = tuple(float(np.abs(log["torque_out_Nm"][seen]).max()) for log in logs)
-        return Stop(self.ids[row], own - touched_s, stopped - touched_s, torque)
+        torque = [float(np.abs(log["torque_out_Nm"][seen]).max()) for log in logs]
+        rates = [_load_rate_Nm_s(log, touched_s) for log in logs]
+        return Stop(
+            self.ids[row], own - touched_s, stopped - touched_s, (torque[0], torque[1]), (rates[0], rates[1])
+        )
+
+
+def _load_rate_Nm_s(log: NDArray, touched_s: float) -> float:
+    """From what the contact did to one arm; a motor that stands feels nothing through its gear."""
+    first = np.searchsorted(log["time_s"], touched_s)
+    span = slice(first, first + round(0.008 / TICK_S))
+    against = -np.sign(log["command_speed_rad_s"][span]) * log["torque_out_Nm"][span] / GEAR
+    return float(np.polyfit(log["time_s"][span], against, 1)[0])
