@@ -257,11 +257,18 @@ void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // nobody gets more time now
     for (int low = wanted_steps; arrival() > low;) {
         std::vector<Memory> before;
-        for (int i = 0; i < team_.size(); ++i) before.push_back(team_.remember(i));
+        std::vector<int> deadlines;
+        for (int i = 0; i < team_.size(); ++i) {
+            before.push_back(team_.remember(i));
+            deadlines.push_back(team_.at(i).deadline);
+        }
         const int deadline = (low + arrival()) / 2;
         if (squeeze(deadline)) continue;
         for (Memory &memory : before) team_.restore(std::move(memory));
-        for (int i = 0; i < team_.size(); ++i) team_.count_meetings(i);
+        for (int i = 0; i < team_.size(); ++i) {
+            team_.at(i).deadline = deadlines[static_cast<size_t>(i)];
+            team_.count_meetings(i);
+        }
         low = deadline + 1;
     }
 }
