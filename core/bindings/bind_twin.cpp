@@ -361,10 +361,10 @@ void bind_twin(nb::module_ &m) {
     t.attr("NODES_PER_TURN") = nodes_per_turn;
     t.attr("TICK_S") = tick_s;
     t.attr("SYNC_TICKS") = sync_ticks;
-    t.attr("SCOPE_FIELDS") =
-        nb::make_tuple("time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm",
-                       "duty_a", "duty_b", "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg",
-                       "tracking_deg", "command_speed_rad_s", "feedback_Nm", "feedforward_Nm", "voltage");
+    t.attr("SCOPE_FIELDS") = nb::make_tuple(
+        "time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm", "duty_a", "duty_b",
+        "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg", "tracking_deg", "command_speed_rad_s",
+        "feedback_Nm", "feedforward_Nm", "voltage", "load_Nm", "touch_Nm");
     t.def("transmission", &evaluate_transmission, nb::arg("transmission"), nb::arg("gear_ratio"),
           nb::arg("output_rad"), "Gear angle T- and backlash B, motor rad, at output angles.");
     bind_plant(t);

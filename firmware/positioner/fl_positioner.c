@@ -160,6 +160,8 @@ fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis) 
         .feedback_Nm = a->torque.watched_Nm,
         .feedforward_Nm = a->torque.feedforward_Nm,
         .voltage = a->voltage,
+        .load_Nm = a->drive.touch.rise_Nm,
+        .touch_Nm = a->drive.touch.limit_Nm,
     };
     return t;
 }

@@ -107,7 +107,9 @@ typedef struct fl_axis_telemetry {
     float speed_rad_s;  /* commanded */
     float feedback_Nm;  /* PI term, the one Eq. 22 watches */
     float feedforward_Nm;
-    float voltage; /* u_cmd / u_dc */
+    float voltage;  /* u_cmd / u_dc */
+    float load_Nm;  /* beyond its mean, as the touch watch sees it; resisting is positive */
+    float touch_Nm; /* where it is a touch */
 } fl_axis_telemetry_t;
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
 

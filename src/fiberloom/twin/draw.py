@@ -252,6 +252,8 @@ def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
         "settle_gain": 1.0,
         # 50 uNm for alpha: after the drag is learnt legal moves need less than 40 beyond the model
         "contact_torque": 1.43e4 * inertia,
+        # 2.4 uNm for alpha: legal moves rise by 1.9 at most (docs/firmware.md)
+        "touch_torque": 690.0 * inertia,
     }
 
 

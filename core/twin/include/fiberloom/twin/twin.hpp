@@ -53,6 +53,7 @@ struct ScopeSample {
     double duty[3];
     double hall_cnt[2];
     double command_deg, tracking_deg, command_speed_rad_s, feedback_Nm, feedforward_Nm, voltage;
+    double load_Nm, touch_Nm;
 };
 
 struct PositionerFaults {
