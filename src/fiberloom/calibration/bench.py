@@ -125,9 +125,7 @@ class Operator:
         )
         await self.goto(alpha_deg, beta_deg)
 
-    async def push(
-        self, axis: int, voltages: tuple[float, float], times_s: tuple[float, float]
-    ) -> None:
+    async def push(self, axis: int, voltages: tuple[float, float], times_s: tuple[float, float]) -> None:
         """A torque step of one axis, to its end."""
         begun = await push(self.client, self.ids, axis, voltages, times_s)
         self._book(begun)
