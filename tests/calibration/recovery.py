@@ -38,13 +38,20 @@ WORKSPACE_UM, CLOSE_UP_UM = 0.669, 0.101  # Kronig 2020, Fig. 18
 class Size:
     """How much is measured: enough for honest errors, not more."""
 
-    friction: FrictionSettings = FrictionSettings(n_angles=2, run_span_deg=20.0)
-    inertia: InertiaSettings = InertiaSettings(pushes=4)
-    stiffness: StiffnessSettings = StiffnessSettings(repeats=6, images=1)
-    arms: ArmsSettings = ArmsSettings(n_points=24)
-    repeatability: RepeatabilitySettings = RepeatabilitySettings(visits=30)
+    friction: FrictionSettings
+    inertia: InertiaSettings
+    stiffness: StiffnessSettings
+    arms: ArmsSettings
+    repeatability: RepeatabilitySettings
 
 
+SMALL = Size(
+    FrictionSettings(n_angles=2, run_span_deg=20.0),
+    InertiaSettings(pushes=4),
+    StiffnessSettings(repeats=6, images=1),
+    ArmsSettings(n_points=24),
+    RepeatabilitySettings(visits=30),
+)
 FULL = Size(
     FrictionSettings(),
     InertiaSettings(),
@@ -112,4 +119,4 @@ def table(estimates, truth):
 if __name__ == "__main__":
     import sys
 
-    print(table(*recover(int(sys.argv[1]), int(sys.argv[2]), FULL if "full" in sys.argv else Size())))
+    print(table(*recover(int(sys.argv[1]), int(sys.argv[2]), FULL if "full" in sys.argv else SMALL)))

@@ -60,7 +60,7 @@ class StiffnessData:
 
 def identify_stiffness(data: StiffnessData) -> Estimate:
     """k in mNm/deg for N positioners. InputError when nobody's data support it."""
-    turned = _turned_deg(data)
+    turned = turned_deg(data)
     seen = np.isfinite(turned)
     count = seen.sum(axis=1)
     mean = np.where(seen, turned, 0.0).sum(axis=1) / np.maximum(count, 1)
@@ -77,8 +77,8 @@ def identify_stiffness(data: StiffnessData) -> Estimate:
     )  # fmt: skip
 
 
-def _turned_deg(data: StiffnessData) -> Floats:
-    """(N, R) by how much the axis turned from -T to +T."""
+def turned_deg(data: StiffnessData) -> Floats:
+    """(N, R) by how much the axis turned from -T to +T, each repeat."""
     out = np.nanmean(data.xy_mm, axis=(1, 2)) - data.pivot_mm
     along = out / np.linalg.norm(out, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 AXES = ("alpha", "beta")
-AT_SPEED = 0.98
+AT_SPEED = 0.995
 """Share of the speed asked for from which a motor counts as running at it."""
 
 
