@@ -196,6 +196,9 @@ def twin(
     bootloader: Annotated[
         bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
     ] = False,
+    jaeger_config: Annotated[
+        Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
+    ] = None,
     report_every: Annotated[
         float, typer.Option(min=0.0, help="Seconds between reports of lateness; 0: at the end only.")
     ] = 0.0,
@@ -215,6 +218,7 @@ def twin(
         speed=speed,
         neighbours=neighbours,
         bootloader=bootloader,
+        jaeger_config=jaeger_config,
         report_every_s=report_every,
         stop_after_s=stop_after,
         as_json=as_json,

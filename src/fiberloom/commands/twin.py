@@ -7,10 +7,13 @@ import json
 import os
 import signal
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import typer
 
+from fiberloom.commands.outputs import prepare_folder
+from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.cannet_device import PORTS
@@ -31,6 +34,7 @@ class ServeRequest:
     bootloader: bool = False
     report_every_s: float = 0.0
     stop_after_s: float | None = None
+    jaeger_config: Path | None = None
     as_json: bool = False
 
 
@@ -51,9 +55,41 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
         seed=request.seed,
         bootloader=request.bootloader,
     )
+    if request.jaeger_config is not None:
+        folder = prepare_folder(request.jaeger_config.resolve().parent)
+        request.jaeger_config.write_text(jaeger_config(addresses, folder))
     report = asyncio.run(_serve(server, request, len(plane), addresses))
     typer.echo(json.dumps(report, indent=2) if request.as_json else _text(report))
     return report
+
+
+def jaeger_config(addresses: list[Address], folder: Path) -> str:
+    """What jaeger needs to know to drive this twin: its JAEGER_<OBSERVATORY>_CONFIG_PATH.
+
+    Logs, trajectories and snapshots go to `folder`.
+    """
+    if len({a.port for a in addresses}) > 1:
+        raise InputError(
+            "--jaeger-config: jaeger has one port for all devices; listen at a loopback address, where "
+            "devices get 127.0.0.1, 127.0.0.2, ..."
+        )
+    profile = {
+        "interface": "cannet",
+        "channels": [a.host for a in addresses],
+        "port": addresses[0].port,
+        "buses": list(PORTS),
+        "bitrate": 1_000_000,
+        "timeout": 1,
+        "status_interval": 5,
+    }
+    paths = {"snapshot_path": str(folder), "configuration_snapshot_path": str(folder)}
+    config = {
+        "profiles": {"default": "twin", "twin": profile},
+        "fps": {"use_lock": False, "skip_assignments_check": True, **paths},
+        "positioner": {"trajectory_dump_path": str(folder)},
+        "files": {"log_dir": str(folder)},
+    }
+    return json.dumps(config, indent=2) + "\n"  # which is YAML, too
 
 
 async def _serve(
