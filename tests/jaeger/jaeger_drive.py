@@ -11,13 +11,14 @@ import time
 import traceback
 
 import numpy as np
-from jaeger import FPS
 from jaeger.commands import CommandID
 from jaeger.commands.bootloader import load_firmware
 from jaeger.commands.calibration import calibrate_positioners
 from jaeger.commands.trajectory import Trajectory
 from jaeger.maskbits import BootloaderStatus, FPSStatus
 from jaeger.maskbits import PositionerStatus as PS
+
+from jaeger import FPS
 
 QUIET = {"save_snapshot": False}  # snapshots need the observatory's calibration files
 SCENARIOS = {}
@@ -89,7 +90,7 @@ async def moves(fps, job):
 async def stop(fps, job):
     """Stops a trajectory on its way; then moves on."""
     ids = sorted(fps)
-    goals = {i: (90.0, 160.0) for i in ids}
+    goals = dict.fromkeys(ids, (90.0, 160.0))
     trajectory = Trajectory(fps, {i: ramp(fps[i].position, goals[i]) for i in ids})
     await trajectory.send()
     running = asyncio.create_task(trajectory.start(use_sync_line=False))
@@ -100,7 +101,7 @@ async def stop(fps, job):
     await fps.update_status()
     await fps.update_position()
     at = where(fps, ids)
-    goals = {i: (10.0, 170.0) for i in ids}
+    goals = dict.fromkeys(ids, (10.0, 170.0))
     await sent(fps, goals)
     return {
         "was_moving": moving,
@@ -163,7 +164,7 @@ async def calibrations(fps, job):
     await fps.update_position()
     answer["homed"] = status_has(fps, ids, PS.DATUM_ALPHA_INITIALIZED, PS.DATUM_BETA_INITIALIZED)
     answer["home_deg"] = where(fps, ids)
-    goals = {i: (10.0, 170.0) for i in ids}
+    goals = dict.fromkeys(ids, (10.0, 170.0))
     await sent(fps, goals)
     answer["miss_deg"] = largest_miss(fps, goals)
     return answer
@@ -192,7 +193,7 @@ async def array(fps, job):
     """The whole focal plane: everybody turns the same way, which nobody minds."""
     ids = sorted(fps)
     begin = time.monotonic()
-    goals = {i: (25.0, 175.0) for i in ids}
+    goals = dict.fromkeys(ids, (25.0, 175.0))
     send_s = await sent(fps, goals, bends=job.get("bends", 4))
     return {
         "count": len(ids),

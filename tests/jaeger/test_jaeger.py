@@ -3,6 +3,7 @@
 Needs `make jaeger` once: jaeger 1.11.1 in an environment of its own, `.venv-jaeger`.
 """
 
+import contextlib
 import json
 import os
 import queue
@@ -13,6 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fiberloom.commands.twin import jaeger_config
@@ -44,9 +46,10 @@ class Lines:
         threading.Thread(target=self._read, args=(stream,), daemon=True).start()
 
     def _read(self, stream):
-        for line in stream:
-            self.seen.append(line)
-            self._queue.put(line)
+        with contextlib.suppress(ValueError):  # closed
+            for line in stream:
+                self.seen.append(line)
+                self._queue.put(line)
         self._queue.put(None)
 
     def wait_for(self, start, timeout_s):
@@ -62,49 +65,69 @@ def processed(command, **kwargs):
     )
 
 
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
+def closed(process):
+    process.wait()
+    process.stdin.close()
+    process.stdout.close()
+
+
+def free_ports(count):
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for s in sockets:
+            s.bind(("127.0.0.1", 0))
+        return [s.getsockname()[1] for s in sockets]
 
 
 class Served:
-    """`fiberloom twin` in a process of its own."""
+    """`fiberloom twin` in a process of its own; which of jaeger's profiles finds it."""
 
-    def __init__(self, port, *options):
-        command = [sys.executable, "-m", "fiberloom.cli", "twin", "--listen", f"127.0.0.1:{port}", *options]
-        self.process = processed(command)
+    def __init__(self, profile, count, *options):
+        where = f"127.0.0.1:{PORTS[profile]}"
+        options = ("--listen", where, "--positioners", str(count), *options)
+        self.process = processed([sys.executable, "-m", "fiberloom.cli", "twin", *options])
         self.lines = Lines(self.process.stdout)
 
     def __enter__(self):
-        self.lines.wait_for("", 60)
+        greeting = self.lines.wait_for("", 60)
+        assert "positioners on" in greeting, greeting
         return self
 
     def __exit__(self, *error):
         self.process.send_signal(signal.SIGTERM)
-        assert self.process.wait(20) == 0, self.lines.seen
+        code = self.process.wait(20)
+        closed(self.process)
+        assert code == 0, self.lines.seen
 
 
 class Jaeger:
-    """One process of jaeger that runs scenarios. Its configuration is what `--jaeger-config` writes."""
+    """One process of jaeger that runs scenarios, each on a profile of its configuration.
 
-    def __init__(self, folder):
-        self.folder = folder
+    The configuration is what `--jaeger-config` writes, with a profile for each of our servers.
+    """
 
-    def start(self, port, devices):
-        config = self.folder / "jaeger.yml"
-        config.write_text(
-            jaeger_config([Address(f"127.0.0.{k + 1}", port) for k in range(devices)], self.folder)
-        )
-        environment = {"PATH": os.environ["PATH"], "HOME": str(self.folder), "OBSERVATORY": "APO"}
-        environment |= {"JAEGER_APO_CONFIG_PATH": str(config), "MPLCONFIGDIR": str(self.folder)}
+    def __init__(self, folder, devices):
+        config = json.loads(jaeger_config(addresses(PORTS["twin"], devices), folder))
+        for name, port in PORTS.items():
+            config["profiles"][name] = config["profiles"]["twin"] | {"port": port}
+        path = folder / "jaeger.yml"
+        path.write_text(json.dumps(config))
+        environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "MPLCONFIGDIR": str(folder)}
+        environment |= {"OBSERVATORY": "APO", "JAEGER_APO_CONFIG_PATH": str(path)}
         drive = [str(JAEGER_PYTHON), str(Path(__file__).with_name("jaeger_drive.py"))]
-        self.process = processed(drive, env=environment, cwd=self.folder)
+        self.process = processed(drive, env=environment, cwd=folder)
         self.lines = Lines(self.process.stdout)
-        self.lines.wait_for("RESULT ", 120)
 
-    def run(self, scenario, timeout_s=90, **job):
-        job |= {"scenario": scenario, "profile": "twin"}
+    def __enter__(self):
+        self.lines.wait_for("RESULT ", 120)
+        return self
+
+    def __exit__(self, *error):
+        self.process.kill()
+        closed(self.process)
+
+    def run(self, scenario, profile="twin", timeout_s=90, **job):
+        job |= {"scenario": scenario, "profile": profile}
         self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.lines.wait_for("RESULT ", timeout_s))
@@ -112,34 +135,36 @@ class Jaeger:
         return answer
 
 
-PORT = free_port()
+def addresses(port, devices):
+    return [Address(f"127.0.0.{k + 1}", port) for k in range(devices)]
+
+
+PROFILES = ("twin", "crowd", "bench", "boot", "array")
+PORTS = dict(zip(PROFILES, free_ports(len(PROFILES)), strict=True))
 
 
 @pytest.fixture(scope="module")
 def jaeger(tmp_path_factory):
-    it = Jaeger(tmp_path_factory.mktemp("jaeger"))
-    it.start(PORT, devices=6)
-    yield it
-    it.process.kill()
-    it.process.wait()
+    with Jaeger(tmp_path_factory.mktemp("jaeger"), devices=1) as it:
+        yield it
 
 
 @pytest.fixture(scope="module")
 def ten():
     """Ten positioners in the middle of the focal plane, neighbours on, in real time."""
-    with Served(PORT, "--positioners", "10") as served:
+    with Served("twin", 10) as served:
         yield served
 
 
 def facing_neighbours(count=10):
     """Two positioners and angles at which each reaches for the other's centre."""
     plane = generate(load_instrument("sdssv"), 0, n_positioners=count)
-    first, second = map(int, plane.neighbour_pairs()[0])
-    middle = (plane.centres_mm[first] + plane.centres_mm[second]) / 2.0
+    pairs, centre = plane.neighbour_pairs(), plane.centres_mm
+    nearest = np.argmin(np.hypot(*(centre[pairs[:, 0]] - centre[pairs[:, 1]]).T))
     goals = {}
-    for mine in (first, second):
-        reach_for = plane.centres_mm[mine] + 1.8 * (middle - plane.centres_mm[mine])
-        found = plane.inverse([reach_for], index=[mine])
+    for mine, other in (pairs[nearest], pairs[nearest][::-1]):
+        found = plane.inverse([centre[mine] + 0.95 * (centre[other] - centre[mine])], index=[mine])
+        assert found.reachable.all()
         goals[int(plane.positioner_id[mine])] = [float(found.alpha_deg[0]), float(found.beta_deg[0])]
     return goals
 
@@ -163,9 +188,11 @@ def test_stop_on_the_way(jaeger, ten):
     assert answer["miss_deg"] < MISS_DEG
 
 
-def test_collision_locks_and_unlock_frees(jaeger, ten):
+def test_collision_locks_and_unlock_frees(jaeger):
     goals = facing_neighbours()
-    answer = jaeger.run("collision", goals=goals)
+    # four times as fast: half a turn there, half a turn back
+    with Served("crowd", 10, "--speed", "4"):
+        answer = jaeger.run("collision", "crowd", goals=goals)
     assert answer["locked"], answer
     assert "locked" in answer["why"]
     assert set(answer["locked_by"]) <= set(goals)
@@ -178,8 +205,8 @@ def test_collision_locks_and_unlock_frees(jaeger, ten):
 
 def test_calibrations_and_homing(jaeger):
     # on a bench, and ten times as fast: nobody wants to watch a datum search
-    with Served(PORT, "--positioners", "2", "--no-neighbours", "--speed", "10"):
-        answer = jaeger.run("calibrations")
+    with Served("bench", 2, "--no-neighbours", "--speed", "10"):
+        answer = jaeger.run("calibrations", "bench")
     for step in ("hall_and_datum", "cogging_accepted", "cogging", "saved", "homed"):
         assert answer[step], (step, answer)
     assert all(abs(angle) < MISS_DEG for row in answer["home_deg"] for angle in row), answer["home_deg"]
@@ -189,8 +216,8 @@ def test_calibrations_and_homing(jaeger):
 def test_firmware_upgrade(jaeger, tmp_path):
     image = tmp_path / "tendo_v04.01.22.bin"
     image.write_bytes(bytes(range(256)) * 4 + b"tail")  # 1028 bytes: the last frame is shorter
-    with Served(PORT, "--positioners", "3", "--bootloader"):
-        answer = jaeger.run("upgrade", image=str(image))
+    with Served("boot", 3, "--bootloader"):
+        answer = jaeger.run("upgrade", "boot", image=str(image))
     assert answer["bootloader"]
     assert answer["firmware"] == ["04.80.21"]
     assert answer["loaded"]
@@ -200,8 +227,8 @@ def test_firmware_upgrade(jaeger, tmp_path):
 
 
 @pytest.mark.long
-def test_the_whole_array(jaeger):
-    with Served(PORT, "--positioners", "500"):
-        answer = jaeger.run("array", timeout_s=150)
+def test_the_whole_array(tmp_path):
+    with Served("array", 500), Jaeger(tmp_path, devices=6) as jaeger:
+        answer = jaeger.run("array", "array", timeout_s=150)
     assert answer["count"] == 500
     assert max(answer["misses_deg"].values()) < MISS_DEG, answer["misses_deg"]

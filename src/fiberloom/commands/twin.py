@@ -134,7 +134,8 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 def _text(report: dict[str, Any]) -> str:
     """A few lines for people."""
     lines = [
-        f"{report['time_s']:.1f} s of twin time; {report['ticks']} ticks computed, {report['resting']} at rest",
+        f"{report['time_s']:.1f} s of twin time: "
+        f"{report['ticks']} ticks computed, {report['resting']} at rest",
         f"kept {100 * report['share_kept']:.2f} % of the ticks; late by {report['p50_ms']:.2f} ms (half), "
         f"{report['p99_ms']:.2f} ms (99 %), {report['worst_ms']:.2f} ms (worst)",
         f"{report['clients']} clients, {report['frames_in']} frames in, {report['frames_out']} out",
