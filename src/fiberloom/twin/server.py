@@ -109,7 +109,7 @@ class _Host(asyncio.Protocol):
         self.transport = transport
         sock = transport.get_extra_info("socket")
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        _keep_alive(sock)
         self._listener.arrived(self)
 
     def data_received(self, data: bytes) -> None:
@@ -141,6 +141,8 @@ class _Listener:
             self._listening = await loop.create_server(
                 lambda: _Host(self), self.address.host, self.address.port
             )
+            # what the system chose, where the port was 0
+            self.address = Address(self.address.host, self._listening.sockets[0].getsockname()[1])
         except OSError as error:
             raise InputError(
                 f"--listen {self.address}: {error.strerror or error}; choose another address"
@@ -198,6 +200,14 @@ class _Listener:
             self.server.traffic.unread += 1
             return
         self.host.transport.write(line.encode("ascii") + b"\n")
+
+
+def _keep_alive(sock: socket.socket) -> None:
+    """A host whose machine died without a word frees its device within ten seconds."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):  # not everywhere
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 @dataclass(order=True)
@@ -391,14 +401,13 @@ class TwinServer:
             (twin.inject if begins else twin.clear)(trouble.fault)
 
     def _cut_power(self, positioner_id: int, begins: bool) -> None:
-        """Off: no field, no ears, no voice. On again: the firmware starts in its bootloader."""
+        """Off: the firmware loses its memory; no field, no ears, no voice. On: it starts anew."""
         assert self.real is not None
         with self.real.held() as twin:
             for kind in _NO_POWER:
                 fault = Trouble(kind, positioner_id).fault
                 (twin.inject if begins else twin.clear)(fault)
-            if not begins:
-                twin.power_cycle(positioner_id, bootloader=True)
+            twin.power_cycle(positioner_id, bootloader=True)
 
 
 def bus_of(device: int, port: int) -> int:
