@@ -175,6 +175,57 @@ def verify(
     raise typer.Exit(0 if report["verified"] else 1)
 
 
+@app.command()
+def twin(
+    listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228",
+    devices: Annotated[
+        int | None, typer.Option(min=1, max=64, help="CAN@net devices; default: one for 84 positioners.")
+    ] = None,
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    positioners: PositionersOption = None,
+    seed: SeedOption = 0,
+    faults: Annotated[
+        str,
+        typer.Option(
+            help="What goes wrong: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."
+        ),
+    ] = "",
+    speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0,
+    neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True,
+    bootloader: Annotated[
+        bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
+    ] = False,
+    jaeger_config: Annotated[
+        Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
+    ] = None,
+    report_every: Annotated[
+        float, typer.Option(min=0.0, help="Seconds between reports of lateness; 0: at the end only.")
+    ] = 0.0,
+    stop_after: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after so many seconds; default: Ctrl-C, SIGTERM.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
+    from fiberloom.commands.twin import ServeRequest, run_twin
+
+    request = ServeRequest(
+        listen=listen,
+        devices=devices,
+        seed=seed,
+        faults=faults,
+        speed=speed,
+        neighbours=neighbours,
+        bootloader=bootloader,
+        jaeger_config=jaeger_config,
+        report_every_s=report_every,
+        stop_after_s=stop_after,
+        as_json=as_json,
+    )
+    run_twin(_plane(instrument, layout, seed, positioners), request)
+
+
 @calibrate.command()
 def transmission(
     instrument: InstrumentOption = "sdssv",
