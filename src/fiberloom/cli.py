@@ -220,7 +220,7 @@ def focal_plane(
     as_json: JsonOption = False,
 ) -> None:
     """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
-    from fiberloom.commands.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
+    from fiberloom.commands.focal_plane import FocalPlaneRequest, flat_convergence, run_calibrate_focal_plane
 
     request = FocalPlaneRequest(
         out=out,
@@ -235,7 +235,9 @@ def focal_plane(
         quiet=as_json,
     )
     report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)
-    _print_report(report, as_json)
+    _print_report(report if as_json else {k: v for k, v in report.items() if k != "convergence"}, as_json)
+    if not as_json:
+        _print_report(flat_convergence(report["convergence"]), as_json)
     raise typer.Exit(1 if report["refused"] else 0)
 
 

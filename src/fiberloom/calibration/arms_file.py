@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fiberloom.calibration.focal_plane import N_GEOMETRY, PARAMETERS, FocalPlaneFit
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.units import deg_to_rad, rad_to_deg
+from fiberloom.units import rad_to_deg
 
 FORMAT = "fiberloom arms"
 FORMAT_VERSION = 1

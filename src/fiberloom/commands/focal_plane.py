@@ -131,6 +131,17 @@ def _by_name(values: Floats) -> dict[str, float]:
     return {"centre": float(np.hypot(*rms[:2])), "l_alpha": float(rms[2]), "l_beta": float(rms[3])}
 
 
+def flat_convergence(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For people: one line per number of configurations."""
+    return [
+        {"configurations": row["configurations"], "calibrated": row["calibrated"]}
+        | {f"{name}: error_um": value for name, value in (row["error_um"] or {}).items()}
+        | {"worst": row["worst_error_um"]}
+        | {f"{name}: standard": value for name, value in row["standard_error_um"].items()}
+        for row in rows
+    ]
+
+
 def _write(
     plane: FocalPlane,
     guess: FocalPlane,

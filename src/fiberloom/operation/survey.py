@@ -9,7 +9,7 @@ after those that were measured.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class SurveySettings:
     safety_mm: float = 0.5
     """By which every arm's radius is larger than the instrument's collision buffer."""
     seed: int = 0
-    fit: FitSettings = FitSettings()
+    fit: FitSettings = field(default_factory=FitSettings)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ async def survey(
             goal = place_by_worth(loop.obstacles(), options, design.worth(options), settings.seed + number)
             await _visit(loop, goal)
             theta, xy = _told(loop.moves[-1], maps)
-            design.add(np.nan_to_num(theta), np.isfinite(theta + xy).all(axis=1))
+            design.add(np.nan_to_num(theta), ~np.isnan(theta + xy).any(axis=1))
             progress(number + 1, settings.configurations)
         folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
         await _visit(loop, folded)
