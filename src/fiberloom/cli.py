@@ -98,6 +98,16 @@ def observe(
         Path | None,
         typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
+    arms: Annotated[
+        Path | None, typer.Option(help="Arms of `calibrate focal-plane`, in place of the layout's.")
+    ] = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
+    ] = False,
+    learnt: Annotated[
+        str | None,
+        typer.Option(help="Store with what was learnt; default with --adapt: beside the maps."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Put fibres on the targets of a list, and say how near each one came."""
@@ -113,6 +123,9 @@ def observe(
         seed=seed,
         out=out,
         calibration=calibration,
+        arms=arms,
+        adapt=adapt,
+        learnt=learnt,
         quiet=as_json,
     )
     summary = run_observe(_plane(instrument, layout, seed, positioners), request)
@@ -239,6 +252,35 @@ def focal_plane(
     if not as_json:
         _print_report(flat_convergence(report["convergence"]), as_json)
     raise typer.Exit(1 if report["refused"] else 0)
+
+
+@calibrate.command()
+def history(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt, as `observe --adapt` names it.")],
+    positioner: Annotated[
+        int | None, typer.Option(help="Only the generations that changed this one.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what operation has taught the maps, generation by generation."""
+    from fiberloom.commands.learnt import history_step
+
+    _print_report(history_step(learnt, positioner), as_json)
+
+
+@calibrate.command()
+def undo(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt.")],
+    to: Annotated[int, typer.Option(min=0, help="Generation to go back to; 0: the calibration itself.")],
+    positioner: Annotated[
+        list[int] | None, typer.Option(help="Only this one; may be given several times.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go back to what was known at an earlier generation; nothing is deleted."""
+    from fiberloom.commands.learnt import undo_step
+
+    _print_report(undo_step(learnt, to, positioner), as_json)
 
 
 @app.command()
