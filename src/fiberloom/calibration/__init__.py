@@ -9,6 +9,7 @@ from fiberloom.calibration.sweep import (
     SweepSettings,
     calibrate_transmission,
     measure_sweeps,
+    wire_grid,
 )
 from fiberloom.calibration.transmission import (
     NEGATIVE,
@@ -38,4 +39,5 @@ __all__ = [
     "identity",
     "load",
     "measure_sweeps",
+    "wire_grid",
 ]

@@ -64,7 +64,7 @@ class StatisticalTwin:
         self.set_units(units)
         start = plane.instrument.positioner.park_deg if start_deg is None else start_deg
         angles = deg_to_rad(np.broadcast_to(np.asarray(start, dtype=np.float64), (n, 2)))
-        self._gear_rad = self._gears.gear_of(angles[..., None])[..., 0]
+        self._gear_rad = self.gears.gear_of(angles[..., None])[..., 0]
         # the counter was set where the arms stood at power-up, as the sensors saw it
         # then, once and with their noise
         once = (units.plant["hall_noise"] / units.plant["hall_amplitude_a"]) * self._noise.normal(2)
@@ -79,7 +79,7 @@ class StatisticalTwin:
     def set_units(self, units: Units) -> None:
         """These units from now on: wear. The motors stand, so arms move with their gears."""
         self.units = units
-        self._gears = Gears(units)
+        self.gears = Gears(units)
 
     # commands to angles
 
@@ -93,8 +93,8 @@ class StatisticalTwin:
             raise ValueError(f"direction {direction}: -1 for negative contact, +1 for positive")
         given = np.asarray(wire_deg, dtype=np.float64)
         motor = self._landed(_moves(given))
-        gear = self._gears.pushed_up(motor) if direction == POSITIVE else motor
-        theta = self._gears.output_of(gear) + self._seats(gear)
+        gear = self.gears.pushed_up(motor) if direction == POSITIVE else motor
+        theta = self.gears.output_of(gear) + self._seats(gear)
         return rad_to_deg(theta).reshape(given.shape)
 
     def move(self, wire_deg: ArrayLike, precise: bool = True) -> Floats:
@@ -106,7 +106,7 @@ class StatisticalTwin:
         path = [land + self._approach_rad, land] if precise else [land]
         gear, slip, way = self._gear_rad, self._slip_rad.copy(), np.zeros(land.shape)
         for motor in path:
-            before, gear = gear, self._gears.play(gear[..., None], motor[..., None])[..., 0]
+            before, gear = gear, self.gears.play(gear[..., None], motor[..., None])[..., 0]
             slip += self._lost(before, gear)
             way += np.abs(gear - before)
         kept = SEAT_MEMORY ** (way / (GEAR * NODE_RAD))
@@ -121,7 +121,7 @@ class StatisticalTwin:
 
     def truth(self) -> Floats:
         """Output angles (N, 2) in deg, inside the hard stops."""
-        geared = self._gears.output_of(self._gear_rad[..., None])[..., 0]
+        geared = self.gears.output_of(self._gear_rad[..., None])[..., 0]
         theta = geared + self._seat_rad + self._slip_rad
         return rad_to_deg(np.clip(theta, self.units.plant["stop_min"], self.units.plant["stop_max"]))
 
@@ -159,7 +159,7 @@ class StatisticalTwin:
 
     def _lost(self, before_rad: Floats, after_rad: Floats) -> Floats:
         """(N, 2) what a slipping coupling keeps back of the gear's way."""
-        ends = self._gears.output_of(np.stack([before_rad, after_rad], axis=-1))
+        ends = self.gears.output_of(np.stack([before_rad, after_rad], axis=-1))
         way = ends[..., 1] - ends[..., 0]
         return (np.where(way < 0.0, self.follows[..., 0], self.follows[..., 1]) - 1.0) * way
 

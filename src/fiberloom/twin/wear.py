@@ -60,8 +60,10 @@ class Wear:
         self.units, self.model = units, model or WearModel()
         draws = [self._draw(np.random.default_rng([seed, 0x3EA2, int(i)])) for i in units.number]
         empty = (np.empty((0, 2, TOOTH_MARK, 4)), np.empty((0, 2, _WAVES, 2)), np.empty((0, 2)))
-        columns = [np.stack(c) for c in zip(*draws, strict=True)] if draws else empty
-        self._marks, self._waves, self._friction = columns
+        columns = [np.stack(c) for c in zip(*draws, strict=True)] if draws else list(empty)
+        self._marks: Floats = columns[0]
+        self._waves: Floats = columns[1]
+        self._friction: Floats = columns[2]
 
     def at(self, cycles: ArrayLike) -> Units:
         """The units after `cycles` (one, or (N,)) cycles; before the first they are new."""
