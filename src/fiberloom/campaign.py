@@ -21,6 +21,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import zipfile
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -38,6 +39,8 @@ Rows = Mapping[str, NDArray]
 Experiment = Callable[[range, int, Any], Rows]
 Progress = Callable[[int, int], None]
 """Called with (units done, units in all)."""
+CONNECT_S = 10.0
+"""How long a Dask scheduler may take to answer."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,7 @@ def _cluster(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout="10s")
+        return Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers there ({str(error) or type(error).__name__}); "
@@ -215,7 +218,7 @@ class _Store:
             return None
         # a file that cannot be read is a chunk that is missing
         with (
-            contextlib.suppress(OSError, ValueError, EOFError, KeyError),
+            contextlib.suppress(OSError, ValueError, EOFError, zipfile.BadZipFile),
             self._path(chunk).open("rb") as raw,
             np.load(raw, allow_pickle=False) as file,
         ):
