@@ -482,6 +482,39 @@ def undo(
 
 
 @app.command()
+def lifetime(
+    cycles: Annotated[int, typer.Option(min=1, help="Of 15260 moves each, as the paper's.")] = 100,
+    positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2,
+    instrument: InstrumentOption = "sdssv",
+    points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200,
+    every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
+    ] = None,
+    seed: SeedOption = 0,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")
+    ] = Path("runs/lifetime"),
+    as_json: JsonOption = False,
+) -> None:
+    """Wear positioners out, and compare ways to know their gears (Kronig 2020, Fig. 21 to 26)."""
+    from fiberloom.commands.lifetime import LifetimeRequest, run_lifetime, table, within_requirement
+    from fiberloom.twin.lifetime import LifetimeSettings
+
+    settings = LifetimeSettings(instrument=instrument, cycles=cycles, points=points, cycle_step=every)
+    result = run_lifetime(
+        LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
+    )
+    if as_json:
+        typer.echo(json.dumps(result, indent=2))
+    else:
+        _print_report(table(result), as_json)
+        _print_report(result["summary"] | {"results": str(out)}, as_json)
+    raise typer.Exit(0 if within_requirement(result["summary"]) else 1)
+
+
+@app.command()
 def instruments(
     name: Annotated[str | None, typer.Argument(help="Show one preset in full.")] = None,
     as_json: JsonOption = False,

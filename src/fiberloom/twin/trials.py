@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom._core import geometry
 from fiberloom.bus.identifier import decode, encode
 from fiberloom.bus.protocol import Command
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
-from fiberloom.twin.twin import BODY_SHARE, Reply, Twin
+from fiberloom.twin.twin import Reply, Twin
 from fiberloom.twin.units import Units
-from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
+from fiberloom.units import COUNTS_PER_DEG, TICK_S
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
@@ -60,7 +59,9 @@ class LegalTrial:
     simulated_s: float
 
 
-def legal_moves(plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2) -> LegalTrial:
+def legal_moves(
+    plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2
+) -> LegalTrial:
     """Random legal moves of a plane without neighbours, over unit scatter and temperature.
 
     `moves`: of each positioner, both axes at once. Without `touch` Eq. 22 watches alone.
@@ -130,7 +131,10 @@ def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats)
 def _longest_s(path: list[list[tuple[float, float]]], from_deg: Floats) -> float:
     """When a move has surely ended: at full speed and 0.25 s to reach it, precise ways and settling."""
     ways = [abs(axis[0][1] - x) / FULL_SPEED_DEG_S for axis, x in zip(path, from_deg, strict=True)]
-    return max(axis[-1][0] + (way if len(axis) == 1 else 0.0) for axis, way in zip(path, ways, strict=True)) + 2.0
+    return (
+        max(axis[-1][0] + (way if len(axis) == 1 else 0.0) for axis, way in zip(path, ways, strict=True))
+        + 2.0
+    )
 
 
 def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
