@@ -47,6 +47,14 @@ class CameraKind(StrEnum):
     image = "image"
 
 
+class Pages(StrEnum):
+    """Exposures that get pages to look at."""
+
+    none = "none"
+    last = "last"
+    all = "all"
+
+
 def _version(show: bool) -> None:
     if show:
         from fiberloom import __version__
@@ -86,7 +94,11 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image,
+    pages: Annotated[
+        Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")
+    ] = Pages.last,
+    save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False,
     faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
@@ -118,6 +130,8 @@ def observe(
         moves=moves,
         correction=correction.value,
         camera=camera.value,
+        pages=pages.value,
+        save_images=save_images,
         faults=faults,
         compare_linear=compare_linear,
         seed=seed,
