@@ -64,8 +64,6 @@ class Tracking:
     time_s: Floats
     error_deg: Floats
     """(units, ticks) motor deg."""
-    command_deg: Floats
-    """(ticks,) of the first unit, motor deg from the start."""
     collisions: int
 
     @property
@@ -118,11 +116,9 @@ async def _track(bench: Bench, open_loop: bool) -> Tracking:
     await bench.client.start()
     await bench.client.sleep(time_s[-1] + 0.2)
     logs = [scope.take() for scope in scopes]
-    command = logs[0]["command_deg"]
     return Tracking(
         time_s=logs[0]["time_s"] - logs[0]["time_s"][0],
         error_deg=np.array([log["tracking_deg"] for log in logs]),
-        command_deg=command - command[0],
         collisions=len(bench.client.collisions),
     )
 
@@ -234,8 +230,8 @@ def _draw(found: dict[str, Tracking]) -> Drawing:
     canvas, (top, bottom) = plt.subplots(
         2, 1, figsize=(9, 7), sharex=True, layout="constrained", height_ratios=[1, 2]
     )
-    full = found[FULL]
-    top.plot(full.time_s, full.command_deg / 360.0, color="0.3")
+    sent_s, sent_deg = ramps()
+    top.plot(sent_s, sent_deg * 1024.0 / 360.0, color="0.3")
     top.set(ylabel="command [motor turns]")
     for name, tracking in found.items():
         width = 1.4 if name == FULL else 0.8

@@ -21,7 +21,9 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def paper(q: Quantity) -> str:
     """The paper's value, with the sign of a bound."""
-    return "–" if q.paper is None else f"{_WORDS[q.bound]}{number(q.paper)}"
+    if q.paper is None:
+        return "–"
+    return f"{_WORDS[q.bound] if q.paper else ''}{number(q.paper)}"
 
 
 def ours(q: Quantity) -> str:

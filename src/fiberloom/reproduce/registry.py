@@ -40,6 +40,7 @@ class Figure:
 
 
 FIGURES: tuple[Figure, ...] = (
+    Figure("table1", "Six instruments through one pipeline", "table01_instruments"),
     Figure("5", "Coverage of the focal plane", "fig05_coverage"),
     Figure("10", "Non-linear transmission and backlash", "fig10_transmission"),
     Figure("16", "Tracking of a motor along ramps", "fig16_tracking"),
