@@ -240,8 +240,8 @@ def _note(row: Row, runs: Sequence[Run]) -> str:
     blind = "" if row.corrected else "SDSS-V's gear on these arms, by a map of 200 points and no camera; "
     return (
         blind
-        + f"{within} of {assigned} fibres within the requirement; {assigned} of {all_units} positioners had a "
-        f"target; {collisions} collisions in verified plans"
+        + f"{within} of {assigned} fibres within the requirement; {assigned} of {all_units} positioners had "
+        f"a target; {collisions} collisions in verified plans"
     )
 
 
