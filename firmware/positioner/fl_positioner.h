@@ -9,6 +9,7 @@
 #include "fl_params.h"
 #include "fl_port.h"
 #include "fl_supervisor.h"
+#include "fl_trace.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -56,6 +57,7 @@ typedef struct fl_positioner {
     uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
+    fl_trace_t trace; /* bench: its samples lie in the paths */
     fl_path_t path[FL_AXES];
 } fl_positioner_t;
 

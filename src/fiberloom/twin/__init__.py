@@ -7,6 +7,7 @@ from .hardware import bench_hardware, field_hardware
 from .transport import TwinTransport
 from .twin import Reply, Twin
 from .units import Units
+from .weights import TwinWeights
 
 __all__ = [
     "Fault",
@@ -15,6 +16,7 @@ __all__ = [
     "Reply",
     "Twin",
     "TwinTransport",
+    "TwinWeights",
     "Units",
     "bench_hardware",
     "draw_units",
