@@ -55,7 +55,7 @@ class Visits:
 
 def visit(bench: Bench, axis: int, visits: int) -> Visits:
     """Sends one axis to the three targets in turn, `visits` times; the other one stands."""
-    return finish(_visit(bench, axis, VISITS))
+    return finish(_visit(bench, axis, visits))
 
 
 async def _visit(bench: Bench, axis: int, visits: int) -> Visits:
