@@ -194,6 +194,53 @@ def transmission(
     raise typer.Exit(1 if report["refused"] else 0)
 
 
+@calibrate.command("focal-plane")
+def focal_plane(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    configurations: Annotated[int, typer.Option(min=4, help="Configurations of everybody.")] = 40,
+    harmonics: Annotated[
+        int, typer.Option(min=0, max=5, help="Fit the transmission's lowest orders too, up to this one.")
+    ] = 0,
+    safety_mm: Annotated[
+        float, typer.Option(min=0.0, max=3.0, help="By which arms are taken to be thicker than they are.")
+    ] = 0.5,
+    mounted_um: Annotated[
+        float, typer.Option(min=0.0, max=200.0, help="How far off the first guess of the twin's arms is.")
+    ] = 50.0,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane"),
+    as_json: JsonOption = False,
+) -> None:
+    """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
+    from fiberloom.commands.focal_plane import FocalPlaneRequest, flat_convergence, run_calibrate_focal_plane
+
+    request = FocalPlaneRequest(
+        out=out,
+        seed=seed,
+        configurations=configurations,
+        harmonics=harmonics,
+        safety_mm=safety_mm,
+        mounted_um=mounted_um,
+        faults=faults,
+        camera=camera.value,
+        calibration=calibration,
+        quiet=as_json,
+    )
+    report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)
+    _print_report(report if as_json else {k: v for k, v in report.items() if k != "convergence"}, as_json)
+    if not as_json:
+        _print_report(flat_convergence(report["convergence"]), as_json)
+    raise typer.Exit(1 if report["refused"] else 0)
+
+
 @app.command()
 def reproduce(
     figures: Annotated[

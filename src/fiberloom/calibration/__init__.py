@@ -1,5 +1,6 @@
 """What is measured on a bench, and used on every move: maps, arms, friction, inertia, stiffness."""
 
+from fiberloom.calibration.adaptive import AdaptiveCalibration, AdaptiveSettings, AdaptiveState, Update
 from fiberloom.calibration.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
 from fiberloom.calibration.bench import Bench
 from fiberloom.calibration.cache import cache_path
@@ -61,6 +62,9 @@ from fiberloom.calibration.transmission import (
 __all__ = [
     "NEGATIVE",
     "POSITIVE",
+    "AdaptiveCalibration",
+    "AdaptiveSettings",
+    "AdaptiveState",
     "Arms",
     "ArmsData",
     "ArmsSettings",
@@ -87,6 +91,7 @@ __all__ = [
     "TorqueScaleData",
     "TorqueScaleSettings",
     "TransmissionMaps",
+    "Update",
     "break_away",
     "cache_path",
     "calibrate_transmission",
