@@ -529,6 +529,28 @@ def lifetime(
 
 
 @app.command()
+def reproduce(
+    figures: Annotated[
+        list[str] | None, typer.Argument(help="Figures of the paper, e.g. 16 19 eq22; default: all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for report, results and figures.")] = Path(
+        "runs/reproduce"
+    ),
+    seed: SeedOption = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds in a row give the spread.")] = 3,
+    full: Annotated[bool, typer.Option("--full", help="The size of the paper's experiments.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the paper's figures and numbers on the twin, ours beside theirs."""
+    from fiberloom.commands.reproduce import ReproduceRequest, run_reproduce
+
+    request = ReproduceRequest(tuple(figures or ()), out, seed, seeds, full, quiet=as_json)
+    records = run_reproduce(request)
+    if as_json:
+        typer.echo(json.dumps(records, indent=2))
+
+
+@app.command()
 def instruments(
     name: Annotated[str | None, typer.Argument(help="Show one preset in full.")] = None,
     as_json: JsonOption = False,
