@@ -124,6 +124,13 @@ void fl_axis_calibrate_cogging(fl_axis_t *a) {
     fl_friction_fit_reset(&a->fit.friction);
 }
 
+void fl_axis_push(fl_axis_t *a, fl_torque_step_t step) {
+    plan_clear(a);
+    a->push = step;
+    plan_add(a, FL_LEG_PUSH, 0);
+    plan_add(a, FL_LEG_BRAKE, 0);
+}
+
 static void phases_off(fl_axis_t *a, const fl_port_t *port, int index) {
     a->voltage = 0.0f;
     a->command.speed_rad_s = 0.0f;
@@ -399,6 +406,25 @@ fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index,
     return conclude(a, port, index, way_ended, stuck);
 }
 
+/* Eq. 20 without a loop. The field leads by what the rotor turned in the last tick, halved. */
+FL_COLD static fl_axis_event_t push(fl_axis_t *a, const fl_port_t *port, int index, fl_sincos_t rotor) {
+    const int second = a->leg_ticks >= a->push.ticks[0];
+    const bool over = a->leg_ticks >= (uint32_t)a->push.ticks[0] + a->push.ticks[1];
+    const float lead_rad = 0.5f * FL_RAD_PER_CNT * (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt);
+    a->calm_cnt = a->hall.angle_cnt;
+    a->command.position_cnt = a->raw_cnt = a->position_cnt;
+    ++a->leg_ticks;
+    if (over || !fl_axis_in_range(a, a->position_cnt)) {
+        phases_off(a, port, index);
+        leg_next(a);
+        return FL_AXIS_NONE;
+    }
+    a->voltage = (float)a->push.voltage[second] * (1.0f / 32767.0f);
+    const fl_duty_t duty = fl_commutate(a->voltage, rotor, fl_clamp(lead_rad, -0.2f, 0.2f));
+    port->set_phases(port->ctx, index, duty.phase);
+    return FL_AXIS_NONE;
+}
+
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const uint8_t kind = a->plan[a->leg].kind;
     /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
@@ -407,6 +433,7 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
+    if (kind == FL_LEG_PUSH) return push(a, port, index, hall.rotor);
 
     fl_axis_demand_t demand;
     advance(a, path, &demand);

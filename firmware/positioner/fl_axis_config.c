@@ -134,4 +134,5 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->command = (fl_command_t){0, 0.0f, 0.0f};
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};
     a->voltage = 0.0f;
+    a->push = (fl_torque_step_t){{0, 0}, {0, 0}};
 }

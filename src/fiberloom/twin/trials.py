@@ -18,7 +18,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
 from fiberloom.twin.units import Units
-from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
+from fiberloom.units import COUNTS_PER_DEG, TICK_S
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
