@@ -17,8 +17,8 @@ from fiberloom.bus.protocol import Command
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
-from fiberloom.twin.units import Units
-from fiberloom.units import COUNTS_PER_DEG, TICK_S
+from fiberloom.twin.units import GEAR, Units
+from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
@@ -55,6 +55,8 @@ class LegalTrial:
     kinds: dict[str, int]
     collisions: list[tuple[int, str]]
     """Positioner and kind of every false detection."""
+    lost: list[int]
+    """Positioners whose count is off by a turn or more from where their motor is."""
     simulated_s: float
 
 
@@ -84,7 +86,25 @@ def legal_moves(
             at[rows] = np.clip(twin.truth()[rows], *np.transpose(_RANGE_DEG))
         for kind in chosen:
             kinds[kind] += 1
-    return LegalTrial(len(plane), moves * len(plane), kinds, collisions, twin.time_s)
+    return LegalTrial(len(plane), moves * len(plane), kinds, collisions, miscounted(twin), twin.time_s)
+
+
+def miscounted(twin: Twin) -> list[int]:
+    """Positioners at rest that report (32) another place than their gear stands at.
+
+    What is reported is the motor angle at which the move settled: the gear's, and up to the backlash more
+    after a move upwards. Half a motor turn either way is allowed for the rest.
+    """
+    twin.send([(encode(int(i), Command.GET_ACTUAL_POSITION, 1), b"") for i in twin.plane.positioner_id])
+    told = {decode(r.id).positioner: struct.unpack("<ii", r.data) for r in twin.run(TICK_S)}
+    truth, wrong = twin.truth(), []
+    for row, number in enumerate(twin.plane.positioner_id):
+        for axis in (0, 1):
+            gear_deg, backlash_deg = twin.units.transmission(row, axis, truth[row, axis])
+            above = told[int(number)][axis] / COUNTS_PER_DEG * GEAR - gear_deg[0] * GEAR
+            if not -180.0 < above < backlash_deg[0] + 180.0:
+                wrong.append(int(number))
+    return wrong
 
 
 def _path(kind: str, at: Floats, rng: Rng) -> list[list[tuple[float, float]]]:
