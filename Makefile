@@ -6,12 +6,13 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench reproduce docs lint format inplace clean
+.PHONY: help setup run test check sanitized bench reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
-	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
+	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
+	@echo "              moves without a false collision or a lost count, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make docs     the documentation as a site, into site/"
@@ -44,11 +45,30 @@ check: lint
 	cmake --build build/checks
 	cd build/checks && ctest --output-on-failure
 	build/checks/firmware/tests/check_dispatch $(FRAMES) 1
+	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
+	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
+	$(MAKE) sanitized
+
+# The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
+SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
+             tests/twin/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
+             tests/metrology/test_centroids.py tests/metrology/test_images.py
+SITE := $(abspath build/sanitized/site)
+sanitized: setup
+	cmake -S . -B build/sanitized -G Ninja -DFIBERLOOM_SANITIZE=ON \
+	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
+	cmake --build build/sanitized
+	rm -rf $(SITE) && mkdir -p $(SITE) && cp -r src/fiberloom $(SITE) && rm -f $(SITE)/fiberloom/_core*.so
+	cp build/sanitized/core/bindings/_core*.so $(SITE)/fiberloom
+	ASAN_OPTIONS=detect_leaks=0 \
+	LD_PRELOAD=$$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so) \
+	    $(or $(DEVPYTHON),$(BIN)/python) tests/sanitized.py $(SITE) $(SANITIZED)
 
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

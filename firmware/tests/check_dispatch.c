@@ -313,7 +313,7 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
     uint32_t word[2];
     memcpy(word, f->data, sizeof word);
     if (told.code != 0) {
-        sequence_refused(&b->model, told.command);
+        sequence_refused(&b->model, told.command, told.code);
         b->images_bad += told.command == 201;
         return;
     }

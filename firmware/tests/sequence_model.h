@@ -87,8 +87,9 @@ static inline bool sequence_accepted(sequence_model_t *m, uint8_t command, uint6
     }
 }
 
-static inline void sequence_refused(sequence_model_t *m, uint8_t command) {
-    if (command == 12) m->loading = false; /* until the next 10 */
+/* A bad trajectory (code 2) is refused until the next 10; any other code changes nothing. */
+static inline void sequence_refused(sequence_model_t *m, uint8_t command, uint8_t code) {
+    if (command == 12 && code == 2) m->loading = false;
 }
 
 #endif
