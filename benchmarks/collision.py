@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.instruments import FocalPlane, generate, load_instrument
+from fiberloom.twin.draw import STIFFNESS_NM_PER_RAD
 from fiberloom.twin.meetings import KINDS, Meeting, meetings
-from fiberloom.twin.trials import cruise, legal_moves
+from fiberloom.twin.trials import FULL_SPEED_DEG_S, cruise, legal_moves
+from fiberloom.twin.units import GEAR
 
 IN_TIME_S = 0.016
 HOST_S = 0.005
@@ -34,6 +36,7 @@ def main() -> int:
     parser.add_argument("--units", type=int, default=500)
     parser.add_argument("--moves", type=int, default=20, help="of each unit")
     parser.add_argument("--rounds", type=int, default=2, help="of 52 pairs and kind of meeting")
+    parser.add_argument("--no-touch", action="store_true", help="meet: without the touch watch")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
@@ -70,7 +73,13 @@ def study_meet(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     plane = plane_of(500)
     for kind in KINDS:
         alone, hosted = [
-            [m for k in range(asked.rounds) for m in meetings(plane, kind, seed=asked.seed + k, host_s=host)]
+            [
+                meeting
+                for k in range(asked.rounds)
+                for meeting in meetings(
+                    plane, kind, seed=asked.seed + k, host_s=host, touch=not asked.no_touch
+                )
+            ]
             for host in (None, HOST_S)
         ]
         found[kind] = row_of(alone, hosted)
@@ -115,6 +124,7 @@ def line(kind: str, row: dict[str, Any]) -> str:
 
 def study_bound(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """The best linear detector of a load that grows steadily, against what units really scatter at speed."""
+    print_rates()
     after_ms = [6, 8, 10, 12, 14, 16, 20, 24]
     print(f"smallest growth of the load at the motor, uNm/ms, that shows at {SIGMAS} sigma after so many ms")
     print("| axis | " + " | ".join(map(str, after_ms)) + " |")
@@ -126,6 +136,23 @@ def study_bound(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
         found[name] = dict(zip(after_ms, rates, strict=True))
         print(f"| {name} | " + " | ".join(f"{rate:.3f}" for rate in rates) + " |", flush=True)
     return found, True
+
+
+def print_rates() -> None:
+    """What alpha meets at 2000 rpm: its motor's load against a wall, and against a neighbour's tip at rest.
+
+    Both arms give way by lever^2 / k of each axis; the contact's normal lies across the arm.
+    """
+    k_alpha, k_beta = STIFFNESS_NM_PER_RAD
+    speed_rad_s = np.deg2rad(FULL_SPEED_DEG_S)
+    tip, elbow = 22.1e-3, 7.4e-3
+    print(f"a wall: {1e3 * speed_rad_s * k_alpha / GEAR:.2f} uNm/ms at the motor of alpha")
+    for lever in (tip, 0.015, elbow):
+        give = sum(a**2 / k_alpha + (a - elbow) ** 2 / k_beta for a in (lever, tip))
+        rate = 1e3 * speed_rad_s * lever**2 / give / GEAR
+        print(
+            f"a neighbour's tip with {1e3 * lever:.1f} mm of lever: {rate:.3f} uNm/ms, twice if it drives too"
+        )
 
 
 WINDOW_TICKS = 80
