@@ -6,13 +6,14 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench docs lint format inplace clean
+.PHONY: help setup run test check bench firmware-report docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
+	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -48,6 +49,10 @@ bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+
+# Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
+firmware-report: setup
+	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
 
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict

@@ -352,6 +352,37 @@ def firmware_upgrade(unit: Unit) -> None:
     assert has(unit, COMPLETED)
 
 
+# -- more for the report: what may take long in a tick ------------------------------------------------
+
+
+def short_moves(unit: Unit) -> None:
+    """Go-to and precise moves of a hundredth to a few degrees, both axes at once."""
+    known_unit(unit)
+    rng = np.random.default_rng(8)
+    unit.cost()
+    for k in range(24):
+        for command in (128, 130) if k % 3 == 0 else (129, 131):
+            accepted(unit, command)
+        size = 10.0 ** rng.uniform(-2.0, 0.3)
+        accepted(unit, 30, pair(*(np.array([40.0, 90.0]) + size * rng.uniform(-1.0, 1.0, 2))))
+        unit.rest()
+    assert not unit.unsolicited
+
+
+def open_loop(unit: Unit) -> None:
+    """The same with a rotating field."""
+    known_unit(unit)
+    accepted(unit, 120)
+    accepted(unit, 124)
+    accepted(unit, 40, u32(400, 400))
+    accepted(unit, 30, pair(41.0, 89.0))
+    unit.rest()
+    arrived(unit, (41.0, 89.0), 30 * MOTOR_DEG)
+
+
+MORE: dict[str, Callable[[Unit], None]] = {"short_moves": short_moves, "open_loop": open_loop}
+
+
 def run(name: str, command: list[str]) -> list[str]:
     """Runs a scenario on a rig; what was said."""
     unit = Unit(command)
