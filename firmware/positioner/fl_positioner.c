@@ -32,6 +32,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->temperature_raw = 1900;
     p->tx.first = p->tx.count = 0;
     p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
+    fl_trace_start(&p->trace, 0);
     fl_storage_load(p);
     p->params_good = params_good(p);
     fl_positioner_refresh(p);
@@ -117,8 +118,18 @@ static void do_chore(fl_positioner_t *p) {
     }
 }
 
+/* The tick before this one: an axis that sets out now was at rest in it. */
+static void trace(fl_positioner_t *p) {
+    for (int i = 0; i < FL_AXES; ++i) {
+        const fl_axis_t *a = &p->axis[i];
+        if (fl_axis_rests(a) || a->fresh) continue;
+        fl_trace_add(&p->trace, i, &p->path[i], a->position_cnt, a->voltage);
+    }
+}
+
 bool fl_positioner_begin_tick(fl_positioner_t *p) {
     ++p->ticks;
+    if (p->trace.decimation != 0) trace(p);
     if (p->tx.count != 0) fl_positioner_flush(p);
     if (p->chores != 0) do_chore(p);
     if (p->state != FL_STATE_BOOTLOADER) return true;
@@ -160,6 +171,8 @@ fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis) 
         .feedback_Nm = a->torque.watched_Nm,
         .feedforward_Nm = a->torque.feedforward_Nm,
         .voltage = a->voltage,
+        .load_Nm = a->drive.touch.rise_Nm,
+        .touch_Nm = a->drive.touch.limit_Nm,
     };
     return t;
 }

@@ -9,6 +9,7 @@
 #include "fl_params.h"
 #include "fl_port.h"
 #include "fl_supervisor.h"
+#include "fl_trace.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -64,6 +65,7 @@ typedef struct fl_positioner {
     uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
+    fl_trace_t trace; /* bench: its samples lie in the paths */
     fl_path_t path[FL_AXES];
 } fl_positioner_t;
 
@@ -107,7 +109,9 @@ typedef struct fl_axis_telemetry {
     float speed_rad_s;  /* commanded */
     float feedback_Nm;  /* PI term, the one Eq. 22 watches */
     float feedforward_Nm;
-    float voltage; /* u_cmd / u_dc */
+    float voltage;  /* u_cmd / u_dc */
+    float load_Nm;  /* beyond its mean, as the touch watch sees it; resisting is positive */
+    float touch_Nm; /* where it is a touch */
 } fl_axis_telemetry_t;
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
 
