@@ -42,7 +42,9 @@ PHASES = {
     "hall calibration": "hall_calibration",
     "datum search": "datum_search",
     "cogging calibration": "cogging_calibration",
-    "collision": "collision",
+    "rotor held": "collision",
+    "arm against a stop": "arm_against_a_stop",
+    "trace and torque step": "bench_trace",
     "save, power cycle": "save_and_restore",
     "save cut at every byte": "power_loss_in_a_save",
 }

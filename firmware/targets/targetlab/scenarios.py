@@ -293,6 +293,41 @@ def collision(unit: Unit) -> None:
     assert has(unit, COMPLETED)
 
 
+@scenario
+def arm_against_a_stop(unit: Unit) -> None:
+    """The arm runs into its hard stop at 2000 rpm: the gear winds up, the load is seen, both axes stop."""
+    units = drawn()
+    stop_rad = np.deg2rad(48.0)
+    units.plant[0, 0]["stop_max"] = stop_rad
+    unit.begin(units, (40.0, 90.0))
+    accepted(unit, 30, pair(60.0, 70.0))
+    unit.rest()
+    assert len(unit.unsolicited) == 1
+    assert has(unit, COLLISION_ALPHA | COMPLETED)
+    truth = unit.look()
+    # the arm stands at the stop, wound up by less than a motor turn (0.35 deg)
+    assert abs(np.rad2deg(truth.output_rad[0]) - 48.0) < 0.1
+    assert abs(truth.position_deg(0) - 48.0) < 1.0  # the gear is not linear
+    assert truth.position_deg(1) > 71.0
+
+
+@scenario
+def bench_trace(unit: Unit) -> None:
+    """240 to 246: what a bench records of a move and of a torque step."""
+    known_unit(unit)
+    accepted(unit, 240, struct.pack("<H", 8))
+    accepted(unit, 31, pair(1.0, -1.0))
+    unit.rest()
+    accepted(unit, 245, struct.pack("<hhHH", 20000, -20000, 60, 60))
+    unit.rest()
+    for command in (241, 242):
+        count = struct.unpack("<H", unit.ask(command)[1][:2])[0]
+        assert count > 50
+        for index in range(0, count, 10):
+            accepted(unit, command + 2, struct.pack("<H", index))
+    assert has(unit, COMPLETED)
+
+
 # -- frames ------------------------------------------------------------------------------------------
 
 
