@@ -1,5 +1,6 @@
 """The stack analysis refuses what it cannot bound; the image of the board is what it is said to be."""
 
+import re
 import struct
 import subprocess
 import sys
@@ -86,6 +87,15 @@ def test_the_library_is_read_from_its_instructions(tmp_path):
     graph = graph_of(tmp_path, node("a", 8), edge("a", "__aeabi_ldivmod"))
     stack.complete(graph, stack.read_disassembly(DISASSEMBLY))
     assert stack.deepest(graph, "a") == (8 + 24 + 40, ["a", "__aeabi_ldivmod", "__udivmoddi4"])
+
+
+def test_what_the_guide_shows_is_what_is_compiled():
+    guide = (build.ROOT / "docs" / "porting-firmware.md").read_text()
+    board = (build.ROOT / "firmware" / "targets" / "cortex-m4f" / "board_stm32f405.c").read_text()
+    blocks = re.findall(r"```c\n(.*?)```", guide, re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks:
+        assert block in board
 
 
 # -- the image -----------------------------------------------------------------------------------------

@@ -12,8 +12,9 @@
 #include "fl_storage.h"
 #include "stm32f405.h"
 
-enum { PWM_STEPS = 4200 };          /* 168 MHz / 40 kHz */
-enum { TICK_COUNTS = 84 * 500 };    /* 84 MHz, 0.5 ms */
+enum { PWM_STEPS = 4200 };       /* 168 MHz / 40 kHz */
+enum { TICK_COUNTS = 84 * 500 }; /* 84 MHz, 0.5 ms */
+#define TIMER_NO_UPDATE (1u << 1)
 enum { ADC_CYCLES_15 = 1 };         /* of sampling */
 enum { WATCHDOG_8KHZ_COUNTS = 80 }; /* 10 ms */
 
@@ -64,10 +65,14 @@ static void start_bridge(timer_t *t) {
     t->cr1 = 1u << 7 | 1;
 }
 
-/* A compare value of PWM_STEPS is full voltage: the output never falls. */
+/* A compare value of PWM_STEPS is full voltage: the output never falls. No update between the three, so that
+ * they change together. */
 static void set_phases(void *ctx, int axis, const float duty[3]) {
     (void)ctx;
-    for (int k = 0; k < 3; ++k) bridge[axis]->ccr[k] = (uint32_t)(duty[k] * (float)PWM_STEPS + 0.5f);
+    timer_t *t = bridge[axis];
+    t->cr1 |= TIMER_NO_UPDATE;
+    for (int k = 0; k < 3; ++k) t->ccr[k] = (uint32_t)(duty[k] * (float)PWM_STEPS + 0.5f);
+    t->cr1 &= ~TIMER_NO_UPDATE;
 }
 
 /* -- ADC: read_hall, and the tick ---------------------------------------------------------------- */
@@ -220,6 +225,7 @@ int main(void) {
     start_memory();
     for (int axis = 0; axis < FL_AXES; ++axis) start_bridge(bridge[axis]);
     start_adc();
+    convert_once(); /* while the converter wakes up: not exact */
     convert_once();
     const fl_port_t port = {0, read_hall, set_phases, send_frame, storage_read, storage_write};
     const fl_axis_params_t params[FL_AXES] = {factory.params[FL_ALPHA], factory.params[FL_BETA]};
