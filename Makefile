@@ -22,7 +22,8 @@ help:
 setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
-NATIVE := CMakeLists.txt pyproject.toml constraints.txt $(shell find firmware core -type f 2>/dev/null)
+NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
+          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
