@@ -142,7 +142,9 @@ def test_every_aim_is_met(programs):
     assert not missed
     # counted at all: less than these no firmware with two loops needs
     assert data["tick_instructions_mean"] > 500
-    assert data["stack_bytes"] > 1000
+    # the rig's port is not the board's: some words of difference; and the scenarios do go deep
+    for kind, bound in data["stack_bounds"].items():
+        assert 0.8 * bound < data["stack_seen"][kind] < bound + 32, kind
     assert report.tables(data).count(" met |") == len(report.aims(data))
 
 

@@ -130,6 +130,26 @@ def measure(command: list[str]) -> dict[str, dict[str, Cost]]:
     return costs
 
 
+DEEP = ("save_and_restore", "hall_calibration", "precise_trajectory", "power_loss_in_a_save")
+"""Scenarios that go deep: saves, fits, notes of the position."""
+ENTRIES = {"tick": "fl_positioner_tick", "frame": "fl_positioner_receive", "boot": "fl_positioner_init"}
+
+
+def seen_stack(command: list[str]) -> dict[str, int]:
+    """Bytes of stack that the firmware's functions really took, on the rig."""
+    deepest = dict.fromkeys(ENTRIES, 0)
+    for name in DEEP:
+        unit = Unit(command)
+        unit.look_deep = True
+        try:
+            scenarios.SCENARIOS[name](unit)
+            for kind, cost in unit.cost().items():
+                deepest[kind] = max(deepest[kind], cost.deepest)
+        finally:
+            unit.kill()
+    return deepest
+
+
 def report() -> dict:
     """Everything, as it is written to JSON. Raises Missing, Unbounded."""
     programs = build.build("cortex-m4f")
@@ -137,13 +157,16 @@ def report() -> dict:
     size = sections(programs / "positioner.elf")
     assert size.get(".init_array", 0) == 0, "the firmware has constructors"
     costs = measure(build.rig_command("cortex-m4f"))
-    deep = worst_stack(image_graph(folder))
+    graph = image_graph(folder)
+    deep = worst_stack(graph)
     moving = costs[next(iter(PHASES))]["tick"]
     return {
         "flash_bytes": sum(size.get(name, 0) for name in FLASH_SECTIONS),
         "ram_bytes": sum(size.get(name, 0) for name in RAM_SECTIONS),
         "stack_bytes": deep.total,
         "stack": asdict(deep),
+        "stack_bounds": {kind: stack.deepest(graph, entry)[0] for kind, entry in ENTRIES.items()},
+        "stack_seen": seen_stack(build.rig_command("cortex-m4f")),
         "tick_instructions_mean": round(moving.mean),
         "tick_instructions_worst": max(cost["tick"].most for cost in costs.values()) + COUNT,
         "frame_instructions_worst": max(cost["frame"].most for cost in costs.values()) + COUNT,
@@ -176,6 +199,9 @@ def tables(data: dict) -> str:
         f"Stack: {data['stack_bytes']} bytes = {deep['background']} before interrupts "
         f"+ {EXCEPTION_FRAME} of the core + {deep['interrupt']} in the deepest:",
         "  " + " > ".join(deep["deepest"]),
+        "Seen on the rig, of the bound: "
+        + ", ".join(f"{kind} {data['stack_seen'][kind]} of {data['stack_bounds'][kind]}" for kind in ENTRIES)
+        + ".",
         "",
         f"Instructions (counted in steps of {COUNT}; worst: with that added). Worst tick: "
         f"{100 * share:.1f} % of a 120 MHz core's {CYCLES_PER_TICK} cycles.",
