@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check sanitized bench reproduce docs lint format inplace clean
+.PHONY: help setup run test check sanitized bench reproduce firmware-report docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -15,6 +15,7 @@ help:
 	@echo "              moves without a false collision or a lost count, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
+	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -22,7 +23,8 @@ help:
 setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
-NATIVE := CMakeLists.txt pyproject.toml constraints.txt $(shell find firmware core -type f 2>/dev/null)
+NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
+          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -75,6 +77,10 @@ reproduce: setup
 	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
 
 # With the report of the last `make reproduce`, where there is one.
+# Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
+firmware-report: setup
+	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
 	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
