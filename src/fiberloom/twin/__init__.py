@@ -1,5 +1,7 @@
 """A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
+from .ailments import AilmentKind, AilmentModel, Ailments, draw_ailments
+from .bench import bench_units
 from .camera import NoiseCamera
 from .draw import draw_units, put_in
 from .faults import Fault, FaultKind
@@ -9,8 +11,12 @@ from .transport import TwinTransport
 from .twin import Reply, Twin
 from .units import Units
 from .wear import Wear, WearModel, worn
+from .years import Visit, Years
 
 __all__ = [
+    "AilmentKind",
+    "AilmentModel",
+    "Ailments",
     "Fault",
     "FaultKind",
     "NoiseCamera",
@@ -19,9 +25,13 @@ __all__ = [
     "Twin",
     "TwinTransport",
     "Units",
+    "Visit",
     "Wear",
     "WearModel",
+    "Years",
     "bench_hardware",
+    "bench_units",
+    "draw_ailments",
     "draw_units",
     "field_hardware",
     "put_in",
