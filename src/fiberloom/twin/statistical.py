@@ -6,7 +6,8 @@ wear, backlash with the side of the last contact, the errors of the hall sensors
 firmware believes of them, the seat of the teeth, the scatter of a landing. What passes on the
 way is left out: time, collisions, torque. `tests/twin/test_statistical.py` compares both.
 
-A million standstill positions take about a second; the full physics takes some hours for them.
+A million standstill positions take one or two seconds, and about an hour by the full physics
+(`python benchmarks/statistical.py`).
 """
 
 from __future__ import annotations
