@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench campaign docs lint format inplace clean
+.PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -14,6 +14,7 @@ help:
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
+	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -57,8 +58,15 @@ campaign: setup
 	$(BIN)/fiberloom lifetime --cycles 100 --every 11 --positioners 100 --seed 0 --workers $(JOBS) \
 	    --out runs/lifetime-100
 
+# FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
+reproduce: setup
+	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
+
+# With the report of the last `make reproduce`, where there is one.
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
+	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
+	else echo "docs: no report of the reproduction inside; \`make reproduce\` makes one"; fi
 
 lint: setup
 	$(BIN)/ruff check .

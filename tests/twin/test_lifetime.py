@@ -26,6 +26,8 @@ SMALL = LifetimeSettings(
     snapshots=(1, 100),
 )
 
+ARGUMENTS = "lifetime --cycles 2 --points 60 --targets 30 --positioners 3 --seed 3"
+
 
 def test_a_sweep_without_moves_is_that_of_bus_and_physics():
     """Maps of worn units from both, at the knots and between both directions: backlash."""

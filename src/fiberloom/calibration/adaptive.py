@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom.calibration import knots as lines
 from fiberloom.calibration import map_filter
 from fiberloom.calibration import nearest_knot as printed
-from fiberloom.calibration.map_filter import Block, FilterState, Spline
+from fiberloom.calibration.map_filter import Block, FilterState, Spline, Weighing
 from fiberloom.calibration.nearest_knot import CommandSigmas
 from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.errors import InputError
@@ -61,12 +61,15 @@ class AdaptiveSettings:
     """Scatter of arrivals, alpha and beta: Fig. 17 without its camera."""
     knot_deg: float = 0.002
     """Error of a calibrated knot: 0.47 um of camera at a lever of 15 mm."""
-    ripple_deg: float = 0.02
-    """Error half-way between two: what 200 points leave of a blind move (docs/calibration.md)."""
+    ripple_deg: tuple[float, float] = (0.032, 0.020)
+    """Error half-way between two, alpha and beta: 200 points leave 23 and 14 mdeg rms of a blind move
+    (docs/calibration.md), and a half wave that is zero at the knots has 0.71 of its height as rms."""
     wear_deg: float = 0.05
     """Wear after `wear_moves`: up to 0.15 deg in a hundred cycles (Fig. 22), three sigmas."""
     wear_moves: float = 15260.0 * 100
     """A lifetime test: 100 cycles of 15260 moves."""
+    finest_deg: float = 0.003
+    """Ripple that straight lines between fine knots leave out."""
     ripple_wear_deg: float = 0.02
     """Wear of single teeth after as many."""
     arms_um: float = 1.0
@@ -121,7 +124,9 @@ class AdaptiveCalibration:
         `arms_covariance_mm2` is (N, 4, 4) of centre x, y, l_alpha, l_beta, as `focal_plane` fits.
         """
         self.settings = settings or AdaptiveSettings()
-        self._given, self._maps = plane, maps.select(maps.rows_of(plane.positioner_id))
+        self.given = plane
+        """The focal plane as it was before anything was learnt."""
+        self._maps = maps.select(maps.rows_of(plane.positioner_id))
         factor = self.settings.refine if self.improved else 1
         self.wire_deg = lines.refine(self._maps.wire_deg[:, :, 0], factor)
         """(N, 2, K) motor side of the knots."""
@@ -226,11 +231,15 @@ class AdaptiveCalibration:
         """The filter's share of `update`: (n, M, 2) moves weighed together."""
         block, miss = self._block(rows, wire, xy, sigma_mm)
         state = self._state.rows(rows)
-        surprise, _ = map_filter.surprise(state, block)
+        weighing = Weighing.of(state, block)
+        surprise = map_filter.surprise(weighing, block)
         gated = block.counts & (surprise > self.settings.gate)
-        self._doubt(state, block, gated)
         used = block.counts & ~gated
-        map_filter.weigh(state, replace(block, counts=used))
+        if gated.any():
+            self._doubt(state, block, gated)
+            weighing = Weighing.of(state, block)
+        state.doubt[used.any(axis=1)] = 0
+        map_filter.weigh(state, replace(block, counts=used), weighing)
         self._state.put(rows, state)
         self._use(rows)
         return used, surprise, miss
@@ -248,8 +257,8 @@ class AdaptiveCalibration:
         innovation = xy - expected.reshape(n, m, 2)
         miss_mm = np.hypot(innovation[..., 0], innovation[..., 1])
         seen = np.isfinite(miss_mm) & np.isfinite(wire).all(axis=2) & np.isfinite(sigma_mm)
-        arrival = np.square(self.settings.arrival_deg)
-        scatter = (jacobian * arrival) @ jacobian.swapaxes(1, 2)
+        variance = np.square(self.settings.arrival_deg) + self.settings.finest_deg**2
+        scatter = (jacobian * variance) @ jacobian.swapaxes(1, 2)
         noise = scatter.reshape(n, m, 2, 2) + np.nan_to_num(sigma_mm)[..., None, None] ** 2 * np.eye(2)
         block = Block(
             innovation=np.nan_to_num(innovation),
@@ -274,11 +283,9 @@ class AdaptiveCalibration:
         lever2 = np.maximum((block.jacobian**2).sum(axis=2), 1e-12)  # (n, M, 2)
         doubt = np.where(gated[..., None], miss2[..., None] / lever2, 0.0).swapaxes(1, 2)
         for side in range(2):
-            grown = np.maximum(map_filter.lines.pick(state.ripple_variance, block.k + side), doubt)
+            grown = np.maximum(lines.pick(state.ripple_variance, block.k + side), doubt)
             np.put_along_axis(state.ripple_variance, block.k + side, grown, axis=-1)
-        nothing_fits = gated.any(axis=1) & ~(block.counts & ~gated).any(axis=1)
-        agreed = (block.counts & ~gated).any(axis=1)
-        state.doubt[:] = np.where(agreed, 0, state.doubt + nothing_fits)
+        state.doubt += gated.any(axis=1) & ~(block.counts & ~gated).any(axis=1)
         self._slip(state, doubt.max(axis=2), state.doubt >= self.settings.patience)
 
     def _slip(self, state: FilterState, variance: Floats, rows: Flags) -> None:
@@ -301,10 +308,10 @@ class AdaptiveCalibration:
         self.plane = self._with_arms(self._state.mean[:, : map_filter.N_ARMS])
 
     def _with_arms(self, change_mm: Floats) -> FocalPlane:
-        arms = self._given.arms.copy()
+        arms = self.given.arms.copy()
         arms[:, CENTRE] += change_mm[:, :2]
         arms[:, L_ALPHA] += change_mm[:, 2]
-        return replace(self._given, arms=arms, points=_longer(self._given, change_mm[:, 3]))
+        return replace(self.given, arms=arms, points=_longer(self.given, change_mm[:, 3]))
 
     def _shift(self, rows: Ints, wire: Floats, xy: Floats, sigma_mm: Floats) -> Learnt:
         """Eq. 29 to 33 for one move (n, 1, 2)."""
@@ -380,7 +387,8 @@ class AdaptiveCalibration:
         covariance[:, nodes, nodes] = s.knot_deg**2
         # nothing at a calibrated knot but its own error; most half-way to the next
         part = np.arange(self.wire_deg.shape[-1]) % factor / factor
-        ripple = s.knot_deg**2 + (s.ripple_deg * np.sin(np.pi * part)) ** 2
+        half_way = np.array(s.ripple_deg)[:, None] if self.improved else 0.0
+        ripple = s.knot_deg**2 + (half_way * np.sin(np.pi * part)) ** 2
         shape = self.wire_deg.shape
         return FilterState(
             mean=np.zeros((n, d)),

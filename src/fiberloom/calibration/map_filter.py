@@ -135,8 +135,8 @@ def _ripple_gain(block: Block, variance: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Weighing:
-    """The joint update of one block, before it is done."""
+class Weighing:
+    """How the measurements of a block and the state vary together."""
 
     with_state: Floats
     """(n, D, 2M)"""
@@ -146,14 +146,16 @@ class _Weighing:
     """(n, 2M, 2M) of the innovations."""
 
     @classmethod
-    def of(cls, state: FilterState, block: Block) -> _Weighing:
+    def of(cls, state: FilterState, block: Block) -> Weighing:
+        """Of a block whose rows are those of the state."""
         n, m = block.counts.shape
         h = design(block, state.mean.shape[1]).reshape(n, 2 * m, -1)
         with_state = state.covariance @ h.swapaxes(1, 2)
         gain = _ripple_gain(block, state.ripple_variance)
         share = np.stack([1.0 - block.t, block.t], axis=2)
         # (n, axis, side, M, M', c') with the Jacobian and share of M
-        ripple = np.einsum("nasm,nmca,nasmkd->nmckd", share, block.jacobian, gain, optimize=True)
+        felt = (share[..., None, None] * gain).sum(axis=2)  # (n, axis, M, M', c')
+        ripple = np.einsum("nmca,namkd->nmckd", block.jacobian, felt)
         spread = h @ with_state + ripple.reshape(n, 2 * m, 2 * m)
         noise = np.zeros((n, m, 2, m, 2))
         each = np.arange(m)
@@ -169,27 +171,25 @@ class _Weighing:
         return blocks[:, each, :, each].swapaxes(0, 1)
 
 
-def surprise(state: FilterState, block: Block) -> tuple[Floats, Floats]:
-    """(n, M) squared innovation in units of its covariance (2 on average), and (n, M, 2, 2) that."""
-    own = _Weighing.of(state, block).own()
-    solved = np.linalg.solve(own, block.innovation[..., None])[..., 0]
-    return np.where(block.counts, (block.innovation * solved).sum(axis=-1), np.nan), own
+def surprise(weighing: Weighing, block: Block) -> Floats:
+    """(n, M) squared innovation in units of its covariance: 2 on average."""
+    solved = np.linalg.solve(weighing.own(), block.innovation[..., None])[..., 0]
+    return np.where(block.counts, (block.innovation * solved).sum(axis=-1), np.nan)
 
 
-def weigh(state: FilterState, block: Block) -> None:
+def weigh(state: FilterState, block: Block, w: Weighing) -> None:
     """The Kalman update with all measurements that count; changes `state`, which has block's rows."""
     n, m = block.counts.shape
-    w = _Weighing.of(state, block)
     ignore = np.repeat(~block.counts, 2, axis=1) * _UNSEEN
     scale = np.einsum("nii->n", w.spread)[:, None] / (2 * m)
     spread = w.spread + (ignore * scale)[:, :, None] * np.eye(2 * m)
     innovation = np.where(block.counts[..., None], block.innovation, 0.0).reshape(n, 2 * m)
     inverse = np.linalg.inv(spread)
-    solved = np.einsum("nij,nj->ni", inverse, innovation)
-    state.mean += np.einsum("ndi,ni->nd", w.with_state, solved)
+    solved = (inverse @ innovation[..., None])[..., 0]
+    state.mean += (w.with_state @ solved[..., None])[..., 0]
     state.covariance -= w.with_state @ inverse @ w.with_state.swapaxes(1, 2)
-    gained = np.einsum("nasmi,nij,nasmj->nasm", w.with_ripple, inverse, w.with_ripple, optimize=True)
-    moved = np.einsum("nasmi,ni->nasm", w.with_ripple, solved)
+    gained = ((w.with_ripple @ inverse[:, None, None]) * w.with_ripple).sum(axis=-1)
+    moved = (w.with_ripple @ solved[:, None, None, :, None])[..., 0]
     _replace(state.ripple_deg, block.k, moved)
     _replace(state.ripple_variance, block.k, -gained)
     np.maximum(state.ripple_variance, 0.0, out=state.ripple_variance)

@@ -25,14 +25,15 @@ Ints = NDArray[np.int64]
 class CommandSigmas:
     """How far a command can be trusted (Eq. 29); the paper prints no numbers.
 
-    The angles' share is what a map of 200 points leaves of a blind move (docs/calibration.md); the
-    lengths' what Fig. 20 and 21 show.
+    These are what a bench calibration leaves of lengths and knots (docs/calibration.md). Ten times
+    larger lengths make Eq. 32 throw camera noise into beta where its Jacobian is nearly singular;
+    ten times larger angles let a knot follow what is wrong half-way to the next one.
     """
 
-    l_alpha_um: float = 1.0
-    l_beta_um: float = 1.0
-    alpha_deg: float = 0.023
-    beta_deg: float = 0.014
+    l_alpha_um: float = 0.1
+    l_beta_um: float = 0.1
+    alpha_deg: float = 0.002
+    beta_deg: float = 0.002
 
 
 def levers(plane: FocalPlane, index: Ints) -> tuple[Floats, Floats, Floats]:

@@ -11,6 +11,7 @@ from .transport import TwinTransport
 from .twin import Reply, Twin
 from .units import Units
 from .wear import Wear, WearModel, worn
+from .weights import TwinWeights
 from .years import Visit, Years
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "StatisticalTwin",
     "Twin",
     "TwinTransport",
+    "TwinWeights",
     "Units",
     "Visit",
     "Wear",

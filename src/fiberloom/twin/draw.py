@@ -252,6 +252,8 @@ def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
         "settle_gain": 1.0,
         # 50 uNm for alpha: after the drag is learnt legal moves need less than 40 beyond the model
         "contact_torque": 1.43e4 * inertia,
+        # 2.4 uNm for alpha: legal moves rise by 1.9 at most (docs/firmware.md)
+        "touch_torque": 690.0 * inertia,
     }
 
 
@@ -268,11 +270,15 @@ def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np
     return record
 
 
-def put_in(plane: FocalPlane) -> dict[str, str]:
+def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
     first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
+    seen = {
+        "noise": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "image": "photons, pixels and optics of its images (twin/imaging.py says which are assumed)",
+    }
     return {
-        "camera": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "camera": seen[camera],
         "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
         f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
         f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",

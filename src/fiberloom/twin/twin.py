@@ -152,9 +152,12 @@ class Twin:
         row = int(self.plane.index_of(positioner_id))
         self._core.slip(row, ("alpha", "beta").index(axis), up, down)
 
-    def power_cycle(self, positioner_id: int) -> None:
-        """Power off and on: the firmware starts anew with what it has stored."""
-        self._core.power_cycle(int(self.plane.index_of(positioner_id)))
+    def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
+        """Power off and on: the firmware starts anew with what it has stored.
+
+        At once, or as units do: after ten seconds in the bootloader, if nobody upgrades it.
+        """
+        self._core.power_cycle(int(self.plane.index_of(positioner_id)), bootloader)
 
     def set_gear(self, units: Units) -> None:
         """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
