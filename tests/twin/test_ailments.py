@@ -86,13 +86,17 @@ def test_slipping_makes_its_share_in_each_direction():
     assert all(v.done.all() for v in ill)
 
 
-def test_a_weak_hall_channel_wavers_then_stalls():
+def test_a_weak_hall_channel_stalls(monkeypatch):
+    _, ill = misses_deg(AilmentKind.WEAK_HALL, model={"fading_moves": (500.0, 500.0)}, refresh_moves=1)
+    done = np.array([v.done.all() for v in ill])
+    assert done[:15].all()  # exp(-10/500) = 0.98
+    assert not done[16:].any()
+    # where nothing watches for collisions it goes on, and positions waver with the motor turn
+    monkeypatch.setattr("fiberloom.twin.ailments.HALL_STALLS", 0.6)
     off, ill = misses_deg(AilmentKind.WEAK_HALL, model={"fading_moves": (50.0, 50.0)}, refresh_moves=5)
     assert 2.0 < np.abs(off[:, 0, 15:30]).max() * 1024 < 20.0  # motor deg
     assert np.abs(off[:, 1, :30]).max() < 1e-3
-    done = np.array([v.done.all() for v in ill])
-    assert done[:30].all()  # exp(-25/50) = 0.61
-    assert not done[36:].any()
+    assert all(v.done.all() for v in ill[:30])  # exp(-25/50) = 0.61
 
 
 def test_friction_shows_in_the_torque_and_ends_in_a_stall():
@@ -100,10 +104,10 @@ def test_friction_shows_in_the_torque_and_ends_in_a_stall():
         AilmentKind.FRICTION, model={"seizing_moves": (20.0, 20.0)}, refresh_moves=2, count=60
     )
     torque = np.array([v.torque_Nm[:, 0] for v in ill])
-    assert (np.diff(torque[4:40:2], axis=0) > 0).all()
+    assert (np.diff(torque[4:30:2], axis=0) > 0).all()
     np.testing.assert_array_equal(ill[0].torque_Nm, excess_torque_Nm(UNITS))
-    assert all(v.done.all() for v in ill[:20])
-    assert not any(v.done.any() for v in ill[50:])
+    assert all(v.done.all() for v in ill[:18])  # 1.65 times
+    assert not any(v.done.any() for v in ill[35:])  # 2.5 times
 
 
 def test_a_loose_arm_jitters_along_itself():
