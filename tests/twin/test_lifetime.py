@@ -10,10 +10,12 @@ from typer.testing import CliRunner
 
 from fiberloom.bus import Client
 from fiberloom.calibration import SweepSettings, evaluate, measure_sweeps
+from fiberloom.calibration.adaptive import AdaptiveCalibration
 from fiberloom.calibration.transmission import Provenance
 from fiberloom.cli import app
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Twin, TwinTransport, bench_units, worn
-from fiberloom.twin.lifetime import WAYS, LifetimeSettings, lifetime, sweeps
+from fiberloom.twin.lifetime import WAYS, LifetimeSettings, calibrate, lifetime, sweeps
+from fiberloom.twin.noise import UnitNoise
 
 SMALL = LifetimeSettings(
     cycles=100,
@@ -93,6 +95,20 @@ def test_maps_follow_the_wear(rows):
         frozen2 = np.mean((smooth[:, 0, curve] - smooth[:, 1, 0]) ** 2)
         assert frozen2 > first2 + 0.7 * wear2
         assert last2 < first2 + missed * wear2
+
+
+def test_the_filter_does_not_run_away():
+    """What rounding makes unsymmetric in its covariance grew without bound: gone after 57 cycles."""
+    plane, units = bench_units("sdssv", 2, range(1))
+    twin = StatisticalTwin(plane, units)
+    maps, known, _ = calibrate(twin, replace(SMALL, points=60))
+    learner = AdaptiveCalibration(known, maps)
+    for _ in range(20):
+        wire = UnitNoise(3, 1, [1]).uniform(2, 24) * 120 + 30
+        xy = twin.fibre_xy(theta_deg=twin.stand(wire))
+        learner.update(wire.swapaxes(1, 2), xy.swapaxes(1, 2), moves=2000)
+        covariance = learner.state().filter.covariance
+        np.testing.assert_array_equal(covariance, covariance.swapaxes(1, 2))
 
 
 def test_a_unit_does_not_depend_on_its_chunk(rows):
