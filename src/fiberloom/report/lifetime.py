@@ -126,10 +126,11 @@ def _delta_title(curves: LifetimeCurves) -> str:
     last = {name: delta[:, -1, 1, used] for name, delta in curves.delta_deg.items()}
     off = {k: 1e3 * float(np.sqrt(np.mean((last[k] - last["true"]) ** 2))) for k in _CURVES if k != "true"}
     change = np.abs(curves.delta_deg["true"][:, -1, 1] - curves.delta_deg["true"][:, 0, 1]).max()
+    first, final = curves.delta_cycles[0], curves.delta_cycles[-1]
     return (
-        f"δ of the beta axis less its true course in cycle {curves.delta_cycles[0]}: wear changes it by up to "
-        f"{change:.2f} deg.\nIn cycle {curves.delta_cycles[-1]} maps are off by {off['adaptive']:.0f} mdeg rms "
-        f"(adaptive), {off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
+        f"δ of the beta axis less its true course in cycle {first}: wear changes it by up to {change:.2f} deg.\n"
+        f"In cycle {final} maps are off by {off['adaptive']:.0f} mdeg rms (adaptive), "
+        f"{off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
     )
 
 
