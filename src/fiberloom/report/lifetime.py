@@ -128,7 +128,7 @@ def _delta_title(curves: LifetimeCurves) -> str:
     change = np.abs(curves.delta_deg["true"][:, -1, 1] - curves.delta_deg["true"][:, 0, 1]).max()
     first, final = curves.delta_cycles[0], curves.delta_cycles[-1]
     return (
-        f"δ of the beta axis less its true course in cycle {first}: wear changes it by up to {change:.2f} deg.\n"
+        f"δ of beta less its true course in cycle {first}: wear changes it by {change:.2f} deg at most.\n"
         f"In cycle {final} maps are off by {off['adaptive']:.0f} mdeg rms (adaptive), "
         f"{off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
     )
