@@ -505,6 +505,10 @@ def lifetime(
         int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")
     ] = 1220,
     every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    faults: Annotated[
+        str,
+        typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
+    ] = "",
     workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
@@ -520,7 +524,12 @@ def lifetime(
     from fiberloom.twin.lifetime import LifetimeSettings
 
     settings = LifetimeSettings(
-        instrument=instrument, cycles=cycles, points=points, approaches=targets, cycle_step=every
+        instrument=instrument,
+        cycles=cycles,
+        points=points,
+        approaches=targets,
+        cycle_step=every,
+        faults=faults,
     )
     result = run_lifetime(
         LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
