@@ -180,6 +180,16 @@ def _write(path: Path, result: dict[str, Any]) -> None:
     os.replace(part, path)
 
 
+_HEADS = {
+    "linear": "linear [µm]",
+    "fixed": "fixed",
+    "adaptive_paper": "as printed",
+    "adaptive": "adaptive",
+    "recalibrated": "recalibrated",
+    "recalibrated_fine": "4 x points",
+}
+
+
 def _um(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
@@ -189,5 +199,6 @@ def table(result: dict[str, Any]) -> list[dict[str, Any]]:
     cycles = result["cycles"]
     shown = sorted({0, len(cycles) - 1, *(i for i, c in enumerate(cycles) if c in (2, 5, 10, 20, 50, 100))})
     return [
-        {"cycle": cycles[i]} | {f"{w} um": _um(result["blind_rms_um"][w][i]) for w in WAYS} for i in shown
+        {"cycle": cycles[i]} | {head: _um(result["blind_rms_um"][w][i]) for w, head in _HEADS.items()}
+        for i in shown
     ]
