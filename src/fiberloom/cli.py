@@ -537,6 +537,7 @@ def lifetime(
     if as_json:
         typer.echo(json.dumps(result, indent=2))
     else:
+        typer.echo("Blind moves, rms in um as measured:")
         _print_report(table(result), as_json)
         _print_report(result["summary"] | {"results": str(out)}, as_json)
     raise typer.Exit(0 if within_requirement(result["summary"]) else 1)

@@ -181,12 +181,12 @@ def _write(path: Path, result: dict[str, Any]) -> None:
 
 
 _HEADS = {
-    "linear": "linear [µm]",
+    "linear": "linear",
     "fixed": "fixed",
     "adaptive_paper": "as printed",
     "adaptive": "adaptive",
-    "recalibrated": "recalibrated",
-    "recalibrated_fine": "4 x points",
+    "recalibrated": "recalib.",
+    "recalibrated_fine": "recalib. 4x",
 }
 
 

@@ -68,7 +68,7 @@ def plot_lifetime(path: Path, curves: LifetimeCurves) -> None:
         f"{um['recalibrated']:.1f},\nthe first map {um['fixed']:.1f}, a linear ratio {um['linear']:.1f} µm"
     )
     left.set_yticks([1, 2, 5, 10, 20, 50], labels=["1", "2", "5", "10", "20", "50"])
-    left.legend(fontsize=8, loc="center right")
+    left.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     _plot_arms(right, curves)
     figure.savefig(path, dpi=120)
     plt.close(figure)
