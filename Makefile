@@ -7,6 +7,7 @@ JOBS   ?= 2
 FRAMES ?= 20000000
 
 .PHONY: help setup run test check sanitized bench reproduce firmware-report docs lint format inplace clean
+.PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -14,6 +15,7 @@ help:
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
 	@echo "              moves without a false collision or a lost count, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
+	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make docs     the documentation as a site, into site/"
@@ -71,6 +73,13 @@ bench: setup
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
+	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
+
+# A hundred cycles as in the paper, and what a hundred other units would have shown.
+campaign: setup
+	$(BIN)/fiberloom lifetime --cycles 100 --positioners 2 --seed 0 --out runs/lifetime
+	$(BIN)/fiberloom lifetime --cycles 100 --every 11 --positioners 100 --seed 0 --workers $(JOBS) \
+	    --out runs/lifetime-100
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

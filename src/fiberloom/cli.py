@@ -501,7 +501,14 @@ def lifetime(
     positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2,
     instrument: InstrumentOption = "sdssv",
     points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200,
+    targets: Annotated[
+        int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")
+    ] = 1220,
     every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    faults: Annotated[
+        str,
+        typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
+    ] = "",
     workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
@@ -516,13 +523,21 @@ def lifetime(
     from fiberloom.commands.lifetime import LifetimeRequest, run_lifetime, table, within_requirement
     from fiberloom.twin.lifetime import LifetimeSettings
 
-    settings = LifetimeSettings(instrument=instrument, cycles=cycles, points=points, cycle_step=every)
+    settings = LifetimeSettings(
+        instrument=instrument,
+        cycles=cycles,
+        points=points,
+        approaches=targets,
+        cycle_step=every,
+        faults=faults,
+    )
     result = run_lifetime(
         LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
     )
     if as_json:
         typer.echo(json.dumps(result, indent=2))
     else:
+        typer.echo("Blind moves, rms in um as measured:")
         _print_report(table(result), as_json)
         _print_report(result["summary"] | {"results": str(out)}, as_json)
     raise typer.Exit(0 if within_requirement(result["summary"]) else 1)
