@@ -342,6 +342,33 @@ def repeatability(
 
 
 @app.command()
+def acceptance(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200,
+    targets: Annotated[int, typer.Option(min=1, help="Random targets for blind moves.")] = 20,
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30,
+    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = "",
+    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = "",
+    faults: BenchFaults = "",
+    out: Annotated[Path, typer.Option(help="Folder for the reports.")] = Path("runs/acceptance"),
+    as_json: JsonOption = False,
+) -> None:
+    """Put units on the bench and hold them against the instrument's requirements."""
+    from fiberloom.calibration.acceptance import AcceptanceSettings
+    from fiberloom.commands.acceptance import run_acceptance
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, False, as_json)
+    settings = AcceptanceSettings(n_points=points, n_targets=targets, visits=visits)
+    content = run_acceptance(request, settings, serial, engineer)
+    if as_json:
+        typer.echo(json.dumps(content, indent=2))
+    raise typer.Exit(0 if all(unit["accepted"] for unit in content["units"]) else 1)
+
+
+@app.command()
 def instruments(
     name: Annotated[str | None, typer.Argument(help="Show one preset in full.")] = None,
     as_json: JsonOption = False,
