@@ -45,8 +45,8 @@ deg) and how far a rotor may fall back without current (90)."""
 _LAG = 20
 """Windows over which residuals may go together: one motor turn of creep."""
 _ENOUGH = 60
-_PHASE_ERROR_RAD = 0.005
-"""Of the rotor's angle, twice: hall sensors calibrated to a few mrad."""
+_PHASE_ERROR_RAD = 0.002
+"""Of the rotor's angle, twice: hall sensors calibrated to a mrad."""
 
 
 @dataclass(frozen=True)

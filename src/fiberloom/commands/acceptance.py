@@ -101,7 +101,7 @@ def _head(
         "Serial number": serial or "______________",
         "Engineer": engineer or "______________",
         "Instrument": f"{plane.instrument.name}: {plane.instrument.description}",
-        "Requirements": plane.instrument.reference,
+        "Requirements": plane.instrument.acceptance.source or plane.instrument.name,  # type: ignore[union-attr]
         "Measured": run["utc"],
         "Bench": f"twin, seed {request.seed}; camera {plane.instrument.metrology.noise_rms_um:g} µm, "
         f"close up {CLOSE_UP_UM:g} µm rms",

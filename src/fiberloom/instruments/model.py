@@ -180,6 +180,8 @@ class Operation(Table):
 class Acceptance(Table):
     """What a unit must show on a bench before it goes into the focal plane; None: not asked for."""
 
+    source: str = ""
+    """Who asks for it, and where."""
     repeatability_um: Positive | None = None
     """In x and y, rms, arm stretched."""
     hysteresis_deg: Positive | None = None

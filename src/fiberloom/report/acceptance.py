@@ -31,7 +31,8 @@ text-align:left;vertical-align:top}td.n,th.n{text-align:right;white-space:nowrap
 img{max-width:100%;height:auto;background:#fff}
 figure{margin:.6rem 0}figcaption{font-size:.9rem;color:var(--grey)}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem .8rem;margin:.6rem 0}dt{color:var(--grey)}
-dd{margin:0;overflow-wrap:anywhere}.sign{display:grid;grid-template-columns:1fr 1fr;gap:2.2rem 1.5rem;margin-top:2.5rem}
+dd{margin:0;overflow-wrap:anywhere}
+.sign{display:grid;grid-template-columns:1fr 1fr;gap:2.2rem 1.5rem;margin-top:2.5rem}
 .sign div{border-top:1px solid;padding-top:.2rem;font-size:.9rem}
 @media print{body{max-width:none}h2{break-after:avoid}figure{break-inside:avoid}}
 @media(max-width:32rem){body{padding:.6rem;font-size:15px}.note{display:none}}
