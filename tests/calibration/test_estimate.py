@@ -16,15 +16,15 @@ def lines(n, m, rng, correlated=1):
     return np.stack([np.ones_like(x), x], axis=-1), 2.0 + 3.0 * x + noise
 
 
-@pytest.mark.parametrize(("correlated", "lag"), [(1, 0), (1, 5), (6, 12)])
-def test_standard_errors_are_what_scatters(correlated, lag):
+@pytest.mark.parametrize(("correlated", "lag", "off"), [(1, 0, 0.1), (1, 5, 0.1), (6, 12, 0.2)])
+def test_standard_errors_are_what_scatters(correlated, lag, off):
     design, right = lines(600, 240, np.random.default_rng(1), correlated)
     fit = least_squares(design, right, lag=lag)
     scatter = fit.value.std(axis=0)
     claimed = standard_errors(fit).mean(axis=0)
-    # 600 draws tell a scatter to 3 percent; Bartlett's weights lose a little of the correlation
-    np.testing.assert_allclose(claimed, scatter, rtol=0.12)
-    np.testing.assert_allclose(fit.value.mean(axis=0), [2.0, 3.0], atol=4 * scatter / np.sqrt(600))
+    # 600 draws tell a scatter to 3 percent; Bartlett's weights lose a sixth of the error at two blocks
+    np.testing.assert_allclose(claimed, scatter, rtol=off)
+    assert (np.abs(fit.value.mean(axis=0) - [2.0, 3.0]) < 4 * scatter / np.sqrt(600)).all()
 
 
 def test_without_the_lag_correlated_residuals_claim_too_much():

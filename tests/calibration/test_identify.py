@@ -85,7 +85,7 @@ def test_equation_11_at_each_place_by_itself():
     assert [c.wire_deg for c in curves] == [60.0, 200.0, 320.0]
     for c in curves:
         # Coulomb as half the distance, spring as the middle; it pulls less further on
-        assert c.coulomb_uNm == pytest.approx(C, abs=1e-6)
+        assert c.coulomb_uNm == pytest.approx(C, abs=1e-4)
         assert c.spring_uNm == pytest.approx(SPRING + RATE * c.wire_deg, abs=1e-3)
         # more torque is needed in the negative direction, against the spring: Fig. 11
         assert c.torque_uNm[1].mean() < -c.torque_uNm[0].mean()
@@ -238,7 +238,7 @@ def test_a_weight_that_does_not_hang_is_noticed():
     with pytest.raises(InputError, match="does the weight hang"):
         identify_stiffness(data)
     data.xy_mm[:] = np.nan
-    with np.errstate(all="ignore"), pytest.raises(InputError, match="seen in 0 pairs"):
+    with pytest.raises(InputError, match="seen in 0 pairs"):
         identify_stiffness(data)
 
 
@@ -270,7 +270,7 @@ def test_arms_from_circles():
     ],
 )
 def test_arms_are_refused_with_the_reason(data, words):
-    with np.errstate(all="ignore"), pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words):
         identify_arms(data)
 
 
