@@ -243,6 +243,9 @@ def friction(
     seed: SeedOption = 0,
     positioners: BenchPositioners = None,
     places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5,
+    span: Annotated[
+        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+    ] = None,
     weights: WeightsOption = True,
     faults: BenchFaults = "",
     truth: TruthOption = False,
@@ -254,7 +257,7 @@ def friction(
     from fiberloom.commands.identify import friction_work
 
     request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = FrictionSettings(n_angles=places)
+    settings = FrictionSettings(n_angles=places, run_span_deg=span)
     _identify("friction", request, friction_work(request, settings, weights), as_json)
 
 

@@ -23,7 +23,7 @@ def run(*words):
 @pytest.mark.parametrize(
     ("words", "quantities"),
     [
-        (("friction", "--places", 2, "--data-sheet"), {"alpha Coulomb friction", "beta drag"}),
+        (("friction", "--places", 2, "--span", 20, "--data-sheet"), {"alpha Coulomb friction", "beta drag"}),
         (("inertia", "--pushes", 2), {"alpha inertia", "beta inertia", "alpha torque at full voltage"}),
         (("stiffness", "--repeats", 3), {"alpha stiffness", "beta stiffness"}),
         (("arms", "--points", 12), {"l_alpha", "l_beta", "centre x"}),
