@@ -47,6 +47,14 @@ class CameraKind(StrEnum):
     image = "image"
 
 
+class Pages(StrEnum):
+    """Exposures that get pages to look at."""
+
+    none = "none"
+    last = "last"
+    all = "all"
+
+
 def _version(show: bool) -> None:
     if show:
         from fiberloom import __version__
@@ -86,7 +94,11 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image,
+    pages: Annotated[
+        Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")
+    ] = Pages.last,
+    save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False,
     faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
@@ -98,6 +110,16 @@ def observe(
         Path | None,
         typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
+    arms: Annotated[
+        Path | None, typer.Option(help="Arms of `calibrate focal-plane`, in place of the layout's.")
+    ] = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
+    ] = False,
+    learnt: Annotated[
+        str | None,
+        typer.Option(help="Store with what was learnt; default with --adapt: beside the maps."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Put fibres on the targets of a list, and say how near each one came."""
@@ -108,11 +130,16 @@ def observe(
         moves=moves,
         correction=correction.value,
         camera=camera.value,
+        pages=pages.value,
+        save_images=save_images,
         faults=faults,
         compare_linear=compare_linear,
         seed=seed,
         out=out,
         calibration=calibration,
+        arms=arms,
+        adapt=adapt,
+        learnt=learnt,
         quiet=as_json,
     )
     summary = run_observe(_plane(instrument, layout, seed, positioners), request)
@@ -173,6 +200,57 @@ def verify(
     report = verify_step(_plane(instrument, layout, seed, positioners), trajectories)
     _print_report(report, as_json)
     raise typer.Exit(0 if report["verified"] else 1)
+
+
+@app.command()
+def twin(
+    listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228",
+    devices: Annotated[
+        int | None, typer.Option(min=1, max=64, help="CAN@net devices; default: one for 84 positioners.")
+    ] = None,
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    positioners: PositionersOption = None,
+    seed: SeedOption = 0,
+    faults: Annotated[
+        str,
+        typer.Option(
+            help="What goes wrong: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."
+        ),
+    ] = "",
+    speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0,
+    neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True,
+    bootloader: Annotated[
+        bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
+    ] = False,
+    jaeger_config: Annotated[
+        Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
+    ] = None,
+    report_every: Annotated[
+        float, typer.Option(min=0.0, help="Seconds between reports of lateness; 0: at the end only.")
+    ] = 0.0,
+    stop_after: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after so many seconds; default: Ctrl-C, SIGTERM.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
+    from fiberloom.commands.twin import ServeRequest, run_twin
+
+    request = ServeRequest(
+        listen=listen,
+        devices=devices,
+        seed=seed,
+        faults=faults,
+        speed=speed,
+        neighbours=neighbours,
+        bootloader=bootloader,
+        jaeger_config=jaeger_config,
+        report_every_s=report_every,
+        stop_after_s=stop_after,
+        as_json=as_json,
+    )
+    run_twin(_plane(instrument, layout, seed, positioners), request)
 
 
 @calibrate.command()
@@ -342,6 +420,137 @@ def repeatability(
     request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
     settings = RepeatabilitySettings(visits=visits)
     _identify("repeatability", request, repeatability_work(request, settings), as_json)
+
+
+@calibrate.command("focal-plane")
+def focal_plane(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    configurations: Annotated[int, typer.Option(min=4, help="Configurations of everybody.")] = 40,
+    harmonics: Annotated[
+        int, typer.Option(min=0, max=5, help="Fit the transmission's lowest orders too, up to this one.")
+    ] = 0,
+    safety_mm: Annotated[
+        float, typer.Option(min=0.0, max=3.0, help="By which arms are taken to be thicker than they are.")
+    ] = 0.5,
+    mounted_um: Annotated[
+        float, typer.Option(min=0.0, max=200.0, help="How far off the first guess of the twin's arms is.")
+    ] = 50.0,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane"),
+    as_json: JsonOption = False,
+) -> None:
+    """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
+    from fiberloom.commands.focal_plane import FocalPlaneRequest, flat_convergence, run_calibrate_focal_plane
+
+    request = FocalPlaneRequest(
+        out=out,
+        seed=seed,
+        configurations=configurations,
+        harmonics=harmonics,
+        safety_mm=safety_mm,
+        mounted_um=mounted_um,
+        faults=faults,
+        camera=camera.value,
+        calibration=calibration,
+        quiet=as_json,
+    )
+    report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)
+    _print_report(report if as_json else {k: v for k, v in report.items() if k != "convergence"}, as_json)
+    if not as_json:
+        _print_report(flat_convergence(report["convergence"]), as_json)
+    raise typer.Exit(1 if report["refused"] else 0)
+
+
+@calibrate.command()
+def history(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt, as `observe --adapt` names it.")],
+    positioner: Annotated[
+        int | None, typer.Option(help="Only the generations that changed this one.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what operation has taught the maps, generation by generation."""
+    from fiberloom.commands.learnt import history_step
+
+    _print_report(history_step(learnt, positioner), as_json)
+
+
+@calibrate.command()
+def undo(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt.")],
+    to: Annotated[int, typer.Option(min=0, help="Generation to go back to; 0: the calibration itself.")],
+    positioner: Annotated[
+        list[int] | None, typer.Option(help="Only this one; may be given several times.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go back to what was known at an earlier generation; nothing is deleted."""
+    from fiberloom.commands.learnt import undo_step
+
+    _print_report(undo_step(learnt, to, positioner), as_json)
+
+
+@app.command()
+def lifetime(
+    cycles: Annotated[int, typer.Option(min=1, help="Of 15260 moves each, as the paper's.")] = 100,
+    positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2,
+    instrument: InstrumentOption = "sdssv",
+    points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200,
+    every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
+    ] = None,
+    seed: SeedOption = 0,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")
+    ] = Path("runs/lifetime"),
+    as_json: JsonOption = False,
+) -> None:
+    """Wear positioners out, and compare ways to know their gears (Kronig 2020, Fig. 21 to 26)."""
+    from fiberloom.commands.lifetime import LifetimeRequest, run_lifetime, table, within_requirement
+    from fiberloom.twin.lifetime import LifetimeSettings
+
+    settings = LifetimeSettings(instrument=instrument, cycles=cycles, points=points, cycle_step=every)
+    result = run_lifetime(
+        LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
+    )
+    if as_json:
+        typer.echo(json.dumps(result, indent=2))
+    else:
+        _print_report(table(result), as_json)
+        _print_report(result["summary"] | {"results": str(out)}, as_json)
+    raise typer.Exit(0 if within_requirement(result["summary"]) else 1)
+
+
+@app.command()
+def reproduce(
+    figures: Annotated[
+        list[str] | None, typer.Argument(help="Figures of the paper, e.g. 16 19 eq22; default: all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for report, results and figures.")] = Path(
+        "runs/reproduce"
+    ),
+    seed: SeedOption = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds in a row give the spread.")] = 3,
+    full: Annotated[bool, typer.Option("--full", help="The size of the paper's experiments.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the paper's figures and numbers on the twin, ours beside theirs."""
+    from fiberloom.commands.reproduce import ReproduceRequest, run_reproduce
+
+    request = ReproduceRequest(tuple(figures or ()), out, seed, seeds, full, quiet=as_json)
+    records = run_reproduce(request)
+    if as_json:
+        typer.echo(json.dumps(records, indent=2))
 
 
 @app.command()

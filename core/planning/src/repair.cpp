@@ -14,9 +14,8 @@ constexpr int longest_hold = 24;   // steps
 constexpr int most_joint_nodes = 60000;
 constexpr int dance = 60;      // cost above the least
 constexpr int joint_every = 6; // of the repairs around a pair, one is a joint search
-constexpr int more_steps = 8;  // a deadline grows by
-constexpr int hurry_tries = 8;
-constexpr int hurry_rounds = 24;
+constexpr int more_time = 4;   // a deadline grows by the first one over this
+constexpr int hurry_rounds = 32;
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before somebody is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -49,6 +48,7 @@ std::vector<std::pair<int, int>> Repair::pairs() const {
 bool Repair::run(int last_steps) {
     const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * team_.size());
     last_steps_ = last_steps;
+    first_steps_ = team_.steps();
     return rounds(static_cast<int>(most));
 }
 
@@ -159,7 +159,8 @@ void Repair::judge(std::pair<int, int> pair, const Group &group, int meetings_no
 // To a pair that resists, and to those around it: knots need time, and with plenty of it they come undone at
 // once.
 void Repair::give_time(std::pair<int, int> pair) {
-    const int deadline = more_steps + std::max(team_.at(pair.first).deadline, team_.at(pair.second).deadline);
+    const int deadline = std::max(8, first_steps_ / more_time) +
+                         std::max(team_.at(pair.first).deadline, team_.at(pair.second).deadline);
     if (deadline > last_steps_) return;
     for (int i : {pair.first, pair.second}) {
         const auto &near = team_.at(i).neighbours;
@@ -251,19 +252,24 @@ int Repair::arrival() const {
     return last;
 }
 
-// Those who were given more time in need may do with less of it.
+// Those who were given more time in need may do with less of it: halves what is above the wish.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // nobody gets more time now
-    int less = std::max(1, (arrival() - wanted_steps) / 2);
-    for (int tries = hurry_tries; tries > 0 && arrival() > wanted_steps; --tries) {
+    for (int low = wanted_steps; arrival() > low;) {
         std::vector<Memory> before;
-        for (int i = 0; i < team_.size(); ++i) before.push_back(team_.remember(i));
-        const int deadline = std::max(wanted_steps, arrival() - less);
+        std::vector<int> deadlines;
+        for (int i = 0; i < team_.size(); ++i) {
+            before.push_back(team_.remember(i));
+            deadlines.push_back(team_.at(i).deadline);
+        }
+        const int deadline = (low + arrival()) / 2;
         if (squeeze(deadline)) continue;
         for (Memory &memory : before) team_.restore(std::move(memory));
-        for (int i = 0; i < team_.size(); ++i) team_.count_meetings(i);
-        if (less == 1) return;
-        less /= 2;
+        for (int i = 0; i < team_.size(); ++i) {
+            team_.at(i).deadline = deadlines[static_cast<size_t>(i)];
+            team_.count_meetings(i);
+        }
+        low = deadline + 1;
     }
 }
 

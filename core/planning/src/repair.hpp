@@ -56,6 +56,7 @@ class Repair {
     Random random_;
     Search search_;
     JointSearch joint_;
+    int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
 };
 

@@ -1,5 +1,6 @@
 """What is measured on a bench, and used on every move: maps, arms, friction, inertia, stiffness."""
 
+from fiberloom.calibration.adaptive import AdaptiveCalibration, AdaptiveSettings, AdaptiveState, Update
 from fiberloom.calibration.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
 from fiberloom.calibration.bench import Bench
 from fiberloom.calibration.cache import cache_path
@@ -40,6 +41,7 @@ from fiberloom.calibration.sweep import (
     SweepSettings,
     calibrate_transmission,
     measure_sweeps,
+    wire_grid,
 )
 from fiberloom.calibration.torque import TorqueScale, data_sheet_scale
 from fiberloom.calibration.torque_scale import (
@@ -61,6 +63,9 @@ from fiberloom.calibration.transmission import (
 __all__ = [
     "NEGATIVE",
     "POSITIVE",
+    "AdaptiveCalibration",
+    "AdaptiveSettings",
+    "AdaptiveState",
     "Arms",
     "ArmsData",
     "ArmsSettings",
@@ -87,6 +92,7 @@ __all__ = [
     "TorqueScaleData",
     "TorqueScaleSettings",
     "TransmissionMaps",
+    "Update",
     "break_away",
     "cache_path",
     "calibrate_transmission",
@@ -108,4 +114,5 @@ __all__ = [
     "measure_sweeps",
     "measure_torque_scale",
     "measured_scale",
+    "wire_grid",
 ]

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import truncnorm
+from scipy.special import ndtr, ndtri
 
 from ..errors import InputError
 from ..units import deg_to_rad
@@ -166,8 +166,8 @@ def _sample(scatter: Scatter, n: int, rng: np.random.Generator) -> Floats:
     uniform = rng.random(n)
     if scatter.sd == 0.0:
         return np.full(n, scatter.mean)
-    low, high = ((b - scatter.mean) / scatter.sd for b in scatter.bounds)
-    return truncnorm.ppf(uniform, low, high, loc=scatter.mean, scale=scatter.sd)
+    low, high = (ndtr((b - scatter.mean) / scatter.sd) for b in scatter.bounds)
+    return scatter.mean + scatter.sd * ndtri(low + uniform * (high - low))
 
 
 def _fiducials(instrument: Instrument, layout: Layout, inner: Floats) -> Floats:

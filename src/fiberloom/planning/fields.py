@@ -15,7 +15,8 @@ from .planner import PlanSettings, plan
 
 Floats = NDArray[np.float64]
 
-_DRAWS = 2000
+_DRAWS = 400
+_DISPLACED = 20
 _REDRAWS = 50
 
 
@@ -99,23 +100,46 @@ class _Drawing:
         return (self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0)
 
     def all(self) -> Floats:
-        """Everybody, in random order."""
-        for row in self.rng.permutation(np.flatnonzero(~self.plane.offline)):
-            self.draw(int(row))
-        return rad_to_deg(self.angles)
+        """Everybody, in random order; who finds no room displaces a neighbour, which is drawn anew."""
+        waiting = list(map(int, self.rng.permutation(np.flatnonzero(~self.plane.offline))))
+        for _ in range(_DISPLACED * self.plane.n):
+            if not waiting:
+                return rad_to_deg(self.angles)
+            row = waiting.pop()
+            if not self._place(row):
+                displaced = self._displace_neighbour(row)
+                waiting = [row, *waiting] if displaced is None else [displaced, *waiting, row]
+        raise InputError(f"found no room for positioner {self.plane.positioner_id[waiting[-1]]}")
 
     def draw(self, row: int) -> Floats:
         """A new free place for one positioner, in deg."""
         self.placed[row] = False
+        if not self._place(row):
+            raise InputError(f"positioner {self.plane.positioner_id[row]}: found no free place")
+        return rad_to_deg(self.angles[row])
+
+    def _placed_near(self, row: int) -> NDArray[np.int64]:
+        """Who has a place and can touch this one, nearest first."""
         gaps = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T)
-        reach = 2.0 * self.plane.body_reach_mm.max() + 1.0
-        near = np.flatnonzero(self.placed & (gaps < reach))
+        near = np.flatnonzero(self.placed & (gaps < 2.0 * self.plane.body_reach_mm.max() + 1.0))
+        return near[np.argsort(gaps[near], kind="stable")]
+
+    def _place(self, row: int) -> bool:
+        near = self._placed_near(row)
         for _ in range(_DRAWS):
             angles = self._anywhere(row)
             if self._free(row, angles, near):
                 self.angles[row], self.placed[row] = angles, True
-                return rad_to_deg(angles)
-        raise InputError(f"positioner {self.plane.positioner_id[row]}: found no free place")
+                return True
+        return False
+
+    def _displace_neighbour(self, row: int) -> int | None:
+        near = [int(k) for k in self._placed_near(row)[:6] if not self.plane.offline[k]]
+        if not near:
+            return None
+        chosen = int(self.rng.choice(near))
+        self.placed[chosen] = False
+        return chosen
 
     def _anywhere(self, row: int) -> Floats:
         l_alpha = self.plane.arms[row, 2]
