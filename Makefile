@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench reproduce docs lint format inplace clean
+.PHONY: identification help setup run test check bench reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -55,6 +55,10 @@ reproduce: setup
 	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
 
 # With the report of the last `make reproduce`, where there is one.
+# Fifty random units of the twin, identified in full, against what they are.
+identification: setup
+	$(BIN)/python tests/calibration/recovery.py 50 0 full
+
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
 	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
