@@ -14,6 +14,7 @@ help:
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
+	@echo "make identification  fifty units identified in full, against what they are"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
