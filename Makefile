@@ -8,6 +8,7 @@ FRAMES ?= 20000000
 
 .PHONY: help setup run test check sanitized bench reproduce firmware-report docs lint format inplace clean
 .PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
+.PHONY: identification help setup run test check bench reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -18,6 +19,7 @@ help:
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
+	@echo "make identification  fifty units identified in full, against what they are"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -89,6 +91,9 @@ reproduce: setup
 # Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
 firmware-report: setup
 	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+# Fifty random units of the twin, identified in full, against what they are.
+identification: setup
+	$(BIN)/python tests/calibration/recovery.py 50 0 full
 
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict

@@ -10,6 +10,16 @@ from typing import Annotated, Any
 
 import typer
 
+from fiberloom import cli_bench
+from fiberloom.cli_options import (
+    InstrumentOption,
+    JsonOption,
+    LayoutOption,
+    PositionersOption,
+    SeedOption,
+)
+from fiberloom.cli_options import print_report as _print_report
+from fiberloom.cli_options import read_plane as _plane
 from fiberloom.errors import InputError
 
 app = typer.Typer(
@@ -21,16 +31,6 @@ app = typer.Typer(
 )
 calibrate = typer.Typer(no_args_is_help=True, help="Measure what is particular to each positioner.")
 app.add_typer(calibrate, name="calibrate")
-
-InstrumentOption = Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")]
-LayoutOption = Annotated[
-    Path | None, typer.Option(help="Folder with the layout: ours, or SDSS-V calibration files.")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="The one seed of everything random.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-PositionersOption = Annotated[
-    int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
-]
 
 
 class Correction(StrEnum):
@@ -70,17 +70,6 @@ def _root(
     ] = False,
 ) -> None:
     pass
-
-
-def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | None = None) -> Any:
-    from fiberloom.instruments import generate, load_instrument, read_layout
-
-    model = load_instrument(instrument)
-    if layout is None:
-        return generate(model, seed, n_positioners=positioners)
-    if positioners is not None:
-        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
-    return read_layout(layout, model)
 
 
 @app.command()
@@ -270,153 +259,6 @@ def transmission(
     report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
     _print_report(report, as_json)
     raise typer.Exit(1 if report["refused"] else 0)
-
-
-BenchPositioners = Annotated[
-    int | None, typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre.")
-]
-BenchFaults = Annotated[str, typer.Option("--faults", help="Put faults into the twin, e.g. dark=1.")]
-TruthOption = Annotated[bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")]
-WeightsOption = Annotated[
-    bool,
-    typer.Option("--weights/--data-sheet", help="Torques by known weights, or by the motor's data sheet."),
-]
-
-
-def _bench(
-    where: tuple[str, Path | None, int | None],
-    seed: int,
-    out: Path,
-    faults: str,
-    truth: bool,
-    quiet: bool,
-) -> Any:
-    """A bench with one positioner of a preset, unless told otherwise."""
-    from fiberloom.commands.bench import BenchRequest
-
-    instrument, layout, positioners = where
-    count = positioners if layout is not None else positioners or 1
-    plane = _plane(instrument, layout, seed, count)
-    return BenchRequest(plane, seed, out, faults, truth, quiet)
-
-
-def _identify(name: str, request: Any, work: Any, as_json: bool) -> None:
-    from fiberloom.commands.bench import table_rows
-    from fiberloom.commands.identify import run_identification
-    from fiberloom.report.tables import print_estimates
-
-    content, complete = run_identification(name, request, work)
-    if as_json:
-        typer.echo(json.dumps(content, indent=2))
-    else:
-        print_estimates(table_rows(content))
-        typer.echo(f"results in {request.out}/: {name}.json, {name}.ecsv, {name}.png")
-    raise typer.Exit(0 if complete else 1)
-
-
-@calibrate.command()
-def friction(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5,
-    weights: WeightsOption = True,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/friction"),
-    as_json: JsonOption = False,
-) -> None:
-    """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12)."""
-    from fiberloom.calibration import FrictionSettings
-    from fiberloom.commands.identify import friction_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = FrictionSettings(n_angles=places)
-    _identify("friction", request, friction_work(request, settings, weights), as_json)
-
-
-@calibrate.command()
-def inertia(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    pushes: Annotated[int, typer.Option(min=2, help="Torque steps, half of them upward.")] = 6,
-    weights: WeightsOption = True,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/inertia"),
-    as_json: JsonOption = False,
-) -> None:
-    """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14)."""
-    from fiberloom.calibration import InertiaSettings
-    from fiberloom.commands.identify import inertia_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = InertiaSettings(pushes=pushes)
-    _identify("inertia", request, inertia_work(request, settings, weights), as_json)
-
-
-@calibrate.command()
-def stiffness(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    repeats: Annotated[int, typer.Option(min=3, help="How often to pull to each side.")] = 10,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/stiffness"),
-    as_json: JsonOption = False,
-) -> None:
-    """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13)."""
-    from fiberloom.calibration import StiffnessSettings
-    from fiberloom.commands.identify import stiffness_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    _identify("stiffness", request, stiffness_work(request, StiffnessSettings(repeats=repeats)), as_json)
-
-
-@calibrate.command()
-def arms(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    points: Annotated[int, typer.Option(min=8, help="Points on each circle.")] = 40,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/arms"),
-    as_json: JsonOption = False,
-) -> None:
-    """Arm lengths and centre from the circles of both axes."""
-    from fiberloom.calibration import ArmsSettings
-    from fiberloom.commands.identify import arms_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    _identify("arms", request, arms_work(request, ArmsSettings(n_points=points)), as_json)
-
-
-@calibrate.command()
-def repeatability(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets.")] = 300,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/repeatability"),
-    as_json: JsonOption = False,
-) -> None:
-    """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17)."""
-    from fiberloom.calibration import RepeatabilitySettings
-    from fiberloom.commands.identify import repeatability_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = RepeatabilitySettings(visits=visits)
-    _identify("repeatability", request, repeatability_work(request, settings), as_json)
 
 
 @calibrate.command("focal-plane")
@@ -640,14 +482,7 @@ def match(
     _print_report(run_match(plane, request), as_json)
 
 
-def _print_report(report: Any, as_json: bool) -> None:
-    from fiberloom.report.tables import print_report
-
-    if as_json:
-        typer.echo(json.dumps(report, indent=2, default=str))
-    else:
-        print_report(report)
-
+cli_bench.register(app, calibrate)
 
 INTERRUPTED = 130
 

@@ -177,6 +177,29 @@ class Operation(Table):
     """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
 
 
+class Acceptance(Table):
+    """What a unit must show on a bench before it goes into the focal plane; None: not asked for."""
+
+    source: str = ""
+    """Who asks for it, and where."""
+    repeatability_um: Positive | None = None
+    """In x and y, rms, arm stretched."""
+    hysteresis_deg: Positive | None = None
+    """Between both contacts, largest: the backlash at the output."""
+    non_linearity_deg: Positive | None = None
+    """Largest deviation of an axis from its nominal ratio."""
+    non_linearity_slope: Positive | None = None
+    """Its largest change per angle, over steps of a turn / 183 (deg/deg)."""
+    arm_deviation_mm: Positive | None = None
+    """Of either arm from the nominal length."""
+    blind_error_um: Positive | None = None
+    """Largest distance from the target after a move without correction."""
+    moves: Annotated[int, Field(ge=1)] | None = None
+    """Until every target is within operation.requirement_um, the blind move counted."""
+    tilt_deg: Positive | None = None
+    """Of the fibre; a camera from above cannot see it."""
+
+
 class GuideCameras(Table):
     """Cameras in a ring around the field; only the edge that faces the field can be touched."""
 
@@ -256,6 +279,7 @@ class Instrument(Table):
     bodies: Bodies
     metrology: Metrology
     operation: Operation
+    acceptance: Acceptance | None = None
     layout: Layout
     scatter: UnitScatter
     twin: dict[str, Any] = Field(default_factory=dict)
