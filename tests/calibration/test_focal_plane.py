@@ -192,12 +192,14 @@ def test_the_design_reaches_a_micrometre_with_a_few_configurations():
     np.testing.assert_allclose(rms_um, promised, rtol=0.35)
     free = np.stack([place_random(wide, k) for k in range(10)], axis=1)
     random = fit_focal_plane(PLANE, free, measured(truth, free, rng))
-    assert np.sqrt((errors(random, truth)[:, :4] ** 2).mean()) > 2e-3 * rms_um.mean()
+    random_um = 1e3 * np.sqrt((errors(random, truth)[:, :4] ** 2).mean(axis=0))
+    print("at random [um]:", random_um)
+    assert random_um.mean() > 1.3 * rms_um.mean()
 
 
 def place_random(plane, k):
     rng = np.random.default_rng([k, 3])
-    options = rng.uniform([0.0, 0.0], [360.0, 180.0], (plane.n, 40, 2))
+    options = rng.uniform([0.0, 60.0], [360.0, 180.0], (plane.n, 40, 2))
     return place_by_worth(plane, options, rng.random((plane.n, 40)), k)
 
 
