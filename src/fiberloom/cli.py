@@ -265,7 +265,10 @@ def history(
     """Show what operation has taught the maps, generation by generation."""
     from fiberloom.commands.learnt import history_step
 
-    _print_report(history_step(learnt, positioner), as_json)
+    rows = history_step(learnt, positioner)
+    if not as_json:  # the others do not fit a terminal's width
+        rows = [{k: v for k, v in row.items() if k not in ("calibration", "seed")} for row in rows]
+    _print_report(rows, as_json)
 
 
 @calibrate.command()
