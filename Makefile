@@ -6,13 +6,14 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench reproduce docs lint format inplace clean
+.PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
+	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
@@ -49,6 +50,13 @@ bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
+
+# A hundred cycles as in the paper, and what a hundred other units would have shown.
+campaign: setup
+	$(BIN)/fiberloom lifetime --cycles 100 --positioners 2 --seed 0 --out runs/lifetime
+	$(BIN)/fiberloom lifetime --cycles 100 --every 11 --positioners 100 --seed 0 --workers $(JOBS) \
+	    --out runs/lifetime-100
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

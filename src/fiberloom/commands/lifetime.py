@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -63,13 +64,19 @@ def run_lifetime(request: LifetimeRequest) -> dict[str, Any]:
     )
     with waiting(request.quiet) as wait:
         wait.say(f"{request.settings.cycles} cycles of {request.positioners} positioners")
-        rows = campaign.run(
-            study,
-            request.out,
-            workers=request.workers,
-            scheduler=request.scheduler,
-            progress=wait.count,
-        )
+        try:
+            rows = campaign.run(
+                study,
+                request.out,
+                workers=request.workers,
+                scheduler=request.scheduler,
+                progress=wait.count,
+            )
+        except KeyboardInterrupt:
+            print(
+                f"what is finished is kept in {request.out}/chunks: the same command goes on", file=sys.stderr
+            )
+            raise
     curves = _curves(request, rows)
     result = _marks(request) | _result(request, rows) | {"summary": summarize(curves)}
     _write(request.out / "lifetime.json", result)
@@ -138,6 +145,7 @@ def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any
         "blind_true_rms_um": {way: _rms(e) for way, e in by_way["true_um"].items()},
         "corrected_true_rms_um": corrected,
         "moves_per_cycle": MOVES_PER_CYCLE,
+        "moves_to_targets": settings.approaches * (1 + settings.corrections),
         "positioners": request.positioners,
         "settings": asdict(settings),
         "put_in": {

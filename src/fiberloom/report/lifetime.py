@@ -115,13 +115,22 @@ def plot_deltas(path: Path, curves: LifetimeCurves) -> None:
     for panel in panels[-1]:
         panel.set_xlabel("beta [deg]")
     panels[0, 0].legend(fontsize=8)
-    change = np.abs(curves.delta_deg["true"][:, -1] - curves.delta_deg["true"][:, 0]).max()
-    figure.suptitle(
-        f"δ of the beta axis against its true course in cycle {curves.delta_cycles[0]}: "
-        f"wear changes it by up to {change:.2f} deg, the adaptive maps follow"
-    )
+    figure.suptitle(_delta_title(curves))
     figure.savefig(path, dpi=120)
     plt.close(figure)
+
+
+def _delta_title(curves: LifetimeCurves) -> str:
+    """Sizes in the last snapshot, where targets are."""
+    used = slice(len(curves.delta_angles_deg[1]) // 10, -len(curves.delta_angles_deg[1]) // 10)
+    last = {name: delta[:, -1, 1, used] for name, delta in curves.delta_deg.items()}
+    off = {k: 1e3 * float(np.sqrt(np.mean((last[k] - last["true"]) ** 2))) for k in _CURVES if k != "true"}
+    change = np.abs(curves.delta_deg["true"][:, -1, 1] - curves.delta_deg["true"][:, 0, 1]).max()
+    return (
+        f"δ of the beta axis less its true course in cycle {curves.delta_cycles[0]}: wear changes it by up to "
+        f"{change:.2f} deg.\nIn cycle {curves.delta_cycles[-1]} maps are off by {off['adaptive']:.0f} mdeg rms "
+        f"(adaptive), {off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
+    )
 
 
 _CURVES = {
