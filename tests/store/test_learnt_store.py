@@ -1,6 +1,8 @@
 """What was learnt: the newest stands, every earlier state can be had again, old stores are kept."""
 
 import sqlite3
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -82,3 +84,10 @@ def test_many_positioners_at_once(tmp_path):
         h.put(number, {p: learnt(text) for p in range(5000)})
     assert {s.data for s in h.latest().values()} == {b"y"}
     assert len(h.latest()) == 5000
+
+
+def test_two_processes_may_make_a_store_in_the_same_moment(tmp_path):
+    code = "import sys; from fiberloom.store import Store; Store.open(sys.argv[1]).close()"
+    words = [sys.executable, "-c", code, str(tmp_path / "s.sqlite")]
+    both = [subprocess.Popen(words, stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    assert [(p.communicate()[1], p.returncode) for p in both] == [("", 0)] * 3
