@@ -95,7 +95,6 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
         [sys.executable, "-m", "fiberloom.cli", *words],
         stderr=subprocess.PIPE,
         text=True,
-        env=dict(os.environ),
     )
     end = time.monotonic() + 240.0
     while not (learnt.exists() and history_step(str(learnt), None)):
