@@ -12,7 +12,6 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-
 _MARKS_UM = [m * 10.0**k for k in range(-2, 3) for m in (1, 2, 5)]
 
 
