@@ -441,6 +441,9 @@ def focal_plane(
         Path | None,
         typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
+    measured: Annotated[
+        Path | None, typer.Option(help="Fit what a store holds, also of an interrupted run; nothing moves.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane"),
     as_json: JsonOption = False,
 ) -> None:
@@ -457,6 +460,7 @@ def focal_plane(
         faults=faults,
         camera=camera.value,
         calibration=calibration,
+        measured=measured,
         quiet=as_json,
     )
     report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)

@@ -1,5 +1,6 @@
 """Observations that learn, and the survey of a focal plane, on the physics twin."""
 
+import dataclasses
 import json
 import signal
 import subprocess
@@ -79,6 +80,12 @@ def test_the_survey_finds_the_arms_and_observe_uses_them(field):
         assert error < 2.0 * last["standard_error_um"][name]
     stamp = json.loads((folder / "arms" / "focal_plane.json").read_text())
     assert {"version", "seed", "instrument", "config_hash", "utc"} <= set(stamp)
+    # the store alone gives the same arms (and the folded place as a ninth configuration)
+    again = dataclasses.replace(request, out=folder / "again", measured=folder / "arms" / "store.sqlite")
+    kept = run_calibrate_focal_plane(plane, again)
+    assert kept["refused"].keys() == summary["refused"].keys()
+    for name, error in kept["convergence"][-1]["error_um"].items():
+        assert error == pytest.approx(last["error_um"][name], abs=0.3)
     seen = observe(field, "with arms", arms=folder / "arms" / "arms.ecsv")
     assert seen["n_within_requirement"] >= N - 2
     with Store.open(folder / "arms" / "store.sqlite") as store:

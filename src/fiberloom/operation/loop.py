@@ -34,6 +34,9 @@ Flags = NDArray[np.bool_]
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
 
 
+ROUND_FAULTS = "blind, round faults"
+"""Label of a blind move after one that was stopped."""
+
 REST_TIMEOUT_S = 5.0
 """A stopped positioner stands after a fraction of a second."""
 
@@ -202,7 +205,7 @@ class Loop:
     async def blind_move(self) -> None:
         """Go to the goals by the maps; go round whatever turns out not to move."""
         for attempt in range(self.settings.recoveries + 1):
-            label = "blind" if attempt == 0 else f"blind, round faults {attempt}"
+            label = "blind" if attempt == 0 else f"{ROUND_FAULTS} {attempt}"
             self.progress(f"planning: {label}")
             plane = self.obstacles()
             goal_deg = np.where(self.mobile[:, None], self.goal_deg, self.here_deg)
