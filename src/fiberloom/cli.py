@@ -283,6 +283,9 @@ def focal_plane(
         Path | None,
         typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
+    measured: Annotated[
+        Path | None, typer.Option(help="Fit what a store holds, also of an interrupted run; nothing moves.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane"),
     as_json: JsonOption = False,
 ) -> None:
@@ -299,6 +302,7 @@ def focal_plane(
         faults=faults,
         camera=camera.value,
         calibration=calibration,
+        measured=measured,
         quiet=as_json,
     )
     report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)
@@ -319,7 +323,10 @@ def history(
     """Show what operation has taught the maps, generation by generation."""
     from fiberloom.commands.learnt import history_step
 
-    _print_report(history_step(learnt, positioner), as_json)
+    rows = history_step(learnt, positioner)
+    if not as_json:  # the others do not fit a terminal's width
+        rows = [{k: v for k, v in row.items() if k not in ("calibration", "seed")} for row in rows]
+    _print_report(rows, as_json)
 
 
 @calibrate.command()
