@@ -1,16 +1,18 @@
 # What a newcomer types: `make run`, `make test`. What a developer types: see CONTRIBUTING.md.
 PYTHON ?= python3
 VENV   := .venv
+JAEGER := .venv-jaeger
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench docs lint format inplace clean
+.PHONY: help setup run test jaeger test-jaeger check bench docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
+	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make docs     the documentation as a site, into site/"
@@ -35,7 +37,19 @@ run: setup
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
 
 test: setup
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+
+# The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
+jaeger: $(JAEGER)/.installed
+
+$(JAEGER)/.installed: tests/jaeger/requirements.txt
+	$(PYTHON) -m venv $(JAEGER)
+	$(JAEGER)/bin/pip install --quiet -r tests/jaeger/requirements.txt
+	$(JAEGER)/bin/pip install --quiet --no-deps --ignore-requires-python jaeger==1.11.1
+	@touch $@
+
+test-jaeger: setup jaeger
+	$(BIN)/pytest -m jaeger
 
 # The dispatcher under address and undefined-behaviour sanitizers, and without a heap to allocate from.
 check: lint
@@ -69,4 +83,4 @@ inplace:
 	cmake --build build/inplace
 
 clean:
-	rm -rf build .venv .cache site
+	rm -rf build .venv .venv-jaeger .cache site
