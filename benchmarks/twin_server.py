@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import subprocess
 import sys
 import time
@@ -21,10 +20,12 @@ from fiberloom.bus import CanNetTransport, Client, Trajectory
 from fiberloom.twin.server import addresses_of, device_count
 
 LISTEN = "127.0.0.1:19328"
+HOME, AWAY = (10.0, 170.0), (45.0, 175.0)  # alpha turns at 1935 rpm for 3.1 s
 
 
-def served(positioners: int, seconds: float) -> subprocess.Popen:
+def served(positioners: int, seconds: float, first: bool) -> subprocess.Popen:
     options = ["--listen", LISTEN, "--positioners", str(positioners), "--stop-after", str(seconds), "--json"]
+    options += ["--first"] if first else []
     return subprocess.Popen([sys.executable, "-m", "fiberloom.cli", "twin", *options], stdout=subprocess.PIPE)
 
 
@@ -41,12 +42,9 @@ async def drive(positioners: int, seconds: float, moving: bool) -> dict[str, flo
             await client.status(ids)
             await client.sleep(0.1)
             continue
-        goal = (50.0, 175.0) if there else (15.0, 170.0)
-        here = (15.0, 170.0) if there else (50.0, 175.0)
+        here, goal = (HOME, AWAY) if there else (AWAY, HOME)
         start = time.monotonic()
         path = Trajectory.from_deg([0.1, 3.2], *zip(here, goal, strict=True))
-        if there and load_s == 0.0:
-            path = Trajectory.from_deg([1.0, 4.1], *zip(here, goal, strict=True))
         sent = await client.send_trajectories(dict.fromkeys(ids, path))
         load_s = time.monotonic() - start
         assert sent.ok.all(), sent
@@ -67,25 +65,25 @@ async def connected(hosts: list[str]) -> CanNetTransport:
     raise SystemExit("the server does not listen")
 
 
-def measure(positioners: int, seconds: float, moving: bool) -> dict:
-    server = served(positioners, seconds + 6.0)
+def measure(positioners: int, seconds: float, moving: bool, first: bool) -> dict:
+    server = served(positioners, seconds + 6.0, first)
     driven = asyncio.run(drive(positioners, seconds, moving))
     out, _ = server.communicate()
-    cpu = os.times().children_user + os.times().children_system
     report = json.loads(out)
     keep = ("ticks", "resting", "share_kept", "p50_ms", "p99_ms", "worst_ms", "given_up_s")
-    return {k: report[k] for k in keep} | driven | {"load_average": report["load_average_1min"], "cpu": cpu}
+    return {k: report[k] for k in keep} | driven | {"load_average": report["load_average_1min"]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--first", action="store_true", help="as `fiberloom twin --first`")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     results = {}
     for name, moving in (("idle", False), ("moving", True)):
-        results[name] = measure(args.positioners, args.seconds, moving)
+        results[name] = measure(args.positioners, args.seconds, moving, args.first)
         print(name, json.dumps(results[name]))
     if args.out:
         args.out.write_text(json.dumps(results, indent=2))

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <pthread.h>
+#include <sched.h>
 #include <unistd.h>
 #include <utility>
 
@@ -72,6 +74,12 @@ void RealTime::post(const std::vector<Errand> &errands) {
         for (const Errand &errand : errands) inbox_.push({errand, posted_++});
     }
     change_.notify_all();
+}
+
+bool RealTime::go_first() {
+    sched_param lowest{};
+    lowest.sched_priority = sched_get_priority_min(SCHED_FIFO);
+    return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &lowest) == 0;
 }
 
 std::vector<Reply> RealTime::take() {

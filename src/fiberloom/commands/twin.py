@@ -32,6 +32,7 @@ class ServeRequest:
     speed: float = 1.0
     neighbours: bool = True
     bootloader: bool = False
+    first: bool = False
     report_every_s: float = 0.0
     stop_after_s: float | None = None
     jaeger_config: Path | None = None
@@ -54,6 +55,7 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
         troubles=troubles,
         seed=request.seed,
         bootloader=request.bootloader,
+        first=request.first,
     )
     if request.jaeger_config is not None:
         folder = prepare_folder(request.jaeger_config.resolve().parent)

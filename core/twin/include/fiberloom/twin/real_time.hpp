@@ -58,6 +58,8 @@ class RealTime {
 
     // Frames for the buses, none before its tick; those of one tick in the order of their posting.
     void post(const std::vector<Errand> &errands);
+    // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
+    bool go_first();
     // What the positioners sent since the last call.
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
