@@ -42,9 +42,9 @@ test: setup
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed
 
-$(JAEGER)/.installed: tests/jaeger/requirements.txt
+$(JAEGER)/.installed: tests/real_jaeger/requirements.txt
 	$(PYTHON) -m venv $(JAEGER)
-	$(JAEGER)/bin/pip install --quiet -r tests/jaeger/requirements.txt
+	$(JAEGER)/bin/pip install --quiet -r tests/real_jaeger/requirements.txt
 	$(JAEGER)/bin/pip install --quiet --no-deps --ignore-requires-python jaeger==1.11.1
 	@touch $@
 

@@ -194,7 +194,7 @@ class _Listener:
 
     def write(self, line: str) -> None:
         """A line to the host, if there is one and it reads."""
-        if self.host is None or self.host.transport is None:
+        if self.host is None or self.host.transport is None or self.host.transport.is_closing():
             return
         if self.host.transport.get_write_buffer_size() > BACKLOG_BYTES:
             self.server.traffic.unread += 1

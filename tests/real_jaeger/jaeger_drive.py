@@ -11,14 +11,13 @@ import time
 import traceback
 
 import numpy as np
+from jaeger import FPS
 from jaeger.commands import CommandID
 from jaeger.commands.bootloader import load_firmware
 from jaeger.commands.calibration import calibrate_positioners
 from jaeger.commands.trajectory import Trajectory
 from jaeger.maskbits import BootloaderStatus, FPSStatus
 from jaeger.maskbits import PositionerStatus as PS
-
-from jaeger import FPS
 
 QUIET = {"save_snapshot": False}  # snapshots need the observatory's calibration files
 SCENARIOS = {}
