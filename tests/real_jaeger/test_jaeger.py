@@ -203,6 +203,7 @@ def test_collision_locks_and_unlock_frees(jaeger):
     assert answer["miss_deg"] < MISS_DEG
 
 
+@pytest.mark.long
 def test_calibrations_and_homing(jaeger):
     # on a bench, and ten times as fast: nobody wants to watch a datum search
     with Served("bench", 2, "--no-neighbours", "--speed", "10"):
@@ -213,6 +214,7 @@ def test_calibrations_and_homing(jaeger):
     assert answer["miss_deg"] < MISS_DEG
 
 
+@pytest.mark.long
 def test_firmware_upgrade(jaeger, tmp_path):
     image = tmp_path / "tendo_v04.01.22.bin"
     image.write_bytes(bytes(range(256)) * 4 + b"tail")  # 1028 bytes: the last frame is shorter

@@ -61,17 +61,33 @@ double RealTime::tick_now() const {
     return std::chrono::duration<double>(Clock::now() - start_) / tick_;
 }
 
-// Ticks that have begun by the wall clock and are not computed.
+// By the wall clock: also the number of the tick that begins next.
+uint64_t RealTime::ticks_begun() const {
+    return static_cast<uint64_t>(std::max((Clock::now() - start_) / tick_, 0.0)) + 1;
+}
+
+// Ticks that have begun and are not computed.
 uint64_t RealTime::ticks_due() const {
-    const double begun = std::floor(std::chrono::duration<double>(Clock::now() - start_) / tick_) + 1.0;
-    const double left = begun - static_cast<double>(twin_.tick());
-    return left > 0.0 ? static_cast<uint64_t>(left) : 0;
+    const uint64_t begun = ticks_begun();
+    return begun > twin_.tick() ? begun - twin_.tick() : 0;
+}
+
+// Of so many ticks, those in which nothing happens.
+uint64_t RealTime::idle_ticks(uint64_t ticks) const {
+    if (!twin_.resting()) return 0;
+    if (inbox_.empty()) return ticks;
+    const uint64_t first = inbox_.top().errand.tick;
+    return first > twin_.tick() ? std::min(ticks, first - twin_.tick()) : 0;
 }
 
 void RealTime::post(const std::vector<Errand> &errands) {
     {
         const std::lock_guard lock(mutex_);
-        for (const Errand &errand : errands) inbox_.push({errand, posted_++});
+        const uint64_t next = ticks_begun();
+        for (Errand errand : errands) {
+            errand.tick = std::max(errand.tick, next);
+            inbox_.push({errand, posted_++});
+        }
     }
     change_.notify_all();
 }
@@ -145,11 +161,10 @@ void RealTime::compute(std::unique_lock<std::mutex> &lock, uint64_t ticks) {
     wake_taker();
 }
 
-// True when nobody moved and nothing came: time is made up for without computing it.
-bool RealTime::rest(std::unique_lock<std::mutex> &lock) {
-    if (!twin_.resting()) return false;
+// While nothing moves and nothing comes there is no need to look at the clock.
+void RealTime::rest(std::unique_lock<std::mutex> &lock) {
     const auto something = [this] { return stop_ || holders_ > 0 || !inbox_.empty(); };
-    return !change_.wait_for(lock, nap, something);
+    if (twin_.resting()) change_.wait_for(lock, nap, something);
 }
 
 void RealTime::loop() {
@@ -159,8 +174,7 @@ void RealTime::loop() {
         rest(lock);
         if (stop_ || holders_ > 0) continue;
         catch_up_or_give_up();
-        const bool resting = twin_.resting();
-        uint64_t ticks = ticks_due();
+        const uint64_t ticks = ticks_due(), idle = idle_ticks(ticks);
         if (ticks == 0) {
             const Clock::time_point next = due(twin_.tick());
             lock.unlock();
@@ -168,14 +182,8 @@ void RealTime::loop() {
             lock.lock();
             continue;
         }
-        // while everybody rests, up to the present at once: what came, came now
-        if (resting && ticks > 1) {
-            compute(lock, ticks - 1);
-            if (holders_ > 0) continue;
-            ticks = 1;
-        }
-        deliver();
-        compute(lock, std::min(ticks, inbox_.empty() ? most_ticks : 1));
+        if (idle == 0) deliver();
+        compute(lock, idle > 0 ? idle : std::min(ticks, inbox_.empty() ? most_ticks : 1));
     }
 }
 

@@ -56,7 +56,8 @@ class RealTime {
     RealTime(const RealTime &) = delete;
     RealTime &operator=(const RealTime &) = delete;
 
-    // Frames for the buses, none before its tick; those of one tick in the order of their posting.
+    // Frames for the buses, none before its tick nor in one that has begun; those of one tick in the order of
+    // their posting.
     void post(const std::vector<Errand> &errands);
     // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
     bool go_first();
@@ -81,11 +82,13 @@ class RealTime {
         }
     };
     void loop();
-    bool rest(std::unique_lock<std::mutex> &lock);
+    void rest(std::unique_lock<std::mutex> &lock);
     void compute(std::unique_lock<std::mutex> &lock, uint64_t ticks);
     void deliver();
     void catch_up_or_give_up();
+    uint64_t ticks_begun() const;
     uint64_t ticks_due() const;
+    uint64_t idle_ticks(uint64_t ticks) const;
     Clock::time_point due(uint64_t tick) const;
     void wake_taker();
 
