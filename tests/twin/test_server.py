@@ -18,7 +18,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.misbehave import troubles_of
-from fiberloom.twin.server import Address, TwinServer, places_of
+from fiberloom.twin.server import BACKLOG_BYTES, Address, TwinServer, places_of
 
 PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=8)
 UNITS = draw_units(PLANE, seed=2)
@@ -351,3 +351,32 @@ def test_an_address_in_use_is_an_input_error():
             await other.open()
 
     run(scenario)
+
+
+class Deaf:
+    """A socket that nobody reads."""
+
+    waiting = 0
+
+    def write(self, data):
+        self.waiting += len(data)
+
+    def get_write_buffer_size(self):
+        return self.waiting
+
+    def is_closing(self):
+        return False
+
+
+def test_what_a_host_does_not_read_is_thrown_away_and_counted():
+    async def scenario(server, client):
+        listener = server.listeners[0]
+        mine, listener.host.transport = listener.host.transport, Deaf()
+        for _ in range(BACKLOG_BYTES // 50):
+            listener.write("M 1 CED 00040C10 01 02 03 04 05 06 07 08 and so on and so on and so on")
+        kept, listener.host.transport = listener.host.transport.waiting, mine
+        return kept, server.traffic.unread
+
+    kept, unread = run(scenario)
+    assert BACKLOG_BYTES <= kept < BACKLOG_BYTES + 100
+    assert unread > 5000

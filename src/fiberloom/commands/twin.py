@@ -12,7 +12,6 @@ from typing import Any
 
 import typer
 
-from fiberloom.commands.outputs import prepare_folder
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import Twin, draw_units
@@ -58,7 +57,8 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
         first=request.first,
     )
     if request.jaeger_config is not None:
-        folder = prepare_folder(request.jaeger_config.resolve().parent)
+        folder = request.jaeger_config.resolve().parent
+        folder.mkdir(parents=True, exist_ok=True)
         request.jaeger_config.write_text(jaeger_config(addresses, folder))
     report = asyncio.run(_serve(server, request, len(plane), addresses))
     typer.echo(json.dumps(report, indent=2) if request.as_json else _text(report))
