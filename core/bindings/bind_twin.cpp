@@ -49,6 +49,13 @@ Transmission transmission_of(const Input1<double> &row) {
     return t;
 }
 
+PlantParams params_of(const Input1<double> &row) {
+    if (row.size() != param_doubles) throw nb::value_error("plant: one row of PLANT_PARAMS");
+    PlantParams p;
+    std::memcpy(static_cast<void *>(&p), row.data(), sizeof p);
+    return p;
+}
+
 nb::list plant_params() {
     nb::list out;
     for (const PlantParamInfo &p : plant_param_infos)
@@ -318,6 +325,14 @@ void twin_fault(Twin &twin, size_t index, int axis, const std::string &kind, boo
     twin.set_faults(index, f);
 }
 
+void twin_slip(Twin &twin, size_t index, int axis, double up, double down) {
+    check_axis(axis);
+    PositionerFaults f = twin.faults(index);
+    f.axes[axis].follows_up = up;
+    f.axes[axis].follows_down = down;
+    twin.set_faults(index, f);
+}
+
 void bind_whole_twin(nb::module_ &m) {
     nb::class_<Twin>(m, "Twin", "Positioners with firmware on a virtual bus.")
         .def("__init__", &twin_init, nb::kw_only(), nb::arg("ids"), nb::arg("plant"), nb::arg("transmission"),
@@ -334,6 +349,8 @@ void bind_whole_twin(nb::module_ &m) {
              [](Twin &t, size_t i, int axis) { return check_axis(axis), twin_scope(t, i, axis); })
         .def("take_touches", &twin_touches)
         .def("fault", &twin_fault, nb::arg("index"), nb::arg("axis"), nb::arg("kind"), nb::arg("on"))
+        .def("slip", &twin_slip, nb::arg("index"), nb::arg("axis"), nb::arg("up"), nb::arg("down"),
+             "Share of the gear's way that the arm makes, upwards and downwards; 1 and 1: no fault.")
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
         .def("set_external_torque",
              [](Twin &t, size_t i, int axis, double torque_Nm) {
@@ -342,6 +359,10 @@ void bind_whole_twin(nb::module_ &m) {
         .def("set_transmission",
              [](Twin &t, size_t i, int axis, const Input1<double> &row) {
                  check_axis(axis), t.set_transmission(i, axis, transmission_of(row));
+             })
+        .def("set_params",
+             [](Twin &t, size_t i, int axis, const Input1<double> &row) {
+                 check_axis(axis), t.set_params(i, axis, params_of(row));
              })
         .def("backlash_rad",
              [](Twin &t, size_t i, int axis) {
@@ -404,10 +425,10 @@ void bind_twin(nb::module_ &m) {
     t.attr("NODES_PER_TURN") = nodes_per_turn;
     t.attr("TICK_S") = tick_s;
     t.attr("SYNC_TICKS") = sync_ticks;
-    t.attr("SCOPE_FIELDS") =
-        nb::make_tuple("time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm",
-                       "duty_a", "duty_b", "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg",
-                       "tracking_deg", "command_speed_rad_s", "feedback_Nm", "feedforward_Nm", "voltage");
+    t.attr("SCOPE_FIELDS") = nb::make_tuple(
+        "time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm", "duty_a", "duty_b",
+        "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg", "tracking_deg", "command_speed_rad_s",
+        "feedback_Nm", "feedforward_Nm", "voltage", "load_Nm", "touch_Nm");
     t.def("transmission", &evaluate_transmission, nb::arg("transmission"), nb::arg("gear_ratio"),
           nb::arg("output_rad"), "Gear angle T- and backlash B, motor rad, at output angles.");
     bind_plant(t);

@@ -287,6 +287,11 @@ void Twin::set_transmission(size_t i, int axis, const Transmission &transmission
     s_->plant.set_transmission(2 * i + static_cast<size_t>(axis), transmission);
 }
 
+void Twin::set_params(size_t i, int axis, const PlantParams &params) {
+    s_->at(i).wake(s_->now);
+    s_->plant.set_params(2 * i + static_cast<size_t>(axis), params);
+}
+
 void Twin::power_cycle(size_t i, bool bootloader) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);

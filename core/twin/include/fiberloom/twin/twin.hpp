@@ -55,6 +55,7 @@ struct ScopeSample {
     double duty[3];
     double hall_cnt[2];
     double command_deg, tracking_deg, command_speed_rad_s, feedback_Nm, feedforward_Nm, voltage;
+    double load_Nm, touch_Nm;
 };
 
 struct PositionerFaults {
@@ -99,6 +100,7 @@ class Twin {
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
+    void set_params(size_t positioner, int axis, const PlantParams &params);
     // Power off and on: the firmware starts anew with what its storage holds, after the bootloader has waited
     // its ten seconds for an upgrade, or at once.
     void power_cycle(size_t positioner, bool bootloader = false);
