@@ -131,6 +131,7 @@ class Jaeger:
         self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.lines.wait_for("RESULT ", timeout_s))
+        print(scenario, answer)  # `pytest -m jaeger -rP` shows it
         assert "error" not in answer, answer["error"] + "".join(self.lines.seen[-60:])
         return answer
 

@@ -88,9 +88,9 @@ void RealTime::post(const std::vector<Errand> &errands) {
 }
 
 bool RealTime::go_first() {
-    sched_param lowest{};
-    lowest.sched_priority = sched_get_priority_min(SCHED_FIFO);
-    return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &lowest) == 0;
+    sched_param low{};
+    low.sched_priority = sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
+    return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &low) == 0;
 }
 
 std::vector<Reply> RealTime::take() {
