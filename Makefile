@@ -62,6 +62,7 @@ check: lint
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
+	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
