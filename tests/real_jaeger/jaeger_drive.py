@@ -137,8 +137,10 @@ async def collision(fps, job):
     await fps.unlock()
     answer["locked_after"] = fps.locked
     await sent(fps, {i: (goals[i][0], home[i][1]) for i in goals})
+    answer["folded_again_at"] = where(fps, goals)
     await sent(fps, home)
     answer["miss_deg"] = largest_miss(fps, home)
+    answer["began_and_ended_at"] = [list(home.values()), where(fps, home)]
     return answer
 
 
