@@ -89,7 +89,8 @@ void RealTime::post(const std::vector<Errand> &errands) {
 
 bool RealTime::go_first() {
     sched_param low{};
-    low.sched_priority = sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
+    low.sched_priority =
+        sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
     return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &low) == 0;
 }
 
