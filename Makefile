@@ -1,20 +1,21 @@
 # What a newcomer types: `make run`, `make test`. What a developer types: see CONTRIBUTING.md.
 PYTHON ?= python3
 VENV   := .venv
+JAEGER := .venv-jaeger
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check sanitized bench reproduce firmware-report docs lint format inplace clean
-.PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
-.PHONY: identification help setup run test check bench reproduce docs lint format inplace clean
+.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
+.PHONY: firmware-report docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
 	@echo "              moves without a false collision or a lost count, linters"
+	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
@@ -43,7 +44,19 @@ run: setup
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
 
 test: setup
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+
+# The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
+jaeger: $(JAEGER)/.installed
+
+$(JAEGER)/.installed: tests/real_jaeger/requirements.txt
+	$(PYTHON) -m venv $(JAEGER)
+	$(JAEGER)/bin/pip install --quiet -r tests/real_jaeger/requirements.txt
+	$(JAEGER)/bin/pip install --quiet --no-deps --ignore-requires-python jaeger==1.11.1
+	@touch $@
+
+test-jaeger: setup jaeger
+	$(BIN)/pytest -m jaeger
 
 # The dispatcher under address and undefined-behaviour sanitizers, and without a heap to allocate from.
 check: lint
@@ -73,6 +86,7 @@ sanitized: setup
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
+	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
 	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
@@ -118,4 +132,4 @@ inplace:
 	cmake --build build/inplace
 
 clean:
-	rm -rf build .venv .cache site
+	rm -rf build .venv .venv-jaeger .cache site

@@ -212,6 +212,9 @@ def twin(
     bootloader: Annotated[
         bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
     ] = False,
+    first: Annotated[
+        bool, typer.Option("--first", help="Clock before all ordinary programs; the system must allow it.")
+    ] = False,
     jaeger_config: Annotated[
         Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
     ] = None,
@@ -234,6 +237,7 @@ def twin(
         speed=speed,
         neighbours=neighbours,
         bootloader=bootloader,
+        first=first,
         jaeger_config=jaeger_config,
         report_every_s=report_every,
         stop_after_s=stop_after,
