@@ -13,7 +13,7 @@ from fiberloom.metrology.commands import CentroidRequest, MatchRequest, centroid
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.spots import SpotSettings
 from fiberloom.planning import write_configuration
-from fiberloom.twin import imaging
+from fiberloom.twin.cameras import camera_model
 from fiberloom.twin.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, StillScene
 
 RADIUS_MM = 150.0
@@ -126,7 +126,7 @@ def test_turbulence_is_removed_by_those_who_stand(small):
 
 @pytest.mark.parametrize(("name", "rms_nm"), [("workspace", 669.0), ("close-up", 101.0)])
 def test_figure_18_comes_out_of_photons_and_pixels(name, rms_nm):
-    model = imaging.camera_model(name)
+    model = camera_model(name)
     model = replace(
         model,
         optics=replace(model.optics, geometry=replace(model.optics.geometry, width_px=200, height_px=200)),
@@ -228,6 +228,6 @@ def test_plots_of_an_exposure(small, tmp_path):
 
 def test_unknown_presets_are_refused():
     with pytest.raises(InputError, match="sdssv"):
-        imaging.camera_model("hubble")
+        camera_model("hubble")
     with pytest.raises(InputError, match="moffat"):
         Psf("airy")
