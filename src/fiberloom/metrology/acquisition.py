@@ -324,7 +324,7 @@ class _Hunt:
 
     def best(self, proposals: list[Similarity]) -> Acquisition:
         """The proposal that explains most spots, if it does so better than any different one."""
-        grown = [(self._score(g), g) for p in proposals if (g := self.grow(p)) is not None]
+        grown = [(self._score(g), g) for g in self._grown(proposals)]
         if not grown:
             raise AcquisitionError(
                 f"no {self.needed} of {len(self.fiducials)} fiducials found among "
@@ -333,8 +333,7 @@ class _Hunt:
         grown.sort(key=lambda pair: -pair[0])
         score, winner = grown[0]
         for other_score, other in grown[1:]:
-            same = np.abs(winner.transform.to_mm(self.px) - other.transform.to_mm(self.px)).max()
-            if same > 1.0 and other_score > 0.8 * score:
+            if not self._alike(winner.transform, other.transform, _SAME_MM) and other_score > 0.8 * score:
                 turn = other.transform.similarity.rotation_deg - winner.transform.similarity.rotation_deg
                 raise AcquisitionError(
                     f"the fiducials fit as well turned by {turn:.0f} deg; give the rotation to "
@@ -350,7 +349,24 @@ class _Hunt:
             hits = int((distance * self.geometry.scale_mm_px < 0.5).sum())
         return len(found.fiducial) + hits
 
-    def grow(self, base: Similarity) -> Acquisition | None:
+    def _grown(self, proposals: list[Similarity]) -> list[Acquisition]:
+        """What the proposals grow into, each once."""
+        out: list[Acquisition] = []
+        for proposal in proposals:
+            rough = self.grow(proposal)
+            if rough is None or any(self._alike(rough, known.transform, _ALIKE_MM) for known in out):
+                continue
+            polished = self.polish(rough)
+            if polished is not None:
+                out.append(polished)
+        return out
+
+    def _alike(self, one: FieldTransform, other: FieldTransform, within_mm: float) -> bool:
+        """Do both say the same of where fiducials are?"""
+        px = self.marks_px
+        return bool(np.median(np.hypot(*(one.to_mm(px) - other.to_mm(px)).T)) < within_mm)
+
+    def grow(self, base: Similarity) -> FieldTransform | None:
         """From a proposal outwards: similarity on what is near, then ring by ring with distortion."""
         px, guides = self._guides()
         middle = self.fiducials.mean(axis=0)
@@ -370,7 +386,7 @@ class _Hunt:
             transform = self._few_terms(self.marks_px[spot], self.marks_mm[near[index]])
         if len(index) < self.needed_marks:
             return None
-        return self.polish(transform)
+        return transform
 
     def _few_terms(self, px: Floats, mm: Floats) -> FieldTransform:
         """Robust against the wrong pairs of a wide gate, and bent as lenses bend."""
@@ -434,6 +450,8 @@ class _Hunt:
 
 
 _SMALL_TURN_DEG = 2.0
+_SAME_MM, _ALIKE_MM = 1.0, 0.5
+"""Transforms nearer than this over half of the field are one answer: after polishing, and before."""
 _PINHOLES_MM = 2.5
 """Fiducials nearer to each other than this are pinholes of one body."""
 
