@@ -46,8 +46,8 @@ def check_motors(instrument: Instrument) -> None:
         if (axis.kind, axis.closed_loop, axis.gear) != ("bldc", True, GEAR):
             loop = "closed" if axis.closed_loop else "open"
             raise InputError(
-                f"{instrument.name}: {name} is a {axis.kind} motor in {loop} loop with a gear of {axis.gear:g}; "
-                f"the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
+                f"{instrument.name}: {name} is a {axis.kind} motor in {loop} loop with a gear of "
+                f"{axis.gear:g}; the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
                 "assign, plan, verify, centroid and match work with this instrument"
             )
 
