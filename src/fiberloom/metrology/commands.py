@@ -15,7 +15,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.metrology.acquisition import Acquisition, CameraGeometry, acquire
 from fiberloom.metrology.cameras import geometry_of, reduction_settings
-from fiberloom.metrology.images import CameraImage, read_image
+from fiberloom.metrology.images import CameraImage, read_image, trouble
 from fiberloom.metrology.matching import Match, MatchStatus, match_spots
 from fiberloom.metrology.pipeline import metrology_reach_mm
 from fiberloom.metrology.spots import (
@@ -94,6 +94,8 @@ def _report(image: CameraImage, found: Found) -> dict[str, Any]:
         "noise_adu": round(found.noise_adu, 3),
         "gain_e_adu": image.gain_e_adu,
     }
+    if not len(spots):
+        report["note"] = trouble(image)
     if len(found.spots) > len(spots):
         report["not_found"] = len(found.spots) - len(spots)
     if len(spots):

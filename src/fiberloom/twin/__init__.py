@@ -1,5 +1,6 @@
 """A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
+from .bench_camera import BenchCamera, static_fibre_um
 from .camera import NoiseCamera
 from .draw import draw_units, put_in, worn
 from .faults import Fault, FaultKind
@@ -9,6 +10,7 @@ from .twin import Reply, Twin
 from .units import Units
 
 __all__ = [
+    "BenchCamera",
     "Fault",
     "FaultKind",
     "NoiseCamera",
@@ -20,5 +22,6 @@ __all__ = [
     "draw_units",
     "field_hardware",
     "put_in",
+    "static_fibre_um",
     "worn",
 ]
