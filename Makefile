@@ -49,6 +49,7 @@ bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

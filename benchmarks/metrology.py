@@ -6,8 +6,8 @@
 Images are those of tests/metrology/scenes.py (peak 2 000 to 50 000 electrons, background 100, read
 noise 10) and lie in memory. CPU seconds of the whole process, the best of several runs. R is the rms
 error over the rms of the Cramer-Rao bound; missed and false count spots. sep, photutils and OpenCV
-are used where they are installed (`pip install sep photutils opencv-python-headless`); photutils
-only with --slow.
+are used where they are installed (`.venv/bin/pip install sep photutils opencv-python-headless`);
+photutils only with --slow.
 """
 
 import argparse
@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
 from fiberloom import __version__
@@ -247,6 +249,18 @@ def nearest_exclusive(field, limit=7.0):
     return out
 
 
+def reach_only(field):
+    """One spot each inside the reach, wherever it is expected."""
+    low, high = field.reach
+    near = cKDTree(field.centres).query_ball_point(field.spots, high)
+    k = np.repeat(np.arange(len(field.spots)), [len(n) for n in near])
+    i = np.concatenate(near).astype(int)
+    inside = np.hypot(*(field.spots[k] - field.centres[i]).T) >= low
+    shape = (len(field.centres), len(field.spots))
+    graph = csr_array((np.ones(inside.sum()), (i[inside], k[inside])), shape=shape)
+    return maximum_bipartite_matching(graph, perm_type="column")
+
+
 def ours_match(field):
     return field.match().spot
 
@@ -263,7 +277,10 @@ def right_wrong_lost(field, spot):
 
 def matching_table():
     report = {}
-    rules = {"nearest": nearest, "nearest, exclusive, 7 mm": nearest_exclusive, "fiberloom": ours_match}
+    rules = {
+        "nearest": nearest, "nearest, exclusive, 7 mm": nearest_exclusive,
+        "assignment by reach": reach_only, "fiberloom": ours_match,
+    }  # fmt: skip
     cases = {
         "1 % astray, 1 % dark, 5 strays": {"astray": 0.01, "dark": 0.01, "stray": 5},
         "5 % astray, 3 % dark, 60 strays": {},

@@ -133,7 +133,7 @@ class Spotted:
 
 
 @pytest.mark.parametrize("name", SEEING)
-@pytest.mark.parametrize(("turn", "dark_side"), [(0.0, 0.0), (10.0, 0.0), (-10.0, 0.2)])
+@pytest.mark.parametrize(("turn", "dark_side"), [(10.0, 0.0), (-10.0, 0.2)])
 def test_no_wrong_pair_on_the_layouts_of_three_instruments(name, turn, dark_side):
     """5 % moved wrongly, 3 % dark, 60 strays, a rotator off by 10 deg, a fifth dark on one side."""
     field = Spotted(name, 3, turn, dark_side)
