@@ -71,7 +71,7 @@ class MatchSettings:
     """Share of the positioners that did not move when told to."""
     reach_margin_mm: float = 0.3
     """Reach of the arms counts this much larger: calibrations and measurements err."""
-    wrong_pairs: float = 0.02
+    wrong_pairs: float = 0.05
     """Expected number of wrong pairs in one image that is tolerated, among those not beyond doubt."""
 
 
