@@ -32,6 +32,7 @@ from fiberloom.metrology.acquisition import AcquisitionSettings, acquire
 from fiberloom.metrology.matching import match_spots
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
+from fiberloom.twin import static_fibre_um
 from fiberloom.twin.cameras import camera_model
 from fiberloom.twin.imaging import ImagingCamera, StillScene
 
@@ -423,6 +424,20 @@ def desi_spots():
     return out
 
 
+def bench_cameras(seeds=3):
+    """Kronig 2020, Fig. 18: 669 and 101 nm; the flux of each is tuned to that."""
+    out = {}
+    for name, images in (("workspace", 1000), ("close-up", 400)):
+        runs = [static_fibre_um(name, images, seed) for seed in range(seeds)]
+        out[name] = {
+            "rms_nm": round(
+                1e3 * float(np.sqrt(np.mean([np.sum(xy**2, axis=1).mean() for xy, _ in runs]))), 1
+            ),
+            "stated_nm": round(1e3 * float(np.mean([stated for _, stated in runs])), 1),
+        }
+    return out
+
+
 def show(title, rows):
     print(f"\n{title}")
     for label, row in rows.items():
@@ -441,7 +456,12 @@ def main():
         "widths": width_table,
         "dirt": lambda: dirt_table(args.slow),
         "matching": matching_table,
-        "chain": lambda: {"sdssv": chain_sdssv(), "desi": chain_desi(), "desi spots": desi_spots()},
+        "chain": lambda: {
+            "sdssv": chain_sdssv(),
+            "desi": chain_desi(),
+            "desi spots": desi_spots(),
+            "bench": bench_cameras(),
+        },
     }
     report = {"version": __version__, "machine": platform.processor() or platform.machine()}
     for name, part in parts.items():
