@@ -37,19 +37,26 @@ def field_hardware(
     return _hardware(twin, seed, camera)
 
 
-def check_motors(instrument: Instrument) -> None:
-    """Refuses an instrument whose motors the twin and its firmware do not have."""
+def missing_in_twin(instrument: Instrument) -> str:
+    """What the twin and its firmware lack to drive an instrument in a loop; empty: nothing."""
     if not instrument.metrology.present:
-        raise InputError(f"{instrument.name} has no metrology camera: it cannot be observed in a loop")
+        return f"{instrument.name} has no metrology camera: it cannot be observed in a loop"
     for name in ("alpha", "beta"):
         axis: Axis = getattr(instrument, name)
         if (axis.kind, axis.closed_loop, axis.gear) != ("bldc", True, GEAR):
             loop = "closed" if axis.closed_loop else "open"
-            raise InputError(
+            return (
                 f"{instrument.name}: {name} is a {axis.kind} motor in {loop} loop with a gear of "
                 f"{axis.gear:g}; the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
                 "assign, plan, verify, centroid and match work with this instrument"
             )
+    return ""
+
+
+def check_motors(instrument: Instrument) -> None:
+    """Refuses an instrument that the twin cannot drive."""
+    if reason := missing_in_twin(instrument):
+        raise InputError(reason)
 
 
 def _hardware(twin: Twin, seed: int, camera: str = "noise") -> Hardware:
