@@ -90,6 +90,7 @@ bench: setup
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
 	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
+	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
 	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
 
 # A hundred cycles as in the paper, and what a hundred other units would have shown.

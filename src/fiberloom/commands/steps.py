@@ -20,6 +20,7 @@ from fiberloom.planning import (
 )
 from fiberloom.store import Store
 from fiberloom.targets import read_targets
+from fiberloom.twin.hardware import missing_in_twin
 
 
 def assign_step(plane: FocalPlane, targets: Path, seed: int, out: Path) -> dict[str, Any]:
@@ -93,7 +94,8 @@ def instruments_step(name: str | None) -> Any:
             "pitch_mm": i.layout.pitch_mm,
             "motor": i.alpha.kind,
             "requirement_um": i.operation.requirement_um,
-            "description": i.description,
+            "images": "yes" if i.camera else "no",
+            "twin_drives_it": "yes" if not missing_in_twin(i) else "no",
         }
         for i in map(load_instrument, instrument_names())
     ]
