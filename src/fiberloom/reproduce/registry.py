@@ -51,6 +51,7 @@ FIGURES: tuple[Figure, ...] = (
     Figure("eq22", "Collision detection", "eq22_collision"),
     Figure("17", "Repeatability of three targets 1 um apart", "fig17_repeatability"),
     Figure("19", "Precision iterations", "fig19_iterations"),
+    Figure("20", "In-focal-plane calibration", "fig20_focal_plane"),
 )
 
 
