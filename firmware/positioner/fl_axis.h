@@ -23,9 +23,7 @@
 /* What the laws need, computed once from the parameters. */
 typedef struct fl_axis_law {
     fl_hall_config_t hall;
-    fl_servo_config_t servo;
-    fl_collision_config_t collision;
-    float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
+    fl_drive_config_t drive;
     float open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
     int32_t datum_step_cnt;
@@ -89,7 +87,7 @@ typedef struct fl_axis {
     int32_t position_cnt; /* last measured; at rest where the move settled */
     int32_t raw_cnt;
     fl_hall_state_t hall;
-    fl_servo_state_t servo;
+    fl_drive_state_t drive;
 
     /* the last tick, for logs */
     fl_command_t command;
@@ -160,7 +158,7 @@ static inline bool fl_axis_tracks(const fl_axis_t *a) {
 }
 /* a->hall is that of this tick. Moves the command on. */
 void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
-/* a->servo, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
+/* a->drive, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
  * are as in the tick before. */
 fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck);
 

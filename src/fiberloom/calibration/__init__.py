@@ -41,6 +41,7 @@ from fiberloom.calibration.sweep import (
     SweepSettings,
     calibrate_transmission,
     measure_sweeps,
+    wire_grid,
 )
 from fiberloom.calibration.torque import TorqueScale, data_sheet_scale
 from fiberloom.calibration.torque_scale import (
@@ -113,4 +114,5 @@ __all__ = [
     "measure_sweeps",
     "measure_torque_scale",
     "measured_scale",
+    "wire_grid",
 ]

@@ -124,7 +124,9 @@ class AdaptiveCalibration:
         `arms_covariance_mm2` is (N, 4, 4) of centre x, y, l_alpha, l_beta, as `focal_plane` fits.
         """
         self.settings = settings or AdaptiveSettings()
-        self._given, self._maps = plane, maps.select(maps.rows_of(plane.positioner_id))
+        self.given = plane
+        """The focal plane as it was before anything was learnt."""
+        self._maps = maps.select(maps.rows_of(plane.positioner_id))
         factor = self.settings.refine if self.improved else 1
         self.wire_deg = lines.refine(self._maps.wire_deg[:, :, 0], factor)
         """(N, 2, K) motor side of the knots."""
@@ -306,10 +308,10 @@ class AdaptiveCalibration:
         self.plane = self._with_arms(self._state.mean[:, : map_filter.N_ARMS])
 
     def _with_arms(self, change_mm: Floats) -> FocalPlane:
-        arms = self._given.arms.copy()
+        arms = self.given.arms.copy()
         arms[:, CENTRE] += change_mm[:, :2]
         arms[:, L_ALPHA] += change_mm[:, 2]
-        return replace(self._given, arms=arms, points=_longer(self._given, change_mm[:, 3]))
+        return replace(self.given, arms=arms, points=_longer(self.given, change_mm[:, 3]))
 
     def _shift(self, rows: Ints, wire: Floats, xy: Floats, sigma_mm: Floats) -> Learnt:
         """Eq. 29 to 33 for one move (n, 1, 2)."""

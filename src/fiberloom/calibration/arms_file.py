@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fiberloom.calibration.focal_plane import N_GEOMETRY, PARAMETERS, FocalPlaneFit
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.units import rad_to_deg
+from fiberloom.units import MM_PER_UM, rad_to_deg
 
 FORMAT = "fiberloom arms"
 FORMAT_VERSION = 1
@@ -52,19 +52,31 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
 
 def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
     """The plane with the arms of a file; whoever is not in it or was refused keeps the layout's."""
+    rows, fit = _of_plane(path, plane)
+    part = fit.plane(plane.select(rows))
+    arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
+    arms[rows] = part.arms
+    for name, xy in points.items():
+        xy[rows] = part.points[name]
+    return replace(plane, arms=arms, points=points)
+
+
+def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> NDArray:
+    """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for whoever is not in the file."""
+    rows, fit = _of_plane(path, plane)
+    covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
+    covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]
+    return covariance
+
+
+def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[NDArray, FocalPlaneFit]:
     table = _read(Path(path))
     known = {int(p): row for row, p in enumerate(plane.positioner_id)}
     here = np.array([int(p) in known for p in table["positioner_id"]], dtype=bool)
     if not here.any():
         raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
     table = table[here]
-    rows = np.array([known[int(p)] for p in table["positioner_id"]])
-    part = _as_fit(table).plane(plane.select(rows))
-    arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
-    arms[rows] = part.arms
-    for name, xy in points.items():
-        xy[rows] = part.points[name]
-    return replace(plane, arms=arms, points=points)
+    return np.array([known[int(p)] for p in table["positioner_id"]]), _as_fit(table)
 
 
 def _as_fit(table: Table) -> FocalPlaneFit:

@@ -194,7 +194,7 @@ class _Fit:
 
     def __init__(self, plane: FocalPlane, theta_deg: Floats, xy_mm: Floats, settings: FitSettings) -> None:
         self.plane, self.settings, self.angles_deg = plane, settings, settings.angles_deg
-        self.seen: Flags = np.isfinite(xy_mm).all(axis=-1) & np.isfinite(theta_deg).all(axis=-1)
+        self.seen = np.asarray(np.isfinite(xy_mm + theta_deg).all(axis=-1), dtype=np.bool_)
         self.theta, self.xy = np.nan_to_num(theta_deg), np.nan_to_num(xy_mm)
         self.phi = np.arctan2(plane.points[METROLOGY][:, 1], plane.points[METROLOGY][:, 0])
         self.p = layout_parameters(plane, settings.harmonics)

@@ -25,6 +25,7 @@ from fiberloom.bus.client import Client
 from fiberloom.calibration.bench import APPROACH_DEG, Operator, Progress, joined
 from fiberloom.calibration.estimate import Estimate, Fit, estimate, least_squares, standard_errors
 from fiberloom.calibration.torque import (
+    AT_SPEED,
     AXES,
     TorqueScale,
     Windows,
@@ -259,7 +260,9 @@ class _Books:
 
     async def take(self, operator: Operator, rpm: float, creep: bool, wire: tuple[float, float]) -> None:
         traces = [await operator.take(axis) for axis in range(2)]
-        both = [windows_of(trace, SKIP_DEG, 0.5 * rpm) for trace in traces]
+        # creeping, cogging makes it slower and faster
+        slowest_rpm = (0.5 if creep else AT_SPEED) * rpm
+        both = [windows_of(trace, SKIP_DEG, slowest_rpm) for trace in traces]
         self.segments.append((both[0], both[1]))
         self.creep.append(creep)
         self.wire.append(wire)

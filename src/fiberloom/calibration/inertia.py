@@ -126,11 +126,11 @@ def _pushing(data: InertiaData) -> NDArray[np.bool_]:
 
 
 def _balance(data: InertiaData, use: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Design (N, K, M, 6 + 2 K) and right side (N, K, M) in SI, torque in shares of the full one."""
+    """Design (N, K, M, 8 + 2 K) and right side (N, K, M) in SI, torque in shares of the full one."""
     n, pushes, _ = use.shape
     dt = data.period_s
     theta = np.deg2rad(np.nan_to_num(data.motor_deg))
-    phi = 2.0 * np.deg2rad(np.nan_to_num(data.motor_deg - data.zero_deg[..., None]))
+    phi = np.deg2rad(np.nan_to_num(data.motor_deg - data.zero_deg[..., None]))
     speed = np.gradient(theta, dt, axis=-1)
     torque = np.nan_to_num(data.voltage) * np.sinc(speed * _HALF_TICK_S / np.pi)
     time = np.arange(use.shape[-1]) * dt
@@ -141,8 +141,7 @@ def _balance(data: InertiaData, use: NDArray[np.bool_]) -> tuple[Floats, Floats]
         _summed(theta - theta[..., :1], dt),
         half_square * side,
         half_square,
-        _summed(_summed(np.sin(phi), dt), dt),
-        _summed(_summed(np.cos(phi), dt), dt),
+        *(_summed(_summed(wave(k * phi), dt), dt) for k in (2, 4) for wave in (np.sin, np.cos)),
     ]
     for k in range(pushes):
         mine = np.zeros((n, pushes, 1))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench import Operator, Progress, joined
+from fiberloom.calibration.bench import APPROACH_DEG, Operator, Progress, elbow_mm, joined
 from fiberloom.calibration.estimate import Estimate, estimate
 from fiberloom.calibration.torque import AXES
 from fiberloom.errors import InputError
@@ -49,6 +49,8 @@ class RepeatabilityData:
     axis: int
     xy_mm: Floats
     """(N, T targets, V visits, 2)"""
+    pivot_mm: Floats
+    """(N, 2) the axis of rotation; for a direction, so a tenth of a millimetre will do."""
     lever_mm: Floats
     """(N,)"""
     trouble: list[str]
@@ -75,43 +77,70 @@ def identify_repeatability(
     """Scatter about the targets. InputError when nobody's data support it.
 
     camera_rms_um: two-dimensional rms of one measurement of a fibre at rest, known to its relative
-    error. Where the scatter is the camera's alone the positioner's own is 0 with an honest error.
+    error. Standard errors are those of variances of normal scatter. Where the scatter is the camera's
+    alone the positioner's own is 0, with an honest error.
     """
-    xy = data.xy_mm
-    seen = np.isfinite(xy).all(axis=-1)
-    visits = seen.sum(axis=2)
-    mean = np.where(seen[..., None], xy, 0.0).sum(axis=2) / np.maximum(visits, 1)[..., None]
-    left = np.where(seen[..., None], (xy - mean[:, :, None]) * UM_PER_MM, np.nan)
-    # unbiased: each target's mean has taken one visit
-    share = np.maximum(visits - 1, 1) / np.maximum(visits, 1)
-    square = (left**2).sum(axis=-1) / share[..., None]
-    flat = square.reshape(len(xy), -1)
-    count = np.isfinite(flat).sum(axis=1)
-    variance = np.nansum(flat, axis=1) / np.maximum(count, 1)
-    spread = np.sqrt(np.nansum((flat - variance[:, None]) ** 2, axis=1) / np.maximum(count - 1, 1))
-    error = spread / np.sqrt(np.maximum(count, 1))
+    mean, left = _about_targets(data.xy_mm)
+    visits = np.isfinite(left[..., 0]).sum(axis=2)
+    freedom = np.maximum((visits - 1).sum(axis=1), 1).astype(np.float64)
+    flat = np.nan_to_num(left).reshape(len(left), -1, 2)
+    spread = np.einsum("nmi,nmj->nij", flat, flat) / freedom[:, None, None]
+    across = _across(data, mean)
+    along_way = np.einsum("ni,nij,nj->n", across, spread, across)
+    whole = np.einsum("nii->n", spread)
     reason = joined(data.trouble, [_refusal(AXES[data.axis], v) for v in visits.min(axis=1)])
-    residuals = np.sqrt((left**2).sum(axis=-1)).reshape(len(xy), -1)
-    freedom = np.maximum(count - data.xy_mm.shape[1], 1.0)
+    residuals = np.sqrt((left**2).sum(axis=-1)).reshape(len(left), -1)
+    whole_error = np.sqrt(2.0 * np.einsum("nij,nij->n", spread, spread) / freedom)
+    way_error = np.sqrt(2.0 / freedom) * along_way
+    camera2 = camera_rms_um**2
+    camera2_error = 2.0 * camera_relative_error * camera2
 
-    def make(what: str, square_um2: Floats, systematic2: float) -> Estimate:
-        rms = np.sqrt(np.maximum(square_um2, 0.0))
-        # at zero a square root has no slope: the error of the square itself, as a length
-        slope = 2.0 * np.maximum(rms, np.sqrt(error))
-        return estimate(
-            f"{AXES[data.axis]} {what}", "um", rms, error / slope, residuals, "um", reason,
-            systematic=systematic2 / slope, freedom=freedom,
-        )  # fmt: skip
+    def make(what: str, square: Floats, error: Floats, systematic: float) -> Estimate:
+        return _root(f"{AXES[data.axis]} {what}", square, error, systematic, residuals, reason, freedom)
 
-    measured = make("repeatability as measured", variance, 0.0)
-    own = make("repeatability", variance - camera_rms_um**2, 2.0 * camera_rms_um**2 * camera_relative_error)
-    angle = own.scaled(np.rad2deg(MM_PER_UM / data.lever_mm) * 1e3)
-    apart = np.linalg.norm(np.diff(mean, axis=1), axis=-1) * UM_PER_MM
-    return Repeatability(data.axis, measured, own, _named(angle, data.axis), apart)
+    turned = make("angular repeatability", along_way - 0.5 * camera2, way_error, 0.5 * camera2_error)
+    return Repeatability(
+        data.axis,
+        make("repeatability as measured", whole, whole_error, 0.0),
+        make("repeatability", whole - camera2, whole_error, camera2_error),
+        turned.scaled(np.rad2deg(MM_PER_UM / data.lever_mm) * 1e3, unit="mdeg"),
+        np.linalg.norm(np.diff(mean, axis=1), axis=-1) * UM_PER_MM,
+    )
 
 
-def _named(angle: Estimate, axis: int) -> Estimate:
-    return angle.scaled(1.0, name=f"{AXES[axis]} angular repeatability", unit="mdeg")
+def _about_targets(xy: Floats) -> tuple[Floats, Floats]:
+    """Means of the targets (N, T, 2) in mm, and visits about them (N, T, V, 2) in um."""
+    seen = np.isfinite(xy).all(axis=-1, keepdims=True)
+    mean = np.where(seen, xy, 0.0).sum(axis=2) / np.maximum(seen.sum(axis=2), 1)
+    return mean, np.where(seen, (xy - mean[:, :, None]) * UM_PER_MM, np.nan)
+
+
+def _across(data: RepeatabilityData, mean: Floats) -> Floats:
+    """(N, 2) the direction in which the axis moves the fibre."""
+    out = mean.mean(axis=1) - data.pivot_mm
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
+    return np.stack([-out[:, 1], out[:, 0]], axis=1)
+
+
+def _root(
+    name: str,
+    square: Floats,
+    error: Floats,
+    systematic: float,
+    residuals: Floats,
+    reason: list[str],
+    freedom: Floats,
+) -> Estimate:
+    """A length from its square: what scatters makes roots too small by 1/8 of its relative variance."""
+    square = np.maximum(square, 0.0)
+    # at zero a root has no slope: there the error of the square itself, as a length
+    floor = np.maximum(square, error)
+    value = np.sqrt(square) * (1.0 + 0.125 * (error / floor) ** 2)
+    slope = 2.0 * np.sqrt(floor)
+    return estimate(
+        name, "um", value, error / slope, residuals, "um", reason,
+        systematic=systematic / slope, freedom=freedom,
+    )  # fmt: skip
 
 
 def _refusal(axis: str, visits: int) -> str:
@@ -150,12 +179,13 @@ async def _visits(operator: Operator, axis: int, settings: RepeatabilitySettings
             await _from_above(operator, axis, wire)
             xy[:, target, visit] = operator.look(settings.images)
             operator.step()
-    return RepeatabilityData(axis, xy, lever, list(operator.trouble))
+    pivot = elbow_mm(plane, settings.alpha_deg) if axis else plane.centres_mm
+    return RepeatabilityData(axis, xy, pivot, lever, list(operator.trouble))
 
 
 async def _from_above(operator: Operator, axis: int, wire: Floats) -> None:
     above = wire.copy()
-    above[:, axis] += 840.0 / 1024.0
+    above[:, axis] += APPROACH_DEG
     await operator.goto(*above.T)
     await operator.goto(*wire.T)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench import Bench, Operator, Progress, joined
+from fiberloom.calibration.bench import Bench, Operator, Progress, elbow_mm, joined
 from fiberloom.calibration.estimate import Estimate, estimate
 from fiberloom.calibration.torque import AXES
 from fiberloom.errors import InputError
@@ -60,7 +60,7 @@ class StiffnessData:
 
 def identify_stiffness(data: StiffnessData) -> Estimate:
     """k in mNm/deg for N positioners. InputError when nobody's data support it."""
-    turned = _turned_deg(data)
+    turned = turned_deg(data)
     seen = np.isfinite(turned)
     count = seen.sum(axis=1)
     mean = np.where(seen, turned, 0.0).sum(axis=1) / np.maximum(count, 1)
@@ -77,8 +77,8 @@ def identify_stiffness(data: StiffnessData) -> Estimate:
     )  # fmt: skip
 
 
-def _turned_deg(data: StiffnessData) -> Floats:
-    """(N, R) by how much the axis turned from -T to +T."""
+def turned_deg(data: StiffnessData) -> Floats:
+    """(N, R) by how much the axis turned from -T to +T, each repeat."""
     out = np.nanmean(data.xy_mm, axis=(1, 2)) - data.pivot_mm
     along = out / np.linalg.norm(out, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -117,7 +117,7 @@ async def measure_stiffness(
     length = np.hypot(*plane.points[METROLOGY].T)
     centre = plane.centres_mm
     levers = np.linalg.norm(middle[0] - centre, axis=1), length
-    pivots = centre, _elbow(plane, alpha_deg)
+    pivots = centre, elbow_mm(plane, alpha_deg)
     data = [
         StiffnessData(axis, xy[axis], pivots[axis], levers[axis], settings.torque_mNm[axis], bench.tolerance,
                       list(operator.trouble))
@@ -129,12 +129,6 @@ async def measure_stiffness(
 def _stretched_deg(plane: FocalPlane) -> float:
     low, high = plane.limits_deg[1]
     return float(np.clip(30.0, low, high))
-
-
-def _elbow(plane: FocalPlane, alpha_deg: float) -> Floats:
-    """Where the beta axis is, to the non-linearity of the gear: good enough for a direction."""
-    turn = plane.arms[:, 3] + np.deg2rad(alpha_deg)
-    return plane.centres_mm + plane.arms[:, 2:3] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
 
 async def _pairs(operator: Operator, bench: Bench, axis: int, settings: StiffnessSettings) -> Floats:

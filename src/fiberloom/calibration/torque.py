@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 AXES = ("alpha", "beta")
+AT_SPEED = 0.995
+"""Share of the speed asked for from which a motor counts as running at it."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ def windows_of(trace: Trace, skip_deg: float, slowest_rpm: float) -> Windows:
     """The windows of one move, without those in which it may not yet have pushed the gear.
 
     skip_deg: motor angle from the start of the move that does not count, larger than the backlash and
-    how far a rotor at rest may have fallen back. Windows slower than slowest_rpm do not count either.
+    how far a rotor at rest may have fallen back. Windows slower than slowest_rpm do not count either:
+    on a ramp the inertia would be taken for friction, and for a spring, since ramps are at the ends.
     """
     if trace.motor_deg.shape[1] < 2:
         return Windows(*(np.full((len(trace.zero_deg), 1, *more), np.nan) for more in ((), (), (2,), ())))

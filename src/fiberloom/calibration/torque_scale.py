@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench import APPROACH_DEG, Bench, Operator, Progress, joined
 from fiberloom.calibration.estimate import Estimate, estimate, least_squares, standard_errors
-from fiberloom.calibration.torque import AXES, TorqueScale, Windows, together, windows_of
+from fiberloom.calibration.torque import AT_SPEED, AXES, TorqueScale, Windows, together, windows_of
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
 
@@ -71,7 +71,10 @@ def identify_torque_scale(data: TorqueScaleData) -> Estimate:
     axis = AXES[data.axis]
     reason = joined(
         data.trouble,
-        ["" if np.isfinite(r).sum() >= 20 else f"{axis} did not move under the weight" for r in fit.residuals],
+        [
+            "" if np.isfinite(r).sum() >= 20 else f"{axis} did not move under the weight"
+            for r in fit.residuals
+        ],
         [f"{axis}: torques too much alike to give a scale" if s else "" for s in fit.singular],
         ["" if p > 5.0 * e else f"{axis}: the weight made no difference to its motor"
          for p, e in zip(per_uNm, error, strict=True)],
@@ -133,7 +136,7 @@ async def _loaded(
     for end in (place + away, place - away):
         await operator.trace(2.0 * 60.0 / rpm)
         await operator.goto(*end)
-        out.append(windows_of(await operator.take(axis), SKIP_DEG, 0.5 * rpm))
+        out.append(windows_of(await operator.take(axis), SKIP_DEG, AT_SPEED * rpm))
     for positioner in operator.ids:
         bench.apply_torque(positioner, axis, 0.0)
     await operator.speed(2000, 2000)

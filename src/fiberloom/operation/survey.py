@@ -73,7 +73,7 @@ async def survey(
             goal = place_by_worth(loop.obstacles(), options, design.worth(options), settings.seed + number)
             await _visit(loop, goal)
             theta, xy = _told(loop.moves[-1], maps)
-            design.add(np.nan_to_num(theta), ~np.isnan(theta + xy).any(axis=1))
+            design.add(np.nan_to_num(theta), np.isfinite(xy[:, 0]))
             progress(number + 1, settings.configurations)
         folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
         await _visit(loop, folded)

@@ -90,5 +90,4 @@ class _Placing:
         there = np.tile(self.angles[near], (count, 1))
         segment = self.bodies.segment_mm
         clear = core.pairs_clear(arms, places, others, there, segment, self.pair_mm, self.approach)
-        free: NDArray[np.bool_] = np.asarray(clear, dtype=bool).reshape(count, len(near)).all(axis=1)
-        return free
+        return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)
