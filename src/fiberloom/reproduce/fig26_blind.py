@@ -105,8 +105,8 @@ def _draw(found: list[Study]) -> Drawing:
         axes.fill_between(
             found[0].cycles, curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.15, linewidth=0
         )
-    axes.set(xlabel="cycle of 15260 moves", ylabel="blind error, rms [µm]", ylim=(1, 60), yscale="log")
-    axes.legend(fontsize=8, loc="center right")
+    axes.set(xlabel="cycle of 15260 moves", ylabel="blind error, rms [µm]", ylim=(1, 200), yscale="log")
+    axes.legend(fontsize=8, ncols=2, loc="upper right")
     axes.grid(True, which="both", alpha=0.3)
     return drawing(
         "blind", "Error of blind moves as measured, rms over units and targets; band: seeds.", canvas
