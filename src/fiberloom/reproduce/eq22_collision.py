@@ -25,15 +25,16 @@ AXES = ("alpha", "beta")
 
 
 def paper_law(units: Units) -> None:
-    """Eq. 22 as printed, nothing else: no contact rule, no allowance for drag, none learnt."""
-    units.firmware["contact_torque"] = 0.0
+    """Eq. 22 as printed, nothing else: no rule of ours, no allowance for drag, none learnt."""
+    allowed_drag(units)
     units.firmware["collision_speed_share"] = 0.0
     units.firmware["drag_learning_time"] = 0.0
 
 
 def allowed_drag(units: Units) -> None:
-    """Eq. 22 with the firmware's allowance for drag that is not learnt yet; no contact rule."""
-    units.firmware["contact_torque"] = 0.0
+    """Eq. 22 with the firmware's allowance for drag that is not learnt yet; no rule of ours."""
+    for ours in ("contact_torque", "touch_torque"):
+        units.firmware[ours] = 0.0
 
 
 def as_shipped(units: Units) -> None:
