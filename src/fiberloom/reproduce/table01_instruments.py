@@ -26,7 +26,7 @@ from fiberloom.units import UM_PER_MM
 
 Floats = NDArray[np.float64]
 
-UNITS, MANY_UNITS = 37, 169
+UNITS, MANY_UNITS = 19, 169
 TARGETS_PER_UNIT = 3
 SDSSV_BUFFER_SHARE = 2.0 / 22.4
 """Half width of a beta arm over the pitch, as SDSS-V has it; assumed of the others."""
