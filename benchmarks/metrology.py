@@ -30,7 +30,8 @@ from fiberloom.metrology.acquisition import AcquisitionSettings, acquire
 from fiberloom.metrology.matching import match_spots
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
-from fiberloom.twin.imaging import ImagingCamera, StillScene, camera_model
+from fiberloom.twin.cameras import camera_model
+from fiberloom.twin.imaging import ImagingCamera, StillScene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "metrology"))
 import scenes

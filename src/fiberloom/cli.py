@@ -600,7 +600,9 @@ def centroid(
         expected=expected,
         plot=plot,
     )
-    _print_report(run_centroid(request), as_json)
+    report = run_centroid(request)
+    _print_report(report, as_json)
+    raise typer.Exit(0 if report["spots"] else 1)
 
 
 @app.command()
@@ -614,6 +616,16 @@ def match(
         Path | None, typer.Option(help="Configuration CSV that the positioners should have.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Positions to write.")] = Path("positions.csv"),
+    scale: Annotated[
+        float | None, typer.Option(help="mm per pixel; default: the instrument's camera.")
+    ] = None,
+    rotation: Annotated[
+        float | None, typer.Option(help="Direction of the pixel x axis in the focal plane, deg.")
+    ] = None,
+    rotation_tolerance: Annotated[float, typer.Option(min=0, help="Off by at most so much, deg.")] = 15.0,
+    flipped: Annotated[
+        bool | None, typer.Option("--flipped/--not-flipped", help="Is the image a mirror image?")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Tell which spot is whose, and where it is in the focal plane."""
@@ -621,7 +633,15 @@ def match(
     from fiberloom.metrology.commands import match as run_match
 
     plane = _plane(instrument, layout, seed, positioners)
-    request = MatchRequest(source=source, out=out, expected=expected)
+    request = MatchRequest(
+        source=source,
+        out=out,
+        expected=expected,
+        scale_mm_px=scale,
+        rotation_deg=rotation,
+        rotation_tolerance_deg=rotation_tolerance,
+        flipped=flipped,
+    )
     _print_report(run_match(plane, request), as_json)
 
 

@@ -1,5 +1,6 @@
 """A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
+from .bench_camera import BenchCamera, static_fibre_um
 from .camera import NoiseCamera
 from .draw import draw_units, put_in
 from .faults import Fault, FaultKind
@@ -12,6 +13,7 @@ from .wear import Wear, WearModel, worn
 from .weights import TwinWeights
 
 __all__ = [
+    "BenchCamera",
     "Fault",
     "FaultKind",
     "NoiseCamera",
@@ -27,5 +29,6 @@ __all__ = [
     "draw_units",
     "field_hardware",
     "put_in",
+    "static_fibre_um",
     "worn",
 ]
