@@ -57,6 +57,6 @@ def _closing(parts: list[Part], out: Path) -> str:
     missed = sum(q.misses for part in parts for q in part.quantities)
     seconds, cpu_s = sum(part.seconds for part in parts), sum(part.cpu_s for part in parts)
     return (
-        f"{len(parts)} figures in {seconds:.0f} s (processor {cpu_s:.0f} s); {missed} predictions miss by more than 25 % or a bound\n"
-        f"results in {out}/: report.html, results.json, results.md, figures/"
+        f"{len(parts)} figures in {seconds:.0f} s (processor {cpu_s:.0f} s); {missed} predictions miss by "
+        f"more than 25 % or a bound\nresults in {out}/: report.html, results.json, results.md, figures/"
     )
