@@ -98,6 +98,16 @@ def observe(
         Path | None,
         typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
     ] = None,
+    arms: Annotated[
+        Path | None, typer.Option(help="Arms of `calibrate focal-plane`, in place of the layout's.")
+    ] = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
+    ] = False,
+    learnt: Annotated[
+        str | None,
+        typer.Option(help="Store with what was learnt; default with --adapt: beside the maps."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Put fibres on the targets of a list, and say how near each one came."""
@@ -113,6 +123,9 @@ def observe(
         seed=seed,
         out=out,
         calibration=calibration,
+        arms=arms,
+        adapt=adapt,
+        learnt=learnt,
         quiet=as_json,
     )
     summary = run_observe(_plane(instrument, layout, seed, positioners), request)
@@ -192,6 +205,82 @@ def transmission(
     report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
     _print_report(report, as_json)
     raise typer.Exit(1 if report["refused"] else 0)
+
+
+@calibrate.command("focal-plane")
+def focal_plane(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    configurations: Annotated[int, typer.Option(min=4, help="Configurations of everybody.")] = 40,
+    harmonics: Annotated[
+        int, typer.Option(min=0, max=5, help="Fit the transmission's lowest orders too, up to this one.")
+    ] = 0,
+    safety_mm: Annotated[
+        float, typer.Option(min=0.0, max=3.0, help="By which arms are taken to be thicker than they are.")
+    ] = 0.5,
+    mounted_um: Annotated[
+        float, typer.Option(min=0.0, max=200.0, help="How far off the first guess of the twin's arms is.")
+    ] = 50.0,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane"),
+    as_json: JsonOption = False,
+) -> None:
+    """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
+    from fiberloom.commands.focal_plane import FocalPlaneRequest, flat_convergence, run_calibrate_focal_plane
+
+    request = FocalPlaneRequest(
+        out=out,
+        seed=seed,
+        configurations=configurations,
+        harmonics=harmonics,
+        safety_mm=safety_mm,
+        mounted_um=mounted_um,
+        faults=faults,
+        camera=camera.value,
+        calibration=calibration,
+        quiet=as_json,
+    )
+    report = run_calibrate_focal_plane(_plane(instrument, layout, seed, positioners), request)
+    _print_report(report if as_json else {k: v for k, v in report.items() if k != "convergence"}, as_json)
+    if not as_json:
+        _print_report(flat_convergence(report["convergence"]), as_json)
+    raise typer.Exit(1 if report["refused"] else 0)
+
+
+@calibrate.command()
+def history(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt, as `observe --adapt` names it.")],
+    positioner: Annotated[
+        int | None, typer.Option(help="Only the generations that changed this one.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what operation has taught the maps, generation by generation."""
+    from fiberloom.commands.learnt import history_step
+
+    _print_report(history_step(learnt, positioner), as_json)
+
+
+@calibrate.command()
+def undo(
+    learnt: Annotated[str, typer.Argument(help="Store with what was learnt.")],
+    to: Annotated[int, typer.Option(min=0, help="Generation to go back to; 0: the calibration itself.")],
+    positioner: Annotated[
+        list[int] | None, typer.Option(help="Only this one; may be given several times.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go back to what was known at an earlier generation; nothing is deleted."""
+    from fiberloom.commands.learnt import undo_step
+
+    _print_report(undo_step(learnt, to, positioner), as_json)
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """What is measured on a bench and used on every move: transmission maps."""
 
+from fiberloom.calibration.adaptive import AdaptiveCalibration, AdaptiveSettings, AdaptiveState, Update
 from fiberloom.calibration.cache import cache_path
 from fiberloom.calibration.evaluate import CalibrationReport, evaluate
 from fiberloom.calibration.sweep import (
@@ -21,12 +22,16 @@ from fiberloom.calibration.transmission import (
 __all__ = [
     "NEGATIVE",
     "POSITIVE",
+    "AdaptiveCalibration",
+    "AdaptiveSettings",
+    "AdaptiveState",
     "Calibration",
     "CalibrationReport",
     "Provenance",
     "SweepData",
     "SweepSettings",
     "TransmissionMaps",
+    "Update",
     "cache_path",
     "calibrate_transmission",
     "evaluate",

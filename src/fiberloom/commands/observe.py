@@ -12,10 +12,10 @@ from typing import Any
 from rich.console import Console
 
 from fiberloom.assignment import Assignment, assign_relaxed
-from fiberloom.calibration.transmission import TransmissionMaps
+from fiberloom.commands.learnt import Known, known_so_far
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.commands.terminal import Waiting, waiting
-from fiberloom.commands.transmission import calibrated_maps
+from fiberloom.commands.transmission import calibrated_maps, maps_path
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.loop import Loop, LoopSettings
@@ -40,6 +40,12 @@ class ObserveRequest:
     faults: str = ""
     compare_linear: bool = False
     calibration: Path | None = None
+    arms: Path | None = None
+    """File of `calibrate focal-plane`."""
+    adapt: bool = False
+    """Learn from every measured move."""
+    learnt: str | None = None
+    """Store of what was learnt; default with `adapt`: beside the maps."""
     quiet: bool = False
 
 
@@ -51,13 +57,16 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
     with waiting(request.quiet) as wait:
         units = draw_units(plane, request.seed)
         maps = calibrated_maps(plane, units, request.seed, wait, path=request.calibration)
+        file = maps_path(plane, units, request.seed, request.calibration)
+        known = known_so_far(plane, maps, file, request.arms, request.learnt, request.adapt, request.seed)
         wait.say("assigning targets")
-        kept, assignment = assign_relaxed(plane, targets, seed=request.seed)
+        kept, assignment = assign_relaxed(known.plane, targets, seed=request.seed)
         hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
-        observed = _observe(kept, targets, assignment, maps, hardware, request, wait)
+        observed = _observe(kept, targets, assignment, known, hardware, request, wait)
     summary = summarise(observed) | marks(plane, request.seed)
     summary |= {"wall_s": time.monotonic() - started_s, "not_assigned": _reasons(assignment)}
     summary |= {"notes": assignment.notes, "put_in": put_in(plane)}
+    summary |= known.summary()
     write_results(observed, summary, out)
     if not request.quiet:
         _close(summary, out)
@@ -68,7 +77,7 @@ def _observe(
     plane: FocalPlane,
     targets: TargetList,
     assignment: Assignment,
-    maps: TransmissionMaps,
+    known: Known,
     hardware: Hardware,
     request: ObserveRequest,
     wait: Waiting,
@@ -87,8 +96,8 @@ def _observe(
         config_hash=plane.config_hash(),
         seed=request.seed,
     ) as run:
-        recorder = StoreRecorder(run, plane, targets, assignment)
-        loop = Loop(plane, assignment, maps, hardware, settings, recorder, wait.say)
+        recorder = known.learning(StoreRecorder(run, plane, targets, assignment))
+        loop = Loop(plane, assignment, known.maps, hardware, settings, recorder, wait.say)
         asyncio.run(_whole(loop))
     return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified)
 
@@ -120,6 +129,10 @@ def _close(summary: dict[str, Any], out: Path) -> None:
     )
     for note in summary["notes"]:
         console.print(f"note: {note}")
+    if "learnt" in summary:
+        console.print(
+            "learnt: {moves} moves of generation {generation} in {store}".format(**summary["learnt"])
+        )
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     console.print(f"results in {out}/: summary.json, fibres.ecsv, trajectories.json, *.png")

@@ -58,14 +58,20 @@ def calibrated_maps(
     """Maps from `path`, from the cache, or from a calibration that fills the cache."""
     if path is not None:
         return _in_rows_of(plane, maps_file.load(path))
-    # the true units belong to the key: on a twin, other units are other hardware
-    cached = cache_path(plane.config_hash(), seed, _Key(SweepSettings(POINTS), units.digest()))
+    cached = maps_path(plane, units, seed)
     if cached.exists():
         return _in_rows_of(plane, maps_file.load(cached))
     calibration = _calibrate(plane, units, seed, POINTS, wait)
     with contextlib.suppress(InputError):  # where nothing can be kept, calibrate again next time
         calibration.maps.save(cached)
     return calibration.maps
+
+
+def maps_path(plane: FocalPlane, units: Units, seed: int, path: Path | None = None) -> Path:
+    """The file of these maps: `path`, else the cache's, there or not yet."""
+    # the true units belong to the key: on a twin, other units are other hardware
+    key = _Key(SweepSettings(POINTS), units.digest())
+    return path or cache_path(plane.config_hash(), seed, key)
 
 
 def _calibrate(plane: FocalPlane, units: Units, seed: int, points: int, wait: Waiting) -> Calibration:

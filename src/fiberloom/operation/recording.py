@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -30,29 +31,48 @@ class StoreRecorder:
 
     def move(self, move: Move) -> None:
         """One row for the move, one for each positioner."""
-        measured = {
-            "positioner_id": self._plane.positioner_id,
-            "x_mm": move.measurement.x_mm,
-            "y_mm": move.measurement.y_mm,
-            "seen": move.measurement.seen,
-            "alpha_deg": move.commanded_deg[:, 0],
-            "beta_deg": move.commanded_deg[:, 1],
-            "wire_alpha_deg": move.wire_deg[:, 0],
-            "wire_beta_deg": move.wire_deg[:, 1],
-            "error_um": move.measured_error_um,
-            "status": np.array([str(s) for s in move.status], dtype=object),
-        }
-        self._run.record_move(
-            move.number,
-            move.label,
-            measured | self._targets,
-            time_s=move.measurement.time_s,
-            plan_digest=_digest(move.plan),
-        )
+        _record(self._run, self._plane, move, self._targets)
 
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """A flag or a remark."""
         self._run.record_event(kind, text, positioner_id=positioner_id)
+
+
+class SurveyRecorder:
+    """The same for moves without targets."""
+
+    def __init__(self, run: Run, plane: FocalPlane) -> None:
+        self._run, self._plane = run, plane
+
+    def move(self, move: Move) -> None:
+        """One row for the move, one for each positioner."""
+        _record(self._run, self._plane, move, {})
+
+    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
+        """A flag or a remark."""
+        self._run.record_event(kind, text, positioner_id=positioner_id)
+
+
+def _record(run: Run, plane: FocalPlane, move: Move, targets: dict[str, Any]) -> None:
+    measured = {
+        "positioner_id": plane.positioner_id,
+        "x_mm": move.measurement.x_mm,
+        "y_mm": move.measurement.y_mm,
+        "seen": move.measurement.seen,
+        "alpha_deg": move.commanded_deg[:, 0],
+        "beta_deg": move.commanded_deg[:, 1],
+        "wire_alpha_deg": move.wire_deg[:, 0],
+        "wire_beta_deg": move.wire_deg[:, 1],
+        "error_um": move.measured_error_um,
+        "status": np.array([str(s) for s in move.status], dtype=object),
+    }
+    run.record_move(
+        move.number,
+        move.label,
+        measured | targets,
+        time_s=move.measurement.time_s,
+        plan_digest=_digest(move.plan),
+    )
 
 
 def _digest(plan: Plan) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select
+from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select, update
 from sqlalchemy.exc import ArgumentError, DatabaseError, SQLAlchemyError
 
 from fiberloom.errors import InputError
@@ -175,12 +175,16 @@ def _file_engine(path: Path, create: bool) -> Engine:
 
 
 def _prepare(connection: Connection, name: str) -> None:
-    """Makes the tables where there are none; refuses those of another version."""
+    """Makes the tables that are missing; refuses those of a newer version."""
     Base.metadata.create_all(connection, tables=[Base.metadata.tables[SchemaRow.__tablename__]])
     found = connection.execute(select(SchemaRow.version)).scalar()
     if found is None:
         Base.metadata.create_all(connection)
         connection.execute(insert(SchemaRow), {"version": SCHEMA_VERSION})
+    elif found < SCHEMA_VERSION:
+        # newer versions only add tables: what is there stays as it is
+        Base.metadata.create_all(connection)
+        connection.execute(update(SchemaRow).values(version=SCHEMA_VERSION))
     elif found != SCHEMA_VERSION:
         raise InputError(
             f"store '{name}': its tables are of version {found}, this program writes "

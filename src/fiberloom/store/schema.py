@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from sqlalchemy import DateTime, ForeignKey, Index, MetaData
+from sqlalchemy import DateTime, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""2: what was learnt of the maps in operation. Older stores get the new tables when they are opened."""
 
 
 class Base(DeclarativeBase):
@@ -114,3 +115,34 @@ class EventRow(Base):
     positioner_id: Mapped[int | None]
     kind: Mapped[str]
     text: Mapped[str]
+
+
+class GenerationRow(Base):
+    """One step of learning: an observation that taught something, or a step back."""
+
+    __tablename__ = "learnt_generations"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    origin: Mapped[str] = mapped_column(index=True)  # digest of the calibration that it builds on
+    kind: Mapped[str]  # observe, undo
+    instrument: Mapped[str]
+    config_hash: Mapped[str]
+    seed: Mapped[int | None]
+    version: Mapped[str]
+    note: Mapped[str]
+
+
+class LearntRow(Base):
+    """What is known of one positioner since a generation; earlier rows stay."""
+
+    __tablename__ = "learnt_states"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    generation_id: Mapped[int] = mapped_column(ForeignKey("learnt_generations.id"))
+    positioner_id: Mapped[int]
+    moves: Mapped[int]  # learnt from since the calibration
+    shift_mdeg: Mapped[float]  # rms change of both maps by this generation
+    data: Mapped[bytes | None] = mapped_column(LargeBinary)  # none: the calibration itself
+
+    __table_args__ = (Index("learnt_of_positioner", "generation_id", "positioner_id", unique=True),)

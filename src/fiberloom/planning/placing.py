@@ -1,0 +1,93 @@
+"""Configurations of everybody that are good for each and can be stood in by all."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._core import planning as core
+from ..instruments import FocalPlane
+from ..units import deg_to_rad, rad_to_deg
+from .bodies import Bodies, approach_rad
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TRIES = 48
+
+
+def place_by_worth(
+    plane: FocalPlane,
+    candidates_deg: Floats,
+    worth: Floats,
+    seed: int,
+    *,
+    margin_mm: float = 0.2,
+    rounds: int = 2,
+) -> Floats:
+    """(N, 2) deg: for each the best of its candidates (N, C, 2), by `worth` (N, C), that is free.
+
+    All begin folded, where nobody touches, and take turns in random order; so a configuration that can
+    be stood in always comes out. Places and approaches keep `margin_mm`. Offline positioners stay.
+    """
+    placing = _Placing(plane, candidates_deg, margin_mm)
+    rng = np.random.default_rng(seed)
+    order = np.argsort(-worth, axis=1, kind="stable")
+    movable = np.flatnonzero(~plane.offline)
+    for turn in range(rounds):
+        for row in rng.permutation(movable):
+            # who has a good place already stays in later rounds
+            placing.place(int(row), order[row], better_than=turn > 0)
+    return rad_to_deg(placing.angles)
+
+
+class _Placing:
+    def __init__(self, plane: FocalPlane, candidates_deg: Floats, margin_mm: float) -> None:
+        self.plane = plane
+        self.goals = deg_to_rad(candidates_deg)
+        bodies = Bodies.of(plane)
+        self.pair_mm = bodies.radius_mm + margin_mm / 2
+        self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)
+        self.approach = float(approach_rad(plane, None).max(initial=0.0))
+        park = deg_to_rad(plane.instrument.positioner.park_deg)
+        still = deg_to_rad(plane.offline_position_deg)
+        self.angles = np.where(plane.offline[:, None], still, park)
+        self.rank = np.full(plane.n, candidates_deg.shape[1])
+        self.clear = self._clear_of_obstacles()
+        self.near = self._neighbours()
+
+    def _clear_of_obstacles(self) -> NDArray[np.bool_]:
+        n, count, _ = self.goals.shape
+        arms = np.repeat(self.plane.arms, count, axis=0)
+        segment, radius, obstacles = self.bodies.arguments[1:]
+        flat = np.ascontiguousarray(self.goals.reshape(-1, 2))
+        ok = core.static_ok(arms, segment, radius, obstacles, flat, self.approach)
+        return np.asarray(ok, dtype=bool).reshape(n, count)
+
+    def _neighbours(self) -> list[Ints]:
+        pairs = self.plane.neighbour_pairs(1.0)
+        both = np.vstack([pairs, pairs[:, ::-1]])
+        both = both[np.argsort(both[:, 0], kind="stable")]
+        return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, self.plane.n)))
+
+    def place(self, row: int, order: Ints, better_than: bool) -> None:
+        """Puts one on its best free candidate; where none is free it stays where it is."""
+        limit = self.rank[row] if better_than else len(order)
+        good = np.flatnonzero(self.clear[row][order[:limit]])[:_TRIES]
+        for part in np.array_split(good, max(1, len(good) // 8)):
+            free = part[self._free(row, self.goals[row, order[part]])]
+            if len(free):
+                self.angles[row], self.rank[row] = self.goals[row, order[free[0]]], free[0]
+                return
+
+    def _free(self, row: int, goals: Floats) -> NDArray[np.bool_]:
+        near, count = self.near[row], len(goals)
+        if len(near) == 0 or count == 0:
+            return np.ones(count, dtype=bool)
+        arms = np.repeat(self.plane.arms[[row]], count * len(near), axis=0)
+        places = np.repeat(goals, len(near), axis=0)
+        others = np.tile(self.plane.arms[near], (count, 1))
+        there = np.tile(self.angles[near], (count, 1))
+        segment = self.bodies.segment_mm
+        clear = core.pairs_clear(arms, places, others, there, segment, self.pair_mm, self.approach)
+        return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)

@@ -1,0 +1,190 @@
+"""What was learnt of the maps in operation: a history per positioner that only grows.
+
+A generation holds the states of the positioners that it changed; for all others an earlier one
+stands. Going back makes a new generation with the old states, so that this can be undone too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Connection, delete, func, insert, select
+
+import fiberloom
+from fiberloom.errors import InputError
+from fiberloom.store.database import Store
+from fiberloom.store.schema import GenerationRow, LearntRow
+
+OBSERVE, UNDO = "observe", "undo"
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """One positioner's state; `data` is None where it is the calibration itself."""
+
+    moves: int
+    shift_mdeg: float
+    data: bytes | None
+
+
+@dataclass(frozen=True)
+class Generation:
+    """A line of the history."""
+
+    id: int
+    utc: datetime
+    origin: str
+    kind: str
+    note: str
+    seed: int | None
+    version: str
+    n_positioners: int
+    moves: int
+    """Learnt from by its positioners since the calibration, the most of any."""
+    rms_shift_mdeg: float
+
+
+class LearntHistory:
+    """The states that build on one calibration, `origin`, in a store."""
+
+    def __init__(self, store: Store, origin: str) -> None:
+        self._store, self.origin = store, origin
+
+    def begin(
+        self, kind: str, instrument: str, config_hash: str, seed: int | None = None, note: str = ""
+    ) -> int:
+        """A new generation without states; its number."""
+        values = {
+            "utc": datetime.now(UTC),
+            "origin": self.origin,
+            "kind": kind,
+            "instrument": instrument,
+            "config_hash": config_hash,
+            "seed": seed,
+            "version": fiberloom.__version__,
+            "note": note,
+        }
+        with self._store.transaction() as connection:
+            query = insert(GenerationRow).returning(GenerationRow.id)
+            return connection.execute(query, values).scalar_one()
+
+    def put(self, generation: int, states: Mapping[int, Learnt]) -> None:
+        """States of positioners in a generation, in place of those that it had of them."""
+        with self._store.transaction() as connection:
+            _put(connection, generation, states)
+
+    def latest(self, upto: int | None = None) -> dict[int, Learnt]:
+        """The state of every positioner as of a generation, the newest when left out."""
+        with self._store.transaction() as connection:
+            return _as_of(connection, self.origin, upto)
+
+    def of_generation(self, generation: int) -> dict[int, Learnt]:
+        """The states that one generation changed."""
+        columns = (LearntRow.positioner_id, LearntRow.moves, LearntRow.shift_mdeg, LearntRow.data)
+        query = select(*columns).where(LearntRow.generation_id == generation)
+        with self._store.transaction() as connection:
+            return {row[0]: Learnt(*row[1:]) for row in connection.execute(query)}
+
+    def generations(self) -> list[Generation]:
+        """The history, oldest first."""
+        return [g for g in generations(self._store) if g.origin == self.origin]
+
+    def undo(self, to: int, positioner_id: Iterable[int] | None = None) -> int:
+        """Goes back to a generation (0: the calibration), for some or all; the new generation."""
+        known = {g.id: g for g in self.generations()}
+        if to != 0 and to not in known:
+            raise InputError(
+                f"{self._store.name}: no generation {to} of this calibration; "
+                f"there are 0 (the calibration) and {', '.join(map(str, known)) or 'no others'}"
+            )
+        now, then = self.latest(), self.latest(to)
+        wanted = set(now) if positioner_id is None else set(map(int, positioner_id))
+        missing = sorted(wanted - set(now))
+        if missing:
+            raise InputError(f"{self._store.name}: nothing was learnt of positioner {missing[0]}")
+        nothing = Learnt(0, 0.0, None)
+        states = {p: then.get(p, nothing) for p in sorted(wanted)}
+        with self._store.transaction() as connection:
+            last = (
+                connection.execute(
+                    select(GenerationRow.__table__)
+                    .where(GenerationRow.origin == self.origin)
+                    .order_by(GenerationRow.id.desc())
+                )
+                .mappings()
+                .first()
+            )
+            if last is None:
+                raise InputError(f"{self._store.name}: nothing was learnt yet")
+            values = {k: last[k] for k in ("origin", "instrument", "config_hash", "seed")}
+            values |= {"utc": datetime.now(UTC), "kind": UNDO, "version": fiberloom.__version__}
+            values["note"] = f"{len(states)} positioners back to generation {to}"
+            query = insert(GenerationRow).returning(GenerationRow.id)
+            made = connection.execute(query, values).scalar_one()
+            _put(connection, made, states)
+        return made
+
+
+def generations(store: Store) -> list[Generation]:
+    """All generations of a store, of whatever calibration, oldest first."""
+    table = GenerationRow.__table__
+    columns = [table.c[k] for k in ("id", "utc", "origin", "kind", "note", "seed", "version")]
+    counted = [
+        func.count(LearntRow.id).label("n_positioners"),
+        func.coalesce(func.max(LearntRow.moves), 0).label("moves"),
+        func.coalesce(func.avg(LearntRow.shift_mdeg * LearntRow.shift_mdeg), 0.0).label("square"),
+    ]
+    query = (
+        select(*columns, *counted)
+        .join(LearntRow, LearntRow.generation_id == GenerationRow.id, isouter=True)
+        .group_by(*columns)
+        .order_by(GenerationRow.id)
+    )
+    with store.transaction() as connection:
+        rows = [dict(row) for row in connection.execute(query).mappings()]
+    return [_generation(row) for row in rows]
+
+
+def _generation(row: dict[str, Any]) -> Generation:
+    square = row.pop("square")
+    utc = row.pop("utc").replace(tzinfo=UTC)
+    return Generation(**row, utc=utc, rms_shift_mdeg=float(square) ** 0.5)
+
+
+def _put(connection: Connection, generation: int, states: Mapping[int, Learnt]) -> None:
+    of_generation = LearntRow.generation_id == generation
+    ids = list(states)
+    for part in (ids[k : k + 500] for k in range(0, len(ids), 500)):  # databases limit their lists
+        connection.execute(delete(LearntRow).where(of_generation, LearntRow.positioner_id.in_(part)))
+    rows = [
+        {
+            "generation_id": generation,
+            "positioner_id": int(p),
+            "moves": int(state.moves),
+            "shift_mdeg": float(state.shift_mdeg),
+            "data": state.data,
+        }
+        for p, state in states.items()
+    ]
+    if rows:
+        connection.execute(insert(LearntRow), rows)
+
+
+def _as_of(connection: Connection, origin: str, upto: int | None) -> dict[int, Learnt]:
+    newest = (
+        select(LearntRow.positioner_id, func.max(LearntRow.generation_id).label("generation"))
+        .join(GenerationRow, GenerationRow.id == LearntRow.generation_id)
+        .where(GenerationRow.origin == origin)
+        .group_by(LearntRow.positioner_id)
+    )
+    if upto is not None:
+        newest = newest.where(LearntRow.generation_id <= upto)
+    last = newest.subquery()
+    query = select(LearntRow.positioner_id, LearntRow.moves, LearntRow.shift_mdeg, LearntRow.data).join(
+        last,
+        (last.c.positioner_id == LearntRow.positioner_id) & (last.c.generation == LearntRow.generation_id),
+    )
+    return {row[0]: Learnt(*row[1:]) for row in connection.execute(query)}
