@@ -102,11 +102,11 @@ nb::object servo(Params params, Input2<double> rows, bool settling) {
         const auto command = static_cast<int32_t>(r[0]), measured = static_cast<int32_t>(r[1]);
         const fl_servo_in_t in = {fl_sub_i32(command, measured), command, command, static_cast<float>(r[2]),
                                   static_cast<float>(r[3]),      settling};
-        const fl_servo_out_t o = fl_servo_step(&axis->law.servo, &axis->servo, &in, FL_TICK_S);
-        const bool hit =
-            fl_collision_closed(&axis->law.collision, {o.watched_Nm, in.speed_rad_s, axis->servo.direction,
-                                                       axis->servo.drag_doubt});
-        const double row[5] = {o.torque_Nm, o.feedforward_Nm, o.watched_Nm, axis->servo.drag_scale,
+        const fl_servo_out_t o = fl_servo_step(&axis->law.drive.servo, &axis->drive.servo, &in, FL_TICK_S);
+        const bool hit = fl_collision_closed(
+            &axis->law.drive.collision,
+            {o.watched_Nm, in.speed_rad_s, axis->drive.servo.direction, axis->drive.servo.drag_doubt});
+        const double row[5] = {o.torque_Nm, o.feedforward_Nm, o.watched_Nm, axis->drive.servo.drag_scale,
                                double(hit)};
         std::copy_n(row, 5, out.data() + 5 * i);
     }

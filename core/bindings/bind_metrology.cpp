@@ -117,12 +117,14 @@ void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image
 }
 
 nb::object expose_image(nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> light,
-                        std::array<double, 3> sky, std::array<double, 4> detector, uint64_t seed) {
+                        std::array<double, 3> sky, std::array<double, 4> detector, uint64_t seed,
+                        int threads) {
     auto adu = new_array<uint16_t>({light.shape(0), light.shape(1)});
     {
         nb::gil_scoped_release release;
         expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), {sky[0], sky[1], sky[2]},
-               {detector[0], detector[1], detector[2], detector[3]}, seed, {adu.data(), light.size()});
+               {detector[0], detector[1], detector[2], detector[3]}, seed, {adu.data(), light.size()},
+               threads);
     }
     return adu.cast();
 }
@@ -143,6 +145,7 @@ void bind_metrology(nb::module_ &m) {
     g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
           "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");
     g.def("expose", &expose_image, nb::arg("light_e"), nb::arg("sky"), nb::arg("detector"), nb::arg("seed"),
+          nb::arg("threads") = 1,
           "uint16 image: Poisson and read noise on light + sky (level, slope_x, slope_y), then detector "
           "(gain_e_adu, read_noise_e, bias_adu, full_well_e).");
 }

@@ -5,6 +5,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
+#include "fiberloom/twin/real_time.hpp"
 #include "fiberloom/twin/twin.hpp"
 
 namespace {
@@ -46,6 +47,13 @@ Transmission transmission_of(const Input1<double> &row) {
     Transmission t;
     std::memcpy(static_cast<void *>(&t), row.data(), sizeof t);
     return t;
+}
+
+PlantParams params_of(const Input1<double> &row) {
+    if (row.size() != param_doubles) throw nb::value_error("plant: one row of PLANT_PARAMS");
+    PlantParams p;
+    std::memcpy(static_cast<void *>(&p), row.data(), sizeof p);
+    return p;
 }
 
 nb::list plant_params() {
@@ -232,13 +240,24 @@ void twin_init(Twin *self, Input1<uint16_t> ids, Doubles plant, Doubles transmis
     new (self) Twin(s);
 }
 
-void twin_send(Twin &twin, uint32_t id, nb::bytes data) {
+fl_can_frame_t frame_of(uint32_t id, const nb::bytes &data) {
     if (data.size() > 8) throw nb::value_error("a CAN frame carries 0 to 8 bytes");
     fl_can_frame_t frame{};
     frame.id = id;
     frame.len = static_cast<uint8_t>(data.size());
     std::memcpy(frame.data, data.c_str(), data.size());
-    twin.send(frame);
+    return frame;
+}
+
+void twin_send(Twin &twin, uint32_t id, const nb::bytes &data) { twin.send(frame_of(id, data)); }
+
+nb::list listed(const std::vector<Reply> &replies) {
+    nb::list out;
+    for (const Reply &r : replies)
+        out.append(nb::make_tuple(r.frame.id,
+                                  nb::bytes(reinterpret_cast<const char *>(r.frame.data), r.frame.len),
+                                  static_cast<double>(r.tick) * tick_s));
+    return out;
 }
 
 nb::list twin_run(Twin &twin, uint64_t ticks) {
@@ -247,12 +266,7 @@ nb::list twin_run(Twin &twin, uint64_t ticks) {
         nb::gil_scoped_release free;
         replies = twin.run(ticks);
     }
-    nb::list out;
-    for (const Reply &r : replies)
-        out.append(nb::make_tuple(r.frame.id,
-                                  nb::bytes(reinterpret_cast<const char *>(r.frame.data), r.frame.len),
-                                  static_cast<double>(r.tick) * tick_s));
-    return out;
+    return listed(replies);
 }
 
 nb::object twin_outputs(Twin &twin) {
@@ -311,6 +325,14 @@ void twin_fault(Twin &twin, size_t index, int axis, const std::string &kind, boo
     twin.set_faults(index, f);
 }
 
+void twin_slip(Twin &twin, size_t index, int axis, double up, double down) {
+    check_axis(axis);
+    PositionerFaults f = twin.faults(index);
+    f.axes[axis].follows_up = up;
+    f.axes[axis].follows_down = down;
+    twin.set_faults(index, f);
+}
+
 void bind_whole_twin(nb::module_ &m) {
     nb::class_<Twin>(m, "Twin", "Positioners with firmware on a virtual bus.")
         .def("__init__", &twin_init, nb::kw_only(), nb::arg("ids"), nb::arg("plant"), nb::arg("transmission"),
@@ -318,6 +340,7 @@ void bind_whole_twin(nb::module_ &m) {
              nb::arg("body_mm"), nb::arg("seed"), nb::arg("threads"), nb::arg("neighbours"),
              nb::arg("skip_resting"), nb::arg("side_by_side"), nb::arg("substeps"), nb::arg("kernel"))
         .def("send", &twin_send, nb::arg("id"), nb::arg("data"))
+        .def("connect", &Twin::connect, nb::arg("index"), nb::arg("bus"))
         .def("run", &twin_run, nb::arg("ticks"), "Replies (id, data, time_s) since the last call.")
         .def("outputs_rad", &twin_outputs)
         .def("motors_rad", &twin_motors)
@@ -326,7 +349,9 @@ void bind_whole_twin(nb::module_ &m) {
              [](Twin &t, size_t i, int axis) { return check_axis(axis), twin_scope(t, i, axis); })
         .def("take_touches", &twin_touches)
         .def("fault", &twin_fault, nb::arg("index"), nb::arg("axis"), nb::arg("kind"), nb::arg("on"))
-        .def("power_cycle", &Twin::power_cycle, nb::arg("index"))
+        .def("slip", &twin_slip, nb::arg("index"), nb::arg("axis"), nb::arg("up"), nb::arg("down"),
+             "Share of the gear's way that the arm makes, upwards and downwards; 1 and 1: no fault.")
+        .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
         .def("set_external_torque",
              [](Twin &t, size_t i, int axis, double torque_Nm) {
                  check_axis(axis), t.set_external_torque(i, axis, torque_Nm);
@@ -335,17 +360,55 @@ void bind_whole_twin(nb::module_ &m) {
              [](Twin &t, size_t i, int axis, const Input1<double> &row) {
                  check_axis(axis), t.set_transmission(i, axis, transmission_of(row));
              })
+        .def("set_params",
+             [](Twin &t, size_t i, int axis, const Input1<double> &row) {
+                 check_axis(axis), t.set_params(i, axis, params_of(row));
+             })
         .def("backlash_rad",
              [](Twin &t, size_t i, int axis) {
                  return t.plant().backlash_rad(2 * i + static_cast<size_t>(axis));
              })
         .def("asleep", &Twin::asleep)
+        .def_prop_ro("resting", &Twin::resting)
         .def_prop_ro("bytes_per_positioner", &Twin::bytes_per_positioner,
                      "Memory of one positioner beside its firmware's state, before any log.")
         .def_prop_ro("tick", &Twin::tick)
         .def_prop_ro("ticks_run", &Twin::ticks_run)
         .def_prop_ro("ticks_skipped", &Twin::ticks_skipped)
         .def_prop_ro("kernel", [](Twin &t) { return t.kernel_name(); });
+}
+
+nb::dict pace_of(const RealTime &real) {
+    const Pace pace = real.pace();
+    nb::dict d;
+    d["ticks_busy"] = pace.busy.ticks();
+    d["ticks_kept"] = pace.busy.kept();
+    d["ticks_resting"] = pace.resting;
+    d["late_p50_s"] = pace.busy.quantile_s(0.5);
+    d["late_p99_s"] = pace.busy.quantile_s(0.99);
+    d["late_worst_s"] = pace.busy.worst_s();
+    d["given_up_s"] = pace.given_up_s;
+    return d;
+}
+
+void real_time_post(RealTime &real,
+                    const std::vector<std::tuple<uint32_t, nb::bytes, int, uint64_t>> &frames) {
+    std::vector<Errand> errands;
+    for (const auto &[id, data, bus, tick] : frames) errands.push_back({frame_of(id, data), bus, tick});
+    real.post(errands);
+}
+
+void bind_real_time(nb::module_ &m) {
+    nb::class_<RealTime>(m, "RealTime", "A thread that computes each tick of a Twin when it is due.")
+        .def(nb::init<Twin &, double, int>(), nb::arg("twin"), nb::arg("speed"), nb::arg("wake_fd"),
+             nb::keep_alive<1, 2>())
+        .def("post", &real_time_post, nb::arg("frames"), "Frames (id, data, bus, tick).")
+        .def("take", [](RealTime &r) { return listed(r.take()); })
+        .def_prop_ro("tick_now", &RealTime::tick_now)
+        .def("pace", &pace_of)
+        .def("hold", &RealTime::hold, nb::call_guard<nb::gil_scoped_release>())
+        .def("release", &RealTime::release)
+        .def("stop", &RealTime::stop, nb::call_guard<nb::gil_scoped_release>());
 }
 
 } // namespace
@@ -361,12 +424,13 @@ void bind_twin(nb::module_ &m) {
     t.attr("NODES_PER_TURN") = nodes_per_turn;
     t.attr("TICK_S") = tick_s;
     t.attr("SYNC_TICKS") = sync_ticks;
-    t.attr("SCOPE_FIELDS") =
-        nb::make_tuple("time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm",
-                       "duty_a", "duty_b", "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg",
-                       "tracking_deg", "command_speed_rad_s", "feedback_Nm", "feedforward_Nm", "voltage");
+    t.attr("SCOPE_FIELDS") = nb::make_tuple(
+        "time_s", "motor_rad", "gear_rad", "output_rad", "speed_rad_s", "torque_out_Nm", "duty_a", "duty_b",
+        "duty_c", "hall_a_cnt", "hall_b_cnt", "command_deg", "tracking_deg", "command_speed_rad_s",
+        "feedback_Nm", "feedforward_Nm", "voltage", "load_Nm", "touch_Nm");
     t.def("transmission", &evaluate_transmission, nb::arg("transmission"), nb::arg("gear_ratio"),
           nb::arg("output_rad"), "Gear angle T- and backlash B, motor rad, at output angles.");
     bind_plant(t);
     bind_whole_twin(t);
+    bind_real_time(t);
 }

@@ -75,6 +75,13 @@ static const fl_command_row_t rows[] = {
     ROW(140, 4, 4, 0, QUERY, A12, 0, fl_handle_set_trajectories),
     ROW(200, 8, 8, L, BOOT, A12, 0, fl_handle_upgrade),
     ROW(201, 1, 8, L, BOOT, A12, 0, fl_handle_image),
+    ROW(240, 2, 2, 0, SETTING, A12, 0, fl_handle_trace_start),
+    ROW(241, 0, 0, 0, QUERY, A1, 0, fl_handle_trace_state),
+    ROW(242, 0, 0, 0, QUERY, A2, 0, fl_handle_trace_state),
+    ROW(243, 2, 2, 0, QUERY, A1, 0, fl_handle_trace_read),
+    ROW(244, 2, 2, 0, QUERY, A2, 0, fl_handle_trace_read),
+    ROW(245, 8, 8, 0, GOTO, A1, 0, fl_handle_torque_step),
+    ROW(246, 8, 8, 0, GOTO, A2, 0, fl_handle_torque_step),
 };
 /* clang-format on */
 

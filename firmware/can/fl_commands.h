@@ -85,6 +85,12 @@ FL_HANDLER(fl_handle_led);
 FL_HANDLER(fl_handle_save);
 FL_HANDLER(fl_handle_set_trajectories);
 
+/* fl_handle_bench.c */
+FL_HANDLER(fl_handle_trace_start);
+FL_HANDLER(fl_handle_trace_state);
+FL_HANDLER(fl_handle_trace_read);
+FL_HANDLER(fl_handle_torque_step);
+
 /* fl_boot.c */
 FL_HANDLER(fl_handle_upgrade);
 FL_HANDLER(fl_handle_image);

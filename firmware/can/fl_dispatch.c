@@ -11,7 +11,7 @@ static bool has(uint8_t mask, int axis) { return mask >> axis & 1; }
 static uint64_t axis_status(const fl_positioner_t *p, int i) {
     const fl_axis_t *a = &p->axis[i];
     uint64_t s = 0;
-    if (fl_axis_rests(a)) s |= FL_STATUS_AXIS_COMPLETED(i);
+    if (fl_axis_rests(a) && !has(p->chores, i)) s |= FL_STATUS_AXIS_COMPLETED(i);
     if (has(p->collided, i)) s |= FL_STATUS_AXIS_COLLISION(i);
     if (a->closed_loop) s |= FL_STATUS_AXIS_CLOSED_LOOP(i);
     if (a->precise) s |= FL_STATUS_AXIS_PRECISE(i);
@@ -60,7 +60,7 @@ void fl_positioner_refresh(fl_positioner_t *p) {
     if (p->settings_changed) s |= FL_STATUS_CONFIG_CHANGED;
     for (int i = 0; i < FL_AXES; ++i) s |= axis_status(p, i);
     const uint64_t both = FL_STATUS_AXIS_COMPLETED(0) | FL_STATUS_AXIS_COMPLETED(1);
-    if ((s & both) == both) s |= FL_STATUS_DISPLACEMENT_COMPLETED;
+    if ((s & both) == both && p->chores == 0) s |= FL_STATUS_DISPLACEMENT_COMPLETED;
     p->status = s;
 }
 

@@ -23,6 +23,7 @@ FL_HANDLER(fl_handle_new_trajectory) {
     for (int i = 0; i < FL_AXES; ++i)
         if (n[i] < 1 || n[i] > FL_PATH_POINTS) return FL_VALUE_OUT_OF_RANGE;
     drop_paths(p);
+    fl_trace_start(&p->trace, 0); /* its memory is needed */
     for (int i = 0; i < FL_AXES; ++i) p->points[i] = (uint16_t)n[i];
     return FL_ACCEPTED;
 }

@@ -75,12 +75,4 @@ static inline int32_t fl_atan2_cnt(float s, float c) {
     return fl_negate_if(s < 0.0f, half) & (FL_TURN_CNT - 1);
 }
 
-/* Largest integer whose square is at most x. */
-static inline uint32_t fl_isqrt_u64(uint64_t x) {
-    uint64_t root = 0;
-    for (uint64_t bit = 1ull << 31; bit != 0; bit >>= 1)
-        if ((root + bit) * (root + bit) <= x) root += bit;
-    return (uint32_t)root;
-}
-
 #endif

@@ -6,7 +6,7 @@
 #ifndef FL_PROFILE_H
 #define FL_PROFILE_H
 
-#include "fl_math.h"
+#include "fl_linear.h"
 
 #define FL_Q30 ((int64_t)1 << 30)
 
@@ -33,8 +33,8 @@ static inline fl_profile_shape_t fl_profile_shape(uint32_t distance_cnt, fl_prof
     if (at_full_speed > (float)shape.ramp_ticks) {
         shape.cruise_ticks = 1u + (uint32_t)(at_full_speed - (float)shape.ramp_ticks);
     } else {
-        /* a triangle: ramp_ticks^2 >= distance / acceleration */
-        shape.ramp_ticks = 1u + fl_isqrt_u64((uint64_t)(distance / lim.acceleration_cnt_tick2));
+        /* a triangle: ramp_ticks^2 >= distance / acceleration, to the rounding of a float */
+        shape.ramp_ticks = 1u + (uint32_t)fl_sqrt(distance / lim.acceleration_cnt_tick2);
     }
     return shape;
 }

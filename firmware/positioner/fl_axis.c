@@ -124,6 +124,13 @@ void fl_axis_calibrate_cogging(fl_axis_t *a) {
     fl_friction_fit_reset(&a->fit.friction);
 }
 
+void fl_axis_push(fl_axis_t *a, fl_torque_step_t step) {
+    plan_clear(a);
+    a->push = step;
+    plan_add(a, FL_LEG_PUSH, 0);
+    plan_add(a, FL_LEG_BRAKE, 0);
+}
+
 static void phases_off(fl_axis_t *a, const fl_port_t *port, int index) {
     a->voltage = 0.0f;
     a->command.speed_rad_s = 0.0f;
@@ -213,7 +220,7 @@ static void leg_enter(fl_axis_t *a) {
     const fl_leg_t leg = a->plan[a->leg];
     if (leg.kind == FL_LEG_GOTO) fl_profile_start(&a->profile, a->raw_cnt, leg.target_cnt, goto_limits(a));
     /* what the integral made up for in motion is gone at standstill */
-    if (leg.kind == FL_LEG_LAND) a->servo.integral_Nm = 0.0f;
+    if (leg.kind == FL_LEG_LAND) a->drive.servo.integral_Nm = 0.0f;
     if (leg.kind == FL_LEG_FOLLOW) fl_path_start(&a->cursor, a->raw_cnt);
 }
 
@@ -226,7 +233,8 @@ static void leg_next(fl_axis_t *a) {
 FL_COLD static void plan_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
-    a->servo.integral_Nm = a->servo.direction = 0.0f;
+    a->drive.servo.integral_Nm = a->drive.servo.direction = 0.0f;
+    a->drive.touch = (fl_touch_state_t){0};
     a->fresh = false;
     a->start_cnt = a->position_cnt;
     for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];
@@ -288,7 +296,7 @@ FL_COLD static void observe(fl_axis_t *a, uint8_t kind) {
     if (kind == FL_LEG_SWEEP) {
         /* the measured speed: noisy, but it knows where cogging slows the rotor, and sums forgive noise */
         const float speed = (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt) * FL_RAD_S_PER_CNT_TICK;
-        const float driving = a->torque.torque_Nm - a->law.servo.drag * speed;
+        const float driving = a->torque.torque_Nm - a->law.drive.servo.drag * speed;
         fl_friction_fit_add(&a->fit.friction, a->command.speed_rad_s < 0.0f, a->hall.angle_cnt, driving);
         a->calm_cnt = a->hall.angle_cnt;
     }
@@ -306,8 +314,7 @@ static inline void ask_servo(const fl_axis_t *a, fl_servo_in_t *in) {
 
 /* Eq. 20 to 22; true when something blocks. */
 static bool drive_closed(fl_axis_t *a, fl_sincos_t rotor, const fl_servo_in_t *in, fl_duty_t *duty) {
-    const fl_drive_out_t out =
-        fl_drive_step(&a->law.servo, a->law.voltage_per_Nm, &a->law.collision, &a->servo, in, rotor);
+    const fl_drive_out_t out = fl_drive_step(&a->law.drive, &a->drive, in, rotor);
     a->torque = out.torque;
     a->voltage = out.voltage;
     *duty = out.duty;
@@ -321,7 +328,7 @@ static bool drive_open(fl_axis_t *a, fl_duty_t *duty) {
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};
     a->voltage = a->law.open_loop_voltage;
     *duty = fl_rotating_field(a->voltage, field);
-    return fl_collision_open(&a->law.collision, fl_sub_i32(a->command.position_cnt, a->position_cnt));
+    return fl_collision_open(&a->law.drive.collision, fl_sub_i32(a->command.position_cnt, a->position_cnt));
 }
 
 static fl_axis_event_t finish(fl_axis_t *a, const fl_port_t *port, int index) {
@@ -361,7 +368,7 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index) {
 static bool settled(fl_axis_t *a) {
     if (++a->leg_ticks <= FL_SMOOTH_TICKS) return false;
     const int32_t error = fl_sub_i32(a->command.position_cnt, a->position_cnt);
-    a->lag_cnt += ((a->servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
+    a->lag_cnt += ((a->drive.servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
     const bool calm = a->lag_cnt <= a->law.tolerance_cnt || !a->closed_loop;
     a->calm_ticks = calm ? a->calm_ticks + 1 : 0;
     return a->calm_ticks > a->law.settle_ticks || a->leg_ticks > a->law.timeout_ticks + FL_SMOOTH_TICKS;
@@ -399,6 +406,25 @@ fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index,
     return conclude(a, port, index, way_ended, stuck);
 }
 
+/* Eq. 20 without a loop. The field leads by what the rotor turned in the last tick, halved. */
+FL_COLD static fl_axis_event_t push(fl_axis_t *a, const fl_port_t *port, int index, fl_sincos_t rotor) {
+    const int second = a->leg_ticks >= a->push.ticks[0];
+    const bool over = a->leg_ticks >= (uint32_t)a->push.ticks[0] + a->push.ticks[1];
+    const float lead_rad = 0.5f * FL_RAD_PER_CNT * (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt);
+    a->calm_cnt = a->hall.angle_cnt;
+    a->command.position_cnt = a->raw_cnt = a->position_cnt;
+    ++a->leg_ticks;
+    if (over || !fl_axis_in_range(a, a->position_cnt)) {
+        phases_off(a, port, index);
+        leg_next(a);
+        return FL_AXIS_NONE;
+    }
+    a->voltage = (float)a->push.voltage[second] * (1.0f / 32767.0f);
+    const fl_duty_t duty = fl_commutate(a->voltage, rotor, fl_clamp(lead_rad, -0.2f, 0.2f));
+    port->set_phases(port->ctx, index, duty.phase);
+    return FL_AXIS_NONE;
+}
+
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index) {
     const uint8_t kind = a->plan[a->leg].kind;
     /* nothing to do: it stands where it settled, wherever inside the backlash the rotor fell */
@@ -407,6 +433,7 @@ fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_
     a->position_cnt = fl_add_i32(hall.angle_cnt, a->zero_cnt);
     if (kind == FL_LEG_BRAKE || kind == FL_LEG_DATUM) return coast(a, port, index);
     if (a->fresh) plan_begin(a);
+    if (kind == FL_LEG_PUSH) return push(a, port, index, hall.rotor);
 
     fl_axis_demand_t demand;
     advance(a, path, &demand);

@@ -23,9 +23,7 @@
 /* What the laws need, computed once from the parameters. */
 typedef struct fl_axis_law {
     fl_hall_config_t hall;
-    fl_servo_config_t servo;
-    fl_collision_config_t collision;
-    float voltage_per_Nm; /* u_cmd/u_dc per Nm, Eq. 20a */
+    fl_drive_config_t drive;
     float open_loop_voltage, holding_voltage;
     float acceleration_cnt_tick2;
     int32_t datum_step_cnt;
@@ -51,6 +49,7 @@ typedef enum fl_leg_kind {
     FL_LEG_SPIN_FIT,   /* the same, fitting their shape */
     FL_LEG_SWEEP_IN,   /* closed loop at creep speed, until the backlash is closed */
     FL_LEG_SWEEP,      /* the same, measuring the torque */
+    FL_LEG_PUSH,       /* two torques, one after the other, wherever they lead */
 } fl_leg_kind_t;
 
 typedef struct fl_leg {
@@ -66,6 +65,15 @@ typedef enum fl_axis_event {
     FL_AXIS_BLOCKED, /* collision */
 } fl_axis_event_t;
 
+/* For identification on a bench, Kronig 2020, Fig. 14: 32767 is u_dc. */
+typedef struct fl_torque_step {
+    int16_t voltage[2];
+    uint16_t ticks[2];
+} fl_torque_step_t;
+
+/* A push ends after 0.2 s at the latest: at 6000 rpm 20 turns of the motor, 7 deg of the arm. */
+enum { FL_TORQUE_TICKS = 400 };
+
 /* What every tick touches comes first: it is what a simulator of many positioners waits for. */
 typedef struct fl_axis {
     uint8_t leg, legs;
@@ -79,7 +87,7 @@ typedef struct fl_axis {
     int32_t position_cnt; /* last measured; at rest where the move settled */
     int32_t raw_cnt;
     fl_hall_state_t hall;
-    fl_servo_state_t servo;
+    fl_drive_state_t drive;
 
     /* the last tick, for logs */
     fl_command_t command;
@@ -94,7 +102,7 @@ typedef struct fl_axis {
 
     uint32_t leg_ticks, calm_ticks;
     int32_t lag_cnt;         /* behind the command while settling, averaged */
-    int32_t calm_cnt;        /* rotor angle at which it was last calm; in a sweep a tick ago */
+    int32_t calm_cnt;        /* rotor angle at which it was last calm; in a sweep or push a tick ago */
     int32_t datum_ref_cnt;   /* rotor angle of the datum within its turn */
     int32_t start_cnt;       /* where the plan began */
     float margin_rad;        /* SET_INCREASE_COLLISION_MARGIN */
@@ -103,6 +111,7 @@ typedef struct fl_axis {
     uint32_t speed_rpm;      /* of go-to moves */
 
     uint16_t start_adc_cnt[2]; /* where a hall calibration began */
+    fl_torque_step_t push;
     union {
         fl_hall_fit_t hall;
         fl_friction_fit_t friction;
@@ -122,6 +131,8 @@ void fl_axis_follow(fl_axis_t *a, fl_path_t *path);
 void fl_axis_home(fl_axis_t *a, bool calibrate);
 void fl_axis_calibrate_hall(fl_axis_t *a);
 void fl_axis_calibrate_cogging(fl_axis_t *a);
+/* Drives with these torques, then brakes. It ends early at the limits of the range. */
+void fl_axis_push(fl_axis_t *a, fl_torque_step_t step);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 
@@ -147,7 +158,7 @@ static inline bool fl_axis_tracks(const fl_axis_t *a) {
 }
 /* a->hall is that of this tick. Moves the command on. */
 void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
-/* a->servo, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
+/* a->drive, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
  * are as in the tick before. */
 fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck);
 

@@ -54,6 +54,31 @@ static fl_collision_config_t collision_config(const fl_axis_params_t *p, float m
     return cfg;
 }
 
+/* Without a part of the feedforward every load is beyond the model: nothing to be told from it. */
+static fl_touch_config_t touch_config(const fl_axis_params_t *p, float margin_rad) {
+    const bool whole = p->use_break_away * p->use_speed * p->use_inertia == 1.0f;
+    const float wider_Nm = p->k_p * fl_max(margin_rad, 0.0f);
+    const fl_touch_config_t cfg = {
+        .inertia = p->inertia,
+        .inertia_inverse = 1.0f / p->inertia,
+        .drag = p->drag,
+        .threshold_Nm = whole && p->touch_torque > 0.0f ? p->touch_torque + wider_Nm : 1e9f,
+    };
+    return cfg;
+}
+
+static fl_drive_config_t drive_config(const fl_axis_params_t *p, float margin_rad) {
+    const float full_Nm = p->torque_per_volt * p->u_dc;
+    const fl_drive_config_t cfg = {
+        .servo = servo_config(p),
+        .collision = collision_config(p, margin_rad),
+        .touch = touch_config(p, margin_rad),
+        .voltage_per_Nm = 1.0f / full_Nm,
+        .full_Nm = full_Nm,
+    };
+    return cfg;
+}
+
 static int32_t motor_deg(float deg) { return fl_round_i32(deg * FL_CNT_PER_MOTOR_DEG); }
 
 /* Output degrees, kept inside 32 bits. */
@@ -73,9 +98,7 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
     const float per_tick = FL_CNT_PER_MOTOR_DEG * FL_TICK_S;
     const fl_axis_law_t law = {
         .hall = hall_config(p),
-        .servo = servo_config(p),
-        .collision = collision_config(p, a->margin_rad),
-        .voltage_per_Nm = 1.0f / (p->torque_per_volt * p->u_dc),
+        .drive = drive_config(p, a->margin_rad),
         .open_loop_voltage = p->open_loop_voltage,
         .holding_voltage = p->holding_voltage,
         .acceleration_cnt_tick2 = p->acceleration * FL_CNT_TICK2_PER_RAD_S2,
@@ -99,7 +122,8 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->margin_rad = 0.0f;
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
-    a->servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
+    a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
+    a->drive.touch = (fl_touch_state_t){0};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;
@@ -110,4 +134,5 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->command = (fl_command_t){0, 0.0f, 0.0f};
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};
     a->voltage = 0.0f;
+    a->push = (fl_torque_step_t){{0, 0}, {0, 0}};
 }

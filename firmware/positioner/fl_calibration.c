@@ -2,6 +2,8 @@
 
 #include <stddef.h>
 
+#include "fl_status.h"
+
 static uint8_t bit(int axis) { return (uint8_t)(1u << axis); }
 
 /* The rotor is back where the calibration began; the position there stays what it was. */
@@ -59,6 +61,9 @@ void fl_calibration_done(fl_positioner_t *p, int axis) {
     case FL_STATE_DATUM_CALIBRATION:
     case FL_STATE_HOMING:
         if (a->datum_found) p->datum_known |= bit(axis);
+        /* found at the stop: no longer a guess, nor what the storage said */
+        if (p->datum_known == (bit(FL_ALPHA) | bit(FL_BETA)))
+            p->options &= ~(FL_STATUS_ESTIMATED_POSITION | FL_STATUS_POSITION_RESTORED);
         p->settings_changed |= a->datum_found && a->datum_calibrate;
         break;
     default:

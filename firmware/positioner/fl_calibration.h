@@ -7,6 +7,11 @@
 /* An axis has ended the plan of the calibration (fl_state_t) it was in. */
 void fl_calibration_done(fl_positioner_t *p, int axis);
 
+/* Whether its result is a fit, which takes as long as a tick of both axes. */
+static inline bool fl_calibration_fits(const fl_positioner_t *p) {
+    return p->state == FL_STATE_HALL_CALIBRATION || p->state == FL_STATE_COGGING_CALIBRATION;
+}
+
 /* Index of the first parameter outside its limits, or of one that contradicts another; -1 if all is
  * well. The index counts the lines of FL_AXIS_PARAMS. */
 int fl_params_fault(const fl_axis_params_t *params);

@@ -54,6 +54,8 @@ extern "C" {
       "share of drag * speed added to T_threshold: until it is learnt")                                      \
     X(contact_torque, "Nm", 0, 1, 0,                                                                         \
       "resistance beyond the model that is a contact of the arm; 0: Eq. 22 alone")                           \
+    X(touch_torque, "Nm", 0, 1, 0,                                                                           \
+      "load that rises so far beyond its mean is a touch of the arm; 0: not watched")                        \
     X(drag_learning_time, "s", 0, 100, 0.1, "time in which the drag is learnt at 2000 rpm; 0: never")        \
     X(use_break_away, "1", 0, 1, 1, "share of the break-away feedforward, Eq. 21; 0 switches it off")        \
     X(use_speed, "1", 0, 1, 1, "share of the speed feedforward")                                             \

@@ -26,11 +26,13 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->collided = p->datum_known = p->cogging_calibrated = 0;
     p->hall_calibrated = BOTH_AXES; /* the factory parameters describe this unit */
     p->path_bad = p->settings_changed = p->led = false;
+    p->chores = 0;
     p->options = 0;
     p->ticks = p->trajectories = 0;
     p->temperature_raw = 1900;
     p->tx.first = p->tx.count = 0;
     p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
+    fl_trace_start(&p->trace, 0);
     fl_storage_load(p);
     p->params_good = params_good(p);
     fl_positioner_refresh(p);
@@ -59,7 +61,7 @@ static bool axes_rest(const fl_positioner_t *p) {
 }
 
 bool fl_positioner_at_rest(const fl_positioner_t *p) {
-    return axes_rest(p) && p->state != FL_STATE_BOOTLOADER && p->tx.count == 0 &&
+    return axes_rest(p) && p->chores == 0 && p->state != FL_STATE_BOOTLOADER && p->tx.count == 0 &&
            p->axis[FL_ALPHA].voltage == 0.0f && p->axis[FL_BETA].voltage == 0.0f;
 }
 
@@ -90,18 +92,46 @@ static void collide(fl_positioner_t *p, int axis) {
     if (first) fl_positioner_report_collision(p);
 }
 
+enum { RESULTS = FL_CHORE_RESULT_ALPHA | FL_CHORE_RESULT_BETA };
+_Static_assert(FL_CHORE_RESULT_ALPHA == 1 << FL_ALPHA && FL_CHORE_RESULT_BETA == 1 << FL_BETA, "by axis");
+
 static void axis_done(fl_positioner_t *p, int axis) {
+    p->chores &= (uint8_t)~(1u << axis);
     fl_calibration_done(p, axis);
-    if (axes_rest(p)) {
+    if (axes_rest(p) && !(p->chores & RESULTS)) {
         fl_positioner_apply(p, FL_IN_DONE);
-        fl_storage_note_position(p, false);
+        p->chores |= FL_CHORE_NOTE;
     }
     fl_positioner_refresh(p);
 }
 
+/* The fits of both axes and the storage in one tick would be long. */
+static void do_chore(fl_positioner_t *p) {
+    if (p->chores & FL_CHORE_RESULT_ALPHA) {
+        axis_done(p, FL_ALPHA);
+    } else if (p->chores & FL_CHORE_RESULT_BETA) {
+        axis_done(p, FL_BETA);
+    } else {
+        fl_storage_note_position(p, false);
+        fl_positioner_refresh(
+            p); /* the displacement is completed when its end is known to outlive a power cut */
+    }
+}
+
+/* The tick before this one: an axis that sets out now was at rest in it. */
+static void trace(fl_positioner_t *p) {
+    for (int i = 0; i < FL_AXES; ++i) {
+        const fl_axis_t *a = &p->axis[i];
+        if (fl_axis_rests(a) || a->fresh) continue;
+        fl_trace_add(&p->trace, i, &p->path[i], a->position_cnt, a->voltage);
+    }
+}
+
 bool fl_positioner_begin_tick(fl_positioner_t *p) {
     ++p->ticks;
+    if (p->trace.decimation != 0) trace(p);
     if (p->tx.count != 0) fl_positioner_flush(p);
+    if (p->chores != 0) do_chore(p);
     if (p->state != FL_STATE_BOOTLOADER) return true;
     fl_boot_tick(p);
     return false;
@@ -110,7 +140,10 @@ bool fl_positioner_begin_tick(fl_positioner_t *p) {
 void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event) {
     switch (event) {
     case FL_AXIS_DONE:
-        axis_done(p, axis);
+        if (fl_calibration_fits(p))
+            p->chores |= (uint8_t)(1u << axis);
+        else
+            axis_done(p, axis);
         break;
     case FL_AXIS_BLOCKED:
         collide(p, axis);
@@ -138,6 +171,8 @@ fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis) 
         .feedback_Nm = a->torque.watched_Nm,
         .feedforward_Nm = a->torque.feedforward_Nm,
         .voltage = a->voltage,
+        .load_Nm = a->drive.touch.rise_Nm,
+        .touch_Nm = a->drive.touch.limit_Nm,
     };
     return t;
 }

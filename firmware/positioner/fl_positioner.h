@@ -9,6 +9,7 @@
 #include "fl_params.h"
 #include "fl_port.h"
 #include "fl_supervisor.h"
+#include "fl_trace.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -32,6 +33,13 @@ typedef struct fl_boot {
     uint32_t (*image_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
 } fl_boot_t;
 
+/* What the end of a motion brings with it, in the order in which it is done. */
+enum {
+    FL_CHORE_RESULT_ALPHA = 1, /* of the calibration that has ended */
+    FL_CHORE_RESULT_BETA = 2,
+    FL_CHORE_NOTE = 4, /* the position, into the storage */
+};
+
 /* Visible, so that it can be placed, copied and inspected; only the functions below change it. */
 typedef struct fl_positioner {
     fl_port_t port;
@@ -45,6 +53,7 @@ typedef struct fl_positioner {
     bool settings_changed; /* since the last save */
     bool led;              /* as commanded: no LED on the port */
     bool params_good;
+    uint8_t chores; /* FL_CHORE_...: one a tick, so that none of them takes long */
     uint32_t ticks; /* since power-up */
     fl_axis_t axis[FL_AXES];
 
@@ -56,6 +65,7 @@ typedef struct fl_positioner {
     uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
+    fl_trace_t trace; /* bench: its samples lie in the paths */
     fl_path_t path[FL_AXES];
 } fl_positioner_t;
 
@@ -99,7 +109,9 @@ typedef struct fl_axis_telemetry {
     float speed_rad_s;  /* commanded */
     float feedback_Nm;  /* PI term, the one Eq. 22 watches */
     float feedforward_Nm;
-    float voltage; /* u_cmd / u_dc */
+    float voltage;  /* u_cmd / u_dc */
+    float load_Nm;  /* beyond its mean, as the touch watch sees it; resisting is positive */
+    float touch_Nm; /* where it is a touch */
 } fl_axis_telemetry_t;
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
 

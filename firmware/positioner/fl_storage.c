@@ -138,6 +138,7 @@ void fl_storage_load(fl_positioner_t *p) {
 }
 
 void fl_storage_note_position(fl_positioner_t *p, bool moving) {
+    p->chores &= (uint8_t)~FL_CHORE_NOTE; /* an older one is overtaken */
     if (!p->port.storage_write || !p->port.storage_read) return;
     position_record_t r = {.moving = moving, .datum_known = p->datum_known};
     for (int i = 0; i < FL_AXES; ++i) {

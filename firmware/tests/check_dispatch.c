@@ -190,7 +190,8 @@ static void check_current(const bench_t *b, const fl_positioner_t *p) {
         REQUIRE(!fl_axis_rests(&p->axis[i]) || p->axis[i].voltage >= 0.0f, "axis %d", i);
     }
     const bool active = p->state >= FL_STATE_MOVING && p->state < FL_STATE_BOOTLOADER;
-    const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]);
+    const bool results = p->chores & (FL_CHORE_RESULT_ALPHA | FL_CHORE_RESULT_BETA);
+    const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]) && !results;
     REQUIRE(active == !rests, "state %d with axes %s", p->state, rests ? "at rest" : "moving");
 }
 

@@ -47,6 +47,14 @@ class CameraKind(StrEnum):
     image = "image"
 
 
+class Pages(StrEnum):
+    """Exposures that get pages to look at."""
+
+    none = "none"
+    last = "last"
+    all = "all"
+
+
 def _version(show: bool) -> None:
     if show:
         from fiberloom import __version__
@@ -86,7 +94,11 @@ def observe(
     correction: Annotated[
         Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
     ] = Correction.filtered,
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise,
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image,
+    pages: Annotated[
+        Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")
+    ] = Pages.last,
+    save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False,
     faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")] = "",
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
@@ -118,6 +130,8 @@ def observe(
         moves=moves,
         correction=correction.value,
         camera=camera.value,
+        pages=pages.value,
+        save_images=save_images,
         faults=faults,
         compare_linear=compare_linear,
         seed=seed,
@@ -188,6 +202,57 @@ def verify(
     raise typer.Exit(0 if report["verified"] else 1)
 
 
+@app.command()
+def twin(
+    listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228",
+    devices: Annotated[
+        int | None, typer.Option(min=1, max=64, help="CAN@net devices; default: one for 84 positioners.")
+    ] = None,
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    positioners: PositionersOption = None,
+    seed: SeedOption = 0,
+    faults: Annotated[
+        str,
+        typer.Option(
+            help="What goes wrong: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."
+        ),
+    ] = "",
+    speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0,
+    neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True,
+    bootloader: Annotated[
+        bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
+    ] = False,
+    jaeger_config: Annotated[
+        Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
+    ] = None,
+    report_every: Annotated[
+        float, typer.Option(min=0.0, help="Seconds between reports of lateness; 0: at the end only.")
+    ] = 0.0,
+    stop_after: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after so many seconds; default: Ctrl-C, SIGTERM.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
+    from fiberloom.commands.twin import ServeRequest, run_twin
+
+    request = ServeRequest(
+        listen=listen,
+        devices=devices,
+        seed=seed,
+        faults=faults,
+        speed=speed,
+        neighbours=neighbours,
+        bootloader=bootloader,
+        jaeger_config=jaeger_config,
+        report_every_s=report_every,
+        stop_after_s=stop_after,
+        as_json=as_json,
+    )
+    run_twin(_plane(instrument, layout, seed, positioners), request)
+
+
 @calibrate.command()
 def transmission(
     instrument: InstrumentOption = "sdssv",
@@ -205,6 +270,153 @@ def transmission(
     report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
     _print_report(report, as_json)
     raise typer.Exit(1 if report["refused"] else 0)
+
+
+BenchPositioners = Annotated[
+    int | None, typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre.")
+]
+BenchFaults = Annotated[str, typer.Option("--faults", help="Put faults into the twin, e.g. dark=1.")]
+TruthOption = Annotated[bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")]
+WeightsOption = Annotated[
+    bool,
+    typer.Option("--weights/--data-sheet", help="Torques by known weights, or by the motor's data sheet."),
+]
+
+
+def _bench(
+    where: tuple[str, Path | None, int | None],
+    seed: int,
+    out: Path,
+    faults: str,
+    truth: bool,
+    quiet: bool,
+) -> Any:
+    """A bench with one positioner of a preset, unless told otherwise."""
+    from fiberloom.commands.bench import BenchRequest
+
+    instrument, layout, positioners = where
+    count = positioners if layout is not None else positioners or 1
+    plane = _plane(instrument, layout, seed, count)
+    return BenchRequest(plane, seed, out, faults, truth, quiet)
+
+
+def _identify(name: str, request: Any, work: Any, as_json: bool) -> None:
+    from fiberloom.commands.bench import table_rows
+    from fiberloom.commands.identify import run_identification
+    from fiberloom.report.tables import print_estimates
+
+    content, complete = run_identification(name, request, work)
+    if as_json:
+        typer.echo(json.dumps(content, indent=2))
+    else:
+        print_estimates(table_rows(content))
+        typer.echo(f"results in {request.out}/: {name}.json, {name}.ecsv, {name}.png")
+    raise typer.Exit(0 if complete else 1)
+
+
+@calibrate.command()
+def friction(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5,
+    weights: WeightsOption = True,
+    faults: BenchFaults = "",
+    truth: TruthOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/friction"),
+    as_json: JsonOption = False,
+) -> None:
+    """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12)."""
+    from fiberloom.calibration import FrictionSettings
+    from fiberloom.commands.identify import friction_work
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
+    settings = FrictionSettings(n_angles=places)
+    _identify("friction", request, friction_work(request, settings, weights), as_json)
+
+
+@calibrate.command()
+def inertia(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    pushes: Annotated[int, typer.Option(min=2, help="Torque steps, half of them upward.")] = 6,
+    weights: WeightsOption = True,
+    faults: BenchFaults = "",
+    truth: TruthOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/inertia"),
+    as_json: JsonOption = False,
+) -> None:
+    """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14)."""
+    from fiberloom.calibration import InertiaSettings
+    from fiberloom.commands.identify import inertia_work
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
+    settings = InertiaSettings(pushes=pushes)
+    _identify("inertia", request, inertia_work(request, settings, weights), as_json)
+
+
+@calibrate.command()
+def stiffness(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    repeats: Annotated[int, typer.Option(min=3, help="How often to pull to each side.")] = 10,
+    faults: BenchFaults = "",
+    truth: TruthOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/stiffness"),
+    as_json: JsonOption = False,
+) -> None:
+    """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13)."""
+    from fiberloom.calibration import StiffnessSettings
+    from fiberloom.commands.identify import stiffness_work
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
+    _identify("stiffness", request, stiffness_work(request, StiffnessSettings(repeats=repeats)), as_json)
+
+
+@calibrate.command()
+def arms(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    points: Annotated[int, typer.Option(min=8, help="Points on each circle.")] = 40,
+    faults: BenchFaults = "",
+    truth: TruthOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/arms"),
+    as_json: JsonOption = False,
+) -> None:
+    """Arm lengths and centre from the circles of both axes."""
+    from fiberloom.calibration import ArmsSettings
+    from fiberloom.commands.identify import arms_work
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
+    _identify("arms", request, arms_work(request, ArmsSettings(n_points=points)), as_json)
+
+
+@calibrate.command()
+def repeatability(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets.")] = 300,
+    faults: BenchFaults = "",
+    truth: TruthOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/repeatability"),
+    as_json: JsonOption = False,
+) -> None:
+    """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17)."""
+    from fiberloom.calibration import RepeatabilitySettings
+    from fiberloom.commands.identify import repeatability_work
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
+    settings = RepeatabilitySettings(visits=visits)
+    _identify("repeatability", request, repeatability_work(request, settings), as_json)
 
 
 @calibrate.command("focal-plane")
@@ -281,6 +493,61 @@ def undo(
     from fiberloom.commands.learnt import undo_step
 
     _print_report(undo_step(learnt, to, positioner), as_json)
+
+
+@app.command()
+def lifetime(
+    cycles: Annotated[int, typer.Option(min=1, help="Of 15260 moves each, as the paper's.")] = 100,
+    positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2,
+    instrument: InstrumentOption = "sdssv",
+    points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200,
+    every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
+    ] = None,
+    seed: SeedOption = 0,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")
+    ] = Path("runs/lifetime"),
+    as_json: JsonOption = False,
+) -> None:
+    """Wear positioners out, and compare ways to know their gears (Kronig 2020, Fig. 21 to 26)."""
+    from fiberloom.commands.lifetime import LifetimeRequest, run_lifetime, table, within_requirement
+    from fiberloom.twin.lifetime import LifetimeSettings
+
+    settings = LifetimeSettings(instrument=instrument, cycles=cycles, points=points, cycle_step=every)
+    result = run_lifetime(
+        LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
+    )
+    if as_json:
+        typer.echo(json.dumps(result, indent=2))
+    else:
+        _print_report(table(result), as_json)
+        _print_report(result["summary"] | {"results": str(out)}, as_json)
+    raise typer.Exit(0 if within_requirement(result["summary"]) else 1)
+
+
+@app.command()
+def reproduce(
+    figures: Annotated[
+        list[str] | None, typer.Argument(help="Figures of the paper, e.g. 16 19 eq22; default: all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for report, results and figures.")] = Path(
+        "runs/reproduce"
+    ),
+    seed: SeedOption = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds in a row give the spread.")] = 3,
+    full: Annotated[bool, typer.Option("--full", help="The size of the paper's experiments.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the paper's figures and numbers on the twin, ours beside theirs."""
+    from fiberloom.commands.reproduce import ReproduceRequest, run_reproduce
+
+    request = ReproduceRequest(tuple(figures or ()), out, seed, seeds, full, quiet=as_json)
+    records = run_reproduce(request)
+    if as_json:
+        typer.echo(json.dumps(records, indent=2))
 
 
 @app.command()

@@ -141,6 +141,18 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
     return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
 
 
+def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
+    """Write rows of like keys as ECSV, with `head` in its header; None becomes NaN."""
+    from astropy.table import Table
+
+    columns = {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}
+    Table(columns, meta=dict(head)).write(path, format="ascii.ecsv", overwrite=True)
+
+
+def _cell(value: Any) -> Any:
+    return float("nan") if value is None else value
+
+
 def _whole(value: Any) -> int:
     number = float(value)
     if number != int(number):

@@ -191,3 +191,15 @@ def test_the_surprise_of_plain_noise_is_two_on_average():
     z = np.einsum("nij,nj->ni", h, rng.normal(size=(n, 2))) + rng.normal(0, 0.7, (n, 2))
     _, surprise = weigh(prior, z, h, 0.49)
     assert surprise.mean() == pytest.approx(2.0, rel=0.07)  # 2.2 sigma of the mean
+
+
+def test_a_camera_that_knows_its_covariance_is_believed_fibre_by_fibre():
+    goal = goals()
+    loop = CorrectionLoop(PLANE, goal, noise=CorrectionNoise(slope=0.0))
+    seen = PLANE.forward(*(goal + 0.03).T)
+    covariance = np.tile(1e-6 * np.eye(2), (PLANE.n, 1, 1))
+    covariance[::2] *= 1e6  # a spot that tells nothing: 1 mm
+    wanted = loop.update(goal, seen, np.ones(PLANE.n, dtype=bool), covariance)
+    np.testing.assert_allclose(wanted[::2], goal[::2], atol=1e-4)
+    # 1 um per coordinate against a prior of 10 um: nearly all of it is taken off; least where beta is small
+    np.testing.assert_allclose(wanted[1::2], goal[1::2] - 0.03, atol=9e-3)

@@ -7,6 +7,7 @@ import pytest
 from astropy.table import Table
 
 from fiberloom.commands.observe import ObserveRequest, run_observe
+from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import read_plans, verify
 from fiberloom.targets import random_targets, write_targets
@@ -106,3 +107,20 @@ def test_a_fault_is_flagged_and_the_rest_goes_on(field, kind):
     assert rows["status"][-1] == flagged
     if kind == "dark":
         assert np.isnan(np.asarray(rows["x_measured_mm"], dtype=float)).all()
+
+
+@pytest.mark.slow
+def test_with_images_the_loop_ends_as_near_and_shows_what_it_saw(field):
+    summary, out = observe(field, "images", camera="image", moves=2)
+    assert summary["n_within_requirement"] == summary["n_valid"] == N
+    # one image of 0.8 um (photons 0.75, transform 0.27) after a correction: as with the noise camera
+    assert summary["moves"][-1]["true_rms_um"] < 1.8
+    assert summary["put_in"]["camera"].startswith("photons")
+    names = sorted(p.name for p in (out / "exposures").iterdir())
+    # the third: one before the first move, and one after each
+    assert names == [f"exposure-03-{what}.png" for what in ("distortion", "image", "residuals")]
+
+
+def test_a_camera_without_images_has_none_to_keep(field):
+    with pytest.raises(InputError, match="--save-images"):
+        observe(field, "none", save_images=True)

@@ -79,14 +79,15 @@ def test_equation_22_blocked_axis_is_found_within_16_ms():
     assert max(found.values()) < 0.016
 
 
-def test_the_contact_rule_finds_a_blocked_axis_sooner():
+def test_the_contact_rules_find_a_blocked_axis_sooner():
     assert max(blocked_found_s(contact=True).values()) < 0.006
 
 
 def blocked_found_s(contact):
     """When each positioner says that it is blocked, after it was, s; with or without our own rule."""
     units = draw_units(PLANE, 3)
-    units.firmware["contact_torque"] *= contact
+    for own in ("contact_torque", "touch_torque"):
+        units.firmware[own] *= contact
     twin = Twin(PLANE, units, seed=1, threads=1, neighbours=False, start_deg=(60.0, 60.0))
     for number in IDS:
         goto(twin, number, 90.0, 90.0)

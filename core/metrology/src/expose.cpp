@@ -4,6 +4,8 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <thread>
+#include <vector>
 
 namespace fl::metrology {
 namespace {
@@ -78,22 +80,34 @@ double electrons(double mean, double read_variance, Random &random) {
     return mean + std::sqrt(variance) * z + mean / (6 * variance) * (z * z - 1);
 }
 
+// One row: its own random numbers, so that rows may be made in any order.
+void expose_row(std::span<const float> light_e, std::size_t j, const Sky &sky, const Detector &detector,
+                std::uint64_t seed, std::span<std::uint16_t> adu) {
+    const double read_variance = detector.read_noise_e * detector.read_noise_e;
+    const double ground = sky.level_e + sky.slope_y_e * static_cast<double>(j);
+    Random random(seed + 0x632BE59BD9B4E019u * (j + 1));
+    for (std::size_t i = 0; i < light_e.size(); ++i) {
+        const double mean = light_e[i] + ground + sky.slope_x_e * static_cast<double>(i);
+        const double e = std::min(electrons(mean, read_variance, random), detector.full_well_e);
+        const double value = std::nearbyint(detector.bias_adu + e / detector.gain_e_adu);
+        adu[i] = static_cast<std::uint16_t>(std::clamp(value, 0.0, 65535.0));
+    }
+}
+
 } // namespace
 
 void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
-            std::uint64_t seed, std::span<std::uint16_t> adu) {
-    const double read_variance = detector.read_noise_e * detector.read_noise_e;
-    const std::size_t w = static_cast<std::size_t>(width);
-    for (std::size_t j = 0; (j + 1) * w <= light_e.size(); ++j) {
-        Random random(seed + 0x632BE59BD9B4E019u * (j + 1));
-        for (std::size_t i = 0; i < w; ++i) {
-            const double x = static_cast<double>(i), y = static_cast<double>(j);
-            const double mean = light_e[j * w + i] + sky.level_e + sky.slope_x_e * x + sky.slope_y_e * y;
-            const double e = std::min(electrons(mean, read_variance, random), detector.full_well_e);
-            const double value = std::nearbyint(detector.bias_adu + e / detector.gain_e_adu);
-            adu[j * w + i] = static_cast<std::uint16_t>(std::clamp(value, 0.0, 65535.0));
-        }
-    }
+            std::uint64_t seed, std::span<std::uint16_t> adu, int threads) {
+    const std::size_t w = static_cast<std::size_t>(width), rows = light_e.size() / w;
+    const std::size_t bands = static_cast<std::size_t>(std::max(threads, 1));
+    const auto band = [&](std::size_t b) {
+        for (std::size_t j = b * rows / bands; j < (b + 1) * rows / bands; ++j)
+            expose_row(light_e.subspan(j * w, w), j, sky, detector, seed, adu.subspan(j * w, w));
+    };
+    std::vector<std::thread> others;
+    for (std::size_t b = 1; b < bands; ++b) others.emplace_back(band, b);
+    band(0);
+    for (std::thread &t : others) t.join();
 }
 
 } // namespace fl::metrology

@@ -16,6 +16,8 @@ static_assert(4 * (0 FL_LAW_HALL(X)) == sizeof(fl_hall_config_t), "FL_LAW_HALL l
 static_assert(4 * (0 FL_LAW_SERVO(X)) == sizeof(fl_servo_config_t), "FL_LAW_SERVO lists its fields");
 static_assert(4 * (0 FL_LAW_COLLISION(X)) == sizeof(fl_collision_config_t),
               "FL_LAW_COLLISION lists its fields");
+static_assert(4 * (0 FL_LAW_TOUCH(X)) == sizeof(fl_touch_config_t), "FL_LAW_TOUCH lists its fields");
+static_assert(4 * (0 FL_LAW_OBSERVER(X)) == sizeof(fl_touch_state_t), "FL_LAW_OBSERVER lists its fields");
 static_assert(4 * (0 FL_LAW_STATE(X)) == sizeof(fl_servo_state_t), "FL_LAW_STATE lists its fields");
 static_assert(4 * (0 FL_LAW_INPUT(X)) == sizeof(fl_servo_in_t), "FL_LAW_INPUT lists its fields");
 static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE lists its fields");
@@ -45,16 +47,25 @@ void drive_law(LawBatch &b) {
 #define X(type, name) b.collision.name[i],
         const fl_collision_config_t collision = {FL_LAW_COLLISION(X)};
 #undef X
+#define X(type, name) b.touch.name[i],
+        const fl_touch_config_t touch = {FL_LAW_TOUCH(X)};
+#undef X
+        const fl_drive_config_t config = {servo, collision, touch, b.voltage_per_Nm[i], b.full_Nm[i]};
 #define X(type, name) b.state.name[i],
-        fl_servo_state_t state = {FL_LAW_STATE(X)};
+        const fl_servo_state_t before = {FL_LAW_STATE(X)};
+#undef X
+#define X(type, name) b.observer.name[i],
+        fl_drive_state_t state = {before, {FL_LAW_OBSERVER(X)}};
 #undef X
 #define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(b.input.name[i]),
         const fl_servo_in_t in = {FL_LAW_INPUT(X)};
 #undef X
-        const fl_drive_out_t out = fl_drive_step(&servo, b.voltage_per_Nm[i], &collision, &state, &in,
-                                                 {b.rotor_sin[i], b.rotor_cos[i]});
-#define X(type, name) b.state.name[i] = state.name;
+        const fl_drive_out_t out = fl_drive_step(&config, &state, &in, {b.rotor_sin[i], b.rotor_cos[i]});
+#define X(type, name) b.state.name[i] = state.servo.name;
         FL_LAW_STATE(X)
+#undef X
+#define X(type, name) b.observer.name[i] = state.touch.name;
+        FL_LAW_OBSERVER(X)
 #undef X
 #define X(type, name) b.torque.name[i] = out.torque.name;
         FL_LAW_TORQUE(X)

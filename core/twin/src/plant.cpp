@@ -93,6 +93,7 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     if (substeps < 1 || substeps > 100000) throw std::invalid_argument("substeps: 1 to 100000 a tick");
     axes_.resize(units.size());
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
+    slipping_.assign(groups_.size(), 0);
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         axes_[axis].unit = units[axis];
@@ -109,6 +110,22 @@ void Plant::step(size_t group) {
     TickEvents events = kernel_->step(g, substeps_);
     for (uint32_t left = events.left_cell; left != 0; left &= left - 1)
         follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctz(left))));
+    for (uint32_t left = slipping_[group]; left != 0; left &= left - 1)
+        slip(axis_at(group, static_cast<size_t>(__builtin_ctz(left))));
+}
+
+double Plant::geared_rad(size_t axis) const {
+    return output_of_gear(axes_[axis].cell, lane(axis, &AxisGroup::gear_rad));
+}
+
+// The arm makes a share of the gear's way since the last tick; the rest is lost, and the stops with it.
+void Plant::slip(size_t axis) {
+    Axis &a = axes_[axis];
+    const double way_rad = geared_rad(axis) - a.geared_rad;
+    if (way_rad == 0.0) return;
+    a.geared_rad += way_rad;
+    a.slip_rad += ((way_rad > 0.0 ? a.faults.follows_up : a.faults.follows_down) - 1.0) * way_rad;
+    configure_stops(axis);
 }
 
 AxisState Plant::state(size_t axis) const {
@@ -167,6 +184,17 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
     const bool caught = a.faults.lying && !faults.lying; // the coupling closes where the arm stands
     a.faults = faults;
     if (caught) a.slip_rad += a.held_rad - output_at_rest_rad(axis);
+    a.geared_rad = geared_rad(axis);
+    const uint32_t bit = 1u << place(axis).lane;
+    uint32_t &slipping = slipping_[place(axis).group];
+    slipping = faults.slips() ? slipping | bit : slipping & ~bit;
+    configure(axis);
+}
+
+void Plant::set_params(size_t axis, const PlantParams &params) {
+    check_params(axis, params);
+    axes_[axis].unit.params = params;
+    group_of(axis).still = 0;
     configure(axis);
 }
 

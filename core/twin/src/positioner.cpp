@@ -101,6 +101,8 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
     s.feedback_Nm = static_cast<double>(t.feedback_Nm);
     s.feedforward_Nm = static_cast<double>(t.feedforward_Nm);
     s.voltage = static_cast<double>(t.voltage);
+    s.load_Nm = static_cast<double>(t.load_Nm);
+    s.touch_Nm = static_cast<double>(t.touch_Nm);
     return s;
 }
 

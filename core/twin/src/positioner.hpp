@@ -56,6 +56,7 @@ class Positioner {
     size_t index() const { return index_; }
     uint16_t id() const { return firmware_.id; }
     PositionerFaults faults;
+    int bus = 0;
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);

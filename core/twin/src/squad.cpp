@@ -19,27 +19,37 @@ void load_law(LawBatch &b, int i, const fl_axis_law_t &law) {
 #define X(type, name) b.hall.name[i] = law.hall.name;
     FL_LAW_HALL(X)
 #undef X
-#define X(type, name) b.servo.name[i] = law.servo.name;
+#define X(type, name) b.servo.name[i] = law.drive.servo.name;
     FL_LAW_SERVO(X)
 #undef X
-#define X(type, name) b.collision.name[i] = law.collision.name;
+#define X(type, name) b.collision.name[i] = law.drive.collision.name;
     FL_LAW_COLLISION(X)
 #undef X
-    b.voltage_per_Nm[i] = law.voltage_per_Nm;
+#define X(type, name) b.touch.name[i] = law.drive.touch.name;
+    FL_LAW_TOUCH(X)
+#undef X
+    b.voltage_per_Nm[i] = law.drive.voltage_per_Nm;
+    b.full_Nm[i] = law.drive.full_Nm;
 }
 
-void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_servo_state_t &state) {
+void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_drive_state_t &state) {
 #define X(type, name) b.input.name[i] = in.name;
     FL_LAW_INPUT(X)
 #undef X
-#define X(type, name) b.state.name[i] = state.name;
+#define X(type, name) b.state.name[i] = state.servo.name;
     FL_LAW_STATE(X)
+#undef X
+#define X(type, name) b.observer.name[i] = state.touch.name;
+    FL_LAW_OBSERVER(X)
 #undef X
 }
 
 void take_output(const LawBatch &b, int i, fl_axis_t &a) {
-#define X(type, name) a.servo.name = b.state.name[i];
+#define X(type, name) a.drive.servo.name = b.state.name[i];
     FL_LAW_STATE(X)
+#undef X
+#define X(type, name) a.drive.touch.name = b.observer.name[i];
+    FL_LAW_OBSERVER(X)
 #undef X
 #define X(type, name) a.torque.name = b.torque.name[i];
     FL_LAW_TORQUE(X)
@@ -118,7 +128,7 @@ void Squad::advance(int axis, Tracker &t, LawBatch &b) {
     fl_axis_t &a = firmware.axis[axis];
     a.hall.angle_cnt = b.angle_cnt[t.lane];
     fl_axis_advance(&a, &firmware.path[axis], &t.demand);
-    load_input(b, t.lane, t.demand.servo, a.servo);
+    load_input(b, t.lane, t.demand.servo, a.drive);
 }
 
 void Squad::conclude(int axis, const Tracker &t, const LawBatch &b) {

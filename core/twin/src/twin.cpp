@@ -62,6 +62,7 @@ struct Twin::State {
     void note_touches(size_t i, Outbox &outbox);
     void apply_torque(size_t i, const Push &push);
     void publish(size_t i);
+    void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
     bool anybody_awake() const;
     uint64_t ticks_to_sync() const { return feel ? sync_ticks - now % sync_ticks : lone_ticks; }
     std::vector<Reply> collect();
@@ -209,14 +210,20 @@ Plant &Twin::plant() { return s_->plant; }
 const Neighbours &Twin::neighbours() const { return s_->neighbours; }
 const char *Twin::kernel_name() const { return s_->plant.kernel_name(); }
 
-void Twin::send(const fl_can_frame_t &frame) {
+void Twin::State::hear(Positioner &p, const fl_can_frame_t &frame, int bus) const {
+    if (bus == every_bus || p.bus == bus) p.receive(frame, now);
+}
+
+void Twin::send(const fl_can_frame_t &frame, int bus) {
     const uint32_t id = frame.id >> 18 & 0x7ff;
     if (id == 0) {
-        for (size_t i = 0; i < s_->count; ++i) s_->positioners[i].receive(frame, s_->now);
+        for (size_t i = 0; i < s_->count; ++i) s_->hear(s_->positioners[i], frame, bus);
     } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
-        s_->positioners[found->second].receive(frame, s_->now);
+        s_->hear(s_->positioners[found->second], frame, bus);
     }
 }
+
+void Twin::connect(size_t i, int bus) { s_->at(i).bus = bus; }
 
 std::vector<Reply> Twin::run(uint64_t ticks) {
     const uint64_t end = s_->now + ticks;
@@ -239,6 +246,7 @@ Angles Twin::output(size_t i) const {
 
 const fl_positioner_t &Twin::firmware(size_t i) const { return s_->at(i).firmware(); }
 bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
+bool Twin::resting() const { return s_->quiet && !s_->anybody_awake(); }
 
 uint64_t Twin::ticks_skipped() const {
     uint64_t sum = 0;
@@ -279,10 +287,16 @@ void Twin::set_transmission(size_t i, int axis, const Transmission &transmission
     s_->plant.set_transmission(2 * i + static_cast<size_t>(axis), transmission);
 }
 
-void Twin::power_cycle(size_t i) {
+void Twin::set_params(size_t i, int axis, const PlantParams &params) {
+    s_->at(i).wake(s_->now);
+    s_->plant.set_params(2 * i + static_cast<size_t>(axis), params);
+}
+
+void Twin::power_cycle(size_t i, bool bootloader) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);
     p.power_cycle();
+    if (bootloader) fl_positioner_enter_bootloader(&p.firmware());
 }
 
 void Twin::scope(size_t i, int axis, bool on) {

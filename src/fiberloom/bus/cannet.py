@@ -26,6 +26,7 @@ _FRAME = re.compile(r"M ([1-4]) CED ([0-9A-F]{8})((?: [0-9A-F]{2}){0,8})", re.IG
 # over the same wire, so half of that is ours.
 _FRAMES_PER_S = 3500.0
 _QUEUE = 90.0  # of the 100 places, frames
+_STALL_S = 5.0  # a gateway that does not read for so long is gone
 
 
 def frame_to_line(port: int, frame: tuple[int, bytes] | Frame) -> str:
@@ -212,7 +213,10 @@ class CanNetTransport:
             now, lines = lines[: pace.room()], lines[pace.room() :]
             gateway.write(now)
             pace.add(len(now))
-            await gateway.writer.drain()
+            try:
+                await asyncio.wait_for(gateway.writer.drain(), _STALL_S)
+            except TimeoutError:
+                self._lost = f"CAN@net gateway {gateway.name} no longer takes what it is sent"
 
     async def receive(self, timeout_s: float) -> list[Frame]:
         """The frames of all gateways in the order of their arrival."""

@@ -35,6 +35,8 @@ _BROADCAST_FROM = 4
 # Plain integers: a poll looks at every bit of 500 positioners ten times a second.
 _COLLIDED = int(Status.COLLISION)
 _COMPLETED = int(Status.DISPLACEMENT_COMPLETED)
+# It has lost its supply on the way, and rests somewhere: that is no arrival.
+_LOST_WAY = int(Status.ESTIMATED_POSITION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +353,7 @@ class Client:
             elif not answer.ok:
                 results[i] = answer
             elif bits & _COMPLETED:
-                results[i] = Result(i, Outcome.DONE)
+                results[i] = Result(i, Outcome.MISPLACED if bits & _LOST_WAY else Outcome.DONE)
             else:
                 moving.add(i)
         return moving

@@ -19,6 +19,8 @@ from fiberloom.bus.transport import Frame, Transport
 _STANDSTILL_LIMIT = 1000
 # A transport may count in ticks: less than this could be no time at all for it.
 _SHORTEST_WAIT_S = 1e-3
+# Who begins to wait while another listens has a say after this time at the latest.
+_LONGEST_WAIT_S = 0.25
 
 
 class _Waiter:
@@ -196,7 +198,8 @@ class Exchange:
         before_s = self.time_s
         try:
             left_s = min(self._deadlines) - before_s
-            frames = await self.transport.receive(max(left_s, _SHORTEST_WAIT_S))
+            wait_s = min(max(left_s, _SHORTEST_WAIT_S), _LONGEST_WAIT_S)
+            frames = await self.transport.receive(wait_s)
         except OSError as error:
             self.lost = str(error) or type(error).__name__
             return

@@ -146,6 +146,14 @@ class Command(IntEnum):
     SET_NUMBER_TRAJECTORIES = 140
     START_FIRMWARE_UPGRADE = 200
     SEND_FIRMWARE_DATA = 201
+    # this firmware's own, for a bench (docs/firmware.md)
+    BENCH_TRACE_START = 240
+    BENCH_TRACE_STATE_ALPHA = 241
+    BENCH_TRACE_STATE_BETA = 242
+    BENCH_TRACE_READ_ALPHA = 243
+    BENCH_TRACE_READ_BETA = 244
+    BENCH_TORQUE_STEP_ALPHA = 245
+    BENCH_TORQUE_STEP_BETA = 246
 
 
 class Flag(IntFlag):
@@ -240,6 +248,10 @@ _TABLE = [
     CommandSpec(C.SET_NUMBER_TRAJECTORIES, R, "I"),
     CommandSpec(C.START_FIRMWARE_UPGRADE, S, "II", "", 15.0),
     CommandSpec(C.SEND_FIRMWARE_DATA, S, "", "", 15.0),  # request: 1 to 8 raw bytes
+    CommandSpec(C.BENCH_TRACE_START, R, "H"),
+    *(CommandSpec(c, S | R, "", "HHi") for c in (C.BENCH_TRACE_STATE_ALPHA, C.BENCH_TRACE_STATE_BETA)),
+    *(CommandSpec(c, S | R, "H", "ih") for c in (C.BENCH_TRACE_READ_ALPHA, C.BENCH_TRACE_READ_BETA)),
+    *(CommandSpec(c, M, "hhHH") for c in (C.BENCH_TORQUE_STEP_ALPHA, C.BENCH_TORQUE_STEP_BETA)),
 ]
 
 COMMANDS: dict[Command, CommandSpec] = {spec.command: spec for spec in _TABLE}

@@ -1,14 +1,55 @@
-"""What is measured on a bench and used on every move: transmission maps."""
+"""What is measured on a bench, and used on every move: maps, arms, friction, inertia, stiffness."""
 
 from fiberloom.calibration.adaptive import AdaptiveCalibration, AdaptiveSettings, AdaptiveState, Update
+from fiberloom.calibration.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
+from fiberloom.calibration.bench import Bench
 from fiberloom.calibration.cache import cache_path
+from fiberloom.calibration.estimate import Estimate
 from fiberloom.calibration.evaluate import CalibrationReport, evaluate
+from fiberloom.calibration.friction import (
+    BreakAway,
+    Friction,
+    FrictionData,
+    FrictionSettings,
+    break_away,
+    identify_friction,
+    measure_friction,
+)
+from fiberloom.calibration.inertia import (
+    Inertia,
+    InertiaData,
+    InertiaSettings,
+    identify_inertia,
+    measure_inertia,
+)
+from fiberloom.calibration.repeatability import (
+    Repeatability,
+    RepeatabilityData,
+    RepeatabilitySettings,
+    identify_repeatability,
+    measure_repeatability,
+)
+from fiberloom.calibration.stiffness import (
+    StiffnessData,
+    StiffnessSettings,
+    identify_stiffness,
+    measure_stiffness,
+)
 from fiberloom.calibration.sweep import (
     Calibration,
     SweepData,
     SweepSettings,
     calibrate_transmission,
     measure_sweeps,
+    wire_grid,
+)
+from fiberloom.calibration.torque import TorqueScale, data_sheet_scale
+from fiberloom.calibration.torque_scale import (
+    TorqueScaleData,
+    TorqueScaleSettings,
+    identify_torque_scale,
+    measure_torque_scale,
+    measured_scale,
 )
 from fiberloom.calibration.transmission import (
     NEGATIVE,
@@ -25,17 +66,53 @@ __all__ = [
     "AdaptiveCalibration",
     "AdaptiveSettings",
     "AdaptiveState",
+    "Arms",
+    "ArmsData",
+    "ArmsSettings",
+    "Bench",
+    "BreakAway",
     "Calibration",
     "CalibrationReport",
+    "Estimate",
+    "Friction",
+    "FrictionData",
+    "FrictionSettings",
+    "Inertia",
+    "InertiaData",
+    "InertiaSettings",
     "Provenance",
+    "Repeatability",
+    "RepeatabilityData",
+    "RepeatabilitySettings",
+    "StiffnessData",
+    "StiffnessSettings",
     "SweepData",
     "SweepSettings",
+    "TorqueScale",
+    "TorqueScaleData",
+    "TorqueScaleSettings",
     "TransmissionMaps",
     "Update",
+    "break_away",
     "cache_path",
     "calibrate_transmission",
+    "data_sheet_scale",
     "evaluate",
+    "identify_arms",
+    "identify_friction",
+    "identify_inertia",
+    "identify_repeatability",
+    "identify_stiffness",
+    "identify_torque_scale",
     "identity",
     "load",
+    "measure_arms",
+    "measure_friction",
+    "measure_inertia",
+    "measure_repeatability",
+    "measure_stiffness",
     "measure_sweeps",
+    "measure_torque_scale",
+    "measured_scale",
+    "wire_grid",
 ]

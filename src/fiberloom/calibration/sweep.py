@@ -116,11 +116,16 @@ async def measure_sweeps(
     """The moves and the images."""
     bench = _Bench(client, camera, plane, settings, progress)
     await bench.prepare()
-    wire = np.stack([_grid(plane, axis, settings) for axis in range(2)])
+    wire = wire_grid(plane, settings)
     xy = np.full((2, 2, settings.n_points, plane.n, 2), np.nan)
     for axis, rest_deg in enumerate((settings.beta_lever_deg, settings.alpha_rest_deg)):
         await bench.sweep(axis, wire[axis], rest_deg, xy[axis])
     return SweepData(wire, xy, bench.trouble)
+
+
+def wire_grid(plane: FocalPlane, settings: SweepSettings) -> Floats:
+    """(2 axes, K) wire positions of a sweep."""
+    return np.stack([_grid(plane, axis, settings) for axis in range(2)])
 
 
 def _grid(plane: FocalPlane, axis: int, settings: SweepSettings) -> Floats:

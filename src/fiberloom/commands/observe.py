@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from fiberloom.assignment import Assignment, assign_relaxed
+from fiberloom.commands.exposures import ExposureLog
 from fiberloom.commands.learnt import Known, known_so_far
 from fiberloom.commands.outputs import marks, prepare_folder
 from fiberloom.commands.terminal import Waiting, waiting
@@ -37,6 +38,8 @@ class ObserveRequest:
     moves: int | None = None
     correction: str | None = None
     camera: str = "noise"
+    pages: str = "last"
+    save_images: bool = False
     faults: str = ""
     compare_linear: bool = False
     calibration: Path | None = None
@@ -62,10 +65,13 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
         wait.say("assigning targets")
         kept, assignment = assign_relaxed(known.plane, targets, seed=request.seed)
         hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
+        log = ExposureLog(plane, out, request.pages, request.save_images)
+        log.watch(hardware.camera)
         observed = _observe(kept, targets, assignment, known, hardware, request, wait)
+        log.close()
     summary = summarise(observed) | marks(plane, request.seed)
     summary |= {"wall_s": time.monotonic() - started_s, "not_assigned": _reasons(assignment)}
-    summary |= {"notes": assignment.notes, "put_in": put_in(plane)}
+    summary |= {"notes": assignment.notes, "put_in": put_in(plane, request.camera)}
     summary |= known.summary()
     write_results(observed, summary, out)
     if not request.quiet:

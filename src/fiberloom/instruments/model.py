@@ -75,6 +75,10 @@ class Axis(Table):
     acceleration_deg_s2: Positive
     backlash_deg: NotNegative = 0.0
     """Largest backlash at the output."""
+    motor_torque_uNm: Positive | None = None
+    """Of the motor at full voltage, nominal; identification of torques needs it."""
+    motor_torque_tolerance: NotNegative = 0.03
+    """Standard deviation of single motors about it, relative."""
     approach_deg: NotNegative = 0.0
     """Overshoot from which the last move comes, in the negative direction; 0: no such approach."""
 

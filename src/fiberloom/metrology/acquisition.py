@@ -41,6 +41,8 @@ _PER_PAIR = 60
 _RINGS = (0.45, 0.7, 0.85, 1.01)
 """Parts of the field, from the middle outwards: distortion grows with the third power."""
 _CHUNK = 200_000
+_PROOF = 3.0
+"""Standard errors from zero of a term beyond the default ones that is worth its noise."""
 
 
 class AcquisitionError(InputError):
@@ -385,17 +387,23 @@ class _Hunt:
         return found if believed else None
 
     def _best_fit(self, index: Ints, spot: Ints, flipped: bool) -> TransformFit:
-        """With the set of terms that predicts left-out fiducials best."""
-        fits = [
-            fit_transform(
-                self.px[spot], self.fiducials[index], radius_mm=self.radius_mm, flipped=flipped,
-                terms=terms, covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
-            )
-            for terms in self.terms
-        ]  # fmt: skip
+        """With the terms that predict left-out fiducials best: the default ones, and of the others
+        those that these fiducials prove."""
+        fits = [self._fit(index, spot, flipped, terms) for terms in self.terms]
+        if len(fits) > 1:
+            proven = zhao_burge.DEFAULT_TERMS + fits[-1].transform.significant(_PROOF)
+            proven = tuple(sorted(set(proven)))
+            if proven != zhao_burge.DEFAULT_TERMS:
+                fits.append(self._fit(index, spot, flipped, proven))
         # over the same fiducials: a fit must not win by leaving out those that it cannot explain
         both = np.logical_and.reduce([fit.used for fit in fits])
         return min(fits, key=lambda fit: float(np.sum(fit.leave_one_out_mm[both] ** 2)))
+
+    def _fit(self, index: Ints, spot: Ints, flipped: bool, terms: tuple[int, ...]) -> TransformFit:
+        return fit_transform(
+            self.px[spot], self.fiducials[index], radius_mm=self.radius_mm, flipped=flipped,
+            terms=terms, covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
+        )  # fmt: skip
 
     def _covariance(self, spot: Ints) -> Floats | None:
         return None if self.covariance_px2 is None else np.asarray(self.covariance_px2)[spot]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -223,6 +223,8 @@ class ImageCamera:
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
         """(N, 2) known places of positioners that stand still, against turbulence."""
+        self.watchers: list[Callable[[Reduction], None]] = []
+        """Told of every exposure."""
 
     def measure(self, expected_mm: Floats | None = None) -> Measurement:
         """Takes an image now and reduces it."""
@@ -240,6 +242,8 @@ class ImageCamera:
             start=self.last.transform if self.last else None,
         )
         self._remember(reduction)
+        for watcher in self.watchers:
+            watcher(reduction)
         return reduction.measurement()
 
     def _remember(self, reduction: Reduction) -> None:

@@ -52,14 +52,21 @@ def plot_reduction(folder: Path, name: str, plane: FocalPlane, reduction: Reduct
 
 def _show(axes: Any, image: CameraImage) -> None:
     step = max(1, max(image.shape) // _SHOWN_PX)
-    pixels = image.pixels[: image.shape[0] // step * step, : image.shape[1] // step * step]
-    whole = CameraImage(pixels, image.fits_bytes).array()
-    # the brightest of each block: a spot must not fall between the pixels that are shown
-    blocks = whole.reshape(whole.shape[0] // step, step, whole.shape[1] // step, step).max(axis=(1, 3))
-    low, high = np.percentile(blocks, [5, 99.7])
+    blocks = _brightest(image, step)
+    low, high = np.percentile(blocks[::4, ::4], [5, 99.7])
     extent = (-0.5, blocks.shape[1] * step - 0.5, -0.5, blocks.shape[0] * step - 0.5)
     shade = np.arcsinh((blocks - low) / max(high - low, 1) * 10)
     axes.imshow(shade, origin="lower", extent=extent, cmap="gray", interpolation="nearest")
+
+
+def _brightest(image: CameraImage, step: int) -> NDArray[np.float32]:
+    """Of each block: a spot must not fall between the pixels that are shown."""
+    height, width = (size // step for size in image.shape)
+    rows = []
+    for j in range(height):  # row by row: no copy of the image
+        band = CameraImage(image.pixels[j * step : (j + 1) * step, : width * step], image.fits_bytes)
+        rows.append(band.array().max(axis=0).reshape(width, step).max(axis=1))
+    return np.nan_to_num(np.array(rows, dtype=np.float32))
 
 
 def _ring(axes: Any, at: Floats, colour: str, size: float = 30, marker: str = "o") -> None:
@@ -67,7 +74,7 @@ def _ring(axes: Any, at: Floats, colour: str, size: float = 30, marker: str = "o
 
 
 def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
-    figure, axes = plt.subplots(figsize=(13, 13), layout="constrained")
+    figure, axes = plt.subplots(figsize=(12, 12), layout="constrained")
     _show(axes, reduction.image)
     spots, seen = reduction.spots, reduction.seen
     _ring(axes, spots.xy_px[reduction.acquisition.spot], "lime", size=50, marker="s")
@@ -75,16 +82,30 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
     _ring(axes, at, "deepskyblue")
     if seen.sum() <= _LABELS:
         for number, xy in zip(plane.positioner_id[seen], at, strict=True):
-            axes.annotate(str(number), xy, color="deepskyblue", fontsize=5, xytext=(3, 3),
-                          textcoords="offset points")  # fmt: skip
+            _label(axes, number, xy, "deepskyblue", 5)
     _mark_missing(axes, plane, reduction)
+    _frame(axes, np.vstack([at, spots.xy_px[reduction.acquisition.spot]]))
     title = (
         f"{int(seen.sum())} of {len(plane)} fibres, {len(reduction.acquisition.fiducial)} fiducials "
         "(squares); orange dark, magenta ambiguous"
     )
     axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=110, pil_kwargs={"compress_level": 1})
     plt.close(figure)
+
+
+def _label(axes: Any, number: int, xy: Floats, colour: str, size: float) -> None:
+    # hundreds of them: the layout need not ask each for its extent
+    text = axes.text(*xy, f"  {number}", color=colour, fontsize=size, va="bottom")
+    text.set_in_layout(False)
+
+
+def _frame(axes: Any, shown: Floats) -> None:
+    """The part of the image where something is."""
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    room = 0.04 * (high - low).max()
+    axes.set_xlim(low[0] - room, high[0] + room)
+    axes.set_ylim(low[1] - room, high[1] + room)
 
 
 def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
@@ -97,7 +118,7 @@ def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
         place = reduction.transform.to_px(np.where(known, expected, plane.centres_mm[rows]))
         axes.scatter(*place.T, s=70, marker="x", c=colour)
         for number, xy in zip(plane.positioner_id[rows], place, strict=True):
-            axes.annotate(str(number), xy, color=colour, fontsize=7)
+            _label(axes, number, xy, colour, 7)
 
 
 def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
@@ -125,6 +146,8 @@ def _arrows(axes: Any, at_mm: Floats, vector_um: Floats) -> None:
     unit = float(f"{typical:.1g}") or 1.0
     axes.quiverkey(q, 0.9, 0.94, unit, f"{unit:g} µm")
     axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    if len(at_mm):
+        _frame(axes, np.vstack([at_mm, at_mm + vector_um * (0.03 * extent / max(typical, 1e-6))]))
 
 
 def _plot_distortion(path: Path, reduction: Reduction) -> None:

@@ -31,6 +31,8 @@ Flags = NDArray[np.bool_]
 
 _CLIP = 4.5
 """Robust standard deviations beyond which a fiducial is not believed."""
+_TRUSTED_MM = 1e-3
+"""No fiducial is doubted for less, where nothing is known of the errors."""
 _ROUNDS = 20
 
 
@@ -137,6 +139,11 @@ class FieldTransform:
         b = zhao_burge.basis(s / self.radius_mm, terms)
         return np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
 
+    def significant(self, sigma: float) -> tuple[int, ...]:
+        """The terms whose coefficient is so many standard errors from zero."""
+        size = np.abs(self.coefficients_mm) / np.sqrt(np.diag(self.covariance_mm2))
+        return tuple(t for t, s in zip(self.terms, size, strict=True) if s > sigma)
+
     def _basis(self, s_mm: Floats) -> Floats:
         return zhao_burge.basis(s_mm / self.radius_mm, self.terms)
 
@@ -198,7 +205,7 @@ def fit_transform(
         off = np.hypot(*loo.T) / np.sqrt(variance)
         # the median of a 2-D Gaussian's length is 1.177 of its sigma per coordinate
         scale = max(float(np.median(off[used])) / 1.177, 1.0 if known else 0.0)
-        again = off <= _CLIP * scale + 1e-12
+        again = off <= max(_CLIP * scale, 0.0 if known else _TRUSTED_MM)
         if again.sum() < max(3, len(terms) // 2 + 2) or (again == used).all():
             break
         used = again

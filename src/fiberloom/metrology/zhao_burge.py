@@ -11,6 +11,8 @@ Noll's index j of (n, m), Noll-normalised Z_j, and j' = (n - 2, m):
 The gradients are taken of polynomials in x and y, exactly. Terms are numbered as instruments do
 (`polid`): 0..26 = S2..S28, 27..32 = T4, T7, T8, T11, T12, T13. Polids 0 and 1 are shifts, 2 is a
 change of scale, 27 a rotation, 9 = S11 the third-order and 20 = S22 the fifth-order radial term.
+Ours is one more, 33 = S37, the seventh-order radial term: the inverse of a third-order distortion has
+one, 0.6 um rms for the 0.64 mm of SDSS-V's camera.
 """
 
 from __future__ import annotations
@@ -25,12 +27,13 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-N_TERMS = 33
+N_TERMS = 34
 DEFAULT_TERMS = (0, 1, 2, 3, 4, 5, 6, 9, 20, 27, 28, 29, 30)
 """What SDSS-V and DESI fit."""
 SIMILARITY_TERMS = (0, 1, 2, 27)
+_S_INDEX = (*range(2, 29), 37)
 _T_INDEX = (4, 7, 8, 11, 12, 13)
-_DEGREE = 6
+_DEGREE = 8
 
 
 def noll(j: int) -> tuple[int, int]:
@@ -87,17 +90,15 @@ def _gradient(c: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _coefficients() -> Floats:
-    """(33, 2, 7, 7): x^a y^b of both components of every term."""
-    terms = [_gradient(_scalar(j)) for j in range(2, 29)]
-    for j in _T_INDEX:
-        dx, dy = _gradient(_scalar(j))
-        terms.append((dy, -dx))
-    return np.array(terms)
+    """(34, 2, 9, 9): x^a y^b of both components of every term."""
+    s = [_gradient(_scalar(j)) for j in _S_INDEX]
+    t = [(dy, -dx) for dx, dy in (_gradient(_scalar(j)) for j in _T_INDEX)]
+    return np.array([*s[:27], *t, *s[27:]])
 
 
 @cache
 def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
-    """Powers of x, powers of y (both (p,)), and coefficients (33, 2 or 4, p) of fields (order 0) or
+    """Powers of x, powers of y (both (p,)), and coefficients (34, 2 or 4, p) of fields (order 0) or
     of their derivatives (1: component, then axis)."""
     c = _coefficients()
     if order:

@@ -40,6 +40,7 @@ class CorrectionNoise:
     """What the filter believes of camera and positioners, 2-D rms in um."""
 
     camera_um: float = 0.669
+    """Of a camera that does not tell the covariance of what it measures."""
     repeatability_um: float = 0.2
     """Scatter of arrivals at the same command."""
     blind_um: float = 10.0
@@ -75,21 +76,22 @@ def predict(offsets: Offsets, drift_deg2: Floats) -> Offsets:
 
 
 def weigh(
-    offsets: Offsets, innovation_mm: Floats, jacobian: Floats, noise_mm2: float
+    offsets: Offsets, innovation_mm: Floats, jacobian: Floats, noise_mm2: float | Floats
 ) -> tuple[Offsets, Floats]:
     """The Kalman update with positions: (N, 2) innovations, (N, 2, 2) mm/deg Jacobians.
 
-    `noise_mm2` is the variance per coordinate. Returns the offsets, and each innovation's square in
-    units of its own covariance (2 on average).
+    `noise_mm2` is the variance per coordinate, or the covariances (N, 2, 2). Returns the offsets,
+    and each innovation's square in units of its own covariance (2 on average).
     """
     p, h = offsets.covariance_deg2, jacobian
+    noise = noise_mm2 * np.eye(2) if np.ndim(noise_mm2) == 0 else noise_mm2
     ph = p @ h.transpose(0, 2, 1)
-    inverse = np.linalg.inv(h @ ph + noise_mm2 * np.eye(2))
+    inverse = np.linalg.inv(h @ ph + noise)
     gain = ph @ inverse
     surprise = np.einsum("ni,nij,nj->n", innovation_mm, inverse, innovation_mm)
     keep = np.eye(2) - gain @ h
     # Joseph's form: stays positive definite whatever the rounding
-    covariance = keep @ p @ keep.transpose(0, 2, 1) + noise_mm2 * gain @ gain.transpose(0, 2, 1)
+    covariance = keep @ p @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
     mean = offsets.mean_deg + np.einsum("nij,nj->ni", gain, innovation_mm)
     return Offsets(mean, covariance), surprise
 
@@ -112,30 +114,51 @@ class CorrectionLoop:
         self._last_deg = np.full((plane.n, 2), np.nan)
         """Where each positioner believed to be at its last image."""
 
-    def update(self, believed_deg: Floats, measured_mm: Floats, active: Flags) -> Floats:
+    def update(
+        self,
+        believed_deg: Floats,
+        measured_mm: Floats,
+        active: Flags,
+        covariance_mm2: Floats | None = None,
+    ) -> Floats:
         """The angles (N, 2) to command next, from the last image (N, 2).
 
         `believed_deg` is where the positioners report to be (or were told to go), through their
-        maps; the rows that are not active keep their estimate and get their goal.
+        maps; the rows that are not active keep their estimate and get their goal. With
+        `covariance_mm2` (N, 2, 2) each fibre weighs as its own spot tells, not as the camera's mean.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
         wanted = self.goal_deg - self.offsets.mean_deg
         if self.filtered:
-            self._learn(rows, believed_deg, measured_mm)
+            self._learn(rows, believed_deg, measured_mm, self._image_noise(rows, covariance_mm2))
             wanted[rows] = (self.goal_deg - self.offsets.mean_deg)[rows]
         else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
 
-    def _learn(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> None:
+    def _image_noise(self, rows: NDArray[np.intp], covariance_mm2: Floats | None) -> float | Floats:
+        """mm^2 of one image and one arrival, per coordinate, or (n, 2, 2) where the image knows."""
+        # never zero, so that a perfect camera does not divide by it
+        arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
+        if covariance_mm2 is None:
+            return (0.5 * self.noise.camera_um**2 + arrival_um2) * MM_PER_UM**2
+        return covariance_mm2[rows] + arrival_um2 * MM_PER_UM**2 * np.eye(2)
+
+    def _learn(
+        self,
+        rows: NDArray[np.intp],
+        believed_deg: Floats,
+        measured_mm: Floats,
+        noise_mm2: float | Floats,
+    ) -> None:
         before = predict(self._rows(rows), self._drift(rows, believed_deg))
-        after, surprise = self._weigh(rows, before, believed_deg, measured_mm)
+        after, surprise = self._weigh(rows, before, believed_deg, measured_mm, noise_mm2)
         shaken = surprise > _SURPRISE
         if shaken.any():
             fresh = before.covariance_deg2.copy()
             fresh[shaken] = self._spread(self.noise.blind_um)[rows][shaken]
             before = Offsets(before.mean_deg, fresh)
-            after, _ = self._weigh(rows, before, believed_deg, measured_mm)
+            after, _ = self._weigh(rows, before, believed_deg, measured_mm, noise_mm2)
         self._last_deg[rows] = believed_deg[rows]
         self.offsets.mean_deg[rows] = after.mean_deg
         self.offsets.covariance_deg2[rows] = after.covariance_deg2
@@ -150,15 +173,17 @@ class CorrectionLoop:
         return Offsets(self.offsets.mean_deg[rows], self.offsets.covariance_deg2[rows])
 
     def _weigh(
-        self, rows: NDArray[np.intp], before: Offsets, believed_deg: Floats, measured_mm: Floats
+        self,
+        rows: NDArray[np.intp],
+        before: Offsets,
+        believed_deg: Floats,
+        measured_mm: Floats,
+        noise_mm2: float | Floats,
     ) -> tuple[Offsets, Floats]:
         at = believed_deg[rows] + before.mean_deg
         expected = self.plane.forward(at[:, 0], at[:, 1], index=rows)
         jacobian = self.plane.jacobian(at[:, 0], at[:, 1], index=rows)
-        square_um2 = self.noise.camera_um**2 + self.noise.repeatability_um**2
-        # per coordinate; never zero, so that a perfect camera does not divide by it
-        variance = max(0.5 * square_um2, 1e-12) * MM_PER_UM**2
-        return weigh(before, measured_mm[rows] - expected, jacobian, variance)
+        return weigh(before, measured_mm[rows] - expected, jacobian, noise_mm2)
 
     def _plain(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> Floats:
         alpha_deg, beta_deg = believed_deg[rows].T

@@ -218,7 +218,9 @@ class Loop:
     async def correct(self, corrections: CorrectionLoop, number: int) -> None:
         """Weigh the last image and move every healthy positioner with a target by what it says."""
         image = self.moves[-1].measurement
-        wanted_deg = corrections.update(self.here_deg, image.xy_mm, self.correctable & image.seen)
+        wanted_deg = corrections.update(
+            self.here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
+        )
         await self._small_move(number, f"correction {number - 1}", wanted_deg, self.maps)
 
     async def linear_move(self) -> None:

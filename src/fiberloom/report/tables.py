@@ -39,6 +39,29 @@ def _rows(rows: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
+def print_estimates(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print identified quantities: value, standard error and, where known, how far from the truth."""
+    console = Console()
+    known = any("true" in row for row in rows)
+    for number in dict.fromkeys(row["positioner_id"] for row in rows):
+        table = Table(box=box.SIMPLE, title=f"positioner {number}", title_justify="left")
+        for name in ("quantity", "value", "std. error", "unit", *(("true", "off/s.e.") if known else ())):
+            table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
+        for row in rows:
+            if row["positioner_id"] == number:
+                table.add_row(*_estimate_cells(row, known))
+        console.print(table)
+
+
+def _estimate_cells(row: Mapping[str, Any], known: bool) -> list[str]:
+    if row["reason"]:
+        return [row["quantity"], "-", "-", f"refused: {row['reason']}"]
+    cells = [row["quantity"], f"{row['value']:.6g}", f"{row['standard_error']:.2g}", row["unit"]]
+    if known and "true" in row:
+        cells += [f"{row['true']:.6g}", f"{row['off_by_se']:+.2f}"]
+    return cells
+
+
 def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"

@@ -9,7 +9,6 @@ derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which numb
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -134,6 +133,7 @@ def draw_units(plane: FocalPlane, seed: int) -> Units:
         firmware=np.zeros((n, 2), FIRMWARE_DTYPE),
         arms=plane.arms.copy(),
         seed=seed,
+        number=plane.positioner_id.astype(np.int64),
     )
     nominal = [_nominal(plane, axis) for axis in (0, 1)]
     for row, number in enumerate(plane.positioner_id):
@@ -252,6 +252,8 @@ def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
         "settle_gain": 1.0,
         # 50 uNm for alpha: after the drag is learnt legal moves need less than 40 beyond the model
         "contact_torque": 1.43e4 * inertia,
+        # 2.4 uNm for alpha: legal moves rise by 1.9 at most (docs/firmware.md)
+        "touch_torque": 690.0 * inertia,
     }
 
 
@@ -268,11 +270,15 @@ def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np
     return record
 
 
-def put_in(plane: FocalPlane) -> dict[str, str]:
+def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
     first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
+    seen = {
+        "noise": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "image": "photons, pixels and optics of its images (twin/imaging.py says which are assumed)",
+    }
     return {
-        "camera": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
+        "camera": seen[camera],
         "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
         f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
         f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
@@ -284,31 +290,3 @@ def put_in(plane: FocalPlane) -> dict[str, str]:
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
     }
-
-
-WEAR_RMS_RAD = 0.05 * RAD_PER_DEG
-WEAR_WIDTH_DEG = (6.0, 30.0)
-WEAR_CYCLES = 40.0
-"""Wear: local changes of delta up to 0.15 deg after 100 cycles (Kronig 2020, Fig. 22 and 25, given);
-their number, widths and the time in which they saturate are assumed."""
-
-
-def worn(units: Units, cycles: float, seed: int = 0) -> Units:
-    """The same units after so many lifetime cycles: marks on delta that grow, fast at first.
-
-    A mark's place and size depend on the seed and the unit alone, so wear at 60 cycles continues
-    wear at 50. `Twin.set_gear` puts it into a running twin.
-    """
-    grown = 1.0 - np.exp(-max(cycles, 0.0) / WEAR_CYCLES)
-    gear = units.gear.copy()
-    for row in range(len(units)):
-        rng = np.random.default_rng([seed, 0x3EA2, row])
-        for axis, turn in ((0, 2.0 * np.pi), (1, np.pi)):
-            marks = gear[row, axis]["wear"]
-            marks[:, 0] = rng.uniform(0.0, turn, len(marks))
-            marks[:, 1] = rng.uniform(*WEAR_WIDTH_DEG, len(marks)) * RAD_PER_DEG
-            marks[:, 2] = np.clip(rng.normal(0.0, WEAR_RMS_RAD, len(marks)), *_MARK_LIMITS) * grown
-    return replace(units, gear=gear)
-
-
-_MARK_LIMITS = (-2.0 * WEAR_RMS_RAD, 2.0 * WEAR_RMS_RAD)

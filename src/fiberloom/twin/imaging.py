@@ -12,6 +12,7 @@ again; every exposure of a camera draws new noise.
 from __future__ import annotations
 
 import datetime
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -243,6 +244,7 @@ class ImagingCamera:
         self._strays_px = self._fixed.uniform(0, 1, (model.light.strays, 2)) * self._size()
         self._flux_scatter: dict[int, Floats] = {}
         self._hot = self._draw_hot()
+        self._canvas: NDArray[np.float32] | None = None
 
     def expose(self) -> CameraImage:
         """The next image."""
@@ -302,11 +304,14 @@ class ImagingCamera:
         sky = [model.light.background_e, model.light.gradient_e / width, 0.0]
         d = model.detector
         detector = [d.gain_e_adu, d.read_noise_e, d.bias_adu, d.full_well_e]
-        return _core.expose(light, sky, detector, int(rng.integers(2**63)))
+        return _core.expose(light, sky, detector, int(rng.integers(2**63)), os.cpu_count() or 1)
 
     def _light(self, rng: np.random.Generator) -> NDArray[np.float32]:
         g = self.model.optics.geometry
-        image = np.zeros((g.height_px, g.width_px), dtype=np.float32)
+        if self._canvas is None:  # kept: fresh memory costs more than wiping it
+            self._canvas = np.empty((g.height_px, g.width_px), dtype=np.float32)
+        image = self._canvas
+        image.fill(0.0)
         kind = self.model.psf.kind
         _core.render_spots(image, self._sources(rng), PSF_KINDS[kind], self.model.psf.end_q)
         where, electrons = self._hot
@@ -455,6 +460,11 @@ def misaligned(model: CameraModel, seed: int) -> CameraModel:
 def image_camera(twin: Any, seed: int, model: CameraModel | None = None) -> ImageCamera:
     """A camera with images on a twin; the host knows its geometry but not how it is misaligned."""
     plane = twin.plane
+    if len(plane.fiducials) < 4:
+        raise InputError(
+            f"{plane.instrument.name}: {len(plane.fiducials)} fiducials in the layout, images need at "
+            "least 4 to be read; add some, or take --camera noise"
+        )
     nominal = model or model_for(plane)
     source = ImagingCamera(
         TwinScene(twin), misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,

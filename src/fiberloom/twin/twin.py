@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,7 +123,8 @@ class Twin:
         """True position (N, 2) in mm of a fibre; NaN where a positioner lacks it."""
         if fibre not in self.plane.points:
             raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
-        return geometry.forward(self.units.arms, self.plane.points[fibre], self._core.outputs_rad())
+        points = self.units.points_mm(self.plane.points[fibre])
+        return geometry.forward(self.units.arms, points, self._core.outputs_rad())
 
     def inject(self, fault: Fault) -> None:
         """Breaks something, until `clear`."""
@@ -142,9 +143,21 @@ class Twin:
         for axis in fault.axes:
             self._core.fault(row, axis, str(kind), on)
 
-    def power_cycle(self, positioner_id: int) -> None:
-        """Power off and on: the firmware starts anew with what it has stored."""
-        self._core.power_cycle(int(self.plane.index_of(positioner_id)))
+    def slip(self, positioner_id: int, axis: Literal["alpha", "beta"], up: float, down: float) -> None:
+        """From now on the arm makes only a share of its gear's way; 1 and 1 end it.
+
+        What degraded motors do, each direction on its own: DESI's go half as far as told. The
+        firmware counts its motor and reports arrival.
+        """
+        row = int(self.plane.index_of(positioner_id))
+        self._core.slip(row, ("alpha", "beta").index(axis), up, down)
+
+    def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
+        """Power off and on: the firmware starts anew with what it has stored.
+
+        At once, or as units do: after ten seconds in the bootloader, if nobody upgrades it.
+        """
+        self._core.power_cycle(int(self.plane.index_of(positioner_id)), bootloader)
 
     def set_gear(self, units: Units) -> None:
         """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
@@ -152,6 +165,16 @@ class Twin:
             for axis in (0, 1):
                 self._core.set_transmission(row, axis, plain(units.gear[row, axis]).ravel())
         self.units = units
+
+    def set_units(self, units: Units) -> None:
+        """These units' gears, plant parameters and arms, from now on: wear (`fiberloom.twin.wear`).
+
+        What the firmware believes stays. Neighbours feel the arms that there were at power-up.
+        """
+        for row in range(len(self.plane)):
+            for axis in (0, 1):
+                self._core.set_params(row, axis, plain(units.plant[row, axis]).ravel())
+        self.set_gear(units)
 
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
         """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""

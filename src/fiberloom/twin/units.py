@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,9 @@ GEAR = 1024.0
 ORDERS = np.array(_core.HARMONIC_ORDERS)
 """Cycles per output turn of the harmonic series of a gear."""
 
+MARKS = _core.WEAR_COUNT
+"""Local marks that a gear can have."""
+
 PLANT_DTYPE = np.dtype([(p[0], np.float64) for p in _core.PLANT_PARAMS])
 FIRMWARE_DTYPE = np.dtype([(p[0], np.float32) for p in _firmware.AXIS_PARAMS])
 GEAR_DTYPE = np.dtype(
@@ -26,7 +29,7 @@ GEAR_DTYPE = np.dtype(
         ("delta_rad", np.float64, (len(ORDERS), 2)),  # output angle: cosine, sine
         ("backlash_rad", np.float64, (len(ORDERS), 2)),  # motor angle: cosine, sine
         ("backlash_mean_rad", np.float64),
-        ("wear", np.float64, (_core.WEAR_COUNT, 3)),  # centre, width, height, output rad
+        ("wear", np.float64, (MARKS, 3)),  # centre, width, height, output rad
     ]
 )
 assert GEAR_DTYPE.itemsize == 8 * _core.TRANSMISSION_SIZE
@@ -56,14 +59,23 @@ class Units:
     arms: Floats
     """(N, 5) true arms: columns of FocalPlane.arms."""
     seed: int = 0
+    number: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    """(N,) by which wear and faults know a unit: the positioner's; the row where none is given."""
+    beta_longer_mm: Floats = field(default_factory=lambda: np.empty(0))
+    """(N,) by which every point of the beta arm lies farther out than the layout says."""
 
     def __post_init__(self) -> None:
         n = len(self.plant)
+        for name, default in (("number", np.arange(n)), ("beta_longer_mm", np.zeros(n))):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, default)
         for name, shape in {
             "plant": (n, 2),
             "gear": (n, 2),
             "firmware": (n, 2),
             "arms": (n, 5),
+            "number": (n,),
+            "beta_longer_mm": (n,),
         }.items():
             if getattr(self, name).shape != shape:
                 raise InputError(
@@ -76,7 +88,7 @@ class Units:
     def digest(self) -> str:
         """16 hex digits that change with any number of any unit."""
         digest = hashlib.sha256()
-        for values in (self.plant, self.gear, self.firmware, self.arms):
+        for values in (self.plant, self.gear, self.firmware, self.arms, self.beta_longer_mm):
             digest.update(np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()[:16]
 
@@ -96,4 +108,10 @@ class Units:
             gear=self.gear[rows],
             firmware=self.firmware[rows],
             arms=self.arms[rows],
+            number=self.number[rows],
+            beta_longer_mm=self.beta_longer_mm[rows],
         )
+
+    def points_mm(self, layout_mm: Floats) -> Floats:
+        """True points (N, 2) on the beta arms, from where the layout has them."""
+        return layout_mm + np.column_stack([self.beta_longer_mm, np.zeros(len(self))])

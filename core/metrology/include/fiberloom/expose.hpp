@@ -21,9 +21,9 @@ struct Sky {
 };
 
 // Poisson and read noise on `light` plus sky, then full well, gain, bias, rounding and the sixteen bits.
-// The noise of a row depends on seed and row alone. From 40 electrons on, one Gaussian number with the
-// skewness of the Poisson distribution (Cornish-Fisher) stands for both noises.
+// The noise of a row depends on seed and row alone, not on the number of threads. From 40 electrons on, one
+// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) stands for both noises.
 void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
-            std::uint64_t seed, std::span<std::uint16_t> adu);
+            std::uint64_t seed, std::span<std::uint16_t> adu, int threads = 1);
 
 } // namespace fl::metrology

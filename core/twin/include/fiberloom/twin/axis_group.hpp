@@ -12,9 +12,13 @@
 
 namespace fl::twin {
 
-inline constexpr int squad_size = 16; // positioners of a group
+#ifndef FL_SQUAD_SIZE
+#define FL_SQUAD_SIZE 16
+#endif
+inline constexpr int squad_size = FL_SQUAD_SIZE; // positioners of a group
 inline constexpr int lane_count = 2 * squad_size;
-inline constexpr int chunk_size = 16;    // lanes that are left out together when nothing moves in them
+// lanes that are left out together when nothing moves in them
+inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
 inline constexpr double tick_s = 0.0005; // 2 kHz control
 
 struct alignas(64) AxisGroup {

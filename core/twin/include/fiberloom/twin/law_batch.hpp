@@ -20,8 +20,12 @@
     X(float, spring_rate) X(float, cogging) X(int32_t, cogging_phase_cnt)
 #define FL_LAW_COLLISION(X) \
     X(float, threshold_Nm) X(float, contact_Nm) X(float, drag) X(float, drag_share) X(int32_t, error_min_cnt)
+#define FL_LAW_TOUCH(X) X(float, inertia) X(float, inertia_inverse) X(float, drag) X(float, threshold_Nm)
 #define FL_LAW_STATE(X) \
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
+#define FL_LAW_OBSERVER(X) \
+    X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2) X(float, mean_Nm) X(float, mean_speed_rad_s) X(float, follow) \
+    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, unrest_Nm) X(float, way_rad) X(float, rise_Nm) X(float, limit_Nm)
 #define FL_LAW_INPUT(X) \
     X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
     X(float, acceleration_rad_s2) X(int32_t, settling)
@@ -46,10 +50,16 @@ struct alignas(64) LawBatch {
     struct {
         FL_LAW_COLLISION(X)
     } collision;
-    // the servo's state, in and out; its input; its output
+    struct {
+        FL_LAW_TOUCH(X)
+    } touch;
+    // states of servo and touch, in and out; the input; its output
     struct {
         FL_LAW_STATE(X)
     } state;
+    struct {
+        FL_LAW_OBSERVER(X)
+    } observer;
     struct {
         FL_LAW_INPUT(X)
     } input;
@@ -57,7 +67,7 @@ struct alignas(64) LawBatch {
         FL_LAW_TORQUE(X)
     } torque;
 #undef X
-    Floats voltage_per_Nm;
+    Floats voltage_per_Nm, full_Nm;
     Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
     Floats rotor_sin, rotor_cos;
     Floats voltage;

@@ -22,6 +22,10 @@ struct AxisFaults {
     bool dead = false;    // the bridge gets no supply: the rotor is not driven
     bool blocked = false; // the rotor cannot turn
     bool lying = false;   // rotor and gear turn, the arm does not follow (an open coupling)
+    // share of the gear's way that the arm makes, towards larger and smaller angles (a slipping coupling)
+    double follows_up = 1.0, follows_down = 1.0;
+
+    bool slips() const { return follows_up != 1.0 || follows_down != 1.0; }
 };
 
 struct AxisState {
@@ -84,6 +88,8 @@ class Plant {
     void set_faults(size_t axis, AxisFaults faults);
     // The gear wears: only at rest.
     void set_transmission(size_t axis, const Transmission &transmission);
+    // What wears beside the gear: friction, sensors. Only at rest; throws as the constructor does.
+    void set_params(size_t axis, const PlantParams &params);
 
   private:
     // Teeth and grease do not come to lie twice in the same way: a small random walk of the output over
@@ -98,8 +104,9 @@ class Plant {
         Seat seat;
         AxisFaults faults;
         double torque_Nm = 0.0;
-        double slip_rad = 0.0; // arm against gear, left by an open coupling
-        double held_rad = 0.0; // where the arm stands while the coupling is open
+        double slip_rad = 0.0;   // arm against gear, left by an open coupling
+        double held_rad = 0.0;   // where the arm stands while the coupling is open
+        double geared_rad = 0.0; // where the gear had the arm of a slipping coupling
     };
     template <class T> using Field = T (AxisGroup::*)[lane_count];
     AxisGroup &group_of(size_t axis) { return groups_[place(axis).group]; }
@@ -122,12 +129,15 @@ class Plant {
     double next_seat(size_t axis, double from_rad);
     void follow_seat(size_t axis, int32_t nodes);
     double stop_torque_Nm(size_t axis) const;
+    double geared_rad(size_t axis) const;
+    void slip(size_t axis);
 
     const Kernel *kernel_;
     int substeps_;
     double h_s_;
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
+    std::vector<uint32_t> slipping_; // lanes of each group whose couplings slip
 };
 
 } // namespace fl::twin

@@ -24,6 +24,8 @@ namespace fl::twin {
 // meanwhile at 2000 rpm.
 inline constexpr uint64_t sync_ticks = 4;
 
+inline constexpr int every_bus = -1;
+
 struct TwinSetup {
     std::vector<uint16_t> ids;            // N, 1..2047, no two alike
     std::vector<Unit> units;              // 2 N: alpha, beta of each
@@ -53,6 +55,7 @@ struct ScopeSample {
     double duty[3];
     double hall_cnt[2];
     double command_deg, tracking_deg, command_speed_rad_s, feedback_Nm, feedforward_Nm, voltage;
+    double load_Nm, touch_Nm;
 };
 
 struct PositionerFaults {
@@ -75,14 +78,19 @@ class Twin {
     const Neighbours &neighbours() const;
     const char *kernel_name() const;
 
-    // A frame on the bus, now: for one positioner, or for all (identifier bits 28..18 zero).
-    void send(const fl_can_frame_t &frame);
+    // A frame now, on one bus or on all: for one positioner, or for everybody there (identifier bits 28..18
+    // zero).
+    void send(const fl_can_frame_t &frame, int bus = every_bus);
+    // Which bus a positioner hangs on; 0 unless told.
+    void connect(size_t positioner, int bus);
     // Ticks of 0.5 ms; returns what the positioners sent since the last call, by time, then by positioner.
     std::vector<Reply> run(uint64_t ticks);
 
     Angles output(size_t positioner) const;
     const fl_positioner_t &firmware(size_t positioner) const;
     bool asleep(size_t positioner) const;
+    // Nothing moves and nobody's firmware has anything to do: time alone goes on.
+    bool resting() const;
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;
     uint64_t ticks_run() const;
@@ -92,8 +100,10 @@ class Twin {
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
-    // Power off and on: the firmware starts anew with what its storage holds.
-    void power_cycle(size_t positioner);
+    void set_params(size_t positioner, int axis, const PlantParams &params);
+    // Power off and on: the firmware starts anew with what its storage holds, after the bootloader has waited
+    // its ten seconds for an upgrade, or at once.
+    void power_cycle(size_t positioner, bool bootloader = false);
 
     void scope(size_t positioner, int axis, bool on);
     std::vector<ScopeSample> take_scope(size_t positioner, int axis);

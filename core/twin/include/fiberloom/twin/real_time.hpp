@@ -1,0 +1,106 @@
+// The twin against the wall clock: a thread of its own computes every control tick when it is due, and
+// counts how late. Frames go in and out between ticks; nobody waits for anybody.
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <queue>
+#include <thread>
+#include <vector>
+
+#include "fiberloom/twin/twin.hpp"
+
+namespace fl::twin {
+
+// How late ticks were. Tick k begins at k ticks after the start; its lateness is the time from there to the
+// end of its computation. It is kept when it has ended before the next one begins.
+class Lateness {
+  public:
+    static constexpr double bin_s = 10e-6;
+    static constexpr size_t bins = 2000; // up to 20 ms; what is later counts in the last one
+
+    void note(double late_s, bool kept, uint64_t ticks = 1);
+    // The smallest bin edge that at least `share` of the ticks do not exceed; s.
+    double quantile_s(double share) const;
+    uint64_t ticks() const { return ticks_; }
+    uint64_t kept() const { return kept_; }
+    double worst_s() const { return worst_s_; }
+
+  private:
+    std::array<uint64_t, bins> counts_{};
+    uint64_t ticks_ = 0, kept_ = 0;
+    double worst_s_ = 0.0;
+};
+
+struct Pace {
+    Lateness busy;         // ticks in which somebody was awake
+    uint64_t resting = 0;  // ticks that needed no computation: everybody rested
+    double given_up_s = 0; // wall time by which the clock was set back, because it was too far behind
+};
+
+// A frame that a bus is to carry, and the tick at which it arrives.
+struct Errand {
+    fl_can_frame_t frame;
+    int bus;
+    uint64_t tick;
+};
+
+class RealTime {
+  public:
+    // speed: virtual seconds per second. wake_fd: gets a byte when frames wait to be taken; -1 for none.
+    RealTime(Twin &twin, double speed, int wake_fd);
+    ~RealTime();
+    RealTime(const RealTime &) = delete;
+    RealTime &operator=(const RealTime &) = delete;
+
+    // Frames for the buses, none before its tick; those of one tick in the order of their posting.
+    void post(const std::vector<Errand> &errands);
+    // What the positioners sent since the last call.
+    std::vector<Reply> take();
+    // The tick that the wall clock shows now.
+    double tick_now() const;
+    Pace pace() const;
+    // Ends the thread; the twin stands from here on.
+    void stop();
+    // Between hold and release, on one thread, no tick is computed: the twin may be touched.
+    void hold();
+    void release();
+
+  private:
+    using Clock = std::chrono::steady_clock;
+    struct Posted {
+        Errand errand;
+        uint64_t order;
+        bool operator>(const Posted &b) const {
+            return errand.tick != b.errand.tick ? errand.tick > b.errand.tick : order > b.order;
+        }
+    };
+    void loop();
+    bool rest(std::unique_lock<std::mutex> &lock);
+    void compute(std::unique_lock<std::mutex> &lock, uint64_t ticks);
+    void deliver();
+    void catch_up_or_give_up();
+    uint64_t ticks_due() const;
+    Clock::time_point due(uint64_t tick) const;
+    void wake_taker();
+
+    Twin &twin_;
+    const std::chrono::duration<double> tick_;
+    const int wake_fd_;
+    Clock::time_point start_; // of tick 0; moves when time is given up
+    mutable std::mutex mutex_;
+    std::condition_variable change_;
+    bool stop_ = false;
+    int holders_ = 0;
+    bool computing_ = false;
+    std::priority_queue<Posted, std::vector<Posted>, std::greater<>> inbox_;
+    uint64_t posted_ = 0;
+    std::vector<Reply> outbox_;
+    Pace pace_;
+    std::thread thread_;
+};
+
+} // namespace fl::twin

@@ -1,0 +1,70 @@
+"""Which figures there are."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+from fiberloom.errors import InputError
+from fiberloom.reproduce.outcome import Outcome, Settings
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure, equation or table of Kronig 2020 and the module that makes ours."""
+
+    key: str
+    """As typed: `16`, `eq22`, `table1`."""
+    title: str
+    module: str
+
+    @property
+    def name(self) -> str:
+        """File name and start of the ids of its quantities: `fig16`."""
+        return f"fig{int(self.key):02d}" if self.key.isdigit() else self.key
+
+    @property
+    def heading(self) -> str:
+        """As in the paper."""
+        if self.key.isdigit():
+            return f"Figure {self.key}"
+        return self.key.replace("eq", "Equation ").replace("table", "Table ")
+
+    @property
+    def run(self) -> Callable[[Settings], Outcome]:
+        """The experiment; its module is loaded now."""
+        module = importlib.import_module(f"fiberloom.reproduce.{self.module}")
+        return cast(Callable[[Settings], Outcome], module.run)
+
+
+FIGURES: tuple[Figure, ...] = (
+    Figure("table1", "Six instruments through one pipeline", "table01_instruments"),
+    Figure("5", "Coverage of the focal plane", "fig05_coverage"),
+    Figure("10", "Non-linear transmission and backlash", "fig10_transmission"),
+    Figure("11", "Break-away torque over a motor turn", "fig11_break_away"),
+    Figure("12", "Torque at constant speed", "fig12_drag"),
+    Figure("13", "Stiffness of the gears", "fig13_stiffness"),
+    Figure("14", "A step of torque, and the inertia", "fig14_inertia"),
+    Figure("16", "Tracking of a motor along ramps", "fig16_tracking"),
+    Figure("eq22", "Collision detection", "eq22_collision"),
+    Figure("17", "Repeatability of three targets 1 um apart", "fig17_repeatability"),
+    Figure("19", "Precision iterations", "fig19_iterations"),
+)
+
+
+def chosen(keys: Sequence[str], figures: Sequence[Figure] = FIGURES) -> list[Figure]:
+    """The figures of these names, in their own order; all for no name."""
+    by_key = {figure.key: figure for figure in figures}
+    wanted = {_normal(key) for key in keys}
+    unknown = sorted(wanted - by_key.keys())
+    if unknown:
+        raise InputError(f"figure {unknown[0]}: not among {', '.join(by_key)}")
+    return [figure for figure in figures if not wanted or figure.key in wanted]
+
+
+def _normal(key: str) -> str:
+    """`Fig16`, `fig16`, `16` and `016` are the same."""
+    plain = key.strip().lower().removeprefix("figure").removeprefix("fig").strip(". ")
+    return str(int(plain)) if plain.isdigit() else plain

@@ -1,0 +1,134 @@
+"""The twin against the wall clock: the same bytes as without one, and an honest count of lateness."""
+
+import struct
+import time
+
+import numpy as np
+import pytest
+from wire import GOTO, STATUS, counts
+
+from fiberloom.bus.identifier import decode, encode
+from fiberloom.errors import InputError
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.twin import Fault, Twin, draw_units
+from fiberloom.twin.real_time import RealTimeTwin
+from fiberloom.units import TICK_S
+
+PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=3)
+UNITS = draw_units(PLANE, seed=2)
+IDS = [int(i) for i in PLANE.positioner_id]
+GO = [(encode(i, GOTO, 1), struct.pack("<ii", counts(14.0), counts(166.0))) for i in IDS]
+
+
+def twin():
+    return Twin(PLANE, UNITS, seed=1, threads=1, neighbours=False)
+
+
+class Run:
+    """A paced twin for the length of a `with`."""
+
+    def __init__(self, speed, **kwargs):
+        self.real = RealTimeTwin(twin(), speed, **kwargs)
+
+    def __enter__(self):
+        return self.real
+
+    def __exit__(self, *error):
+        self.real.close()
+
+    def wait(self, time_s):
+        while self.real.time_s < time_s:
+            time.sleep(0.002)
+
+
+def replies_until(paced, time_s):
+    paced.wait(time_s)
+    return paced.real.take()
+
+
+def test_the_same_motion_as_in_virtual_time():
+    plain = twin()
+    plain.run(0.4)
+    plain.send(GO)
+    expected = plain.run(1.6)
+    paced = Run(speed=20.0)
+    with paced as real:
+        real.post([(identifier, data, 0, 0.4) for identifier, data in GO])
+        replies = replies_until(paced, 2.1)
+        with real.held() as held:
+            truth = held.truth()
+    # posted before tick 800 was computed: carried out in that tick, to the last bit
+    assert [r.time_s for r in replies] == [r.time_s for r in expected]
+    np.testing.assert_array_equal(truth, plain.truth())
+
+
+def test_each_tick_is_counted_once():
+    with (paced := Run(speed=10.0)) as real:
+        real.post([(*frame, 0, 0.0) for frame in GO])
+        paced.wait(2.0)
+        late = real.lateness()
+        with real.held() as held:
+            ticks = round(held.time_s / TICK_S)
+    assert abs(late.ticks + late.resting - ticks) <= 40  # what ran between the two questions
+    assert late.ticks > 500  # the moves: 0.5 s each
+    assert 0 <= late.kept <= late.ticks
+    assert 0.0 < late.p50_ms <= late.p99_ms <= late.worst_ms
+
+
+def test_while_a_tick_is_held_the_clock_goes_on_and_ticks_are_late():
+    with Run(speed=1.0) as real:
+        real.post([(*frame, 0, 0.0) for frame in GO])
+        time.sleep(0.05)
+        with real.held() as held:
+            before_s = held.time_s
+            time.sleep(0.05)
+            assert held.time_s == before_s
+        time.sleep(0.05)
+        late = real.lateness()
+    # the first tick that had to wait waited for the whole hold
+    assert late.worst_ms > 45.0
+    assert late.kept < late.ticks
+
+
+def test_a_clock_that_falls_far_behind_is_set_back():
+    with Run(speed=1.0) as real:
+        with real.held():
+            time.sleep(1.1)
+        time.sleep(0.02)
+        late = real.lateness()
+        assert real.time_s < 0.9
+    assert late.given_up_s > 1.0
+
+
+def test_frames_for_a_bus_are_heard_there_only():
+    paced = Run(speed=10.0, buses=[0, 1, 1])
+    with paced as real:
+        real.post([(encode(0, STATUS), b"", 1, 0.0), (encode(IDS[0], STATUS, 5), b"", 1, 0.0)])
+        heard = [decode(r.id).positioner for r in replies_until(paced, 0.5)]
+    assert sorted(heard) == sorted(IDS[1:])
+
+
+def test_frames_arrive_in_the_order_of_their_times():
+    paced = Run(speed=10.0)
+    with paced as real:
+        uids = [4, 1, 3, 2]
+        real.post([(encode(IDS[0], STATUS, uid), b"", 0, 0.2 + 0.01 * uid) for uid in uids])
+        replies = replies_until(paced, 0.5)
+    assert [decode(r.id).uid for r in replies] == [1, 2, 3, 4]
+    np.testing.assert_allclose([r.time_s for r in replies], [0.21, 0.22, 0.23, 0.24], atol=2 * TICK_S)
+
+
+def test_a_fault_put_in_between_two_ticks():
+    paced = Run(speed=10.0)
+    with paced as real:
+        with real.held() as held:
+            held.inject(Fault("mute", IDS[0]))
+        real.post([(encode(0, STATUS), b"", 0, 0.0)])
+        heard = [decode(r.id).positioner for r in replies_until(paced, 0.5)]
+    assert sorted(heard) == sorted(IDS[1:])
+
+
+def test_speeds_out_of_range_are_an_input_error():
+    for speed in (0.0, -1.0, 1e3, float("nan")):
+        with pytest.raises(InputError, match="speed"):
+            RealTimeTwin(twin(), speed)
