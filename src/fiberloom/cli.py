@@ -501,6 +501,9 @@ def lifetime(
     positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2,
     instrument: InstrumentOption = "sdssv",
     points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200,
+    targets: Annotated[
+        int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")
+    ] = 1220,
     every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[
@@ -516,7 +519,9 @@ def lifetime(
     from fiberloom.commands.lifetime import LifetimeRequest, run_lifetime, table, within_requirement
     from fiberloom.twin.lifetime import LifetimeSettings
 
-    settings = LifetimeSettings(instrument=instrument, cycles=cycles, points=points, cycle_step=every)
+    settings = LifetimeSettings(
+        instrument=instrument, cycles=cycles, points=points, approaches=targets, cycle_step=every
+    )
     result = run_lifetime(
         LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
     )

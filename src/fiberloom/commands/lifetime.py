@@ -138,6 +138,7 @@ def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any
         "blind_true_rms_um": {way: _rms(e) for way, e in by_way["true_um"].items()},
         "corrected_true_rms_um": corrected,
         "moves_per_cycle": MOVES_PER_CYCLE,
+        "moves_to_targets": settings.approaches * (1 + settings.corrections),
         "positioners": request.positioners,
         "settings": asdict(settings),
         "put_in": {

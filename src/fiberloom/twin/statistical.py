@@ -76,10 +76,16 @@ class StatisticalTwin:
         """There is no time here: cameras want one."""
         return 0.0
 
-    def set_units(self, units: Units) -> None:
-        """These units from now on: wear. The motors stand, so arms move with their gears."""
+    def set_units(self, units: Units, rows: NDArray[np.intp] | None = None) -> None:
+        """These units from now on: wear. The motors stand, so arms move with their gears.
+
+        `rows`: those whose gears differ from before; all where left out.
+        """
         self.units = units
-        self.gears = Gears(units)
+        if rows is None or len(rows) == len(units):
+            self.gears = Gears(units)
+        else:
+            self.gears.put(rows, Gears(units.select(rows)))
 
     # commands to angles
 
