@@ -7,7 +7,7 @@ import numpy as np
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.health import Passage
 
-RIPPLE_DEG = np.array([0.025, 0.025])
+RIPPLE_DEG = 0.025
 """What a map of 200 points does not know, rms: 8 to 10 um at SDSS-V's arms."""
 
 
@@ -25,13 +25,13 @@ class Trouble:
 class Visits:
     """Goes from field to field with two corrections each, all positioners at once."""
 
-    def __init__(self, plane: FocalPlane, seed: int, troubles: list[Trouble] = ()) -> None:
+    def __init__(self, plane: FocalPlane, seed: int, troubles: tuple[Trouble, ...] = ()) -> None:
         self.plane, self.rng, self.troubles = plane, np.random.default_rng(seed), list(troubles)
         n = len(plane)
         self.phase = self.rng.uniform(0, 2 * np.pi, (n, 2))
         self.believed = self.rng.uniform([10.0, 20.0], [350.0, 160.0], (n, 2))
         self.lost = np.zeros((n, 2))  # true minus what map and motor say
-        self.habit = np.exp(self.rng.normal(0.0, 0.1, (n, 2)))
+        self.habit = self.rng.normal(0.0, 0.1, (n, 2))
         self.move = 0
 
     def run(self, fields: int):
@@ -63,7 +63,7 @@ class Visits:
                 self.lost[t.row, t.axis] += t.size
         seen = self._seen()
         asked = np.ones(len(self.plane), dtype=bool)
-        return Passage(before, self.believed.copy(), seen, asked, asked, self._effort())
+        return Passage(before, self.believed.copy(), seen, asked, asked, effort=self._effort())
 
     def active(self):
         """Troubles that have begun."""
@@ -71,7 +71,8 @@ class Visits:
 
     def _seen(self):
         n = len(self.plane)
-        true = self.believed + self.lost + RIPPLE_DEG * np.sqrt(2) * np.sin(204 * np.radians(self.believed) + self.phase)
+        ripple = np.sqrt(2) * np.sin(204 * np.radians(self.believed) + self.phase)
+        true = self.believed + self.lost + RIPPLE_DEG * ripple
         scatter_um = np.full(n, 0.2)
         plane, long = self.plane, np.zeros(n)
         for t in self.active():
@@ -82,6 +83,8 @@ class Visits:
                 scatter_um[t.row] = t.size
             if t.kind == "loose_arm":
                 long[t.row] = t.size
+            if t.kind == "jittery_arm":
+                long[t.row] = t.size * self.rng.normal()
         xy = plane.forward(*true.T)
         arms = plane.arms
         elbow_deg = true[:, 0:1] * np.pi / 180 + arms[:, 3:4]
@@ -95,9 +98,9 @@ class Visits:
         return xy
 
     def _effort(self):
-        weather = 1.0 + 0.5 * np.sin(self.move / 500)
-        effort = weather * self.habit * np.exp(self.rng.normal(0.0, 0.1, self.habit.shape))
+        weather = 0.2 * np.sin(self.move / 500)
+        effort = weather + self.habit + self.rng.normal(0.0, 0.04, self.habit.shape)
         for t in self.active():
             if t.kind == "friction":
-                effort[t.row, t.axis] *= 1.0 + t.size
+                effort[t.row, t.axis] += t.size
         return effort

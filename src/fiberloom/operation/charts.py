@@ -7,6 +7,7 @@ h over the ratio's mean. Steps are clipped, so that one wild measurement decides
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,8 +48,8 @@ class Chart:
 
 def of_event(happened: Flags, healthy: float, broken: float) -> Floats:
     """Ratio of something that happens with these probabilities."""
-    yes, no = np.log(broken / healthy), np.log((1.0 - broken) / (1.0 - healthy))
-    return np.where(happened, yes, no)
+    no = math.log((1.0 - broken) / (1.0 - healthy))
+    return no + happened.astype(np.float64) * (math.log(broken / healthy) - no)
 
 
 def of_shift(value: Floats, shift: Floats | float) -> Floats:

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.operation.charts import Chart, Flags, Floats, Rows, of_event, of_shift, of_spread
 from fiberloom.operation.correction import CorrectionNoise
+from fiberloom.operation.habits import ArmFit, Habit, WayShare
 from fiberloom.units import MM_PER_UM, UM_PER_MM, deg_to_rad, rad_to_deg
 
 AXES = ("alpha", "beta")
@@ -41,9 +41,9 @@ class Ailment(StrEnum):
 
     DARK = "dark"
     STUCK = "stuck"
+    LOOSE_ARM = "loose_arm"
     SCALE = "scale"
     NON_MOVES = "non_moves"
-    LOOSE_ARM = "loose_arm"
     SLIPPED = "slipped"
     TOOTH = "tooth"
     FRICTION = "friction"
@@ -84,8 +84,10 @@ class Passage:
     """(N,) told to move."""
     arrived: Flags
     """(N,) reports to have arrived. A motion that was stopped says nothing of health."""
+    collided: Flags | None = None
+    """(N,) reports a collision; None: nobody."""
     effort: Floats | None = None
-    """(N, 2) torque that the way took over what the firmware's model expects; None: not known."""
+    """(N, 2) mean torque of the servo beyond its model, over that at which a way ends as a collision."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class HealthSettings:
     alarm: float = 20.0
     far_deg: float = 2.0
     """A way longer than this ends on another part of the map: its error is a new one."""
-    jump_deg: float = 1.0
+    jump_mm: float = 0.3
     """Smaller jumps are left to the fit of the last moves."""
     tell_way_deg: float = 0.3
     """Shorter ways do not tell a non-move from a miss."""
@@ -105,13 +107,14 @@ class HealthSettings:
     """Misses of maps are not Gaussian: their standard deviation is taken so many times as large."""
     tooth_deg: float = 10.0
     """Pitch of the last stage: 36 pairings a turn (Fig. 10)."""
-    memory: float = 0.95
-    """Of the fit of offsets and arm length, from move to move: about twenty moves."""
+    memory: float = 0.9
+    """Of the fit of offsets and arm length, from field to field: about ten fields."""
     arm_um: float = 15.0
     """Length that an arm does not gain by wear (Fig. 21: 1 um)."""
-    effort_step: float = 0.25
-    """Rise of the torque that is worth knowing."""
-    effort_sd: float = 0.10
+    effort_step: float = 0.15
+    """Rise of the effort that is worth knowing."""
+    effort_sd: float = 0.05
+    """From move to move, once what all have in common is taken off."""
     settle: int = 20
     """Moves in which a positioner's own torque is learnt."""
 
@@ -152,16 +155,18 @@ class HealthMonitor:
         self.tooth = Chart((n, 2, self.n_bins), alarm, clip=12.0)
         self.everywhere = Chart((n, 2), alarm, clip=12.0)  # misses at any place: then it is not a tooth
         self.friction = Chart((n, 2), alarm, clip=4.0)
-        self.scatter = Chart((n,), alarm, clip=4.0)
-        self.geometry = _Geometry(n, self.settings.memory)
+        self.scatter = Chart((n, 2), alarm, clip=4.0)  # along the beta arm, and across
+        self.blocked = Chart((n,), alarm)
+        self.geometry = ArmFit(n, self.settings.memory)
         self.stills_in_a_row = np.zeros((n, 2), dtype=np.int64)
         self.since = np.full((n, len(Ailment)), -1, dtype=np.int64)
         self._slip_deg = np.zeros((n, 2))
+        self._wobble_mm2 = np.zeros((n, 2))
         self._pending = np.zeros((n, 2), dtype=bool)
-        self._way = _Ratio(n)
+        self._way = WayShare(n)
         self._seen_deg = np.full((n, 2), np.nan)
         self._seen_sd_deg = np.full((n, 2), np.nan)
-        self._effort = _Habit(n, self.settings.settle)
+        self._effort = Habit(n, self.settings.settle)
         self._lever_mm = self._levers()
 
     # one move
@@ -169,10 +174,11 @@ class HealthMonitor:
     def update(self, passage: Passage) -> None:
         """Learn from one move."""
         self.moves += 1
-        seen = np.isfinite(passage.seen_mm).all(axis=1)
+        seen: Flags = np.all(np.isfinite(passage.seen_mm), axis=1)
         self.dark.add(of_event(~seen, 1e-4, 0.99))
         miss_deg, image_sd_deg = self._miss_deg(passage, seen)
         self._ways(passage, miss_deg, image_sd_deg)
+        self._collisions(passage)
         self._torques(passage)
         looked = np.isfinite(miss_deg).all(axis=1)
         changed = (looked | passage.asked)[:, None]
@@ -189,8 +195,8 @@ class HealthMonitor:
         tells = seen & (np.abs(np.sin(deg_to_rad(believed[:, 1]))) > 0.25)
         rows = np.flatnonzero(tells)
         miss, sd = np.full_like(believed, np.nan), np.full_like(believed, np.nan)
-        expected = self.plane.forward(*believed[rows].T, METROLOGY, index=rows)
-        jacobian = self.plane.jacobian(*believed[rows].T, METROLOGY, index=rows)
+        expected = self._expected_mm(believed[rows], rows)
+        jacobian = self._jacobian(believed[rows], rows)
         longer_mm = self.geometry.longer_mm()[rows, None] * self._along(believed[rows], expected, rows)
         off_mm = passage.seen_mm[rows] - expected - longer_mm
         inverse = np.linalg.inv(jacobian)
@@ -201,6 +207,12 @@ class HealthMonitor:
         far = rows[np.isnan(miss[rows, 0])]
         miss[far] = self._far_miss_deg(passage, far)
         return miss, sd
+
+    def _expected_mm(self, at_deg: Floats, rows: Rows) -> Floats:
+        return self.plane.forward(at_deg[:, 0], at_deg[:, 1], METROLOGY, index=rows)
+
+    def _jacobian(self, at_deg: Floats, rows: Rows) -> Floats:
+        return self.plane.jacobian(at_deg[:, 0], at_deg[:, 1], METROLOGY, index=rows)
 
     def _far_miss_deg(self, passage: Passage, rows: Rows) -> Floats:
         """Where the linear way does not hold: both angles anew."""
@@ -216,16 +228,15 @@ class HealthMonitor:
         gain = miss_deg - (self._seen_deg - passage.before_deg)
         gain[:, 0] -= 360.0 * np.rint(gain[:, 0] / 360.0)
         told = (passage.asked & passage.arrived)[:, None] & np.isfinite(way) & np.isfinite(gain)
-        far = (np.abs(np.nan_to_num(way)) > self.settings.far_deg).any(axis=1)
+        far: Flags = np.any(np.abs(np.nan_to_num(way)) > self.settings.far_deg, axis=1)
+        whole: Flags = np.all(told, axis=1)
         sd = self._gain_sd_deg(way, far, np.hypot(image_sd_deg, self._seen_sd_deg))
         still = self._stills(way, gain, sd, told)
         self._scales(way, gain, sd, told & ~still)
         self._jumps(passage, miss_deg, gain, sd, told & ~still, far)
         self._slip_deg += np.where(still, -way, 0.0)  # accounted for: it is not where its motor is
-        self._geometry(passage, miss_deg, told.all(axis=1) & far)
-        square = ((gain / sd) ** 2).sum(axis=1)
-        small = told.all(axis=1) & ~far & ~still.any(axis=1)
-        self.scatter.add(of_spread(square, 2, 9.0), small)
+        self._geometry(passage, miss_deg, whole & far)
+        self._scatters(passage, gain, sd, whole & ~far & ~still.any(axis=1))
 
     def _gain_sd_deg(self, way: Floats, far: Flags, images_sd_deg: Floats) -> Floats:
         """(N, 2) by which the misses of two images differ, healthy ones."""
@@ -244,8 +255,15 @@ class HealthMonitor:
         moved[:, 0] -= 360.0 * np.rint(moved[:, 0] / 360.0)
         still = asked & (np.abs(moved) < np.maximum(0.03 * np.abs(way), 4.0 * sd))
         self.still.add(of_event(still, 1e-6, 0.15), asked)
-        self.stills_in_a_row = np.where(asked, np.where(still, self.stills_in_a_row + 1, 0), self.stills_in_a_row)
+        self.stills_in_a_row = np.where(
+            asked, np.where(still, self.stills_in_a_row + 1, 0), self.stills_in_a_row
+        )
         return still
+
+    def _collisions(self, passage: Passage) -> None:
+        """A way that ends as a collision may be a neighbour's fault once; hardly four times."""
+        if passage.collided is not None:
+            self.blocked.add(of_event(passage.collided, 2e-3, 0.5), passage.asked)
 
     def _scales(self, way: Floats, gain: Floats, sd: Floats, told: Flags) -> None:
         """A share of the way that is missing or too much, for each direction of its own."""
@@ -270,10 +288,16 @@ class HealthMonitor:
         self.slip.add(np.where(stays, 1.1 * self.settings.alarm, 0.0))
         self._slip_deg = np.where(stays, miss_deg, self._slip_deg)
         self._pending = np.where(moved_on, False, self._pending)
-        wide = np.maximum(8.0 * sd, self.settings.jump_deg)
-        self._pending |= told & (np.abs(gain) > wide) & (np.abs(miss_deg - self._slip_deg) > wide)
+        away = (self._apart_mm(passage) > self.settings.jump_mm)[:, None]
+        self._pending |= told & away & (np.abs(gain) > 8.0 * sd)
         known_deg = self._slip_deg + self.geometry.offsets_deg()
         self._places(passage, (miss_deg - known_deg) / sd, moved_on)
+
+    def _apart_mm(self, passage: Passage) -> Floats:
+        """(N,) from where a fibre is seen to where it should be, by all slips so far; 0 if not seen."""
+        at = passage.believed_deg + self._slip_deg
+        off_mm = passage.seen_mm - self.plane.forward(at[:, 0], at[:, 1], METROLOGY)
+        return np.nan_to_num(np.hypot(off_mm[:, 0], off_mm[:, 1]))
 
     def _places(self, passage: Passage, value: Floats, told: Flags) -> None:
         """The place on the turn at which a miss was seen."""
@@ -288,8 +312,8 @@ class HealthMonitor:
         """Offsets of both angles and the length of the beta arm, from the last moves together."""
         at = passage.believed_deg + self._slip_deg
         rows = np.flatnonzero(told & (np.abs(miss_deg - self._slip_deg).max(axis=1) < 1.0))
-        expected = self.plane.forward(*at[rows].T, METROLOGY, index=rows)
-        angles = self.plane.jacobian(*at[rows].T, METROLOGY, index=rows)
+        expected = self._expected_mm(at[rows], rows)
+        angles = self._jacobian(at[rows], rows)
         along = self._along(at[rows], expected, rows)
         off_mm = passage.seen_mm[rows] - expected
         variance = self._image_variance(angles, rows)
@@ -309,6 +333,21 @@ class HealthMonitor:
         camera_mm2 = 0.5 * (self.noise.camera_um * MM_PER_UM) ** 2 + 1e-12
         return scaled @ scaled.transpose(0, 2, 1) + camera_mm2 * np.eye(2)
 
+    def _scatters(self, passage: Passage, gain: Floats, sd: Floats, small: Flags) -> None:
+        """What small moves miss by, along the beta arm and across, against what is expected."""
+        rows = np.flatnonzero(small)
+        at = passage.believed_deg[rows]
+        angles = self._jacobian(at, rows)
+        along = self._along(at, self._expected_mm(at, rows), rows)
+        frame = np.stack([along, along[:, ::-1] * [-1.0, 1.0]], axis=1)
+        to_arm = frame @ angles
+        off = np.einsum("nij,nj->ni", to_arm, gain[rows])
+        variance = np.einsum("nij,nj->ni", to_arm**2, sd[rows] ** 2)
+        square = np.full((len(self.plane), 2), np.nan)
+        square[rows] = off**2 / variance
+        self.scatter.add(of_spread(square, 1, 9.0))
+        self._wobble_mm2[rows] += 0.1 * (off**2 - self._wobble_mm2[rows])
+
     def _torques(self, passage: Passage) -> None:
         """Torque over a positioner's own habit, and over what all need today (the temperature)."""
         if passage.effort is None:
@@ -317,10 +356,8 @@ class HealthMonitor:
         effort = np.where((passage.asked & passage.arrived)[:, None], passage.effort, np.nan)
         if not np.isfinite(effort).any():
             return
-        today = np.log(np.maximum(effort, 1e-6)) - np.nanmedian(np.log(np.maximum(effort, 1e-6)), axis=0)
-        value, known = self._effort.over(today)
-        step = np.log1p(s.effort_step)
-        self.friction.add(of_shift(value / s.effort_sd, step / s.effort_sd), known)
+        value, known = self._effort.over(effort - np.nanmedian(effort, axis=0))
+        self.friction.add(of_shift(value / s.effort_sd, s.effort_step / s.effort_sd), known)
 
     def _levers(self) -> Floats:
         """(N, 2) mm from the axes to the fibre, arms stretched halfway."""
@@ -334,16 +371,23 @@ class HealthMonitor:
         s = self.settings
         stuck = self.still.share() * (self.stills_in_a_row.max(axis=1) / 3.0)
         moved_away = self.geometry.far(self._deg(self.noise.blind_um).max(axis=1))
+        along, across = self.scatter.score.T / s.alarm
+        lengthwise = self._wobble_mm2[:, 0] > 4.0 * self._wobble_mm2[:, 1]
         columns = {
             Ailment.DARK: self.dark.share(),
-            Ailment.STUCK: np.where(self.stills_in_a_row.max(axis=1) >= 2, stuck, 0.0),
+            Ailment.STUCK: np.maximum(
+                np.where(self.stills_in_a_row.max(axis=1) >= 2, stuck, 0.0), self.blocked.share()
+            ),
             Ailment.SCALE: self.scale.share(),
             Ailment.NON_MOVES: self.still.share(),
-            Ailment.LOOSE_ARM: self.geometry.longer(s.arm_um * MM_PER_UM, s.alarm),
+            Ailment.LOOSE_ARM: np.maximum(
+                self.geometry.longer(s.arm_um * MM_PER_UM, s.alarm),
+                np.where(lengthwise, along, 0.0),
+            ),
             Ailment.SLIPPED: np.maximum(self.slip.share(), moved_away / s.alarm),
             Ailment.TOOTH: ((self.tooth.score.max(axis=2) - self.everywhere.score) / s.alarm).max(axis=1),
             Ailment.FRICTION: self.friction.share(),
-            Ailment.SCATTER: self.scatter.share(),
+            Ailment.SCATTER: np.maximum(along, across),
         }
         return np.column_stack([columns[kind] for kind in Ailment])
 
@@ -376,147 +420,62 @@ class HealthMonitor:
             case Ailment.DARK:
                 return "", "not seen by the camera"
             case Ailment.STUCK | Ailment.NON_MOVES:
-                axis = int(np.argmax(self.still.score[row]))
-                again = int(self.stills_in_a_row[row, axis])
-                last = f", {again} in a row" if again > 1 else ""
-                return AXES[axis], f"reports arrival, but the camera sees no motion{last}"
+                return self._still_words(row)
             case Ailment.SCALE:
-                axis, direction = np.unravel_index(np.argmax(self.scale.score[row]), (2, 2, 2))[:2]
-                share = self._way.of(row, int(axis), int(direction))
-                return AXES[axis], f"goes {share:.3f} of the way in {('negative', 'positive')[direction]} direction"
+                return self._scale_words(row)
             case Ailment.LOOSE_ARM:
-                return "beta", f"beta arm {UM_PER_MM * self.geometry.solved(row)[2]:+.0f} um longer"
+                longer_um = UM_PER_MM * self.geometry.solved(row)[2]
+                return "beta", f"length of the beta arm {longer_um:+.0f} um and not steady"
             case Ailment.SLIPPED:
-                axis = int(np.argmax(np.abs(self._slip_deg[row])))
                 off = self._slip_deg[row] + self.geometry.solved(row)[:2]
-                return AXES[axis], f"seen {off[0]:+.2f} / {off[1]:+.2f} deg (alpha / beta) from where it believes"
+                return AXES[int(np.argmax(np.abs(off)))], (
+                    f"seen {off[0]:+.2f} / {off[1]:+.2f} deg (alpha / beta) from where it believes"
+                )
             case Ailment.TOOTH:
-                axis, place = np.unravel_index(np.argmax(self.tooth.score[row]), (2, self.n_bins))
-                from_deg = int(place) * self.settings.tooth_deg
-                return AXES[axis], f"misses between {from_deg:.0f} and {from_deg + self.settings.tooth_deg:.0f} deg"
+                return self._tooth_words(row)
             case Ailment.FRICTION:
                 axis = int(np.argmax(self.friction.score[row]))
-                return AXES[axis], f"torque {100 * np.expm1(self._effort.rise(row, axis)):+.0f} % over its habit"
+                rise = 100.0 * self._effort.rise(row, axis)
+                return AXES[axis], f"needs {rise:.0f} % more of the torque at which it would stop"
         return "", "scatters more after small moves than camera and gear explain"
+
+    def _still_words(self, row: int) -> tuple[str, str]:
+        if self.blocked.score[row] > self.still.score[row].max():
+            return "", "its moves end as collisions, again and again"
+        axis = int(np.argmax(self.still.score[row]))
+        again = int(self.stills_in_a_row[row, axis])
+        last = f", {again} in a row" if again > 1 else ""
+        return AXES[axis], f"reports arrival, but the camera sees no motion{last}"
+
+    def _scale_words(self, row: int) -> tuple[str, str]:
+        axis, way, _ = (int(k) for k in np.unravel_index(np.argmax(self.scale.score[row]), (2, 2, 2)))
+        share, word = self._way.of(row, axis, way), ("negative", "positive")[way]
+        return AXES[axis], f"goes {share:.3f} of the way in {word} direction"
+
+    def _tooth_words(self, row: int) -> tuple[str, str]:
+        axis, place = (int(k) for k in np.unravel_index(np.argmax(self.tooth.score[row]), (2, self.n_bins)))
+        low = place * self.settings.tooth_deg
+        return AXES[axis], f"misses between {low:.0f} and {low + self.settings.tooth_deg:.0f} deg"
 
     def forget(self, positioner_id: int) -> None:
         """After a repair: this positioner begins anew."""
         row = np.atleast_1d(self.plane.index_of(positioner_id)).astype(np.intp)
-        for chart in (self.dark, self.still, self.scale, self.slip, self.tooth, self.everywhere, self.friction, self.scatter):
+        for chart in (
+            self.dark,
+            self.still,
+            self.scale,
+            self.slip,
+            self.tooth,
+            self.everywhere,
+            self.friction,
+            self.scatter,
+            self.blocked,
+        ):
             chart.forget(row)
         self.geometry.forget(row)
         self._effort.forget(row)
         self._way.forget(row)
         self.stills_in_a_row[row] = 0
         self._slip_deg[row], self._pending[row], self.since[row] = 0.0, False, -1
+        self._wobble_mm2[row] = 0.0
         self._seen_deg[row] = np.nan
-
-
-class _Geometry:
-    """Least squares with forgetting: offsets of alpha and beta in deg, beta arm's length in mm."""
-
-    PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.02**2])
-
-    def __init__(self, n: int, memory: float) -> None:
-        self.memory = memory
-        self.information = np.tile(self.PRIOR, (n, 1, 1))
-        self.weighed = np.zeros((n, 3))
-
-    def add(self, rows: Rows, design: Floats, off_mm: Floats, variance: Floats) -> None:
-        """(n, 2, 3) design, (n, 2) misses, (n, 2, 2) their covariances; wild ones weigh less."""
-        weight = np.linalg.inv(variance)
-        square = np.einsum("ni,nij,nj->n", off_mm, weight, off_mm)
-        weight *= np.minimum(1.0, 10.0 / np.sqrt(np.maximum(square, 1e-12)))[:, None, None]
-        gathered = design.transpose(0, 2, 1) @ weight
-        kept = self.memory * (self.information[rows] - self.PRIOR) + self.PRIOR
-        self.information[rows] = kept + gathered @ design
-        self.weighed[rows] = self.memory * self.weighed[rows] + np.einsum("nij,nj->ni", gathered, off_mm)
-
-    def _solve(self) -> tuple[Floats, Floats]:
-        """(N, 3) estimates and their standard deviations."""
-        covariance = np.linalg.inv(self.information)
-        sd = np.sqrt(np.einsum("nii->ni", covariance))
-        return np.einsum("nij,nj->ni", covariance, self.weighed), sd
-
-    def offsets_deg(self) -> Floats:
-        """(N, 2) estimated offsets of the angles."""
-        return self._solve()[0][:, :2]
-
-    def longer_mm(self) -> Floats:
-        """(N,) estimated growth of the beta arm."""
-        return self._solve()[0][:, 2]
-
-    def solved(self, row: int) -> Floats:
-        """(3,) estimates of one positioner."""
-        return np.linalg.solve(self.information[row], self.weighed[row])
-
-    def longer(self, limit_mm: float, alarm: float) -> Floats:
-        """(N,) evidence over the alarm that an arm's length is beyond the limit."""
-        value, sd = self._solve()
-        beyond = np.maximum(np.abs(value[:, 2]) - limit_mm, 0.0)
-        return 0.5 * (beyond / sd[:, 2]) ** 2 / alarm
-
-    def far(self, limit_deg: Floats) -> Floats:
-        """(N,) log likelihood that an angle is off by more than the limit (N,)."""
-        value, sd = self._solve()
-        beyond = np.maximum(np.abs(value[:, :2]) - limit_deg[:, None], 0.0)
-        return 0.5 * ((beyond / sd[:, :2]) ** 2).max(axis=1)
-
-    def forget(self, rows: Rows) -> None:
-        """Begin anew."""
-        self.information[rows], self.weighed[rows] = self.PRIOR, 0.0
-
-
-class _Habit:
-    """What is usual for one positioner: mean of its first moves, then of its last ones."""
-
-    def __init__(self, n: int, settle: int) -> None:
-        self.settle = settle
-        self.count = np.zeros((n, 2), dtype=np.int64)
-        self.usual, self.lately = np.zeros((n, 2)), np.zeros((n, 2))
-
-    def over(self, value: Floats) -> tuple[Floats, Flags]:
-        """How much each value is over its habit, and where that is known."""
-        here = np.isfinite(value)
-        learning = here & (self.count < self.settle)
-        self.count += here
-        self.usual += np.where(learning, (np.nan_to_num(value) - self.usual) / np.maximum(self.count, 1), 0.0)
-        known = here & ~learning
-        self.lately += np.where(known, 0.05 * (np.nan_to_num(value) - self.usual - self.lately), 0.0)
-        return np.nan_to_num(value) - self.usual, known
-
-    def rise(self, row: int, axis: int) -> float:
-        """Over its habit, of late."""
-        return float(self.lately[row, axis])
-
-    def forget(self, rows: Rows) -> None:
-        """Begin anew."""
-        self.count[rows], self.usual[rows], self.lately[rows] = 0, 0.0, 0.0
-
-
-class _Ratio:
-    """Share of the way that was gone, by axis and direction, of the last ways."""
-
-    MEMORY = 0.95
-
-    def __init__(self, n: int) -> None:
-        self.asked, self.gone = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
-
-    def add(self, way: Floats, gain: Floats, where: Flags) -> None:
-        """Weighed by the square of the way: long ways tell more."""
-        for direction, going in enumerate((way < 0.0, way >= 0.0)):
-            here = where & going
-            for total, step in ((self.asked, way * way), (self.gone, way * (way + gain))):
-                new = self.MEMORY * total[:, :, direction] + np.where(here, step, 0.0)
-                total[:, :, direction] = np.where(here, new, total[:, :, direction])
-
-    def of(self, row: int, axis: int, direction: int) -> float:
-        """The share; 1 where nothing is known."""
-        asked = self.asked[row, axis, direction]
-        return float(self.gone[row, axis, direction] / asked) if asked else 1.0
-
-    def forget(self, rows: Rows) -> None:
-        """Begin anew."""
-        self.asked[rows], self.gone[rows] = 0.0, 0.0
-
-

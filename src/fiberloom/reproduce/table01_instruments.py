@@ -13,6 +13,7 @@ from fiberloom.assignment import assign
 from fiberloom.bus import Client
 from fiberloom.calibration import TransmissionMaps, calibrate_transmission
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
+from fiberloom.metrology import Measurement
 from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.loop import Loop, LoopSettings, Move
 from fiberloom.reproduce.bench import finish
@@ -113,6 +114,9 @@ class Run:
 
 class _NoRecord:
     """The report needs the moves only."""
+
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Not a move."""
 
     def move(self, move: Move) -> None:
         """Kept by the loop itself."""
