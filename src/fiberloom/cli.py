@@ -443,6 +443,28 @@ def runs(
 
 
 @app.command()
+def health(
+    where: Annotated[
+        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
+    ] = "runs",
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say who is healthy, degraded, suspect or disabled by all that was observed, and what to do."""
+    from fiberloom.commands.health import health_report, print_health
+
+    report = health_report(where, _plane(instrument, layout, seed, positioners))
+    if as_json:
+        typer.echo(json.dumps(report, indent=2))
+    else:
+        print_health(report)
+    raise typer.Exit(1 if report["findings"] else 0)
+
+
+@app.command()
 def centroid(
     image: Annotated[Path, typer.Argument(help="FITS image of back-lit fibres.")],
     out: Annotated[Path, typer.Option(help="Spots to write.")] = Path("spots.csv"),
