@@ -553,7 +553,7 @@ def main() -> None:
     except InputError as error:
         _fail(str(error), 2)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted; what was measured is kept: see `fiberloom runs`, or the output folder", INTERRUPTED)
+        _fail("interrupted; what was measured is kept: `fiberloom runs`, or the output folder", INTERRUPTED)
     except _BAD_WORDS as error:
         _fail(f"{error.format_message()}; see `fiberloom --help`", 2)
     except OSError as error:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.metrology import Measurement
 from fiberloom.operation.loop import Move
 
 
 class NoRecord:
     """Implements `operation.loop.Recorder`; the loop keeps its moves itself."""
+
+    def start(self, here_deg: NDArray[np.float64], wire_deg: NDArray[np.float64], image: Measurement) -> None:
+        """Not a move."""
 
     def move(self, move: Move) -> None:
         """Nothing to keep."""
