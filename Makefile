@@ -1,20 +1,26 @@
 # What a newcomer types: `make run`, `make test`. What a developer types: see CONTRIBUTING.md.
 PYTHON ?= python3
 VENV   := .venv
+JAEGER := .venv-jaeger
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check sanitized bench reproduce docs lint format inplace clean
+.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
+.PHONY: firmware-report docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
 	@echo "              moves without a false collision or a lost count, linters"
+	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
+	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
+	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
+	@echo "make identification  fifty units identified in full, against what they are"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -22,7 +28,8 @@ help:
 setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
-NATIVE := CMakeLists.txt pyproject.toml constraints.txt $(shell find firmware core -type f 2>/dev/null)
+NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
+          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,7 +44,19 @@ run: setup
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
 
 test: setup
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+
+# The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
+jaeger: $(JAEGER)/.installed
+
+$(JAEGER)/.installed: tests/real_jaeger/requirements.txt
+	$(PYTHON) -m venv $(JAEGER)
+	$(JAEGER)/bin/pip install --quiet -r tests/real_jaeger/requirements.txt
+	$(JAEGER)/bin/pip install --quiet --no-deps --ignore-requires-python jaeger==1.11.1
+	@touch $@
+
+test-jaeger: setup jaeger
+	$(BIN)/pytest -m jaeger
 
 # The dispatcher under address and undefined-behaviour sanitizers, and without a heap to allocate from.
 check: lint
@@ -67,14 +86,31 @@ sanitized: setup
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
+	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
+	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
+	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
+	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
+
+# A hundred cycles as in the paper, and what a hundred other units would have shown.
+campaign: setup
+	$(BIN)/fiberloom lifetime --cycles 100 --positioners 2 --seed 0 --out runs/lifetime
+	$(BIN)/fiberloom lifetime --cycles 100 --every 11 --positioners 100 --seed 0 --workers $(JOBS) \
+	    --out runs/lifetime-100
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup
 	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
 
 # With the report of the last `make reproduce`, where there is one.
+# Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
+firmware-report: setup
+	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+# Fifty random units of the twin, identified in full, against what they are.
+identification: setup
+	$(BIN)/python tests/calibration/recovery.py 50 0 full
+
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
 	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
@@ -97,4 +133,4 @@ inplace:
 	cmake --build build/inplace
 
 clean:
-	rm -rf build .venv .cache site
+	rm -rf build .venv .venv-jaeger .cache site

@@ -12,6 +12,7 @@ what that could not see; variances grow with every move, so that old knowledge g
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -373,6 +374,13 @@ class AdaptiveCalibration:
             self._use(rows)
         else:
             self.output_deg[rows] = state.printed_output_deg
+
+    def copy(self) -> AdaptiveCalibration:
+        """Another one that knows the same and learns apart."""
+        made = copy.copy(self)
+        made._state = self._state.rows(np.arange(len(self)))
+        made.output_deg, made.moves = self.output_deg.copy(), self.moves.copy()
+        return made
 
     # details
 

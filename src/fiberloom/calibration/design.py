@@ -25,6 +25,9 @@ _FIRST_GUESS = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01])
 """mm and rad by which a layout may be off before anything is measured."""
 _NEAR_DEG = 2.0
 """Near enough to the ends of beta to be stretched and folded."""
+LEAST_BEND_DEG = 60.0
+"""A stretched arm tells the lengths best, but where many are stretched at once nobody gets past: to
+plan the way of 500 from one such configuration to the next took minutes, and seconds without."""
 _ARM_MM = 10.0
 """Turns errors of the zeros into lengths."""
 
@@ -63,12 +66,19 @@ class Design:
         return np.linalg.solve(np.linalg.cholesky(noise), slopes[..., :N_GEOMETRY])
 
 
-def candidates(plane: FocalPlane, rng: np.random.Generator, turns: int = 20, bends: int = 9) -> Floats:
-    """(N, C, 2) angles over the range of targets, both ends of beta among them.
+def candidates(
+    plane: FocalPlane,
+    rng: np.random.Generator,
+    turns: int = 20,
+    bends: int = 9,
+    least_bend_deg: float = LEAST_BEND_DEG,
+) -> Floats:
+    """(N, C, 2) angles over the range of targets with beta at least bent so much, both ends among them.
 
     All are shifted at random, so that no two fields ask the map at the same angles.
     """
     (low_a, high_a), (low_b, high_b) = plane.limits_deg
+    low_b = min(max(low_b, least_bend_deg), high_b - _NEAR_DEG)
     step_a, step_b = (high_a - low_a) / turns, (high_b - low_b) / (bends - 1)
     alpha = low_a + step_a * (np.arange(turns) + rng.uniform(0.0, 1.0, (plane.n, 1)))
     inner = low_b + step_b * (np.arange(1, bends) - rng.uniform(0.0, 1.0, (plane.n, 1)))

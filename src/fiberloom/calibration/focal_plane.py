@@ -72,7 +72,7 @@ class FocalPlaneFit:
     """(N, P): PARAMETERS, then cos and sin of each order for alpha, then for beta. A positioner with
     a reason keeps the layout's."""
     covariance: Floats
-    """(N, P, P)"""
+    """(N, P, P); NaN for a positioner with a reason."""
     rank: Ints
     """(N,) how many of the P the measurements determine."""
     reason: list[str]
@@ -274,6 +274,7 @@ class _Fit:
         reason = self._reasons(rank, count)
         bad = np.array([bool(r) for r in reason])
         self.p[bad] = layout_parameters(self.plane, self.settings.harmonics)[bad]
+        covariance[bad] = np.nan
         return FocalPlaneFit(
             positioner_id=self.plane.positioner_id,
             parameters=self.p,

@@ -187,7 +187,10 @@ def weigh(state: FilterState, block: Block, w: Weighing) -> None:
     inverse = np.linalg.inv(spread)
     solved = (inverse @ innovation[..., None])[..., 0]
     state.mean += (w.with_state @ solved[..., None])[..., 0]
-    state.covariance -= w.with_state @ inverse @ w.with_state.swapaxes(1, 2)
+    covariance = state.covariance - w.with_state @ inverse @ w.with_state.swapaxes(1, 2)
+    # what rounding makes unsymmetric grows from update to update, until the filter runs away after some
+    # 5000 of them: half a hundred cycles of a lifetime test
+    state.covariance[:] = 0.5 * (covariance + covariance.swapaxes(1, 2))
     gained = ((w.with_ripple @ inverse[:, None, None]) * w.with_ripple).sum(axis=-1)
     moved = (w.with_ripple @ solved[:, None, None, :, None])[..., 0]
     _replace(state.ripple_deg, block.k, moved)

@@ -20,15 +20,16 @@ from fiberloom.calibration.focal_plane import (
     fit_focal_plane,
     layout_parameters,
 )
+from fiberloom.calibration.transmission import TransmissionMaps
 from fiberloom.commands.outputs import marks, prepare_folder
-from fiberloom.commands.terminal import waiting
+from fiberloom.commands.terminal import Waiting, waiting
 from fiberloom.commands.transmission import calibrated_maps
 from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.operation.recording import SurveyRecorder
-from fiberloom.operation.survey import SurveyData, SurveySettings, survey
+from fiberloom.operation.survey import SurveyData, SurveySettings, survey, survey_of_store
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
-from fiberloom.twin import draw_units, field_hardware
+from fiberloom.twin import Units, draw_units, field_hardware
 from fiberloom.units import MM_PER_UM, RAD_PER_DEG, UM_PER_MM
 
 Floats = NDArray[np.float64]
@@ -52,6 +53,8 @@ class FocalPlaneRequest:
     faults: str = ""
     camera: str = "noise"
     calibration: Path | None = None
+    measured: Path | None = None
+    """Store of an earlier run, also an interrupted one: nothing moves, its images are fitted."""
     quiet: bool = False
 
 
@@ -62,25 +65,41 @@ def run_calibrate_focal_plane(plane: FocalPlane, request: FocalPlaneRequest) -> 
     with waiting(request.quiet) as wait:
         units = draw_units(plane, request.seed)
         maps = calibrated_maps(plane, units, request.seed, wait, path=request.calibration)
-        hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
         guess = misplaced(plane, request.mounted_um, request.mounted_deg, request.seed)
-        wait.say("moving and looking")
-        with (
-            Store.open(out / "store.sqlite") as store,
-            store.start_run(
-                command_line=" ".join(sys.argv),
-                instrument=plane.instrument.name,
-                config_hash=plane.config_hash(),
-                seed=request.seed,
-            ) as run,
-        ):
-            recorder = SurveyRecorder(run, plane)
-            data = asyncio.run(survey(guess, maps, hardware, settings, recorder, wait.count))
+        if request.measured is None:
+            wait.say("moving and looking")
+            data = _measure(plane, guess, maps, units, settings, request, wait)
+        else:
+            with Store.open(request.measured, create=False) as store:
+                data = survey_of_store(store, plane, maps)
         wait.say("fitting")
         fit = fit_focal_plane(guess, data.theta_deg, data.xy_mm, settings.fit)
         truth = layout_parameters(replace(plane, arms=units.arms))
         rows = convergence(guess, data, settings.fit, truth)
     return _write(plane, guess, fit, rows, request, out)
+
+
+def _measure(
+    plane: FocalPlane,
+    guess: FocalPlane,
+    maps: TransmissionMaps,
+    units: Units,
+    settings: SurveySettings,
+    request: FocalPlaneRequest,
+    wait: Waiting,
+) -> SurveyData:
+    hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
+    with (
+        Store.open(request.out / "store.sqlite") as store,
+        store.start_run(
+            command_line=" ".join(sys.argv),
+            instrument=plane.instrument.name,
+            config_hash=plane.config_hash(),
+            seed=request.seed,
+        ) as run,
+    ):
+        recorder = SurveyRecorder(run, plane)
+        return asyncio.run(survey(guess, maps, hardware, settings, recorder, wait.count))
 
 
 def _settings(plane: FocalPlane, request: FocalPlaneRequest) -> SurveySettings:

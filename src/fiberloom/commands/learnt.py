@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from fiberloom.operation.loop import Recorder
 from fiberloom.store import Store
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
@@ -29,6 +31,8 @@ class Known:
 
     plane: FocalPlane
     maps: TransmissionMaps
+    map_sigma_deg: Callable[[Floats], Floats] | None = None
+    """How far the maps may be off at wire positions (N, 2), where operation has taught them."""
     keeper: Keeper | None = None
     recorder: LearningRecorder | None = None
 
@@ -100,7 +104,9 @@ def known_so_far(
     packets = {p: state.data for p, state in known.items() if state.data is not None}
     unpack(learner, packets, {p: state.moves for p, state in known.items()})
     keeper = Keeper(store, history, learner, seed) if adapt else None
-    return Known(learner.plane, learner.maps, keeper)
+    # as it is now: what this observation teaches is not used in it
+    begun = learner.copy()
+    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper)
 
 
 def history_step(learnt: str, positioner: int | None) -> list[dict[str, Any]]:

@@ -103,7 +103,9 @@ def _observe(
         seed=request.seed,
     ) as run:
         recorder = known.learning(StoreRecorder(run, plane, targets, assignment))
-        loop = Loop(plane, assignment, known.maps, hardware, settings, recorder, wait.say)
+        loop = Loop(
+            plane, assignment, known.maps, hardware, settings, recorder, wait.say, known.map_sigma_deg
+        )
         asyncio.run(_whole(loop))
     return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified)
 

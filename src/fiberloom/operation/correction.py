@@ -106,11 +106,16 @@ class CorrectionLoop:
         *,
         filtered: bool = True,
         noise: CorrectionNoise | None = None,
+        sigma_deg: Floats | None = None,
     ) -> None:
+        """`sigma_deg` (N, 2): how far the maps may be off at the goals; default: `noise.blind_um`."""
         self.plane, self.goal_deg, self.filtered = plane, goal_deg, filtered
         self.noise = noise or CorrectionNoise.of(plane)
         self.target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
-        self.offsets = Offsets(np.zeros((plane.n, 2)), self._spread(self.noise.blind_um))
+        spread = self._spread(self.noise.blind_um)
+        if sigma_deg is not None:
+            spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
+        self.offsets = Offsets(np.zeros((plane.n, 2)), spread)
         self._last_deg = np.full((plane.n, 2), np.nan)
         """Where each positioner believed to be at its last image."""
 

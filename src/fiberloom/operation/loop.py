@@ -34,6 +34,9 @@ Flags = NDArray[np.bool_]
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
 
 
+ROUND_FAULTS = "blind, round faults"
+"""Label of a blind move after one that was stopped."""
+
 REST_TIMEOUT_S = 5.0
 """A stopped positioner stands after a fraction of a second."""
 
@@ -71,6 +74,10 @@ class Move:
 class Recorder(Protocol):
     """Keeps what happened, as it happens."""
 
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Called before the first move: angles and wire positions reported, and the image."""
+        ...
+
     def move(self, move: Move) -> None:
         """Called after every move, before anything else is done."""
         ...
@@ -104,7 +111,10 @@ class Loop:
         settings: LoopSettings,
         recorder: Recorder,
         progress: Callable[[str], None] = lambda _: None,
+        map_sigma_deg: Callable[[Floats], Floats] | None = None,
     ) -> None:
+        """`map_sigma_deg` tells how far the maps may be off at wire positions (N, 2), where known."""
+        self.map_sigma_deg = map_sigma_deg
         self.plane, self.maps, self.hardware = plane, maps, hardware
         self.assignment, self.settings = assignment, settings
         self.recorder, self.progress = recorder, progress
@@ -154,7 +164,9 @@ class Loop:
             if known[i] not in found:
                 self._flag(int(i), Status.DEAD, "does not answer on the bus")
         await self._read_positions(self.maps, self.plane.positioner_id[self.mobile])
-        self._look_for_dark_fibres(self._look())
+        image = self._look()
+        self.recorder.start(self.here_deg, self.wire_deg, image)
+        self._look_for_dark_fibres(image)
 
     def _look(self) -> Measurement:
         """An image, with what the positioners say of where they are."""
@@ -181,17 +193,25 @@ class Loop:
     async def run(self) -> list[Move]:
         """Blind move with recovery, then the corrections."""
         await self.blind_move()
-        corrections = CorrectionLoop(self.plane, self.goal_deg, filtered=self.settings.filtered)
+        corrections = CorrectionLoop(
+            self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()
+        )
         for number in range(2, self.settings.moves + 1):
             await self.correct(corrections, number)
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
 
+    def _expected_deg(self) -> Floats | None:
+        """How far the blind move may miss (N, 2), where operation has taught the maps."""
+        if self.map_sigma_deg is None:
+            return None
+        return self.map_sigma_deg(self.maps.to_wire(self.goal_deg))
+
     async def blind_move(self) -> None:
         """Go to the goals by the maps; go round whatever turns out not to move."""
         for attempt in range(self.settings.recoveries + 1):
-            label = "blind" if attempt == 0 else f"blind, round faults {attempt}"
+            label = "blind" if attempt == 0 else f"{ROUND_FAULTS} {attempt}"
             self.progress(f"planning: {label}")
             plane = self.obstacles()
             goal_deg = np.where(self.mobile[:, None], self.goal_deg, self.here_deg)

@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.calibration.design import Design, candidates
-from fiberloom.calibration.focal_plane import FitSettings
+from fiberloom.calibration.focal_plane import N_GEOMETRY, FitSettings
 from fiberloom.calibration.transmission import TransmissionMaps
+from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.hardware import Hardware
-from fiberloom.operation.loop import Loop, LoopSettings, Move, Recorder
+from fiberloom.operation.loop import ROUND_FAULTS, Loop, LoopSettings, Move, Recorder
 from fiberloom.operation.status import Status
 from fiberloom.planning.placing import place_by_worth
+from fiberloom.store import Store
+from fiberloom.store.database import Columns
 
 Floats = NDArray[np.float64]
 
@@ -82,6 +85,37 @@ async def survey(
     told = [_told(move, maps) for move in loop.moves[:-1] if not move.interrupted]
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
     return SurveyData(theta, xy, design.sigma())
+
+
+def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
+    """What the last run of a store has measured: also one that was interrupted or killed."""
+    runs = store.runs()
+    if not runs:
+        raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
+    rows = store.measurements(runs[-1].id)
+    moves, first = np.unique(rows["move_id"], return_index=True)
+    kinds = rows["kind"][first]
+    # a move that was followed by a way round faults had been stopped before its end
+    whole = np.append([not kind.startswith(ROUND_FAULTS) for kind in kinds[1:]], True)
+    told = [_stored(rows, rows["move_id"] == m, plane, maps) for m in moves[whole]]
+    if not told:
+        raise InputError(f"{store.name}: its last run has measured nothing")
+    theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
+    return SurveyData(theta, xy, np.full((plane.n, N_GEOMETRY), np.nan))
+
+
+def _stored(
+    rows: Columns, move: NDArray[np.bool_], plane: FocalPlane, maps: TransmissionMaps
+) -> tuple[Floats, Floats]:
+    """As `_told`, from the rows of one move."""
+    theta, xy = np.full((plane.n, 2), np.nan), np.full((plane.n, 2), np.nan)
+    at = plane.index_of(rows["positioner_id"][move])
+    wire = np.column_stack([rows["wire_alpha_deg"][move], rows["wire_beta_deg"][move]])
+    theta[at] = maps.to_output(wire, index=at)
+    good = rows["seen"][move].astype(bool) & ~np.isin(rows["status"][move], [s.value for s in _UNTOLD])
+    seen = np.column_stack([rows["x_mm"][move], rows["y_mm"][move]])
+    xy[at] = np.where(good[:, None], seen, np.nan)
+    return theta, xy
 
 
 def _one_move(settings: SurveySettings) -> LoopSettings:

@@ -12,6 +12,8 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
+_MARKS_UM = [m * 10.0**k for k in range(-2, 3) for m in (1, 2, 5)]
+
 
 def plot_convergence(
     path: Path, rows: Sequence[Mapping[str, Any]], positioners: int, camera_um: float
@@ -28,6 +30,9 @@ def plot_convergence(
     axes.set(xscale="log", yscale="log", xlabel="configurations", ylabel="rms over positioners [µm]")
     axes.set_xticks(number, [str(n) for n in number])
     axes.minorticks_off()
+    low, high = axes.get_ylim()
+    marks = [t for t in _MARKS_UM if low <= t <= high]
+    axes.set_yticks(marks, [f"{t:g}" for t in marks])
     kind = "error" if what == "error_um" else "standard error"
     axes.set_title(
         f"In-focal-plane calibration of {positioners} positioners, camera {camera_um:g} µm: {kind}"

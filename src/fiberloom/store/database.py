@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select, update
-from sqlalchemy.exc import ArgumentError, DatabaseError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, SQLAlchemyError
 
 from fiberloom.errors import InputError
 from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
@@ -47,12 +47,22 @@ class Store:
         engine = _url_engine(name) if "://" in name else _file_engine(Path(name), create)
         store = cls(engine, name)
         try:
-            with store.transaction() as connection:
-                _prepare(connection, name)
+            store._prepare()
         except BaseException:
             store.close()
             raise
         return store
+
+    def _prepare(self) -> None:
+        try:
+            with self._engine.begin() as connection:
+                _prepare(connection, self.name)
+        except IntegrityError:
+            # another process made the tables in the same moment: now they are there
+            with self.transaction() as connection:
+                _prepare(connection, self.name)
+        except SQLAlchemyError as error:
+            raise _readable(self.name, error) from None
 
     def close(self) -> None:
         """Lets go of the database."""

@@ -48,10 +48,14 @@ class Gears:
         theta = NODE_RAD * np.arange(*_SPAN)
         delta = gear["delta_rad"].reshape(n, 2, -1) @ _waves() + _worn_rad(gear["wear"], theta)
         backlash = gear["backlash_rad"].reshape(n, 2, -1) @ _waves()
-        self.output_rad = np.broadcast_to(theta, delta.shape)
+        self.output_rad = np.broadcast_to(theta, delta.shape).copy()
         self.gear_rad = GEAR * (theta + delta)
         self.motor_rad = self.gear_rad + gear["backlash_mean_rad"][..., None] + backlash
         """Rotor in positive contact, Eq. 3b with its sign corrected."""
+
+    def put(self, rows: NDArray[np.intp], gears: Gears) -> None:
+        """Other gears for some units."""
+        self.gear_rad[rows], self.motor_rad[rows] = gears.gear_rad, gears.motor_rad
 
     def output_of(self, gear_rad: Floats) -> Floats:
         """Output angle of a gear angle, without outside torque."""
@@ -73,21 +77,28 @@ class Gears:
 def _line(x: Floats, y: Floats, at: Floats, cell: float) -> Floats:
     """y between nodes x that rise by about `cell`, at (N, 2, M)."""
     k = _locate(x, at, cell)
-    low, high = np.take_along_axis(x, k, axis=-1), np.take_along_axis(x, k + 1, axis=-1)
-    y_low, y_high = np.take_along_axis(y, k, axis=-1), np.take_along_axis(y, k + 1, axis=-1)
-    return y_low + (at - low) / (high - low) * (y_high - y_low)
+    low, y_low = x.take(k), y.take(k)
+    k += 1
+    return y_low + (at - low) / (x.take(k) - low) * (y.take(k) - y_low)
+
+
+_NEWTON = 2
+"""Steps by the mean slope that may pass the cell: gears are straight to a sixth, so two leave a cell."""
 
 
 def _locate(x: Floats, at: Floats, cell: float) -> Ints:
-    """Index of the cell that holds `at`: guessed by the mean slope, then stepped to."""
-    most = x.shape[-1] - 2
-    k = np.clip(((at - x[..., :1]) // cell).astype(np.int64), 0, most)
+    """Flat index of the cell that holds `at`: guessed by the mean slope, then stepped to."""
+    nodes = x.shape[-1]
+    first = nodes * np.arange(x.size // nodes).reshape(*x.shape[:-1], 1)
+    last = first + (nodes - 2)
+    k = first
+    for _ in range(1 + _NEWTON):
+        k = np.clip(k + np.floor((at - x.take(k)) / cell).astype(np.int64), first, last)
     while True:
-        low, high = np.take_along_axis(x, k, axis=-1), np.take_along_axis(x, k + 1, axis=-1)
-        # towards it by whole cells, never past it: gears are steeper than half their mean
-        down = np.where(at < low, np.ceil((low - at) / (2.0 * cell)), 0.0)
-        up = np.where(at >= high, np.ceil((at - high + 1e-12) / (2.0 * cell)), 0.0)
-        stepped = np.clip(k + (up - down).astype(np.int64), 0, most)
+        # never past it: gears are steeper than half their mean
+        down = np.ceil(np.maximum(x.take(k) - at, 0.0) / (2.0 * cell))
+        up = np.floor(np.maximum(at - x.take(k + 1), -cell) / (2.0 * cell)) + 1.0
+        stepped = np.clip(k + (up - down).astype(np.int64), first, last)
         if np.array_equal(stepped, k):
             return k
         k = stepped

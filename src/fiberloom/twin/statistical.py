@@ -6,7 +6,8 @@ wear, backlash with the side of the last contact, the errors of the hall sensors
 firmware believes of them, the seat of the teeth, the scatter of a landing. What passes on the
 way is left out: time, collisions, torque. `tests/twin/test_statistical.py` compares both.
 
-A million standstill positions take about a second; the full physics takes some hours for them.
+A million standstill positions take one or two seconds, and about an hour by the full physics
+(`python benchmarks/statistical.py`).
 """
 
 from __future__ import annotations
@@ -76,10 +77,16 @@ class StatisticalTwin:
         """There is no time here: cameras want one."""
         return 0.0
 
-    def set_units(self, units: Units) -> None:
-        """These units from now on: wear. The motors stand, so arms move with their gears."""
+    def set_units(self, units: Units, rows: NDArray[np.intp] | None = None) -> None:
+        """These units from now on: wear. The motors stand, so arms move with their gears.
+
+        `rows`: those whose gears differ from before; all where left out.
+        """
         self.units = units
-        self.gears = Gears(units)
+        if rows is None or len(rows) == len(units):
+            self.gears = Gears(units)
+        else:
+            self.gears.put(rows, Gears(units.select(rows)))
 
     # commands to angles
 
