@@ -103,13 +103,16 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    end = time.monotonic() + 240.0
-    while not (learnt.exists() and history_step(str(learnt), None)):
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < end
-        time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
+    try:
+        end = time.monotonic() + 240.0
+        while not (learnt.exists() and history_step(str(learnt), None)):
+            assert process.poll() is None, process.stderr.read()
+            assert time.monotonic() < end
+            time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == 130, stderr
     (kept,) = history_step(str(learnt), None)
     assert kept["positioners"] == N
