@@ -1,20 +1,26 @@
 # What a newcomer types: `make run`, `make test`. What a developer types: see CONTRIBUTING.md.
 PYTHON ?= python3
 VENV   := .venv
+JAEGER := .venv-jaeger
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 FRAMES ?= 20000000
 
-.PHONY: help setup run test check bench campaign reproduce docs lint format inplace clean
+.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
+.PHONY: firmware-report docs lint format inplace clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
-	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, linters"
+	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
+	@echo "              moves without a false collision or a lost count, linters"
+	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
+	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
+	@echo "make identification  fifty units identified in full, against what they are"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -22,7 +28,8 @@ help:
 setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
-NATIVE := CMakeLists.txt pyproject.toml constraints.txt $(shell find firmware core -type f 2>/dev/null)
+NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
+          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,7 +44,19 @@ run: setup
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
 
 test: setup
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+
+# The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
+jaeger: $(JAEGER)/.installed
+
+$(JAEGER)/.installed: tests/real_jaeger/requirements.txt
+	$(PYTHON) -m venv $(JAEGER)
+	$(JAEGER)/bin/pip install --quiet -r tests/real_jaeger/requirements.txt
+	$(JAEGER)/bin/pip install --quiet --no-deps --ignore-requires-python jaeger==1.11.1
+	@touch $@
+
+test-jaeger: setup jaeger
+	$(BIN)/pytest -m jaeger
 
 # The dispatcher under address and undefined-behaviour sanitizers, and without a heap to allocate from.
 check: lint
@@ -45,12 +64,33 @@ check: lint
 	cmake --build build/checks
 	cd build/checks && ctest --output-on-failure
 	build/checks/firmware/tests/check_dispatch $(FRAMES) 1
+	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
+	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
+	$(MAKE) sanitized
+
+# The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
+SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
+             tests/twin/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
+             tests/metrology/test_centroids.py tests/metrology/test_images.py
+SITE := $(abspath build/sanitized/site)
+sanitized: setup
+	cmake -S . -B build/sanitized -G Ninja -DFIBERLOOM_SANITIZE=ON \
+	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
+	cmake --build build/sanitized
+	rm -rf $(SITE) && mkdir -p $(SITE) && cp -r src/fiberloom $(SITE) && rm -f $(SITE)/fiberloom/_core*.so
+	cp build/sanitized/core/bindings/_core*.so $(SITE)/fiberloom
+	ASAN_OPTIONS=detect_leaks=0 \
+	LD_PRELOAD=$$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so) \
+	    $(or $(DEVPYTHON),$(BIN)/python) tests/sanitized.py $(SITE) $(SANITIZED)
 
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
+	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
 	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
+	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
 	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
 
 # A hundred cycles as in the paper, and what a hundred other units would have shown.
@@ -64,6 +104,13 @@ reproduce: setup
 	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
 
 # With the report of the last `make reproduce`, where there is one.
+# Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
+firmware-report: setup
+	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+# Fifty random units of the twin, identified in full, against what they are.
+identification: setup
+	$(BIN)/python tests/calibration/recovery.py 50 0 full
+
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
 	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
@@ -86,4 +133,4 @@ inplace:
 	cmake --build build/inplace
 
 clean:
-	rm -rf build .venv .cache site
+	rm -rf build .venv .venv-jaeger .cache site

@@ -6,8 +6,8 @@
 Images are those of tests/metrology/scenes.py (peak 2 000 to 50 000 electrons, background 100, read
 noise 10) and lie in memory. CPU seconds of the whole process, the best of several runs. R is the rms
 error over the rms of the Cramer-Rao bound; missed and false count spots. sep, photutils and OpenCV
-are used where they are installed (`pip install sep photutils opencv-python-headless`); photutils
-only with --slow.
+are used where they are installed (`.venv/bin/pip install sep photutils opencv-python-headless`);
+photutils only with --slow.
 """
 
 import argparse
@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
 from fiberloom import __version__
@@ -30,7 +32,9 @@ from fiberloom.metrology.acquisition import AcquisitionSettings, acquire
 from fiberloom.metrology.matching import match_spots
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
-from fiberloom.twin.imaging import ImagingCamera, StillScene, camera_model
+from fiberloom.twin import static_fibre_um
+from fiberloom.twin.cameras import camera_model
+from fiberloom.twin.imaging import ImagingCamera, StillScene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "metrology"))
 import scenes
@@ -246,6 +250,18 @@ def nearest_exclusive(field, limit=7.0):
     return out
 
 
+def reach_only(field):
+    """One spot each inside the reach, wherever it is expected."""
+    low, high = field.reach
+    near = cKDTree(field.centres).query_ball_point(field.spots, high)
+    k = np.repeat(np.arange(len(field.spots)), [len(n) for n in near])
+    i = np.concatenate(near).astype(int)
+    inside = np.hypot(*(field.spots[k] - field.centres[i]).T) >= low
+    shape = (len(field.centres), len(field.spots))
+    graph = csr_array((np.ones(inside.sum()), (i[inside], k[inside])), shape=shape)
+    return maximum_bipartite_matching(graph, perm_type="column")
+
+
 def ours_match(field):
     return field.match().spot
 
@@ -262,7 +278,10 @@ def right_wrong_lost(field, spot):
 
 def matching_table():
     report = {}
-    rules = {"nearest": nearest, "nearest, exclusive, 7 mm": nearest_exclusive, "fiberloom": ours_match}
+    rules = {
+        "nearest": nearest, "nearest, exclusive, 7 mm": nearest_exclusive,
+        "assignment by reach": reach_only, "fiberloom": ours_match,
+    }  # fmt: skip
     cases = {
         "1 % astray, 1 % dark, 5 strays": {"astray": 0.01, "dark": 0.01, "stray": 5},
         "5 % astray, 3 % dark, 60 strays": {},
@@ -405,6 +424,20 @@ def desi_spots():
     return out
 
 
+def bench_cameras(seeds=3):
+    """Kronig 2020, Fig. 18: 669 and 101 nm; the flux of each is tuned to that."""
+    out = {}
+    for name, images in (("workspace", 1000), ("close-up", 400)):
+        runs = [static_fibre_um(name, images, seed) for seed in range(seeds)]
+        out[name] = {
+            "rms_nm": round(
+                1e3 * float(np.sqrt(np.mean([np.sum(xy**2, axis=1).mean() for xy, _ in runs]))), 1
+            ),
+            "stated_nm": round(1e3 * float(np.mean([stated for _, stated in runs])), 1),
+        }
+    return out
+
+
 def show(title, rows):
     print(f"\n{title}")
     for label, row in rows.items():
@@ -423,7 +456,12 @@ def main():
         "widths": width_table,
         "dirt": lambda: dirt_table(args.slow),
         "matching": matching_table,
-        "chain": lambda: {"sdssv": chain_sdssv(), "desi": chain_desi(), "desi spots": desi_spots()},
+        "chain": lambda: {
+            "sdssv": chain_sdssv(),
+            "desi": chain_desi(),
+            "desi spots": desi_spots(),
+            "bench": bench_cameras(),
+        },
     }
     report = {"version": __version__, "machine": platform.processor() or platform.machine()}
     for name, part in parts.items():

@@ -36,3 +36,12 @@ def shared_sdssv():
         if folder.is_dir():
             return folder
     pytest.skip("no ../shared/data/sdssv beside the checkout: the real tables are not public")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """What this machine could not run and why, once, in the last lines."""
+    reasons = {
+        str(r.longrepr[2]).removeprefix("Skipped: ") for r in terminalreporter.stats.get("skipped", [])
+    }
+    for reason in sorted(r for r in reasons if r.startswith("left out: ")):
+        terminalreporter.write_line(reason)

@@ -408,6 +408,7 @@ void bind_real_time(nb::module_ &m) {
         .def("pace", &pace_of)
         .def("hold", &RealTime::hold, nb::call_guard<nb::gil_scoped_release>())
         .def("release", &RealTime::release)
+        .def("go_first", &RealTime::go_first)
         .def("stop", &RealTime::stop, nb::call_guard<nb::gil_scoped_release>());
 }
 

@@ -11,7 +11,10 @@
  * changes slowly at constant speed: the mean of some 60 ms, against which a touch stands out. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
- *   touch if sgn(w) L - mean - excess > touch + 2 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
+ *   touch if sgn(w) L - mean - excess > touch + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
+ *
+ * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 3.5 times its own
+ * mean |rise| where that is more than touch.
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
  * only where the motor drives the gear: after FL_TOUCH_WAY_RAD of way one way, more than any backlash, not
@@ -30,12 +33,18 @@
 #define FL_TOUCH_LAG 0.201484f    /* 1 - p */
 #define FL_TOUCH_WAY_RAD 16.0f    /* 920 motor degrees: the largest backlash, 250, and what follows its end */
 #define FL_TOUCH_SLOW_RAD_S 50.0f /* slower, contacts are gentle and cogging is not */
-#define FL_TOUCH_MEAN (1.0f / 120.0f) /* per tick: 60 ms */
-#define FL_TOUCH_CATCH 0.1f           /* the same while nothing is watched: 5 ms */
-#define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
-#define FL_TOUCH_FADE 0.96f           /* of a surge per tick: 12 ms, for the observer is late */
-#define FL_TOUCH_DOUBT 2.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
-#define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
+#define FL_TOUCH_FAST_RAD_S                                                                                  \
+    160.0f /* from here on the observer smoothes cogging; twice the threshold at none */
+#define FL_TOUCH_MEAN (1.0f / 120.0f)    /* per tick: 60 ms */
+#define FL_TOUCH_CATCH 0.1f              /* the same while nothing is watched: 5 ms */
+#define FL_TOUCH_CALM 0.98f              /* from the one to the other: 25 ms */
+#define FL_TOUCH_FADE 0.97f              /* of a surge per tick: 16 ms, for the observer is late */
+#define FL_TOUCH_SCATTER (1.0f / 500.0f) /* per tick: 250 ms */
+#define FL_TOUCH_WILD 3.5f               /* times the scatter: a worn sensor or a rough gear is no touch */
+#define FL_TOUCH_SCATTER_FIRST 3.0f /* at power-up, over the threshold: learnt in half a second of driving   \
+                                     */
+#define FL_TOUCH_DOUBT 3.0f         /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_INERTIA 0.12f      /* what it may be wrong by */
 
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */
@@ -48,9 +57,10 @@ typedef struct fl_touch_state {
     float mean_Nm, mean_speed_rad_s, follow;        /* follow: share of the news that a mean takes in */
     float late_1_rad_s, late_2_rad_s, late_3_rad_s; /* speed, as late as the load: three poles */
     float surge_rad_s2;                             /* largest acceleration lately */
-    float unrest_Nm; /* largest change of the load lately, before it was watched */
-    float way_rad;   /* driven one way */
-    float rise_Nm;   /* load beyond what was expected, and what is allowed; for logs */
+    float scatter_Nm; /* mean of |rise| where it was watched: kept from move to move */
+    float unrest_Nm;  /* largest change of the load lately, before it was watched */
+    float way_rad;    /* driven one way */
+    float rise_Nm;    /* load beyond what was expected, and what is allowed; for logs */
     float limit_Nm;
 } fl_touch_state_t;
 
@@ -101,10 +111,12 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
     const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
     st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_FADE * st->unrest_Nm);
-    st->limit_Nm = cfg->threshold_Nm + st->unrest_Nm +
+    const float coarse = fl_max(1.0f, 2.0f - speed * (1.0f / FL_TOUCH_FAST_RAD_S));
+    st->limit_Nm = fl_max(cfg->threshold_Nm * coarse, FL_TOUCH_WILD * st->scatter_Nm) + st->unrest_Nm +
                    FL_TOUCH_DOUBT * in->drag_doubt * cfg->drag * fl_abs(faster) +
                    FL_TOUCH_INERTIA * cfg->inertia * st->surge_rad_s2;
     st->follow = watched ? fl_max(FL_TOUCH_MEAN, FL_TOUCH_CALM * st->follow) : FL_TOUCH_CATCH;
+    if (watched) st->scatter_Nm += FL_TOUCH_SCATTER * (fl_abs(st->rise_Nm) - st->scatter_Nm);
     st->mean_Nm += st->follow * more_Nm;
     st->mean_speed_rad_s += st->follow * faster;
     return watched && st->rise_Nm > st->limit_Nm;

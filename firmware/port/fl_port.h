@@ -1,7 +1,8 @@
 /* The hardware port: everything a board must provide to a positioner, and nothing else.
  *
  * A port is a struct of functions and a context. All functions are called from the 2 kHz control
- * interrupt (fl_positioner_tick) or from fl_positioner_receive, never concurrently; none may block.
+ * interrupt (fl_positioner_tick), from fl_positioner_receive or from fl_positioner_init, never
+ * concurrently; none may block. docs/porting-firmware.md walks through a board.
  */
 #ifndef FL_PORT_H
 #define FL_PORT_H
@@ -29,18 +30,25 @@ typedef struct fl_can_frame {
 typedef struct fl_port {
     void *ctx;
 
-    /* The two analogue hall channels of an axis in ADC counts, sampled at the start of the tick. */
+    /* The two analogue hall channels of an axis in ADC counts, 0 to FL_HALL_ADC_MAX, sampled at the start
+     * of the tick, both at once or within some microseconds. At most once per axis and tick, alpha first;
+     * also outside the tick, when the position is declared or restored. Cannot fail: a dead sensor shows
+     * as counts that lie too near the middle. */
     void (*read_hall)(void *ctx, int axis, uint16_t adc_cnt[2]);
 
-    /* Average voltage of the phases A, B, C as fractions [0, 1] of u_dc, held until the next call.
-     * {0, 0, 0} is off (all phases at ground: the coils brake, they do not drive). */
+    /* Average voltage of the phases A, B, C as fractions [0, 1] of u_dc, held until the next call and
+     * changed together, at the latest half a tick later. {0, 0, 0} is off (all phases at ground: the coils
+     * brake, they do not drive) and must work at once, whatever else goes on. */
     void (*set_phases)(void *ctx, int axis, const float duty[3]);
 
-    /* Queues a frame for the bus. False when the mailbox is full: the firmware tries again. */
+    /* Queues a frame for the bus, in the order of the calls. False when the mailbox is full: nothing was
+     * taken, and the firmware tries again in the next tick. */
     bool (*send_frame)(void *ctx, const fl_can_frame_t *frame);
 
-    /* Non-volatile storage, byte addressed. Return the number of bytes transferred. A write may be
-     * cut short by a power loss at any byte. Both NULL: nothing is kept. */
+    /* Non-volatile storage, byte addressed: a byte may be written over without erasing others. Return the
+     * number of bytes transferred. A write may be cut short by a power loss at any byte; the bytes before
+     * are then kept, those after are as they were. At the start and the end of every motion some 130 bytes
+     * are moved, by command 53 some 1400. Both NULL: nothing is kept. */
     uint32_t (*storage_read)(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     uint32_t (*storage_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
 } fl_port_t;

@@ -123,7 +123,7 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
     a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
-    a->drive.touch = (fl_touch_state_t){0};
+    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;

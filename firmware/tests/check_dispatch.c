@@ -4,8 +4,9 @@
  *
  * Built with address and undefined-behaviour sanitizers by FIBERLOOM_CHECKS. Beside what they find,
  * checked after every frame: one reply for one request, and none for a frame that is not one; a
- * refusal changes nothing; duties are fractions; current flows only while something was accepted
- * that moves, or holds after it.
+ * refusal changes nothing; duties are fractions; current flows, and rotors turn, only after a sequence of
+ * accepted requests that a model written from the protocol alone (sequence_model.h) lets move; an image is
+ * believed only if its bytes are those of its checksum.
  */
 #include <stddef.h>
 #include <stdio.h>
@@ -13,11 +14,14 @@
 #include <string.h>
 
 #include "fl_commands.h"
+#include "fl_crc.h"
 #include "fl_dispatch.h"
 #include "fl_identifier.h"
+#include "fl_status.h"
 #include "fl_storage.h"
+#include "sequence_model.h"
 
-enum { OWN_ID = 77 };
+enum { OWN_ID = 77, IMAGE_MOST = 1 << 20, SCRIPT_MOST = 12 };
 
 typedef struct bench {
     uint64_t random;
@@ -29,6 +33,9 @@ typedef struct bench {
     bool stuck, mailbox_full;
     uint8_t storage[FL_STORAGE_BYTES];
     uint32_t write_budget;
+    sequence_model_t model;
+    uint32_t image_crc, image_left, image_expected; /* of the image under way, reckoned here */
+    uint64_t images_good, images_bad, drives;
     uint64_t codes[256][16];
 } bench_t;
 
@@ -71,7 +78,10 @@ static void set_phases(void *ctx, int axis, const float duty[3]) {
     /* a third of a turn at most, towards the field */
     const float u_cos = duty[2] - 0.5f * (duty[0] + duty[1]), u_sin = duty[1] - duty[0];
     const int32_t field = fl_atan2_cnt(u_sin, u_cos);
-    if (u_cos != 0.0f || u_sin != 0.0f)
+    const bool on = u_cos != 0.0f || u_sin != 0.0f;
+    REQUIRE(!on || sequence_may_drive(&b->model), "axis %d is driven without a sequence", axis);
+    b->drives += on;
+    if (on)
         b->rotor_cnt[axis] =
             fl_add_i32(b->rotor_cnt[axis], fl_fold_cnt(fl_sub_i32(field, b->rotor_cnt[axis])) / 64);
 }
@@ -100,6 +110,21 @@ static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uin
     memcpy(b->storage + offset, bytes, n);
     b->write_budget -= n;
     return n;
+}
+
+static uint32_t image_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
+    static uint8_t image[IMAGE_MOST];
+    bench_t *b = ctx;
+    REQUIRE(len <= 8 && offset + len <= sizeof image, "image bytes %u at %u", len, offset);
+    memcpy(image + offset, bytes, len);
+    return chance(b, 500) ? 0 : len;
+}
+
+static void power_up(bench_t *b, fl_positioner_t *p, const fl_axis_params_t params[FL_AXES]) {
+    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
+    sequence_power_up(&b->model);
+    fl_positioner_init(p, &port, OWN_ID, params);
+    p->boot.image_write = image_write;
 }
 
 /* -- frames ----------------------------------------------------------------------------------------- */
@@ -147,24 +172,91 @@ static fl_can_frame_t any_frame(bench_t *b) {
     return f;
 }
 
-/* A small trajectory from here, of which any frame may be left out or mutated. */
-static uint32_t script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t out[8]) {
-    static const uint8_t commands[7] = {15, 10, 11, 11, 12, 14, 3};
+static fl_can_frame_t request(uint8_t command, uint8_t uid) {
+    fl_can_frame_t f = {fl_identifier_pack((fl_identifier_t){OWN_ID, command, uid, 0}), 0, {0}};
+    f.len = fl_command_find(command)->len_max;
+    return f;
+}
+
+/* A bit of a valid frame turns over: of its payload, its identifier or its length. */
+static void mutate(bench_t *b, fl_can_frame_t *f) {
+    const uint32_t bit = random_u32(b) % (64 + 29 + 4);
+    if (bit < 64)
+        f->data[bit / 8] ^= (uint8_t)(1u << bit % 8);
+    else if (bit < 64 + 29)
+        f->id ^= 1u << (bit - 64);
+    else
+        f->len ^= (uint8_t)(1u << (bit - 64 - 29));
+}
+
+/* Any frame of a valid sequence may be left out, doubled or mutated. */
+static uint32_t spoil(bench_t *b, const fl_can_frame_t *in, uint32_t count, fl_can_frame_t *out) {
     uint32_t n = 0;
+    for (uint32_t k = 0; k < count; ++k) {
+        fl_can_frame_t f = in[k];
+        if (chance(b, 20)) mutate(b, &f);
+        if (chance(b, 25)) continue;
+        out[n++] = f;
+        if (n < SCRIPT_MOST && chance(b, 50)) out[n++] = f;
+        if (n == SCRIPT_MOST) break;
+    }
+    return n;
+}
+
+/* A small image with its checksum, in bites of up to eight bytes. */
+static uint32_t image_script(bench_t *b, fl_can_frame_t *out) {
+    uint8_t image[40];
+    const uint32_t size = 1 + random_u32(b) % sizeof image;
+    for (uint32_t i = 0; i < size; ++i) image[i] = (uint8_t)random_u32(b);
+    const uint32_t crc = fl_crc_end(fl_crc_add(FL_CRC_START, image, size));
+    out[0] = request(200, 1);
+    memcpy(out[0].data, &size, 4);
+    memcpy(out[0].data + 4, &crc, 4);
+    uint32_t n = 1;
+    for (uint32_t at = 0; at < size; at += 8, ++n) {
+        out[n] = request(201, (uint8_t)n);
+        out[n].len = (uint8_t)(size - at < 8 ? size - at : 8);
+        memcpy(out[n].data, image + at, out[n].len);
+    }
+    return n;
+}
+
+/* Stop, then a move of one frame: a go-to nearby or a calibration. */
+static uint32_t move_script(bench_t *b, fl_can_frame_t *out) {
+    static const uint8_t moves[] = {20, 23, 26, 30, 31, 31, 47, 245};
+    out[0] = request(15, 1);
+    out[1] = request(moves[random_u32(b) % sizeof moves], 2);
+    const int32_t way[2] = {(int32_t)(random_u32(b) % 200000u), (int32_t)(random_u32(b) % 200000u)};
+    memcpy(out[1].data, way, sizeof way);
+    return 2;
+}
+
+/* A small trajectory from here. */
+static uint32_t path_script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t *out) {
+    static const uint8_t commands[7] = {15, 10, 11, 11, 12, 14, 3};
     for (int k = 0; k < 7; ++k) {
-        fl_can_frame_t f = {
-            fl_identifier_pack((fl_identifier_t){OWN_ID, commands[k], (uint8_t)(k + 1), 0}), 0, {0}};
-        f.len = fl_command_find(commands[k])->len_max;
+        fl_can_frame_t f = request(commands[k], (uint8_t)(k + 1));
         int32_t v[2] = {1, 1};
         if (commands[k] == 11) {
             v[0] = fl_add_i32(p->axis[k == 3].position_cnt, (int32_t)(random_u32(b) % 100000u));
             v[1] = (int32_t)(random_u32(b) % 2000u);
         }
         memcpy(f.data, v, sizeof v);
-        if (chance(b, 20)) f.data[random_u32(b) % 8] ^= (uint8_t)(1u << random_u32(b) % 8);
-        if (!chance(b, 20)) out[n++] = f;
+        out[k] = f;
     }
-    return n;
+    return 7;
+}
+
+static uint32_t script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t out[SCRIPT_MOST]) {
+    fl_can_frame_t whole[SCRIPT_MOST];
+    uint32_t count;
+    if (p->state == FL_STATE_BOOTLOADER)
+        count = image_script(b, whole);
+    else if (chance(b, 3))
+        count = move_script(b, whole);
+    else
+        count = path_script(b, p, whole);
+    return spoil(b, whole, count, out);
 }
 
 /* -- checks ----------------------------------------------------------------------------------------- */
@@ -195,6 +287,46 @@ static void check_current(const bench_t *b, const fl_positioner_t *p) {
     REQUIRE(active == !rests, "state %d with axes %s", p->state, rests ? "at rest" : "moving");
 }
 
+/* What an image's own bytes say of it, against what the bootloader made of them. */
+static void follow_image(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f, uint8_t command) {
+    uint32_t word[2];
+    memcpy(word, f->data, sizeof word);
+    if (command == 200) {
+        b->image_left = word[0];
+        b->image_expected = word[1];
+        b->image_crc = FL_CRC_START;
+        return;
+    }
+    REQUIRE(command != 201 || f->len <= b->image_left, "image longer than announced");
+    b->image_crc = fl_crc_add(b->image_crc, f->data, f->len);
+    b->image_left -= f->len;
+    const bool good = b->image_left == 0 && fl_crc_end(b->image_crc) == b->image_expected;
+    REQUIRE(((p->boot.status & FL_BOOT_CHECK_OK) != 0) == good, "an image believed or not, %08x",
+            (unsigned)p->boot.status);
+    b->images_good += good;
+}
+
+/* The model follows what was carried out, as a host would that reads the answers. */
+static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f,
+                     const fl_can_frame_t *answer) {
+    const fl_identifier_t told = fl_identifier_unpack(answer->id);
+    uint32_t word[2];
+    memcpy(word, f->data, sizeof word);
+    if (told.code != 0) {
+        sequence_refused(&b->model, told.command, told.code);
+        b->images_bad += told.command == 201;
+        return;
+    }
+    const bool current = word[0] != 0 || word[1] != 0;
+    REQUIRE(sequence_accepted(&b->model, told.command, (uint64_t)word[0] + word[1], current),
+            "%d was accepted out of sequence", told.command);
+    if (told.command == 200 || told.command == 201) follow_image(b, p, f, told.command);
+    const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]);
+    REQUIRE(rests || b->model.driven || told.command == 13 || told.command == 15 ||
+                p->state == FL_STATE_STOPPING,
+            "an axis sets out at %d", told.command);
+}
+
 static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const fl_can_frame_t *f) {
     const bool sampled = chance(b, 16); /* copying 14 KB is most of the work */
     if (sampled) memcpy(before, p, sizeof *p);
@@ -205,6 +337,10 @@ static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const 
     const uint32_t answered = b->replies + p->tx.count - waiting;
     REQUIRE(answered == (is_request(p, f) && room ? 1u : 0u), "%u replies to %08x", answered,
             (unsigned)f->id);
+    if (answered == 1) {
+        const uint32_t tail = (p->tx.first + p->tx.count + FL_TX_FRAMES - 1) % FL_TX_FRAMES;
+        conclude(b, p, f, p->tx.count != 0 ? &p->tx.frame[tail] : &b->last);
+    }
     if (answered == 1 && b->replies != 0) {
         const fl_identifier_t asked = fl_identifier_unpack(f->id), told = fl_identifier_unpack(b->last.id);
         ++b->codes[told.command][told.code];
@@ -225,18 +361,31 @@ static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t par
     if (chance(b, 50)) b->mailbox_full = !b->mailbox_full;
     if (chance(b, 300)) b->write_budget = random_u32(b) % 1000;
     if (chance(b, 20)) b->write_budget = UINT32_MAX;
-    if (chance(b, 2000)) fl_positioner_enter_bootloader(p);
-    if (chance(b, 500)) fl_positioner_sync(p);
+    if (chance(b, 2000)) {
+        fl_positioner_enter_bootloader(p);
+        sequence_off(&b->model);
+    }
+    if (chance(b, 500)) {
+        const bool may =
+            p->state == FL_STATE_LOADED; /* a line without answer: the host sees what came of it */
+        if (may) sequence_start(&b->model);
+        fl_positioner_sync(p);
+    }
     if (chance(b, 3000)) { /* power off, perhaps with a bit rotten */
         if (chance(b, 2)) b->storage[random_u32(b) % sizeof b->storage] ^= 1;
         memset(b->duty, 0, sizeof b->duty);
-        const fl_port_t port = p->port;
-        fl_positioner_init(p, &port, OWN_ID, params);
+        power_up(b, p, params);
     }
     if (chance(b, 200)) {
         const int32_t position[FL_AXES] = {30000000, 60000000};
         if (p->state <= FL_STATE_REFUSED) fl_positioner_set_position(p, position);
     }
+}
+
+/* From the moment that all displacement is said to be completed nothing may drive the motors. */
+static void let_tick(bench_t *b, fl_positioner_t *p) {
+    fl_positioner_tick(p);
+    if (p->status & FL_STATUS_DISPLACEMENT_COMPLETED) sequence_rests(&b->model);
 }
 
 static void run(bench_t *b, uint64_t frames) {
@@ -245,10 +394,9 @@ static void run(bench_t *b, uint64_t frames) {
     const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
 #undef X
     const fl_axis_params_t params[FL_AXES] = {one, one};
-    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
-    fl_positioner_init(&p, &port, OWN_ID, params);
+    power_up(b, &p, params);
     for (uint64_t n = 0; n < frames;) {
-        fl_can_frame_t f[8];
+        fl_can_frame_t f[SCRIPT_MOST];
         uint32_t count = 1;
         if (chance(b, 8))
             count = script(b, &p, f);
@@ -256,7 +404,7 @@ static void run(bench_t *b, uint64_t frames) {
             f[0] = any_frame(b);
         for (uint32_t i = 0; i < count; ++i, ++n) give(b, &p, &before, &f[i]);
         if (chance(b, 4)) {
-            for (uint32_t t = random_u32(b) % 16; t > 0; --t) fl_positioner_tick(&p);
+            for (uint32_t t = random_u32(b) % 16; t > 0; --t) let_tick(b, &p);
             check_current(b, &p);
         }
         if (chance(b, 16)) misbehave(b, &p, params);
@@ -273,7 +421,11 @@ static void check_coverage(const bench_t *b) {
                 rows[i].number);
         for (int code = 1; code < 16; ++code) refusals += codes[code] != 0;
     }
-    printf("check_dispatch: all %u commands carried out, %u kinds of refusal seen\n", n - 1, refusals);
+    REQUIRE(b->drives != 0 && b->images_good != 0 && b->images_bad != 0, "nothing happened");
+    printf(
+        "check_dispatch: all %u commands carried out, %u kinds of refusal seen; %llu phase voltages, all in "
+        "sequence; %llu images believed\n",
+        n - 1, refusals, (unsigned long long)b->drives, (unsigned long long)b->images_good);
 }
 
 int main(int argc, char **argv) {

@@ -10,6 +10,16 @@ from typing import Annotated, Any
 
 import typer
 
+from fiberloom import cli_bench
+from fiberloom.cli_options import (
+    InstrumentOption,
+    JsonOption,
+    LayoutOption,
+    PositionersOption,
+    SeedOption,
+)
+from fiberloom.cli_options import print_report as _print_report
+from fiberloom.cli_options import read_plane as _plane
 from fiberloom.errors import InputError
 
 app = typer.Typer(
@@ -21,16 +31,6 @@ app = typer.Typer(
 )
 calibrate = typer.Typer(no_args_is_help=True, help="Measure what is particular to each positioner.")
 app.add_typer(calibrate, name="calibrate")
-
-InstrumentOption = Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")]
-LayoutOption = Annotated[
-    Path | None, typer.Option(help="Folder with the layout: ours, or SDSS-V calibration files.")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="The one seed of everything random.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-PositionersOption = Annotated[
-    int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
-]
 
 
 class Correction(StrEnum):
@@ -70,17 +70,6 @@ def _root(
     ] = False,
 ) -> None:
     pass
-
-
-def _plane(instrument: str, layout: Path | None, seed: int, positioners: int | None = None) -> Any:
-    from fiberloom.instruments import generate, load_instrument, read_layout
-
-    model = load_instrument(instrument)
-    if layout is None:
-        return generate(model, seed, n_positioners=positioners)
-    if positioners is not None:
-        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
-    return read_layout(layout, model)
 
 
 @app.command()
@@ -223,6 +212,9 @@ def twin(
     bootloader: Annotated[
         bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
     ] = False,
+    first: Annotated[
+        bool, typer.Option("--first", help="Clock before all ordinary programs; the system must allow it.")
+    ] = False,
     jaeger_config: Annotated[
         Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
     ] = None,
@@ -245,6 +237,7 @@ def twin(
         speed=speed,
         neighbours=neighbours,
         bootloader=bootloader,
+        first=first,
         jaeger_config=jaeger_config,
         report_every_s=report_every,
         stop_after_s=stop_after,
@@ -270,153 +263,6 @@ def transmission(
     report = run_calibrate_transmission(plane, seed, points, out, quiet=as_json)
     _print_report(report, as_json)
     raise typer.Exit(1 if report["refused"] else 0)
-
-
-BenchPositioners = Annotated[
-    int | None, typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre.")
-]
-BenchFaults = Annotated[str, typer.Option("--faults", help="Put faults into the twin, e.g. dark=1.")]
-TruthOption = Annotated[bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")]
-WeightsOption = Annotated[
-    bool,
-    typer.Option("--weights/--data-sheet", help="Torques by known weights, or by the motor's data sheet."),
-]
-
-
-def _bench(
-    where: tuple[str, Path | None, int | None],
-    seed: int,
-    out: Path,
-    faults: str,
-    truth: bool,
-    quiet: bool,
-) -> Any:
-    """A bench with one positioner of a preset, unless told otherwise."""
-    from fiberloom.commands.bench import BenchRequest
-
-    instrument, layout, positioners = where
-    count = positioners if layout is not None else positioners or 1
-    plane = _plane(instrument, layout, seed, count)
-    return BenchRequest(plane, seed, out, faults, truth, quiet)
-
-
-def _identify(name: str, request: Any, work: Any, as_json: bool) -> None:
-    from fiberloom.commands.bench import table_rows
-    from fiberloom.commands.identify import run_identification
-    from fiberloom.report.tables import print_estimates
-
-    content, complete = run_identification(name, request, work)
-    if as_json:
-        typer.echo(json.dumps(content, indent=2))
-    else:
-        print_estimates(table_rows(content))
-        typer.echo(f"results in {request.out}/: {name}.json, {name}.ecsv, {name}.png")
-    raise typer.Exit(0 if complete else 1)
-
-
-@calibrate.command()
-def friction(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5,
-    weights: WeightsOption = True,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/friction"),
-    as_json: JsonOption = False,
-) -> None:
-    """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12)."""
-    from fiberloom.calibration import FrictionSettings
-    from fiberloom.commands.identify import friction_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = FrictionSettings(n_angles=places)
-    _identify("friction", request, friction_work(request, settings, weights), as_json)
-
-
-@calibrate.command()
-def inertia(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    pushes: Annotated[int, typer.Option(min=2, help="Torque steps, half of them upward.")] = 6,
-    weights: WeightsOption = True,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/inertia"),
-    as_json: JsonOption = False,
-) -> None:
-    """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14)."""
-    from fiberloom.calibration import InertiaSettings
-    from fiberloom.commands.identify import inertia_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = InertiaSettings(pushes=pushes)
-    _identify("inertia", request, inertia_work(request, settings, weights), as_json)
-
-
-@calibrate.command()
-def stiffness(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    repeats: Annotated[int, typer.Option(min=3, help="How often to pull to each side.")] = 10,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/stiffness"),
-    as_json: JsonOption = False,
-) -> None:
-    """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13)."""
-    from fiberloom.calibration import StiffnessSettings
-    from fiberloom.commands.identify import stiffness_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    _identify("stiffness", request, stiffness_work(request, StiffnessSettings(repeats=repeats)), as_json)
-
-
-@calibrate.command()
-def arms(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    points: Annotated[int, typer.Option(min=8, help="Points on each circle.")] = 40,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/arms"),
-    as_json: JsonOption = False,
-) -> None:
-    """Arm lengths and centre from the circles of both axes."""
-    from fiberloom.calibration import ArmsSettings
-    from fiberloom.commands.identify import arms_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    _identify("arms", request, arms_work(request, ArmsSettings(n_points=points)), as_json)
-
-
-@calibrate.command()
-def repeatability(
-    instrument: InstrumentOption = "sdssv",
-    layout: LayoutOption = None,
-    seed: SeedOption = 0,
-    positioners: BenchPositioners = None,
-    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets.")] = 300,
-    faults: BenchFaults = "",
-    truth: TruthOption = False,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/repeatability"),
-    as_json: JsonOption = False,
-) -> None:
-    """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17)."""
-    from fiberloom.calibration import RepeatabilitySettings
-    from fiberloom.commands.identify import repeatability_work
-
-    request = _bench((instrument, layout, positioners), seed, out, faults, truth, as_json)
-    settings = RepeatabilitySettings(visits=visits)
-    _identify("repeatability", request, repeatability_work(request, settings), as_json)
 
 
 @calibrate.command("focal-plane")
@@ -512,6 +358,10 @@ def lifetime(
         int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")
     ] = 1220,
     every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1,
+    faults: Annotated[
+        str,
+        typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
+    ] = "",
     workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
@@ -527,7 +377,12 @@ def lifetime(
     from fiberloom.twin.lifetime import LifetimeSettings
 
     settings = LifetimeSettings(
-        instrument=instrument, cycles=cycles, points=points, approaches=targets, cycle_step=every
+        instrument=instrument,
+        cycles=cycles,
+        points=points,
+        approaches=targets,
+        cycle_step=every,
+        faults=faults,
     )
     result = run_lifetime(
         LifetimeRequest(positioners, seed, settings, out, workers, scheduler, quiet=as_json)
@@ -535,6 +390,7 @@ def lifetime(
     if as_json:
         typer.echo(json.dumps(result, indent=2))
     else:
+        typer.echo("Blind moves, rms in um as measured:")
         _print_report(table(result), as_json)
         _print_report(result["summary"] | {"results": str(out)}, as_json)
     raise typer.Exit(0 if within_requirement(result["summary"]) else 1)
@@ -587,6 +443,28 @@ def runs(
 
 
 @app.command()
+def health(
+    where: Annotated[
+        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
+    ] = "runs",
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: PositionersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say who is healthy, degraded, suspect or disabled by all that was observed, and what to do."""
+    from fiberloom.commands.health import health_report, print_health
+
+    report = health_report(where, _plane(instrument, layout, seed, positioners))
+    if as_json:
+        typer.echo(json.dumps(report, indent=2))
+    else:
+        print_health(report)
+    raise typer.Exit(1 if report["findings"] else 0)
+
+
+@app.command()
 def centroid(
     image: Annotated[Path, typer.Argument(help="FITS image of back-lit fibres.")],
     out: Annotated[Path, typer.Option(help="Spots to write.")] = Path("spots.csv"),
@@ -612,7 +490,9 @@ def centroid(
         expected=expected,
         plot=plot,
     )
-    _print_report(run_centroid(request), as_json)
+    report = run_centroid(request)
+    _print_report(report, as_json)
+    raise typer.Exit(0 if report["spots"] else 1)
 
 
 @app.command()
@@ -626,6 +506,16 @@ def match(
         Path | None, typer.Option(help="Configuration CSV that the positioners should have.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Positions to write.")] = Path("positions.csv"),
+    scale: Annotated[
+        float | None, typer.Option(help="mm per pixel; default: the instrument's camera.")
+    ] = None,
+    rotation: Annotated[
+        float | None, typer.Option(help="Direction of the pixel x axis in the focal plane, deg.")
+    ] = None,
+    rotation_tolerance: Annotated[float, typer.Option(min=0, help="Off by at most so much, deg.")] = 15.0,
+    flipped: Annotated[
+        bool | None, typer.Option("--flipped/--not-flipped", help="Is the image a mirror image?")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Tell which spot is whose, and where it is in the focal plane."""
@@ -633,18 +523,19 @@ def match(
     from fiberloom.metrology.commands import match as run_match
 
     plane = _plane(instrument, layout, seed, positioners)
-    request = MatchRequest(source=source, out=out, expected=expected)
+    request = MatchRequest(
+        source=source,
+        out=out,
+        expected=expected,
+        scale_mm_px=scale,
+        rotation_deg=rotation,
+        rotation_tolerance_deg=rotation_tolerance,
+        flipped=flipped,
+    )
     _print_report(run_match(plane, request), as_json)
 
 
-def _print_report(report: Any, as_json: bool) -> None:
-    from fiberloom.report.tables import print_report
-
-    if as_json:
-        typer.echo(json.dumps(report, indent=2, default=str))
-    else:
-        print_report(report)
-
+cli_bench.register(app, calibrate)
 
 INTERRUPTED = 130
 
@@ -662,7 +553,7 @@ def main() -> None:
     except InputError as error:
         _fail(str(error), 2)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted; what was measured is in the store, see `fiberloom runs`", INTERRUPTED)
+        _fail("interrupted; what was measured is kept: `fiberloom runs`, or the output folder", INTERRUPTED)
     except _BAD_WORDS as error:
         _fail(f"{error.format_message()}; see `fiberloom --help`", 2)
     except OSError as error:

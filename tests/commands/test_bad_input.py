@@ -87,3 +87,10 @@ def test_every_level_has_help(command, tmp_path):
     result = run(*command, "--help", cwd=tmp_path)
     assert result.returncode == 0
     assert "Usage" in result.stdout
+
+
+def test_a_twin_that_cannot_be_served(tmp_path):
+    twin = ("twin", "--positioners", "3", "--stop-after", "0")
+    refused(run(*twin, "--listen", "19228", cwd=tmp_path), "--listen 19228", "HOST:PORT")
+    refused(run(*twin, "--faults", "lying=9", cwd=tmp_path), "--faults lying=9", "at most 3")
+    refused(run(*twin, "--listen", "127.0.0.1:19399", "--speed", "0", cwd=tmp_path), "speed 0.0")

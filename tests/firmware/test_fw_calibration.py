@@ -256,6 +256,11 @@ def test_a_power_cut_in_motion_leaves_a_guess_and_asks_for_the_datum():
     assert unit.status("restored", "estimated", "datum_alpha", "datum_beta") == (False, True, False, False)
     assert unit.position_deg == pytest.approx((10, 20), abs=1e-3)
     assert unit.goto(12, 18) == rig.NOT_INITIALIZED
+    # found at the stop, it is a guess no longer
+    assert unit.code(23) == ACCEPTED
+    unit.wait(60)
+    assert unit.status("restored", "estimated", "datum_alpha", "datum_beta") == (False, False, True, True)
+    assert unit.goto(12, 18) == ACCEPTED
 
 
 def test_no_storage_at_all_starts_as_new():

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import kstest, truncnorm
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import generate
+from fiberloom.instruments import generate, instrument_names, load_instrument
 from fiberloom.instruments.generate import hexagon, spread
 
 
@@ -146,3 +146,48 @@ def test_spread_is_even(n, fraction):
     # over the first k, never more than one off from its share
     share = np.arange(1, n + 1) * chosen.sum() / n
     assert np.abs(np.cumsum(chosen) - share).max() <= 1.0
+
+
+def test_petals_are_one_wedge_turned():
+    desi = generate(load_instrument("desi"), 0)
+    assert desi.n == 5000
+    assert len(desi.fiducials) == 4 * 130
+    turned = np.exp(2j * np.pi / 10) * (desi.fiducials[:, 0] + 1j * desi.fiducials[:, 1])
+    distance, _ = cKDTree(desi.fiducials[:, :2]).query(np.column_stack([turned.real, turned.imag]))
+    assert distance.max() < 1e-9
+    # the gap between petals: no centre nearer to an edge than half of it, less the shift of a base
+    angle = np.arctan2(*desi.centres_mm.T[::-1])
+    off = (angle + np.pi / 10) % (np.pi / 5)
+    to_edge = np.hypot(*desi.centres_mm.T) * np.sin(np.minimum(off, np.pi / 5 - off))
+    assert to_edge.min() > 6.0 - 0.3
+    assert np.hypot(*desi.centres_mm.T).max() < 411.3
+    gap, _ = cKDTree(desi.centres_mm).query(desi.centres_mm, k=2)
+    assert gap[:, 1].min() > 10.4 - 0.4
+
+
+def test_the_presets_of_table_1():
+    """Kronig 2020, Table 1: units, arms, pitch, requirement. PFS has 2394, not 2400; see the preset."""
+    table = {
+        "lamost": (4000, 8.25, 8.25, 25.6, 40.0),
+        "megara": (92, 5.803, 5.803, 20.1, 102.0),
+        "desi": (5000, 3.0, 3.0, 10.4, 5.0),
+        "sdssv": (500, 7.4, 15.0, 22.4, 5.0),
+        "moons": (1001, 8.0, 17.0, 25.0, 20.0),
+        "pfs": (2394, 2.375, 2.375, 8.0, 5.0),
+    }
+    assert set(table) == set(instrument_names())
+    for name, (units, l_alpha, l_beta, pitch, requirement) in table.items():
+        i = load_instrument(name)
+        fibre = i.positioner.points[i.science_fibres[0]]
+        assert (i.layout.n_positioners, i.layout.pitch_mm) == (units, pitch)
+        assert i.operation.requirement_um == requirement
+        assert i.positioner.l_alpha_mm == pytest.approx(l_alpha, abs=1e-3)
+        assert np.hypot(fibre.x_mm, fibre.y_mm) == pytest.approx(l_beta, abs=0.04)
+        assert generate(i, 0).n == units
+
+
+def test_a_round_field_grows_with_its_positioners(sdssv):
+    layout = sdssv.layout.model_copy(update={"field_radius_mm": 200.0, "n_positioners": 200})
+    small = sdssv.model_copy(update={"layout": layout})
+    assert np.hypot(*generate(small, 0).centres_mm.T).max() < 200.6
+    assert generate(small, 0, 400).n == 400

@@ -8,12 +8,12 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
 from fiberloom.metrology import find_spots, write_image
-from fiberloom.metrology.acquisition import CameraGeometry
+from fiberloom.metrology.acquisition import AcquisitionError, CameraGeometry
 from fiberloom.metrology.commands import CentroidRequest, MatchRequest, centroid, match
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.spots import SpotSettings
 from fiberloom.planning import write_configuration
-from fiberloom.twin import imaging
+from fiberloom.twin.cameras import camera_model
 from fiberloom.twin.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, StillScene
 
 RADIUS_MM = 150.0
@@ -91,6 +91,30 @@ def test_the_camera_remembers_and_forgets(small):
     assert camera.last.transform.similarity.rotation_deg == pytest.approx(-3.0, abs=0.01)
 
 
+class Shuttered:
+    """A camera whose shutter stays closed for the first so many exposures."""
+
+    def __init__(self, source, closed):
+        self.source, self.closed = source, closed
+
+    def expose(self):
+        image = self.source.expose()
+        self.closed -= 1
+        return replace(image, pixels=np.zeros_like(image.pixels)) if self.closed >= 0 else image
+
+
+def test_a_dark_exposure_is_taken_again_and_a_third_one_is_an_error(small):
+    scene = StillScene(small.forward(*configuration(small, 1).T))
+    camera = camera_on(small, scene)
+    camera.source = Shuttered(camera.source, 2)
+    assert camera.measure(scene.xy_mm).seen.sum() > 85
+    before = camera.last
+    camera.source.closed = 3
+    with pytest.raises(AcquisitionError, match="0 spots in the image: every pixel is 0"):
+        camera.measure(scene.xy_mm)
+    assert camera.last is before  # nothing that was known is lost
+
+
 def test_one_that_did_not_move_is_found_where_it_was(small):
     first = small.forward(*configuration(small, 2).T)
     scene = StillScene(first.copy())
@@ -126,7 +150,7 @@ def test_turbulence_is_removed_by_those_who_stand(small):
 
 @pytest.mark.parametrize(("name", "rms_nm"), [("workspace", 669.0), ("close-up", 101.0)])
 def test_figure_18_comes_out_of_photons_and_pixels(name, rms_nm):
-    model = imaging.camera_model(name)
+    model = camera_model(name)
     model = replace(
         model,
         optics=replace(model.optics, geometry=replace(model.optics.geometry, width_px=200, height_px=200)),
@@ -228,6 +252,6 @@ def test_plots_of_an_exposure(small, tmp_path):
 
 def test_unknown_presets_are_refused():
     with pytest.raises(InputError, match="sdssv"):
-        imaging.camera_model("hubble")
+        camera_model("hubble")
     with pytest.raises(InputError, match="moffat"):
         Psf("airy")

@@ -5,7 +5,17 @@ import pytest
 from astropy.io import fits
 
 from fiberloom.errors import InputError
-from fiberloom.metrology import CameraImage, find_spots, read_image, read_spots, write_image, write_spots
+from fiberloom.metrology import (
+    CameraImage,
+    Flag,
+    SpotSettings,
+    find_spots,
+    read_image,
+    read_spots,
+    write_image,
+    write_spots,
+)
+from fiberloom.metrology.images import trouble
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +105,51 @@ def test_a_table_of_another_make_is_read(tmp_path):
     (tmp_path / "t.csv").write_text("x,y\n1,2\n")
     with pytest.raises(InputError, match="x_px"):
         read_spots(tmp_path / "t.csv")
+
+
+def test_a_file_cut_short_is_named_and_not_read_as_dark(frame, tmp_path):
+    write_image(CameraImage(frame), tmp_path / "whole.fits")
+    fits.CompImageHDU(frame).writeto(tmp_path / "packed.fits")
+    for name in ("whole", "packed"):
+        content = (tmp_path / f"{name}.fits").read_bytes()
+        (tmp_path / f"half-{name}.fits").write_bytes(content[: len(content) // 2])
+        with pytest.raises(InputError, match=rf"half-{name}\.fits: is cut short: \d+ of \d+ bytes"):
+            read_image(tmp_path / f"half-{name}.fits")
+    (tmp_path / "header.fits").write_bytes(content[:1500])
+    with pytest.raises(InputError, match=r"header\.fits: cannot be read as FITS"):
+        read_image(tmp_path / "header.fits")
+
+
+def test_pixels_that_are_no_numbers_hide_no_spots(frame):
+    whole = found(CameraImage(frame))
+    holed = frame.astype(np.float32)
+    holed[:, 100] = np.nan  # a dead column between the spots
+    holed[10:20, 10:30] = np.nan
+    holed[150, 50] = np.inf
+    spots = found(CameraImage(holed))
+    np.testing.assert_allclose(spots.xy_px, whole.xy_px, atol=1e-3)
+
+
+def test_saturated_spots_are_kept_and_flagged_even_where_all_are(frame):
+    whole = found(CameraImage(frame))
+    top = int(frame.max()) // 2
+    spots = find_spots(np.minimum(frame, top), SpotSettings(1.0, top)).spots
+    assert spots.has(Flag.SATURATED).all()
+    # the tops are gone, and there is nothing to measure the profile on
+    np.testing.assert_allclose(spots.xy_px, whole.xy_px, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "words"),
+    [
+        (np.zeros((100, 100), np.uint16), "every pixel is 0: shutter closed"),
+        (np.full((100, 100), 65535, np.uint16), "every pixel is 65535"),
+        (np.full((100, 100), np.nan, np.float32), "no pixel is a number"),
+        (np.where(np.arange(10000).reshape(100, 100) % 3, 65535, 9).astype(np.uint16), "67 % of the pixels"),
+        (np.random.default_rng(0).poisson(100, (100, 100)).astype(np.uint16), "back-illumination"),
+    ],
+)
+def test_an_image_without_spots_says_why(pixels, words):
+    image = CameraImage(pixels, saturation_adu=65535.0)
+    assert len(find_spots(pixels, SpotSettings(1.0, 65535.0)).spots) == 0
+    assert words in trouble(image)

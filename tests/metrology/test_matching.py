@@ -56,8 +56,12 @@ class Field:
         return match_spots(self.spots, self.expected, self.centres, self.reach, **changes)
 
     def wrong(self, match):
+        """Wrong pairs, but not a spot of somebody else just where a dark fibre should be: 0.3 mm are less
+        than four standard deviations, and no picture tells. One such pair in 36 of these fields."""
         rows = np.flatnonzero(match.spot >= 0)
-        return int((self.owner[match.spot[rows]] != rows).sum())
+        bad = rows[self.owner[match.spot[rows]] != rows]
+        off = np.hypot(*(self.spots[match.spot[bad]] - self.expected[bad]).T)
+        return int((~self.dark[bad] | (off > 0.3)).sum())
 
 
 @pytest.mark.parametrize("kind", ARRAYS)
@@ -65,14 +69,13 @@ class Field:
 def test_no_wrong_pair_with_some_astray_some_dark_and_many_strays(kind, seed):
     field = Field(kind, seed)
     match = field.match()
-    # 0.05 wrong pairs in an image are tolerated: 0.45 in these nine images
-    assert field.wrong(match) <= 1
+    assert field.wrong(match) == 0
     usual = np.hypot(*(field.true - field.expected).T) < 0.4
     lost = usual & ~field.dark & ~match.matched
     assert lost.mean() < 0.012
 
 
-@pytest.mark.parametrize("kind", ["sdssv", "pfs"])
+@pytest.mark.parametrize("kind", ARRAYS)
 def test_a_fifth_dark_on_one_side_gets_nobodys_spots(kind):
     field = Field(kind, 1, dark_side=0.2)
     match = field.match()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fiberloom.reproduce import Settings
+from fiberloom.reproduce import Settings, wearing
 from fiberloom.reproduce import eq22_collision as eq22
 from fiberloom.reproduce import fig05_coverage as fig05
 from fiberloom.reproduce import fig10_transmission as fig10
@@ -12,9 +12,15 @@ from fiberloom.reproduce import fig12_drag as fig12
 from fiberloom.reproduce import fig14_inertia as fig14
 from fiberloom.reproduce import fig16_tracking as fig16
 from fiberloom.reproduce import fig17_repeatability as fig17
+from fiberloom.reproduce import fig18_camera as fig18
 from fiberloom.reproduce import fig19_iterations as fig19
+from fiberloom.reproduce import fig20_focal_plane as fig20
+from fiberloom.reproduce import fig21_arms as fig21
+from fiberloom.reproduce import fig22_wear as fig22
+from fiberloom.reproduce import fig25_adaptive as fig25
 from fiberloom.reproduce import table01_instruments as table01
 from fiberloom.reproduce.bench import make_bench, paper_instrument
+from fiberloom.twin.lifetime import DELTAS, WAYS
 
 
 def test_the_paper_has_arms_of_7_4_and_15_mm():
@@ -169,3 +175,69 @@ def test_table_1_pipeline_on_seven_small_units():
     assert len(found.error_um) == 3
     assert np.isfinite(found.error_um[-1]).all()
     assert found.error_um[-1].max() < 5.0
+
+
+def test_figure_18_counts_in_two_dimensions():
+    rng = np.random.default_rng(1)
+    seen = fig18.Static(rng.normal(0.0, 0.1, (4000, 2)), 141.4)
+    assert seen.rms_nm == pytest.approx(141.4, rel=0.03)  # 8000 numbers: 0.8 %
+
+
+def test_figure_20_finds_where_both_errors_stay_below_a_micrometre():
+    steps = (10, 20, 40, 80)
+    found = fig20.Convergence(steps, np.array([4.0, 2.0, 0.5, 0.4]), np.array([0.9, 0.8, 0.4, 0.3]))
+    assert found.needed() == pytest.approx(np.sqrt(20 * 40))  # half-way between 2 and 1/2, on logs
+    assert np.isnan(fig20.Convergence(steps, np.full(4, 2.0), np.full(4, 0.1)).needed())
+    assert fig20.Convergence(steps, np.full(4, 0.5), np.full(4, 0.1)).needed() == 10
+
+
+def test_figure_20_equal_weights_recover_arms_from_perfect_angles():
+    plane = make_bench(0, 2).plane
+    rng = np.random.default_rng(0)
+    theta = rng.uniform([0.0, 0.0], [360.0, 180.0], (2, 40, 2))
+    xy = np.stack([plane.forward(*theta[:, k].T) for k in range(40)], axis=1)
+    guess = fig20.misplaced(plane, 50.0, 0.2, 0)
+    truth = fig20.layout_parameters(plane)
+    found = fig20.errors(guess, (theta, xy), fig20.EQUAL_WEIGHTS, truth, (10, 40))
+    assert max(found.centre_um.max(), found.arms_um.max()) < 1e-3
+
+
+def wear_study(gear_deg, learnt_deg):
+    """Two units, first and last cycle; `learnt_deg` is what the printed estimator has in the end."""
+    angles = np.linspace(0.0, 180.0, 361)
+    delta = np.zeros((2, 2, 4, 2, 361))
+    delta[:, 1, DELTAS.index("true"), 1] = gear_deg(angles)
+    delta[:, 1, DELTAS.index("recalibrated"), 1] = gear_deg(angles)
+    delta[:, 1, DELTAS.index("adaptive_paper"), 1] = learnt_deg(angles)
+    arms = np.array([[[7.4, 15.0], [7.4003, 14.9992]]] * 2)
+    rows = {"delta_deg": delta, "arms_mm": arms, "true_arms_mm": arms - 1e-4}
+    rows["measured_um"] = np.arange(1.0, 1.0 + 2 * len(WAYS) * 2).reshape(2, len(WAYS), 2)
+    return wearing.Study(wearing.DEFAULT, angles, rows)
+
+
+def test_figure_21_and_22_find_the_largest_change():
+    study = wear_study(lambda x: 0.15 * np.exp(-(((x - 90) / 10) ** 2)), np.zeros_like)
+    assert fig21.span_um(study) == pytest.approx(0.8)
+    assert fig21.scatter_um(study) == pytest.approx(0.1)
+    assert fig22.largest_change_deg(study) == pytest.approx(0.15)
+
+
+def test_figure_25_tells_how_much_was_followed_and_where():
+    def mark(x):
+        return np.exp(-(((x - 60) / 12) ** 2)) + np.exp(-(((x - 2) / 3) ** 2))
+
+    half = wear_study(mark, lambda x: 0.5 * mark(x))
+    assert fig25.followed(half, "adaptive_paper") == pytest.approx(0.5)
+    assert fig25.followed(half, "recalibrated") == pytest.approx(1.0)
+    inside = wear_study(mark, lambda x: np.where(x > 10.0, mark(x), 0.0))
+    assert fig25.followed(inside, "adaptive_paper") < 0.95
+    assert fig25.followed(inside, "adaptive_paper", 10.0) == pytest.approx(1.0, abs=0.01)
+    # ripple that a map gets wrong in its own way does not count
+    rippled = wear_study(mark, lambda x: mark(x) + 0.2 * np.sin(np.deg2rad(200 * x)))
+    assert fig25.followed(rippled, "adaptive_paper") == pytest.approx(1.0, abs=0.05)
+
+
+def test_figure_26_takes_rms_over_units():
+    study = wear_study(np.zeros_like, np.zeros_like)
+    first = study.rows["measured_um"][:, 0, 0]
+    assert study.blind_um(WAYS[0])[0] == pytest.approx(np.sqrt(np.mean(first**2)))

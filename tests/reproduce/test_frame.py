@@ -115,6 +115,7 @@ def test_a_run_leaves_results_table_report_and_pictures(figures, tmp_path):
     assert "at work" in heard
     assert part.seeds == [4, 5]
     assert part.seconds >= 0.0
+    assert part.cpu_s >= 0.0
     records = json.loads((tmp_path / "results.json").read_text())
     assert [r["id"] for r in records] == [q.id for q in quantities()]
     wanted = {"id", "figure", "paper", "ours", "spread", "unit", "kind", "ratio", "note"}

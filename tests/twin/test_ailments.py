@@ -1,5 +1,6 @@
 """Ailments: each shows as it does in the full physics, is labelled, and spans what DESI has seen."""
 
+import asyncio
 import csv
 import gzip
 from itertools import pairwise
@@ -7,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fiberloom.twin import AilmentKind, AilmentModel, Twin, Years, bench_units, draw_ailments
-from fiberloom.twin.ailments import KINDS, NEVER, excess_torque_Nm
+from fiberloom.bus import Client
+from fiberloom.twin import AilmentKind, AilmentModel, Twin, TwinTransport, Years, bench_units, draw_ailments
+from fiberloom.twin.ailments import HALL_STALLS, KINDS, NEVER, excess_torque_Nm
 from fiberloom.twin.noise import UnitNoise
 
 PLANE, UNITS = bench_units("sdssv", 6, range(16))
@@ -125,6 +127,36 @@ def test_dark():
     assert np.isfinite(ill[4].measured_mm).all()
     assert np.isnan(ill[5].measured_mm).all()
     assert np.isfinite(ill[5].true_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "moves"),
+    [("coulomb_gear", 1.4, True), ("coulomb_gear", 3.0, False),
+     ("hall_amplitude_b", 0.995, True), ("hall_amplitude_b", 0.5, False)],
+)  # fmt: skip
+def test_stalls_are_those_of_firmware_and_physics(name, factor, moves):
+    """On either side of where both draw the line; between, units differ and so do versions of firmware."""
+    plane, units = bench_units("sdssv", 6, range(6))
+    units.plant[name][:, 0] *= factor
+    if name == "coulomb_gear":
+        units.plant["viscous_gear"][:, 0] *= factor
+    twin = Twin(plane, units, threads=1, neighbours=False, start_deg=(100.0, 90.0))
+    client = Client(TwinTransport(twin))
+
+    async def run():
+        ids = await client.discover()
+        await client.set_speed(ids, 2000.0, 2000.0)
+        await client.goto(ids, 108.0, 92.0)
+        return await client.wait_until_done(ids, timeout_s=20.0, stop_on_collision=False)
+
+    asyncio.run(run())
+    went = np.abs(twin.truth()[:, 0] - 108.0) < 1.0
+    assert went.all() if moves else not went.any(), twin.truth()[:, 0]
+    ailing = draw_ailments(units, 1, AilmentModel(rate_per_year=0.0))
+    if name == "coulomb_gear":
+        assert (not ailing.stalled_at(units, 0).any()) == moves
+    else:
+        assert (factor > HALL_STALLS) == moves
 
 
 def test_years_do_not_depend_on_company():

@@ -1,5 +1,6 @@
 """What an NT 420 says to a host: lines, ports, filters, and the wire behind them."""
 
+import random
 import re
 from itertools import pairwise
 
@@ -197,3 +198,43 @@ def test_on_a_cut_wire_frames_leave_the_queue_one_in_10_ms_and_arrive_nowhere():
     assert wire.overflows == 0
     assert wire.queued(10.5 * DEAD_FRAME_S) == 39
     assert wire.carry(8, 0.0) is None
+
+
+GOOD_LINES = (
+    b"CAN 1 START\n",
+    b"M 1 CED 00040C10 01 02\n",
+    b"CAN 3 FILTER ADD EXT 10003344 1F00FFFF\n",
+    b"DEV IDENTIFY\r\n",
+    b"CAN 2 INIT STD 1000\n",
+    b"CAN 4 STATUS\r",
+    b"M 4 CED 1FFFFFFF 00 11 22 33 44 55 66 77\n",
+)
+
+
+def mutated(rng, line):
+    """A good line with some bytes changed, doubled, lost or put in."""
+    line = bytearray(line)
+    for _ in range(rng.randrange(5)):
+        at = rng.randrange(len(line) + 1)
+        match rng.randrange(4):
+            case 0:
+                line[at:at] = bytes([rng.randrange(256)])
+            case 1:
+                del line[at : at + rng.randrange(4)]
+            case 2:
+                line[at : at + 1] = bytes([rng.randrange(256)])
+            case _:
+                line[at:at] = rng.choice(GOOD_LINES)[: rng.randrange(20)]
+    return bytes(line)
+
+
+def test_twenty_thousand_mutated_lines():
+    rng, talk = random.Random(0), Talk()
+    talk.open()
+    for _ in range(20_000):
+        talk.device.take(mutated(rng, rng.choice(GOOD_LINES)))
+    assert all(ANSWER.fullmatch(said) for said in talk.said)
+    assert all(0 <= frame.id < 1 << 29 and len(frame.data) <= 8 for _, frame in talk.frames)
+    assert len(talk.frames) > 1000  # they do not all end at the first letter
+    talk.device.take(b"\n")
+    assert talk.ask("DEV VERSION") == ["R V6.00.04"]

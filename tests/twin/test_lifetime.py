@@ -145,6 +145,20 @@ def test_the_command(tmp_path):
         assert key in results[0]
 
 
+def test_faults_of_the_first_units_begin_half_way():
+    """A broken tooth spoils the first map and not what learns; who is dark drops out."""
+    rows = lifetime(range(3), 7, replace(SMALL, faults="broken_tooth=1,dark=1"))
+    um = {way: rows["true_um"][:, i] for i, way in enumerate(WAYS)}
+    cycles = SMALL.simulated  # 1, 34, 67, 100
+    assert np.isnan(um["fixed"][1]).tolist() == (cycles >= 50).tolist()
+    assert np.isfinite(um["fixed"][[0, 2]]).all()
+    assert (um["fixed"][0, 2:] > 1.25 * um["fixed"][0, 0]).all()
+    # so few targets have hit the tooth that the maps have only begun to follow
+    assert um["recalibrated"][0, 3] < um["adaptive"][0, 3] < 0.9 * um["fixed"][0, 3]
+    with pytest.raises(Exception, match="--faults broken_teeth=1: write KIND=COUNT"):
+        lifetime(range(1), 7, replace(SMALL, faults="broken_teeth=1"))
+
+
 def test_settings_are_checked():
     with pytest.raises(Exception, match="approaches = 0"):
         replace(SMALL, approaches=0)

@@ -202,8 +202,9 @@ class Frame {
     // and a spot that a cosmic ray hits is, but for the pixels of the ray. A poor profile must not judge
     // strictly.
     bool has_the_shape(const Fit &f, double sigma) const {
-        // in a frame that has no spot to measure a profile on, nothing is likely to be one
-        if (!profile_.measured() && f.chi2 > poor_chi2) return false;
+        // in a frame that has no spot to measure a profile on, nothing is likely to be one; but where all are
+        // saturated they are not kept from the user
+        if (!profile_.measured() && f.chi2 > poor_chi2) return f.saturated;
         const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
         const double thrown_out = doubt_chi2 * std::max(f.left_out - forgiven_pixels, 0.0);
         const double allowed = most_unexplained + 10 * profile_.misfit * profile_.misfit;
@@ -250,7 +251,9 @@ class Frame {
     Spot spot(const Fit &f, bool in_blend) const {
         Spot s;
         s.x_px = f.x, s.y_px = f.y;
-        s.var_x_px2 = f.var_x, s.cov_xy_px2 = f.cov_xy, s.var_y_px2 = f.var_y;
+        // a guessed profile is wrong by what its residuals say
+        const double doubt = profile_.measured() ? 1.0 : std::max(f.chi2, 1.0);
+        s.var_x_px2 = doubt * f.var_x, s.cov_xy_px2 = doubt * f.cov_xy, s.var_y_px2 = doubt * f.var_y;
         s.flux_adu = f.flux, s.flux_err_adu = std::sqrt(f.var_flux);
         s.background_adu = background_.level_at(f.x, f.y) + f.background;
         s.chi2 = f.chi2;

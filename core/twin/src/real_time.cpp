@@ -2,14 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <pthread.h>
+#include <sched.h>
 #include <unistd.h>
 #include <utility>
 
 namespace fl::twin {
 namespace {
 
-constexpr double patience_s = 1.0;           // further behind than this, time is given up
-constexpr std::chrono::milliseconds nap{50}; // while everybody rests
+constexpr double patience_s = 1.0;                // further behind than this, time is given up
+constexpr std::chrono::milliseconds nap_time{50}; // while everybody rests
 constexpr uint64_t most_ticks = std::max<uint64_t>(4, sync_ticks); // of one go, when behind
 
 } // namespace
@@ -34,8 +36,8 @@ double Lateness::quantile_s(double share) const {
 
 RealTime::RealTime(Twin &twin, double speed, int wake_fd)
     : twin_(twin), tick_(tick_s / speed), wake_fd_(wake_fd) {
-    start_ =
-        Clock::now() - std::chrono::duration_cast<Clock::duration>(static_cast<double>(twin.tick()) * tick_);
+    const auto past = static_cast<double>(twin.tick()) * tick_;
+    start_ = Clock::now() - std::chrono::duration_cast<Clock::duration>(past);
     thread_ = std::thread([this] { loop(); });
 }
 
@@ -51,27 +53,45 @@ void RealTime::stop() {
 }
 
 RealTime::Clock::time_point RealTime::due(uint64_t tick) const {
-    return start_ + std::chrono::duration_cast<Clock::duration>(static_cast<double>(tick) * tick_);
+    return start_.load() + std::chrono::duration_cast<Clock::duration>(static_cast<double>(tick) * tick_);
 }
 
-double RealTime::tick_now() const {
-    const std::lock_guard lock(mutex_);
-    return std::chrono::duration<double>(Clock::now() - start_) / tick_;
-}
+double RealTime::tick_now() const { return (Clock::now() - start_.load()) / tick_; }
 
-// Ticks that have begun by the wall clock and are not computed.
+// By the wall clock: also the number of the tick that begins next.
+uint64_t RealTime::ticks_begun() const { return static_cast<uint64_t>(std::max(tick_now(), 0.0)) + 1; }
+
+// Ticks that have begun and are not computed.
 uint64_t RealTime::ticks_due() const {
-    const double begun = std::floor(std::chrono::duration<double>(Clock::now() - start_) / tick_) + 1.0;
-    const double left = begun - static_cast<double>(twin_.tick());
-    return left > 0.0 ? static_cast<uint64_t>(left) : 0;
+    const uint64_t begun = ticks_begun();
+    return begun > twin_.tick() ? begun - twin_.tick() : 0;
+}
+
+// Of so many ticks, those in which nothing happens.
+uint64_t RealTime::idle_ticks(uint64_t ticks) const {
+    if (!twin_.resting()) return 0;
+    if (agenda_.empty()) return ticks;
+    const uint64_t first = agenda_.top().errand.tick;
+    return first > twin_.tick() ? std::min(ticks, first - twin_.tick()) : 0;
 }
 
 void RealTime::post(const std::vector<Errand> &errands) {
     {
         const std::lock_guard lock(mutex_);
-        for (const Errand &errand : errands) inbox_.push({errand, posted_++});
+        const uint64_t next = ticks_begun();
+        for (Errand errand : errands) {
+            errand.tick = std::max(errand.tick, next);
+            inbox_.push_back({errand, posted_++});
+        }
     }
     change_.notify_all();
+}
+
+bool RealTime::go_first() {
+    sched_param low{};
+    low.sched_priority =
+        sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
+    return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &low) == 0;
 }
 
 std::vector<Reply> RealTime::take() {
@@ -81,13 +101,14 @@ std::vector<Reply> RealTime::take() {
 
 Pace RealTime::pace() const {
     const std::lock_guard lock(mutex_);
-    return pace_;
+    return published_;
 }
 
 void RealTime::hold() {
     std::unique_lock lock(mutex_);
     ++holders_;
-    change_.wait(lock, [this] { return !computing_; });
+    change_.notify_all();
+    change_.wait(lock, [this] { return parked_ || stop_; });
 }
 
 void RealTime::release() {
@@ -98,77 +119,79 @@ void RealTime::release() {
     change_.notify_all();
 }
 
-void RealTime::wake_taker() {
+// What has been posted comes in, what was sent goes out.
+void RealTime::exchange(std::unique_lock<std::mutex> lock) {
+    if (!lock.owns_lock()) return; // next time
+    for (const Posted &posted : inbox_) agenda_.push(posted);
+    inbox_.clear();
+    outbox_.insert(outbox_.end(), sent_.begin(), sent_.end());
+    const bool news = !sent_.empty();
+    sent_.clear();
+    published_ = pace_;
+    lock.unlock();
     const char byte = 0;
     // a full pipe has woken the taker already
-    if (wake_fd_ >= 0 && write(wake_fd_, &byte, 1) < 0) return;
+    if (news && wake_fd_ >= 0 && write(wake_fd_, &byte, 1) < 0) return;
 }
 
 void RealTime::deliver() {
-    while (!inbox_.empty() && inbox_.top().errand.tick <= twin_.tick()) {
-        twin_.send(inbox_.top().errand.frame, inbox_.top().errand.bus);
-        inbox_.pop();
+    while (!agenda_.empty() && agenda_.top().errand.tick <= twin_.tick()) {
+        twin_.send(agenda_.top().errand.frame, agenda_.top().errand.bus);
+        agenda_.pop();
     }
 }
 
 // A machine that slept or was taken away for long: nobody wants that time played fast forward.
-void RealTime::catch_up_or_give_up() {
+void RealTime::give_up() {
     const std::chrono::duration<double> behind = Clock::now() - due(twin_.tick());
     if (behind.count() <= patience_s) return;
     pace_.given_up_s += behind.count();
-    start_ += std::chrono::duration_cast<Clock::duration>(behind);
+    start_ = start_.load() + std::chrono::duration_cast<Clock::duration>(behind);
 }
 
-void RealTime::compute(std::unique_lock<std::mutex> &lock, uint64_t ticks) {
+void RealTime::compute(uint64_t ticks) {
     const uint64_t first = twin_.tick();
     const bool awake = !twin_.resting();
-    computing_ = true;
-    lock.unlock();
-    std::vector<Reply> replies = twin_.run(ticks);
+    const std::vector<Reply> replies = twin_.run(ticks);
     const Clock::time_point end = Clock::now();
-    lock.lock();
-    computing_ = false;
-    if (holders_ > 0) change_.notify_all();
     if (!awake) pace_.resting += ticks;
     for (uint64_t tick = first; awake && tick < first + ticks; ++tick)
         pace_.busy.note(std::chrono::duration<double>(end - due(tick)).count(), end <= due(tick + 1));
-    if (replies.empty()) return;
-    outbox_.insert(outbox_.end(), replies.begin(), replies.end());
-    wake_taker();
+    sent_.insert(sent_.end(), replies.begin(), replies.end());
 }
 
-// True when nobody moved and nothing came: time is made up for without computing it.
-bool RealTime::rest(std::unique_lock<std::mutex> &lock) {
-    if (!twin_.resting()) return false;
-    const auto something = [this] { return stop_ || holders_ > 0 || !inbox_.empty(); };
-    return !change_.wait_for(lock, nap, something);
+// While nothing moves and nothing comes there is no need to look at the clock.
+void RealTime::nap() {
+    std::unique_lock lock(mutex_);
+    change_.wait_for(lock, nap_time, [this] { return called() || !inbox_.empty(); });
+}
+
+// Others touch the twin.
+void RealTime::park() {
+    std::unique_lock lock(mutex_);
+    parked_ = true;
+    change_.notify_all();
+    change_.wait(lock, [this] { return stop_ || holders_ == 0; });
+    parked_ = false;
 }
 
 void RealTime::loop() {
-    std::unique_lock lock(mutex_);
     while (!stop_) {
-        change_.wait(lock, [this] { return stop_ || holders_ == 0; });
-        rest(lock);
-        if (stop_ || holders_ > 0) continue;
-        catch_up_or_give_up();
-        const bool resting = twin_.resting();
-        uint64_t ticks = ticks_due();
+        if (holders_ > 0) park();
+        exchange(std::unique_lock(mutex_, std::try_to_lock));
+        if (agenda_.empty() && sent_.empty() && twin_.resting()) nap();
+        if (called()) continue;
+        exchange(std::unique_lock(mutex_, std::try_to_lock));
+        give_up();
+        const uint64_t ticks = ticks_due(), idle = idle_ticks(ticks);
         if (ticks == 0) {
-            const Clock::time_point next = due(twin_.tick());
-            lock.unlock();
-            std::this_thread::sleep_until(next);
-            lock.lock();
+            std::this_thread::sleep_until(due(twin_.tick()));
             continue;
         }
-        // while everybody rests, up to the present at once: what came, came now
-        if (resting && ticks > 1) {
-            compute(lock, ticks - 1);
-            if (holders_ > 0) continue;
-            ticks = 1;
-        }
-        deliver();
-        compute(lock, std::min(ticks, inbox_.empty() ? most_ticks : 1));
+        if (idle == 0) deliver();
+        compute(idle > 0 ? idle : std::min(ticks, agenda_.empty() ? most_ticks : 1));
     }
+    exchange(std::unique_lock(mutex_));
 }
 
 } // namespace fl::twin

@@ -64,7 +64,13 @@ struct Twin::State {
     void publish(size_t i);
     void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
     bool anybody_awake() const;
-    uint64_t ticks_to_sync() const { return feel ? sync_ticks - now % sync_ticks : lone_ticks; }
+    // Forces between arms that touch follow every tick; who might touch is looked at every 2 ms.
+    bool at_sync() const { return touching || now % sync_ticks == 0; }
+    uint64_t ticks_to_sync() const {
+        if (!feel) return lone_ticks;
+        return touching ? 1 : sync_ticks - now % sync_ticks;
+    }
+    bool anybody_touches() const;
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -80,6 +86,7 @@ struct Twin::State {
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
+    bool touching = false; // somebody, at the last sync point
     uint64_t now = 0;
     uint64_t slice = 0; // ticks of the slice that runs
     bool quiet = false; // a sync point has passed with everybody asleep: time alone goes on
@@ -124,7 +131,7 @@ void Twin::State::boot(const TwinSetup &s) {
 // One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
     const size_t first = group * squad_size, last = std::min(first + squad_size, count);
-    if (feel && now % sync_ticks == 0)
+    if (feel && at_sync())
         for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
     Squad &squad = squads[group];
     if (!squad.muster()) return;
@@ -180,11 +187,17 @@ bool Twin::State::anybody_awake() const {
                        [](const Positioner &p) { return !p.asleep(); });
 }
 
+bool Twin::State::anybody_touches() const {
+    return std::any_of(&positioners[0], &positioners[0] + count,
+                       [](const Positioner &p) { return !p.contacts.empty(); });
+}
+
 void Twin::State::run_slice(uint64_t ticks) {
     slice = ticks;
     workers.run();
     now += ticks;
-    if (now % sync_ticks == 0) seen = next;
+    touching = feel && anybody_touches();
+    if (at_sync()) seen = next;
 }
 
 std::vector<Reply> Twin::State::collect() {
@@ -228,7 +241,7 @@ void Twin::connect(size_t i, int bus) { s_->at(i).bus = bus; }
 std::vector<Reply> Twin::run(uint64_t ticks) {
     const uint64_t end = s_->now + ticks;
     while (s_->now < end) {
-        const bool resting = !s_->anybody_awake(), at_sync = !s_->feel || s_->now % sync_ticks == 0;
+        const bool resting = !s_->anybody_awake(), at_sync = !s_->feel || s_->at_sync();
         if (resting && s_->quiet) {
             s_->now = end;
             break;

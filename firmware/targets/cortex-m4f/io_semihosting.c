@@ -79,3 +79,26 @@ void io_write(const char *text) {
 }
 
 uint32_t io_clock(void) { return IO_CLOCK_MASK - SYSTICK_VALUE; }
+
+enum { MARKED_WORDS = 1024 }; /* more than the firmware ever takes */
+#define MARK 0xa5a5a5a5u
+
+static inline uint32_t *stack_pointer(void) {
+    uint32_t *sp;
+    __asm__ volatile("mov %0, sp" : "=r"(sp));
+    return sp;
+}
+
+static uint32_t *marked;
+
+/* Not inlined: both look from a caller's frame that is the same. */
+__attribute__((noinline)) void io_stack_mark(void) {
+    marked = stack_pointer();
+    for (int i = 1; i <= MARKED_WORDS; ++i) *(volatile uint32_t *)(marked - i) = MARK;
+}
+
+__attribute__((noinline)) uint32_t io_stack_used(void) {
+    int free = 0;
+    while (free < MARKED_WORDS && *(volatile uint32_t *)(marked - MARKED_WORDS + free) == MARK) ++free;
+    return (uint32_t)(MARKED_WORDS - free) * (uint32_t)sizeof *marked;
+}

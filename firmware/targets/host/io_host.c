@@ -18,3 +18,7 @@ void io_write(const char *text) {
 }
 
 uint32_t io_clock(void) { return 0; }
+
+void io_stack_mark(void) {}
+
+uint32_t io_stack_used(void) { return 0; }

@@ -21,6 +21,11 @@ uint32_t io_clock(void);
 /* How many instructions a count is; 0 where they are not counted. */
 extern const uint32_t io_instructions_per_count;
 
+/* How deep a call goes: marks the free stack, then tells how many bytes of it are no longer as marked. 0
+ * where nobody looks. */
+void io_stack_mark(void);
+uint32_t io_stack_used(void);
+
 #ifdef __cplusplus
 }
 #endif

@@ -16,7 +16,8 @@
 //   block AXIS 0|1             holds the rotor
 //   boot                       into the bootloader
 //   look                       the truth, and what the firmware makes of it
-//   cost                       instructions in ticks, frames and power-up since the last time
+//   deep 0|1                   whether cost looks at the stack, too
+//   cost                       instructions in ticks, frames and power-up since the last time, bytes of stack
 #include <cctype>
 #include <cstdio>
 #include <cstdlib>
@@ -197,10 +198,16 @@ const char *do_look(Session &s, const char *) {
 void tell_cost(const char *name, Cost &c) {
     const unsigned long per_count = io_instructions_per_count;
     char line[96];
-    std::snprintf(line, sizeof line, "cost %s %lu %llu %lu\n", name, static_cast<unsigned long>(c.calls),
-                  static_cast<unsigned long long>(c.sum * per_count), c.most * per_count);
+    std::snprintf(line, sizeof line, "cost %s %lu %llu %lu %lu\n", name, static_cast<unsigned long>(c.calls),
+                  static_cast<unsigned long long>(c.sum * per_count), c.most * per_count,
+                  static_cast<unsigned long>(c.deepest));
     io_write(line);
     c = Cost{};
+}
+
+const char *do_deep(Session &s, const char *at) {
+    s.rig->look_deep = number(at, 10) != 0;
+    return nullptr;
 }
 
 const char *do_cost(Session &s, const char *) {
@@ -222,6 +229,7 @@ const Verb verbs[] = {
     {"send", do_send, true},    {"run", do_run, true},      {"rest", do_rest, true},
     {"power", do_power, true},  {"cut", do_cut, true},      {"block", do_block, true},
     {"boot", do_boot, true},    {"look", do_look, true},    {"cost", do_cost, true},
+    {"deep", do_deep, true},
 };
 
 const char *obey(Session &s, const char *line) {

@@ -15,13 +15,15 @@ twin::Plant plant_of(const Setup &s) {
                        s.seed);
 }
 
-template <class F> void timed(Cost &cost, F &&call) {
+} // namespace
+
+template <class F> void Rig::timed(Cost &cost, F &&call) {
+    if (look_deep) io_stack_mark();
     const uint32_t before = io_clock();
     call();
     cost.add((io_clock() - before) & IO_CLOCK_MASK);
+    if (look_deep) cost.deepest = std::max(cost.deepest, io_stack_used());
 }
-
-} // namespace
 
 void Cost::add(uint32_t counts) {
     ++calls;

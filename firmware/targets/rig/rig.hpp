@@ -28,9 +28,9 @@ struct Setup {
     uint64_t seed = 0;
 };
 
-// Counts of io_clock spent in the firmware, since they were last taken.
+// Counts of io_clock spent in the firmware, and how deep it went, since they were last taken.
 struct Cost {
-    uint32_t calls = 0, most = 0;
+    uint32_t calls = 0, most = 0, deepest = 0;
     uint64_t sum = 0;
     void add(uint32_t counts);
 };
@@ -54,12 +54,14 @@ class Rig {
     uint32_t digest() const { return digest_; } // of every hall count and duty of every tick so far
     int64_t write_budget = -1;                  // bytes until the power fails inside a write; -1: never
     Cost tick_cost, frame_cost, boot_cost;
+    bool look_deep = false; // also how much stack the firmware takes: slow
 
     // what the firmware has sent and nobody has taken yet
     fl_can_frame_t sent[mailbox_frames];
     uint32_t sent_count = 0;
 
   private:
+    template <class F> void timed(Cost &cost, F &&call);
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);

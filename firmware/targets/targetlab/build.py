@@ -102,14 +102,29 @@ def rig_command(target: str) -> list[str]:
     return ["qemu-system-arm", *options, *semihosting, "-kernel", str(programs / "rig.elf")]
 
 
+INSTALL_LIMIT_S = 900.0
+
+
+def _apt(*arguments: str) -> bool:
+    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    try:
+        done = subprocess.run(
+            ["apt-get", *arguments],
+            env=environment,
+            capture_output=True,
+            timeout=INSTALL_LIMIT_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0
+
+
 def install() -> bool:
     """Tries to install what is missing, as root, quietly; whether nothing is missing now."""
     missing = missing_packages()
     if missing and os.geteuid() == 0 and shutil.which("apt-get"):
-        command = ["apt-get", "install", "--yes", "--quiet", "--no-install-recommends", *missing]
-        environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-        for step in (command, ["apt-get", "update", "--quiet"], command):
-            done = subprocess.run(step, env=environment, capture_output=True, check=False)
-            if done.returncode == 0 and step is command:
-                break
+        command = ("install", "--yes", "--quiet", "--no-install-recommends", *missing)
+        if not _apt(*command) and _apt("update", "--quiet"):
+            _apt(*command)
     return not missing_packages()

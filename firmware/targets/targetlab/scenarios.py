@@ -293,6 +293,41 @@ def collision(unit: Unit) -> None:
     assert has(unit, COMPLETED)
 
 
+@scenario
+def arm_against_a_stop(unit: Unit) -> None:
+    """The arm runs into its hard stop at 2000 rpm: the gear winds up, the load is seen, both axes stop."""
+    units = drawn()
+    stop_rad = np.deg2rad(48.0)
+    units.plant[0, 0]["stop_max"] = stop_rad
+    unit.begin(units, (40.0, 90.0))
+    accepted(unit, 30, pair(60.0, 70.0))
+    unit.rest()
+    assert len(unit.unsolicited) == 1
+    assert has(unit, COLLISION_ALPHA | COMPLETED)
+    truth = unit.look()
+    # the arm stands at the stop, wound up by less than a motor turn (0.35 deg)
+    assert abs(np.rad2deg(truth.output_rad[0]) - 48.0) < 0.1
+    assert abs(truth.position_deg(0) - 48.0) < 1.0  # the gear is not linear
+    assert truth.position_deg(1) > 71.0
+
+
+@scenario
+def bench_trace(unit: Unit) -> None:
+    """240 to 246: what a bench records of a move and of a torque step."""
+    known_unit(unit)
+    accepted(unit, 240, struct.pack("<H", 8))
+    accepted(unit, 31, pair(1.0, -1.0))
+    unit.rest()
+    accepted(unit, 245, struct.pack("<hhHH", 20000, -20000, 60, 60))
+    unit.rest()
+    for command in (241, 242):
+        count = struct.unpack("<H", unit.ask(command)[1][:2])[0]
+        assert count > 50
+        for index in range(0, count, 10):
+            accepted(unit, command + 2, struct.pack("<H", index))
+    assert has(unit, COMPLETED)
+
+
 # -- frames ------------------------------------------------------------------------------------------
 
 
@@ -350,6 +385,37 @@ def firmware_upgrade(unit: Unit) -> None:
     accepted(unit, 31, pair(0.1, 0.1))
     unit.rest()
     assert has(unit, COMPLETED)
+
+
+# -- more for the report: what may take long in a tick ------------------------------------------------
+
+
+def short_moves(unit: Unit) -> None:
+    """Go-to and precise moves of a hundredth to a few degrees, both axes at once."""
+    known_unit(unit)
+    rng = np.random.default_rng(8)
+    unit.cost()
+    for k in range(24):
+        for command in (128, 130) if k % 3 == 0 else (129, 131):
+            accepted(unit, command)
+        size = 10.0 ** rng.uniform(-2.0, 0.3)
+        accepted(unit, 30, pair(*(np.array([40.0, 90.0]) + size * rng.uniform(-1.0, 1.0, 2))))
+        unit.rest()
+    assert not unit.unsolicited
+
+
+def open_loop(unit: Unit) -> None:
+    """The same with a rotating field."""
+    known_unit(unit)
+    accepted(unit, 120)
+    accepted(unit, 124)
+    accepted(unit, 40, u32(400, 400))
+    accepted(unit, 30, pair(41.0, 89.0))
+    unit.rest()
+    arrived(unit, (41.0, 89.0), 30 * MOTOR_DEG)
+
+
+MORE: dict[str, Callable[[Unit], None]] = {"short_moves": short_moves, "open_loop": open_loop}
 
 
 def run(name: str, command: list[str]) -> list[str]:

@@ -52,11 +52,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class Cost:
-    """Instructions: calls, mean and most of one call (the latter as counted: within 40)."""
+    """Instructions: calls, mean and most of one call (the latter as counted: within 40); bytes of stack."""
 
     calls: int
     mean: float
     most: int
+    deepest: int
 
 
 def _double(bits: str) -> float:
@@ -76,6 +77,7 @@ class Unit:
         self._uid = 0
         self.said: list[str] = []
         self.unsolicited: list[int] = []
+        self.look_deep = False
 
     def close(self) -> None:
         """Ends the rig; a rig that ends badly is an error."""
@@ -145,6 +147,8 @@ class Unit:
         for k in range(0, len(lines), 64):
             self.tell(*lines[k : k + 64])
         self.tell(f"begin {SEED}")
+        if self.look_deep:
+            self.tell("deep 1", keep=False)
         if known:
             self.tell("place")
 
@@ -169,8 +173,8 @@ class Unit:
         """Instructions in ticks, frames and power-up since the last time."""
         costs = {}
         for line in self.tell("cost", keep=False):
-            _, name, calls, total, most = line.split()
-            costs[name] = Cost(int(calls), int(total) / max(int(calls), 1), int(most))
+            _, name, calls, total, most, deepest = line.split()
+            costs[name] = Cost(int(calls), int(total) / max(int(calls), 1), int(most), int(deepest))
         return costs
 
     # -- the bus -------------------------------------------------------------------------------------

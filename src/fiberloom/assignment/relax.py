@@ -1,5 +1,7 @@
 """Configurations that somebody else has decided, and that stand nearer than our own buffer."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..instruments import FocalPlane
@@ -21,11 +23,10 @@ def assign_relaxed(plane: FocalPlane, targets: TargetList, *, seed: int = 0) -> 
     best = plane, assign(plane, targets, seed=seed)
     left = _left_out(best[1], targets)
     bodies = plane.instrument.bodies
-    for step in range(1, STEPS + 1):
-        if left == 0 or bodies.collision_shrink_mm == 0.0:
+    for nearer in relaxed_planes(plane):
+        if left == 0:
             break
-        buffer_mm = bodies.collision_buffer_mm - bodies.collision_shrink_mm * step / STEPS
-        nearer = plane.with_collision_buffer(buffer_mm)
+        buffer_mm = nearer.collision_buffer_mm
         tried = assign(nearer, targets, seed=seed)
         if _left_out(tried, targets) < left:
             best, left = (nearer, tried), _left_out(tried, targets)
@@ -34,6 +35,15 @@ def assign_relaxed(plane: FocalPlane, targets: TargetList, *, seed: int = 0) -> 
                 "the demanded configuration stands so near"
             )
     return best
+
+
+def relaxed_planes(plane: FocalPlane) -> Iterator[FocalPlane]:
+    """The plane with ever smaller buffers, as far as the instrument allows."""
+    bodies = plane.instrument.bodies
+    steps = STEPS if bodies.collision_shrink_mm > 0.0 else 0
+    for step in range(1, steps + 1):
+        shrink_mm = bodies.collision_shrink_mm * step / STEPS
+        yield plane.with_collision_buffer(bodies.collision_buffer_mm - shrink_mm)
 
 
 def _left_out(assignment: Assignment, targets: TargetList) -> int:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom import units
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Results
+from fiberloom.bus.protocol import Command
 from fiberloom.bus.trace import Trace, push, read_trace, start_trace
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -25,6 +26,8 @@ Progress = Callable[[int, int], None]
 
 APPROACH_DEG = 840.0 / 1024.0
 """Larger than the largest backlash: the paper's 840 motor degrees, as wire position."""
+BENCH_MARGIN_DEG = 30
+"""Of the collision watch, motor degrees, where a motor runs for long or under a weight."""
 _POLL_S = 0.02
 
 
@@ -86,6 +89,11 @@ class Operator:
         """No approach of their own, and one speed for all."""
         self._book(await self.client.set_precise_moves(self.ids, on=False))
         await self.speed(rpm, rpm)
+
+    async def margin(self, motor_deg: int) -> None:
+        """Widens what counts as a collision: 0 as in operation. Nobody is in the way on a bench, and
+        loads that are put on for measurement must not be taken for somebody."""
+        self._book(await self.client.command(Command.SET_INCREASE_COLLISION_MARGIN, self.ids, motor_deg))
 
     async def speed(self, alpha_rpm: float, beta_rpm: float) -> None:
         """Of the moves from now on."""

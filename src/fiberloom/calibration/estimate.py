@@ -52,8 +52,10 @@ class Estimate:
 
     def interval(self, level: float = 0.95) -> tuple[Floats, Floats]:
         """Confidence interval of each positioner (Student's t; Welch's rule with a systematic part)."""
-        scatter2 = np.maximum(self.standard_error**2 - np.square(self.systematic), 1e-300)
-        freedom = np.maximum(np.asarray(self.freedom) * (self.standard_error**2 / scatter2) ** 2, 1.0)
+        whole2 = self.standard_error**2
+        scatter2 = np.maximum(whole2 - np.square(self.systematic), 1e-6 * whole2)
+        share2 = np.divide(whole2, scatter2, out=np.ones_like(whole2), where=scatter2 > 0.0)
+        freedom = np.maximum(np.asarray(self.freedom) * share2**2, 1.0)
         half = stats.t.ppf(0.5 + 0.5 * level, freedom) * self.standard_error
         return self.value - half, self.value + half
 

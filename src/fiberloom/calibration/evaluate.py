@@ -71,7 +71,8 @@ def evaluate(
     output = np.stack([_output_deg(plane, data, circles, rest, axis) for axis in range(2)], axis=1)
     good = np.flatnonzero([not r for r in reason])
     zero, layout_rms = np.zeros((plane.n, 2)), np.full(plane.n, np.nan)
-    zero[good], layout_rms[good] = _tie(plane, data, output, rest, circles, good)
+    if len(good):
+        zero[good], layout_rms[good] = _tie(plane, data, output, rest, circles, good)
     output += zero[:, :, None, None]
     reason = _first(reason, _not_rising(output, data.wire_deg))
     wire = np.broadcast_to(data.wire_deg[:, None], output.shape).copy()

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench import APPROACH_DEG, Operator, Progress, joined
+from fiberloom.calibration.bench import APPROACH_DEG, BENCH_MARGIN_DEG, Operator, Progress, joined
 from fiberloom.calibration.estimate import Estimate, Fit, estimate, least_squares, standard_errors
 from fiberloom.calibration.torque import (
     AT_SPEED,
@@ -45,8 +45,8 @@ deg) and how far a rotor may fall back without current (90)."""
 _LAG = 20
 """Windows over which residuals may go together: one motor turn of creep."""
 _ENOUGH = 60
-_PHASE_ERROR_RAD = 0.005
-"""Of the rotor's angle, twice: hall sensors calibrated to a few mrad."""
+_PHASE_ERROR_RAD = 0.002
+"""Of the rotor's angle, twice: hall sensors calibrated to a mrad."""
 
 
 @dataclass(frozen=True)
@@ -242,11 +242,13 @@ async def measure_friction(
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.n_angles + 2 * len(settings.run_rpm))
     await operator.prepare()
+    await operator.margin(BENCH_MARGIN_DEG)
     books = _Books()
     for place in _places(plane, settings.n_angles):
         await _creep(operator, settings, place, books)
     for rpm in settings.run_rpm:
         await _run(operator, settings, rpm, books)
+    await operator.margin(0)
     return books.data(0, operator.trouble, plane), books.data(1, operator.trouble, plane)
 
 

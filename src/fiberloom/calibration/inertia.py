@@ -184,6 +184,8 @@ def _rise(motor_deg: Floats, voltage: Floats, dt: float) -> tuple[Floats, float]
     on = np.flatnonzero(level > 0.0)
     step = int(on[np.argmax(np.diff(level[on], prepend=level[on[0]]))])
     last = int(on[-1])
+    if level[on].max() == level[on[0]]:
+        step = last  # no step at all: as fast before as at the end
     # speed over 2 ms: noise of the sensor 5 rpm
     speed = np.abs(motor_deg[4:] - motor_deg[:-4]) / (4.0 * dt * 6.0)
     before = float(speed[max(step - 14, 0) : max(step - 4, 1)].mean())

@@ -134,7 +134,7 @@ def _root(
     """A length from its square: what scatters makes roots too small by 1/8 of its relative variance."""
     square = np.maximum(square, 0.0)
     # at zero a root has no slope: there the error of the square itself, as a length
-    floor = np.maximum(square, error)
+    floor = np.maximum(np.maximum(square, error), 1e-300)
     value = np.sqrt(square) * (1.0 + 0.125 * (error / floor) ** 2)
     slope = 2.0 * np.sqrt(floor)
     return estimate(

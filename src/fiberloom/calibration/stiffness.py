@@ -79,11 +79,19 @@ def identify_stiffness(data: StiffnessData) -> Estimate:
 
 def turned_deg(data: StiffnessData) -> Floats:
     """(N, R) by how much the axis turned from -T to +T, each repeat."""
-    out = np.nanmean(data.xy_mm, axis=(1, 2)) - data.pivot_mm
-    along = out / np.linalg.norm(out, axis=1, keepdims=True)
+    out = _mean(data.xy_mm) - data.pivot_mm
+    along = out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     shift = data.xy_mm[:, :, 1] - data.xy_mm[:, :, 0]
     return np.rad2deg(np.einsum("nrc,nc->nr", shift, across) / data.lever_mm[:, None])
+
+
+def _mean(xy_mm: Floats) -> Floats:
+    """(N, 2) where the fibre stood on average; zero if it was never seen."""
+    seen = np.isfinite(xy_mm).all(axis=-1, keepdims=True)
+    total = np.where(seen, xy_mm, 0.0).sum(axis=(1, 2))
+    mean: Floats = total / np.maximum(seen.sum(axis=(1, 2)), 1)
+    return mean
 
 
 def _refusal(axis: str, count: int, mean_deg: float, error_deg: float) -> str:
@@ -113,10 +121,9 @@ async def measure_stiffness(
     alpha_deg = float(np.mean(plane.limits_deg[0]))
     await operator.approach(alpha_deg, _stretched_deg(plane))
     xy = [await _pairs(operator, bench, axis, settings) for axis in range(2)]
-    middle = np.nanmean(xy[0], axis=(1, 2)), np.nanmean(xy[1], axis=(1, 2))
     length = np.hypot(*plane.points[METROLOGY].T)
     centre = plane.centres_mm
-    levers = np.linalg.norm(middle[0] - centre, axis=1), length
+    levers = np.linalg.norm(_mean(xy[0]) - centre, axis=1), length
     pivots = centre, elbow_mm(plane, alpha_deg)
     data = [
         StiffnessData(axis, xy[axis], pivots[axis], levers[axis], settings.torque_mNm[axis], bench.tolerance,

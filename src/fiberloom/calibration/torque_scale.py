@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench import APPROACH_DEG, Bench, Operator, Progress, joined
+from fiberloom.calibration.bench import APPROACH_DEG, BENCH_MARGIN_DEG, Bench, Operator, Progress, joined
 from fiberloom.calibration.estimate import Estimate, estimate, least_squares, standard_errors
 from fiberloom.calibration.torque import AT_SPEED, AXES, TorqueScale, Windows, together, windows_of
 from fiberloom.instruments import FocalPlane
@@ -104,6 +104,7 @@ async def measure_torque_scale(
     operator = Operator(client, camera, plane, progress)
     operator.expect(4)
     await operator.prepare()
+    await operator.margin(BENCH_MARGIN_DEG)
     out = []
     for axis in range(2):
         segments, torques = [], []
@@ -116,6 +117,7 @@ async def measure_torque_scale(
             TorqueScaleData(axis, tuple(segments), tuple(torques), bench.tolerance, operator.trouble,
                             plane.instrument.alpha.gear)
         )  # fmt: skip
+    await operator.margin(0)
     return out[0], out[1]
 
 

@@ -45,6 +45,7 @@ from fiberloom.commands.bench import (
 )
 from fiberloom.commands.outputs import prepare_folder
 from fiberloom.commands.terminal import waiting
+from fiberloom.errors import InputError
 from fiberloom.report import identification as figures
 from fiberloom.tables import write_ecsv
 
@@ -67,7 +68,11 @@ def run_identification(name: str, request: BenchRequest, work: Work) -> tuple[di
     prepare_folder(request.out)
     with waiting(request.quiet) as wait:
         wait.say(f"measuring {name}")
-        rig, found = on_bench(request, lambda rig: work(rig, counting(wait.count)))
+        try:
+            rig, found = on_bench(request, lambda rig: work(rig, counting(wait.count)))
+        except InputError as error:
+            ids = ", ".join(map(str, request.plane.positioner_id[:3]))
+            raise InputError(f"calibrate {name}, positioner {ids}: {error}") from None
     content = results(request, rig, found.estimates)
     (request.out / f"{name}.json").write_text(json.dumps(content, indent=2) + "\n")
     head = {key: value for key, value in content.items() if key != "positioners"}

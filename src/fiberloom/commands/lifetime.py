@@ -18,7 +18,7 @@ from fiberloom.campaign import Campaign
 from fiberloom.commands.outputs import prepare_folder
 from fiberloom.commands.terminal import waiting
 from fiberloom.instruments import load_instrument
-from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime
+from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime, rms
 from fiberloom.twin.bench import bench_units
 from fiberloom.twin.lifetime import (
     DELTAS,
@@ -105,15 +105,15 @@ def _curves(request: LifetimeRequest, rows: dict[str, NDArray]) -> LifetimeCurve
     )
 
 
-def _rms(per_unit_um: Floats) -> list[float]:
+def _rms(per_unit_um: Floats) -> list[float | None]:
     """Over positioners, by cycle."""
-    return np.sqrt(np.mean(per_unit_um**2, axis=0)).round(4).tolist()
+    return [None if np.isnan(um) else round(float(um), 4) for um in rms(per_unit_um, axis=0)]
 
 
 def summarize(curves: LifetimeCurves) -> dict[str, float]:
     """Ratios of the blind errors, rms over the later half of the cycles."""
     late = slice(len(curves.cycles) // 2, None)
-    um = {way: float(np.sqrt(np.mean(e[:, late] ** 2))) for way, e in curves.blind_um.items()}
+    um = {way: float(rms(e[:, late])) for way, e in curves.blind_um.items()}
     change = curves.delta_deg["true"][:, -1:] - curves.delta_deg["true"][:, :1]
     arms_um = 1e3 * np.ptp(curves.arms_mm, axis=1)
     return {
@@ -137,7 +137,7 @@ def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any
     settings = request.settings
     by_way = {name: dict(zip(WAYS, np.swapaxes(rows[name], 0, 1), strict=True)) for name in
               ("measured_um", "true_um", "corrected_um")}  # fmt: skip
-    corrected = {w: _rms(e) for w, e in by_way["corrected_um"].items() if np.isfinite(e).all()}
+    corrected = {w: _rms(e) for w, e in by_way["corrected_um"].items() if np.isfinite(e).any()}
     few = slice(0, 8)
     return {
         "cycles": settings.simulated.tolist(),
@@ -147,6 +147,7 @@ def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any
         "moves_per_cycle": MOVES_PER_CYCLE,
         "moves_to_targets": settings.approaches * (1 + settings.corrections),
         "positioners": request.positioners,
+        "dropped_out": np.isnan(rows["true_um"][:, 0]).sum(axis=0).tolist(),
         "settings": asdict(settings),
         "put_in": {
             "wear": asdict(settings.wear),
@@ -179,10 +180,25 @@ def _write(path: Path, result: dict[str, Any]) -> None:
     os.replace(part, path)
 
 
+_HEADS = {
+    "linear": "linear",
+    "fixed": "fixed",
+    "adaptive_paper": "as printed",
+    "adaptive": "adaptive",
+    "recalibrated": "recalib.",
+    "recalibrated_fine": "recalib. 4x",
+}
+
+
+def _um(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
 def table(result: dict[str, Any]) -> list[dict[str, Any]]:
     """Blind errors at some cycles, for a terminal."""
     cycles = result["cycles"]
     shown = sorted({0, len(cycles) - 1, *(i for i, c in enumerate(cycles) if c in (2, 5, 10, 20, 50, 100))})
     return [
-        {"cycle": cycles[i]} | {f"{w} um": f"{result['blind_rms_um'][w][i]:.2f}" for w in WAYS} for i in shown
+        {"cycle": cycles[i]} | {head: _um(result["blind_rms_um"][w][i]) for w, head in _HEADS.items()}
+        for i in shown
     ]

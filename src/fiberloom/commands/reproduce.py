@@ -40,7 +40,7 @@ def run_reproduce(request: ReproduceRequest) -> list[dict[str, Any]]:
 
 
 def _print(console: Console, part: Part) -> None:
-    title = f"{part.heading}: {part.title} ({part.seconds:.1f} s)"
+    title = f"{part.heading}: {part.title} ({part.seconds:.1f} s, processor {part.cpu_s:.1f} s)"
     table = Table(box=box.SIMPLE, title=title, title_justify="left", title_style="bold")
     for name in ("quantity", "paper", "ours", "unit", "ratio", "kind"):
         table.add_column(name, justify="right" if name in ("paper", "ours", "ratio") else "left")
@@ -55,8 +55,8 @@ def _print(console: Console, part: Part) -> None:
 
 def _closing(parts: list[Part], out: Path) -> str:
     missed = sum(q.misses for part in parts for q in part.quantities)
-    seconds = sum(part.seconds for part in parts)
+    seconds, cpu_s = sum(part.seconds for part in parts), sum(part.cpu_s for part in parts)
     return (
-        f"{len(parts)} figures in {seconds:.0f} s; {missed} predictions miss by more than 25 % or a bound\n"
-        f"results in {out}/: report.html, results.json, results.md, figures/"
+        f"{len(parts)} figures in {seconds:.0f} s (processor {cpu_s:.0f} s); {missed} predictions miss by "
+        f"more than 25 % or a bound\nresults in {out}/: report.html, results.json, results.md, figures/"
     )

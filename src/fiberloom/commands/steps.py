@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from fiberloom.assignment import assign_relaxed
+from fiberloom.commands.health import stores_below
 from fiberloom.commands.outputs import marks, prepare_folder
-from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, instrument_names, load_instrument
 from fiberloom.planning import (
     Plan,
@@ -20,6 +20,7 @@ from fiberloom.planning import (
 )
 from fiberloom.store import Store
 from fiberloom.targets import read_targets
+from fiberloom.twin.hardware import missing_in_twin
 
 
 def assign_step(plane: FocalPlane, targets: Path, seed: int, out: Path) -> dict[str, Any]:
@@ -93,7 +94,8 @@ def instruments_step(name: str | None) -> Any:
             "pitch_mm": i.layout.pitch_mm,
             "motor": i.alpha.kind,
             "requirement_um": i.operation.requirement_um,
-            "description": i.description,
+            "images": "yes" if i.camera else "no",
+            "twin_drives_it": "yes" if not missing_in_twin(i) else "no",
         }
         for i in map(load_instrument, instrument_names())
     ]
@@ -101,13 +103,7 @@ def instruments_step(name: str | None) -> Any:
 
 def runs_step(where: str) -> list[dict[str, Any]]:
     """List the runs of a store, or of all stores below a folder."""
-    folder = Path(where)
-    stores: list[str | Path] = [where]
-    if "://" not in where and folder.is_dir():
-        stores = sorted(folder.rglob("*.sqlite"))
-    if not stores:
-        raise InputError(f"{where}: no store below this folder; `fiberloom observe` makes one")
-    return [row for store in stores for row in _runs_of(store)]
+    return [row for store in stores_below(where) for row in _runs_of(store)]
 
 
 def _runs_of(path: str | Path) -> list[dict[str, Any]]:

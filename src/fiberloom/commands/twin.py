@@ -12,7 +12,6 @@ from typing import Any
 
 import typer
 
-from fiberloom.commands.outputs import prepare_folder
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import Twin, draw_units
@@ -32,6 +31,7 @@ class ServeRequest:
     speed: float = 1.0
     neighbours: bool = True
     bootloader: bool = False
+    first: bool = False
     report_every_s: float = 0.0
     stop_after_s: float | None = None
     jaeger_config: Path | None = None
@@ -54,9 +54,11 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
         troubles=troubles,
         seed=request.seed,
         bootloader=request.bootloader,
+        first=request.first,
     )
     if request.jaeger_config is not None:
-        folder = prepare_folder(request.jaeger_config.resolve().parent)
+        folder = request.jaeger_config.resolve().parent
+        folder.mkdir(parents=True, exist_ok=True)
         request.jaeger_config.write_text(jaeger_config(addresses, folder))
     report = asyncio.run(_serve(server, request, len(plane), addresses))
     typer.echo(json.dumps(report, indent=2) if request.as_json else _text(report))

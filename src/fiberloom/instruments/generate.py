@@ -49,9 +49,8 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
     cameras around the field move out with it. The same seed gives the same plane.
     """
     layout = _grown(instrument.layout, n_positioners)
-    holes = hexagon(layout.rings)
-    xy = holes.xy_mm(layout.pitch_mm)
-    free = np.flatnonzero(~_is_fiducial(holes, layout))
+    sites = _sites(layout)
+    xy, free = sites.xy_mm, np.flatnonzero(~sites.fiducial)
     if len(free) < layout.n_positioners:
         raise InputError(
             f"{instrument.name}: layout.rings = {layout.rings} leaves {len(free)} holes "
@@ -63,10 +62,10 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
     plane = FocalPlane(
         instrument=instrument,
         positioner_id=np.arange(1, len(full) + 1),
-        hole=np.array(holes.names())[full],
+        hole=sites.name[full],
         arms=units[0],
         points=units[1],
-        fiducials=_fiducials(instrument, layout, xy[_is_fiducial(holes, layout)]),
+        fiducials=_fiducials(instrument, layout, sites),
         guide_cameras=guide_camera_capsules(instrument, layout),
         offline=np.zeros(len(full), dtype=bool),
         offline_position_deg=np.tile(instrument.positioner.park_deg, (len(full), 1)),
@@ -94,17 +93,58 @@ def _grown(layout: Layout, n_positioners: int | None) -> Layout:
         if n_positioners is not None and n_positioners < 1:
             raise InputError(f"n_positioners = {n_positioners}: must be at least 1")
         return layout
-    rings = layout.rings
-    while np.count_nonzero(~_is_fiducial(hexagon(rings), layout)) < n_positioners:
-        rings += 1
-    step = (rings - layout.rings) * layout.pitch_mm
-    update: dict[str, object] = {"rings": rings, "n_positioners": n_positioners}
+    wider = layout
+    while np.count_nonzero(~_sites(wider).fiducial) < n_positioners:
+        wider = _wider(wider)
+    step = (wider.rings - layout.rings) * layout.pitch_mm
+    update: dict[str, object] = {"n_positioners": n_positioners}
     if layout.outer_fiducial_radius_mm is not None:
         update["outer_fiducial_radius_mm"] = layout.outer_fiducial_radius_mm + step
     if (cameras := layout.guide_cameras) is not None:
         moved = {k: getattr(cameras, k) + step for k in ("face_distance_mm", "centre_distance_mm")}
         update["guide_cameras"] = cameras.model_copy(update=moved)
+    return wider.model_copy(update=update)
+
+
+def _wider(layout: Layout) -> Layout:
+    """One more ring of holes."""
+    update: dict[str, object] = {"rings": layout.rings + 1}
+    if layout.field_radius_mm is not None:
+        update["field_radius_mm"] = layout.field_radius_mm + layout.pitch_mm
     return layout.model_copy(update=update)
+
+
+@dataclass(frozen=True)
+class _Sites:
+    """Holes of the whole field."""
+
+    xy_mm: Floats
+    name: np.ndarray
+    fiducial: np.ndarray
+    """(n,) taken by a fiducial, not a positioner."""
+    turn_rad: Floats
+    """(n,) of the petal that the hole is in."""
+
+
+def _sites(layout: Layout) -> _Sites:
+    """The holes inside the field; with petals those of one wedge, about +x, turned round the field."""
+    holes = hexagon(layout.rings)
+    xy, names, fiducial = holes.xy_mm(layout.pitch_mm), np.array(holes.names()), _is_fiducial(holes, layout)
+    keep = np.ones(len(xy), dtype=bool)
+    if layout.field_radius_mm is not None:
+        keep &= np.hypot(*xy.T) <= layout.field_radius_mm
+    if layout.petals == 1:
+        return _Sites(xy[keep], names[keep], fiducial[keep], np.zeros(int(keep.sum())))
+    half = math.pi / layout.petals
+    to_edge = xy[:, 0] * math.sin(half) - np.abs(xy[:, 1]) * math.cos(half)
+    keep &= to_edge >= max(0.5 * layout.petal_gap_mm, 1e-9)
+    turns = 2.0 * half * np.arange(layout.petals)
+    return _Sites(
+        np.vstack([_turned(xy[keep, 0], xy[keep, 1], float(turn)) for turn in turns]),
+        np.array([f"P{k}{name}" for k in range(layout.petals) for name in names[keep]]),
+        np.tile(fiducial[keep], layout.petals),
+        np.repeat(turns, int(keep.sum())),
+    )
 
 
 def _is_fiducial(holes: Holes, layout: Layout) -> np.ndarray:
@@ -156,8 +196,8 @@ def spread(n: int, fraction: float) -> np.ndarray:
     return np.diff(steps) > 0
 
 
-def _turned(x: Floats, y: Floats, angle_rad: float) -> Floats:
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
+def _turned(x: Floats | float, y: Floats | float, angle_rad: Floats | float) -> Floats:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.column_stack([c * x - s * y, s * x + c * y])
 
 
@@ -170,9 +210,12 @@ def _sample(scatter: Scatter, n: int, rng: np.random.Generator) -> Floats:
     return scatter.mean + scatter.sd * ndtri(low + uniform * (high - low))
 
 
-def _fiducials(instrument: Instrument, layout: Layout, inner: Floats) -> Floats:
+def _fiducials(instrument: Instrument, layout: Layout, sites: _Sites) -> Floats:
+    """(M, 3): a row for every light, with the radius of the body round it."""
+    inner, turn = sites.xy_mm[sites.fiducial], sites.turn_rad[sites.fiducial]
+    lights = [inner + _turned(x, y, turn) for x, y in layout.fiducial_pinholes_mm]
     angle = deg_to_rad(np.array(layout.outer_fiducial_directions_deg, dtype=np.float64))
     radius = layout.outer_fiducial_radius_mm or 0.0
     outer = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    xy = np.vstack([inner, outer])
+    xy = np.vstack([np.stack(lights, axis=1).reshape(-1, 2), outer])
     return np.column_stack([xy, np.full(len(xy), instrument.bodies.fiducial_radius_mm)])

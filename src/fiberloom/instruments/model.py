@@ -161,6 +161,28 @@ class Metrology(Table):
     """Name of the point it sees."""
 
 
+class Camera(Table):
+    """What the host knows of the camera before it has seen an image; the rest it finds in images."""
+
+    width_px: Annotated[int, Field(ge=64)]
+    height_px: Annotated[int, Field(ge=64)]
+    scale_mm_px: Positive
+    """Focal-plane millimetres on a pixel, in the middle of the field."""
+    rotation_deg: Finite = 0.0
+    """Direction in the focal plane of the pixel x axis."""
+    flipped: bool = False
+    """True: y in the image runs against y in the focal plane, at rotation 0."""
+    field_radius_mm: Positive
+    """Of the disc on which the terms of the distortion are orthonormal."""
+    distortion_reach_mm: Positive = 3.0
+    """How far distortion bends the image across a part of the field, at most."""
+    fiducial_sigma_um: NotNegative = 0.0
+    """How well the fiducials' places are known, per coordinate; 0: better than the camera."""
+    turbulence: bool = False
+    """Is there air to be taken off by a Gaussian process?"""
+    exposure_s: Positive = 1.0
+
+
 class Operation(Table):
     """What counts as done, and how to get there."""
 
@@ -175,6 +197,29 @@ class Operation(Table):
     """Measured distance that ends the loop; the requirement when left out."""
     correction: Literal["plain", "filtered"] = "filtered"
     """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
+
+
+class Acceptance(Table):
+    """What a unit must show on a bench before it goes into the focal plane; None: not asked for."""
+
+    source: str = ""
+    """Who asks for it, and where."""
+    repeatability_um: Positive | None = None
+    """In x and y, rms, arm stretched."""
+    hysteresis_deg: Positive | None = None
+    """Between both contacts, largest: the backlash at the output."""
+    non_linearity_deg: Positive | None = None
+    """Largest deviation of an axis from its nominal ratio."""
+    non_linearity_slope: Positive | None = None
+    """Its largest change per angle, over steps of a turn / 183 (deg/deg)."""
+    arm_deviation_mm: Positive | None = None
+    """Of either arm from the nominal length."""
+    blind_error_um: Positive | None = None
+    """Largest distance from the target after a move without correction."""
+    moves: Annotated[int, Field(ge=1)] | None = None
+    """Until every target is within operation.requirement_um, the blind move counted."""
+    tilt_deg: Positive | None = None
+    """Of the fibre; a camera from above cannot see it."""
 
 
 class GuideCameras(Table):
@@ -205,6 +250,14 @@ class Layout(Table):
     outer_fiducial_radius_mm: Positive | None = None
     outer_fiducial_directions_deg: tuple[Finite, ...] = ()
     guide_cameras: GuideCameras | None = None
+    field_radius_mm: Positive | None = None
+    """There are no holes farther out; the whole hexagon when left out."""
+    petals: Annotated[int, Field(ge=1)] = 1
+    """Wedges of the field, each with the same holes, turned."""
+    petal_gap_mm: NotNegative = 0.0
+    """No hole is nearer to the edge of its petal than half of this."""
+    fiducial_pinholes_mm: tuple[Range, ...] = ((0.0, 0.0),)
+    """Lights of one fiducial about its place, in the frame of its petal."""
 
     @property
     def n_holes(self) -> int:
@@ -217,6 +270,8 @@ class Layout(Table):
             raise ValueError(
                 f"n_positioners {self.n_positioners}: {self.rings} rings have only {self.n_holes} holes"
             )
+        if not self.fiducial_pinholes_mm:
+            raise ValueError("fiducial_pinholes_mm: a fiducial needs at least one light")
         if self.fiducial_lattice == (0, 0):
             raise ValueError("fiducial_lattice [0, 0] is no step")
         if bool(self.outer_fiducial_directions_deg) != (self.outer_fiducial_radius_mm is not None):
@@ -255,13 +310,16 @@ class Instrument(Table):
     beta: Axis
     bodies: Bodies
     metrology: Metrology
+    camera: Camera | None = None
+    """Of the images; an instrument without this table is measured by a noise model alone."""
     operation: Operation
+    acceptance: Acceptance | None = None
     layout: Layout
     scatter: UnitScatter
     twin: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _camera(self) -> Self:
+    def _seen(self) -> Self:
         if self.metrology.present and self.metrology.sees not in self.positioner.points:
             raise ValueError(
                 f"metrology.sees = '{self.metrology.sees}': no such point in "
@@ -277,6 +335,8 @@ class Instrument(Table):
                 f"operation.corrections_max = {self.operation.corrections_max}: "
                 "corrections need a camera (metrology.present = true)"
             )
+        if self.camera is not None and not self.metrology.present:
+            raise ValueError("camera: there is none where metrology.present = false")
         return self
 
     @model_validator(mode="after")

@@ -4,6 +4,7 @@ from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.camera import Camera, Measurement
 from fiberloom.metrology.images import CameraImage, read_image, write_image
 from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
+from fiberloom.metrology.science import science_positions
 from fiberloom.metrology.spots import (
     Flag,
     Found,
@@ -42,6 +43,7 @@ __all__ = [
     "read_image",
     "read_spots",
     "remove_turbulence",
+    "science_positions",
     "write_image",
     "write_spots",
 ]

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
@@ -171,7 +173,11 @@ class _Hunt:
             raise AcquisitionError(f"{len(px)} spots in the image: no fiducials to be found")
         self.px, self.fiducials, self.geometry, self.s = px, fiducials, geometry, s
         self.tree = cKDTree(px)
-        self.candidates = self._candidates()
+        self.marks_mm, self.marks_px = self._marks()
+        if len(self.marks_px) < 4:
+            raise AcquisitionError(
+                f"{len(px)} spots in the image, but no groups of them that could be the fiducials' pinholes"
+            )
         self.help = np.zeros((0, 2))
         self.sigma_mm: ArrayLike = 0.0
         self.covariance_px2: ArrayLike | None = None
@@ -179,12 +185,13 @@ class _Hunt:
         self.field_radius_mm = float(np.hypot(*(fiducials - fiducials.mean(0)).T).max()) or 1.0
         self.radius_mm = self.field_radius_mm
         self.needed = max(4, int(np.ceil(s.seen_at_least * len(fiducials))))
+        self.needed_marks = max(4, int(np.ceil(s.seen_at_least * len(self.marks_mm))))
 
     # proposals
 
     def proposals(self) -> list[Similarity]:
         """The similarities that most fiducials around a pair vote for."""
-        z = self._px_complex()[self.candidates]
+        z = self._complex(self.marks_px)
         nominal = self._near_nominal()
         if nominal is not None and self.geometry.rotation_tolerance_deg <= _SMALL_TURN_DEG:
             return [nominal]
@@ -192,48 +199,50 @@ class _Hunt:
         votes: list[tuple[int, complex, complex]] = []
         for one, two in self._pairs():
             votes += self._vote(one, two, z, grid)
-        votes = self._heard(votes, _Map(self._px_complex(), self.s.coarse_mm / self.geometry.scale_mm_px))
+        votes = self._heard(votes, _Map(self._complex(self.px), self.s.coarse_mm / self.geometry.scale_mm_px))
         flipped = self.geometry.flipped
         out = [Similarity(a, b, flipped) for _, a, b in self._distinct(votes, _KEPT)]
         return out if nominal is None else [nominal, *out]
 
-    def _candidates(self) -> NDArray[np.bool_]:
-        """Where a fiducial is several pinholes, only spots that have neighbours as near."""
+    def _marks(self) -> tuple[Floats, Floats]:
+        """What the hunt is for, and where it may be: fiducials and spots; where a fiducial is several
+        pinholes, the middles of such bodies and of spots that have neighbours as near."""
         gap = cKDTree(self.fiducials).query(self.fiducials, k=3)[0][:, 2]
-        close_mm = float(np.median(gap)) if len(self.fiducials) > 2 else np.inf
+        close_mm = float(np.quantile(gap, 0.9))
         if close_mm > _PINHOLES_MM:
-            return np.ones(len(self.px), dtype=bool)
-        radius = 1.3 * close_mm / self.geometry.scale_mm_px
-        near = self.tree.query_ball_point(self.px, radius, return_length=True)
-        return np.asarray(near) > 2
+            return self.fiducials, self.px
+        bodies, _ = _middles(self.fiducials, 1.3 * close_mm)
+        spots, size = _middles(self.px, 1.3 * close_mm / self.geometry.scale_mm_px)
+        return bodies, spots[size > 2]
 
-    def _px_complex(self) -> NDArray[np.complex128]:
-        z = self.px[:, 0] + 1j * self.px[:, 1]
+    def _complex(self, px: Floats) -> NDArray[np.complex128]:
+        z = px[:, 0] + 1j * px[:, 1]
         return z.conj() if self.geometry.flipped else z
 
     def _near_nominal(self) -> Similarity | None:
         """The nominal transform, moved to where fiducials and fibres fit best; small turns only."""
-        moved = _align(self.px[self.candidates], self._guides(), self.geometry.similarity(), self.s.coarse_mm)
-        return moved if self._hits(moved) >= self.needed else None
+        px, guides = self._guides()
+        moved = _align(px, guides, self.geometry.similarity(), self.s.coarse_mm)
+        return moved if self._hits(moved) >= self.needed_marks else None
 
-    def _guides(self) -> Floats:
-        """Places that lead to a transform: fiducials, and fibres where they stand far enough apart
-        not to be taken for each other."""
-        if len(self.help) < 2:
-            return self.fiducials
+    def _guides(self) -> tuple[Floats, Floats]:
+        """Spots and places that lead to a transform: fiducials, and fibres where they stand far enough
+        apart not to be taken for each other."""
+        if len(self.marks_mm) < len(self.fiducials) or len(self.help) < 2:
+            return self.marks_px, self.marks_mm
         gap = cKDTree(self.help).query(self.help, k=2)[0][:, 1]
         apart = float(np.median(gap)) > 3 * self.s.coarse_mm
-        return np.vstack([self.fiducials, self.help]) if apart else self.fiducials
+        return self.px, np.vstack([self.fiducials, self.help]) if apart else self.fiducials
 
     def _hits(self, base: Similarity) -> int:
-        distance, _ = cKDTree(self.px[self.candidates]).query(base.to_px(self.fiducials))
+        distance, _ = cKDTree(self.marks_px).query(base.to_px(self.marks_mm))
         return int((distance * base.scale_mm_px < self.s.coarse_mm).sum())
 
     def _pairs(self) -> list[tuple[int, int]]:
         """Pairs a tenth to a third of the field apart, in an order drawn by the seed."""
         rng = np.random.default_rng([self.s.seed, 0xF1D])
-        i, j = np.triu_indices(len(self.fiducials), 1)
-        gap = np.hypot(*(self.fiducials[i] - self.fiducials[j]).T) / self.field_radius_mm
+        i, j = np.triu_indices(len(self.marks_mm), 1)
+        gap = np.hypot(*(self.marks_mm[i] - self.marks_mm[j]).T) / self.field_radius_mm
         good = np.flatnonzero((gap > 0.2) & (gap < 0.6))
         chosen = rng.permutation(good if len(good) else len(i))[:_PAIRS]
         return [(int(i[k]), int(j[k])) for k in chosen]
@@ -241,7 +250,7 @@ class _Hunt:
     def _vote(
         self, one: int, two: int, z: NDArray[np.complex128], grid: _Map
     ) -> list[tuple[int, complex, complex]]:
-        m = self.fiducials[:, 0] + 1j * self.fiducials[:, 1]
+        m = self.marks_mm[:, 0] + 1j * self.marks_mm[:, 1]
         gap_mm = abs(m[two] - m[one])
         middle = 0.5 * (m[one] + m[two])
         voters = m[np.argsort(np.abs(m - middle))[: _VOTERS + 2]]
@@ -315,7 +324,7 @@ class _Hunt:
 
     def best(self, proposals: list[Similarity]) -> Acquisition:
         """The proposal that explains most spots, if it does so better than any different one."""
-        grown = [(self._score(g), g) for p in proposals if (g := self.grow(p)) is not None]
+        grown = [(self._score(g), g) for g in self._grown(proposals)]
         if not grown:
             raise AcquisitionError(
                 f"no {self.needed} of {len(self.fiducials)} fiducials found among "
@@ -324,8 +333,7 @@ class _Hunt:
         grown.sort(key=lambda pair: -pair[0])
         score, winner = grown[0]
         for other_score, other in grown[1:]:
-            same = np.abs(winner.transform.to_mm(self.px) - other.transform.to_mm(self.px)).max()
-            if same > 1.0 and other_score > 0.8 * score:
+            if not self._alike(winner.transform, other.transform, _SAME_MM) and other_score > 0.8 * score:
                 turn = other.transform.similarity.rotation_deg - winner.transform.similarity.rotation_deg
                 raise AcquisitionError(
                     f"the fiducials fit as well turned by {turn:.0f} deg; give the rotation to "
@@ -341,27 +349,44 @@ class _Hunt:
             hits = int((distance * self.geometry.scale_mm_px < 0.5).sum())
         return len(found.fiducial) + hits
 
-    def grow(self, base: Similarity) -> Acquisition | None:
+    def _grown(self, proposals: list[Similarity]) -> list[Acquisition]:
+        """What the proposals grow into, each once."""
+        out: list[Acquisition] = []
+        for proposal in proposals:
+            rough = self.grow(proposal)
+            if rough is None or any(self._alike(rough, known.transform, _ALIKE_MM) for known in out):
+                continue
+            polished = self.polish(rough)
+            if polished is not None:
+                out.append(polished)
+        return out
+
+    def _alike(self, one: FieldTransform, other: FieldTransform, within_mm: float) -> bool:
+        """Do both say the same of where fiducials are?"""
+        px = self.marks_px
+        return bool(np.median(np.hypot(*(one.to_mm(px) - other.to_mm(px)).T)) < within_mm)
+
+    def grow(self, base: Similarity) -> FieldTransform | None:
         """From a proposal outwards: similarity on what is near, then ring by ring with distortion."""
-        px, guides = self.px[self.candidates], self._guides()
+        px, guides = self._guides()
         middle = self.fiducials.mean(axis=0)
-        radius = np.hypot(*(self.fiducials - middle).T)
+        radius = np.hypot(*(self.marks_mm - middle).T)
         inner = np.hypot(*(guides - middle).T) <= _RINGS[0] * self.field_radius_mm
         for gate in (2.0, 1.0, 0.7):
             base = _align(px, guides[inner], base, gate * self.s.coarse_mm)
         transform = FieldTransform(base, self.radius_mm, (0,), np.zeros(1), np.zeros((1, 1)))
-        tree = cKDTree(px)
+        tree = cKDTree(self.marks_px)
         for ring in _RINGS:
             near = np.flatnonzero(radius <= ring * self.field_radius_mm)
             index, spot = self._near(
-                transform.to_px(self.fiducials[near]), base.scale_mm_px, self.s.coarse_mm, tree
+                transform.to_px(self.marks_mm[near]), base.scale_mm_px, self.s.coarse_mm, tree
             )
             if len(index) < 4:
                 continue
-            transform = self._few_terms(px[spot], self.fiducials[near[index]])
-        if len(index) < self.needed:
+            transform = self._few_terms(self.marks_px[spot], self.marks_mm[near[index]])
+        if len(index) < self.needed_marks:
             return None
-        return self.polish(transform)
+        return transform
 
     def _few_terms(self, px: Floats, mm: Floats) -> FieldTransform:
         """Robust against the wrong pairs of a wide gate, and bent as lenses bend."""
@@ -425,6 +450,8 @@ class _Hunt:
 
 
 _SMALL_TURN_DEG = 2.0
+_SAME_MM, _ALIKE_MM = 1.0, 0.5
+"""Transforms nearer than this over half of the field are one answer: after polishing, and before."""
 _PINHOLES_MM = 2.5
 """Fiducials nearer to each other than this are pinholes of one body."""
 
@@ -466,6 +493,16 @@ def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Si
         weight = 1.0 / np.maximum(off_mm, 0.3 * gate_mm)
         base = fit_similarity(px[spot[near]], known_mm[near], flipped=base.flipped, weight=weight)
     return base
+
+
+def _middles(points: Floats, reach: float) -> tuple[Floats, Ints]:
+    """Means of the points that hang together by steps within `reach`, and how many each has."""
+    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    n, group = connected_components(graph, directed=False)
+    size = np.bincount(group, minlength=n)
+    sums = [np.bincount(group, points[:, axis], minlength=n) for axis in (0, 1)]
+    return np.stack(sums, axis=1) / size[:, None], size.astype(np.int64)
 
 
 def _sets(terms: Sequence[int] | None) -> tuple[tuple[int, ...], ...]:

@@ -14,8 +14,8 @@ from fiberloom import __version__
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.metrology.acquisition import Acquisition, CameraGeometry, acquire
-from fiberloom.metrology.cameras import GEOMETRIES, nominal_geometry
-from fiberloom.metrology.images import CameraImage, read_image
+from fiberloom.metrology.cameras import geometry_of, reduction_settings
+from fiberloom.metrology.images import CameraImage, read_image, trouble
 from fiberloom.metrology.matching import Match, MatchStatus, match_spots
 from fiberloom.metrology.pipeline import metrology_reach_mm
 from fiberloom.metrology.spots import (
@@ -94,6 +94,8 @@ def _report(image: CameraImage, found: Found) -> dict[str, Any]:
         "noise_adu": round(found.noise_adu, 3),
         "gain_e_adu": image.gain_e_adu,
     }
+    if not len(spots):
+        report["note"] = trouble(image)
     if len(found.spots) > len(spots):
         report["not_found"] = len(found.spots) - len(spots)
     if len(spots):
@@ -151,14 +153,18 @@ def match(plane: FocalPlane, request: MatchRequest) -> dict[str, Any]:
     if len(plane.fiducials) < 4:
         raise InputError(f"this focal plane has {len(plane.fiducials)} fiducials; at least 4 are needed")
     expected = _expected_mm(plane, request.expected)
+    geometry = _geometry(plane, request, width, height)
+    known = reduction_settings(plane.instrument.camera, geometry)
     found = acquire(
         spots.xy_px,
         plane.fiducials[:, :2],
-        _geometry(plane, request, width, height),
+        geometry,
         expected_mm=expected,
         covariance_px2=spots.covariance_px2,
         sigma_mm=request.fiducial_sigma_um * MM_PER_UM,
         terms=request.terms,
+        radius_mm=known.radius_mm,
+        settings=known.acquisition,
     )
     free = np.setdiff1d(np.arange(len(spots)), found.spot)
     others = spots.select(free)
@@ -195,15 +201,15 @@ def _expected_mm(plane: FocalPlane, path: Path | None) -> np.ndarray:
 
 
 def _geometry(plane: FocalPlane, request: MatchRequest, width: int, height: int) -> CameraGeometry:
-    name = plane.instrument.name
-    if request.scale_mm_px is not None:
-        if not request.scale_mm_px > 0:
-            raise InputError(f"--scale {request.scale_mm_px}: must be above 0 mm per pixel")
-        base = CameraGeometry(width, height, request.scale_mm_px)
-        if name in GEOMETRIES:
-            base = replace(base, flipped=GEOMETRIES[name].flipped, rotation_deg=GEOMETRIES[name].rotation_deg)
+    camera = plane.instrument.camera
+    if request.scale_mm_px is None:
+        base = geometry_of(plane.instrument)
+    elif not request.scale_mm_px > 0:
+        raise InputError(f"--scale {request.scale_mm_px}: must be above 0 mm per pixel")
     else:
-        base = nominal_geometry(name)
+        base = CameraGeometry(width, height, request.scale_mm_px)
+        if camera is not None:
+            base = replace(base, flipped=camera.flipped, rotation_deg=camera.rotation_deg)
     return replace(
         base,
         rotation_deg=base.rotation_deg if request.rotation_deg is None else request.rotation_deg,

@@ -7,6 +7,7 @@ kind (compressed, scaled, 8, 32 or 64 bits) goes through astropy into a float32 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,6 +48,7 @@ class CameraImage:
 
 
 GAIN_KEYS = ("GAIN", "EGAIN", "CCDGAIN")
+_PACKED = (".gz", ".bz2", ".xz")
 SATURATION_KEYS = ("SATURATE", "SATLEVEL")
 
 
@@ -68,8 +70,10 @@ def read_image(
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        with fits.open(path, memmap=False) as hdus:  # pixels are read only where they are asked for
+        # one line says what is wrong: astropy's warnings would come beside it
+        with warnings.catch_warnings(action="ignore"), fits.open(path, memmap=False) as hdus:
             hdu = _image_hdu(hdus, extension, path)
+            _check_whole(path, hdu)
             pixels, fits_bytes = _mapped(path, hdu), True
             if pixels is None:
                 pixels, fits_bytes = _converted(hdu), False
@@ -106,10 +110,36 @@ def _image_hdu(hdus: Any, extension: int | str | None, path: Path) -> Any:
     raise InputError(f"{path}: no image of two dimensions in any extension")
 
 
+def _check_whole(path: Path, hdu: Any) -> None:
+    """A copy that was interrupted is no image of a dark field."""
+    if path.suffix in _PACKED:
+        return  # the unpacker complains
+    needed, there = hdu._data_offset + hdu._data_size, path.stat().st_size
+    if there < needed:
+        raise InputError(f"{path}: is cut short: {there} of {needed} bytes; copy it again")
+
+
+def trouble(image: CameraImage) -> str:
+    """In words, why an image may show no spots."""
+    pixels = image.array()
+    good = np.isfinite(pixels) if pixels.dtype.kind == "f" else np.ones(1, dtype=bool)
+    if not good.any():
+        return "no pixel is a number"
+    low, high = float(np.nanmin(pixels)), float(np.nanmax(pixels))
+    if low == high:
+        return f"every pixel is {low:g}: shutter closed, or all saturated, or not read out"
+    saturated = int(np.count_nonzero(pixels >= image.saturation_adu))
+    if saturated > 0.1 * pixels.size:
+        return f"{100 * saturated / pixels.size:.0f} % of the pixels are saturated: is a light on?"
+    if saturated:
+        return f"{saturated} pixels are saturated: shorten the exposure"
+    return "nothing stands out of the noise: is the back-illumination on?"
+
+
 def _mapped(path: Path, hdu: Any) -> NDArray | None:
     """The bytes of an uncompressed image, if they are of a kind that is read in place."""
     header = hdu.header
-    if type(hdu).__name__ == "CompImageHDU" or path.suffix in (".gz", ".bz2", ".xz"):
+    if type(hdu).__name__ == "CompImageHDU" or path.suffix in _PACKED:
         return None
     scale, zero = hdu._orig_bscale, hdu._orig_bzero
     dtype: np.dtype[Any]

@@ -61,10 +61,12 @@ class MatchSettings:
 
     sigma_mm: float = 0.08
     """Scatter of a positioner about where it is expected, per coordinate."""
-    sure_mm: float = 0.5
+    sure_mm: float = 0.25
     """Spot and expected position nearer than this, with no other near, are a pair."""
+    alone_mm: float = 0.5
+    """... no other within this distance ..."""
     clear_ratio: float = 2.5
-    """... no other within this many times their distance, nor within `sure_mm`."""
+    """... nor within this many times their own."""
     stayed_share: float = 0.02
     """Share of the positioners that did not move when told to."""
     reach_margin_mm: float = 0.3
@@ -131,7 +133,7 @@ def _peel(spots: Floats, expected: Floats, s: MatchSettings) -> Ints:
     first = spot[:, 0]
     mutual = (first < len(spots)) & (owner[first.clip(max=len(spots) - 1), 0] == range(len(known)))
     distance = to_spot[:, 0]
-    room = np.maximum(s.clear_ratio * distance, s.sure_mm)
+    room = np.maximum(s.clear_ratio * distance, s.alone_mm)
     alone = (to_spot[:, 1] > room) & (to_owner[first.clip(max=len(spots) - 1), 1] > room)
     sure = mutual & alone & (distance < s.sure_mm)
     out[known[sure]] = first[sure]

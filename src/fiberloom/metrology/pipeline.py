@@ -20,7 +20,7 @@ from fiberloom.metrology.acquisition import (
     refine,
 )
 from fiberloom.metrology.camera import Measurement
-from fiberloom.metrology.images import CameraImage
+from fiberloom.metrology.images import CameraImage, trouble
 from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
 from fiberloom.metrology.transform import FieldTransform
@@ -55,6 +55,8 @@ class ReductionSettings:
     """Remove it, with fiducials and the positioners that stand still."""
     standing_sigma_um: float = 1.0
     """How well the place of a standing positioner is known, per coordinate."""
+    retries: int = 2
+    """Further exposures where one shows no fiducials."""
     matching: MatchSettings = field(default_factory=MatchSettings)
     acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
 
@@ -125,6 +127,8 @@ def reduce_image(
         profile=profile,
         fits_bytes=image.fits_bytes,
     )
+    if len(found.spots) < 4:
+        raise AcquisitionError(f"{len(found.spots)} spots in the image: {trouble(image)}")
     expected = np.full((len(plane), 2), np.nan) if expected_mm is None else expected_mm
     acquisition = _fiducials(found.spots, plane, settings, expected, start)
     free = np.setdiff1d(np.arange(len(found.spots)), acquisition.spot)
@@ -227,11 +231,25 @@ class ImageCamera:
         """Told of every exposure."""
 
     def measure(self, expected_mm: Floats | None = None) -> Measurement:
-        """Takes an image now and reduces it."""
+        """Takes an image now and reduces it; another one where there is nothing to be made of it."""
+        for _ in range(self.settings.retries):
+            try:
+                reduction = self._reduce(expected_mm)
+                break
+            except AcquisitionError:
+                continue
+        else:
+            reduction = self._reduce(expected_mm)
+        self._remember(reduction)
+        for watcher in self.watchers:
+            watcher(reduction)
+        return reduction.measurement()
+
+    def _reduce(self, expected_mm: Floats | None) -> Reduction:
         image = self.source.expose()
         if image.pixels.ndim != 2:
             raise InputError("the camera delivered something that is no image")
-        reduction = reduce_image(
+        return reduce_image(
             image,
             self.plane,
             self.settings,
@@ -241,10 +259,6 @@ class ImageCamera:
             profile=self.profile,
             start=self.last.transform if self.last else None,
         )
-        self._remember(reduction)
-        for watcher in self.watchers:
-            watcher(reduction)
-        return reduction.measurement()
 
     def _remember(self, reduction: Reduction) -> None:
         self.last = reduction

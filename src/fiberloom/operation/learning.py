@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.calibration.adaptive import AdaptiveCalibration
+from fiberloom.metrology import Measurement
 from fiberloom.operation.loop import Move, Recorder
 from fiberloom.operation.status import FAULTS, Status
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 Keep = Callable[[AdaptiveCalibration, Ints], None]
@@ -44,6 +46,10 @@ class LearningRecorder:
         self.n_used += int(done.used.sum())
         self.n_refused += int((np.isfinite(done.surprise) & ~done.used).sum())
         self._keep(self.learner, rows)
+
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Nothing to learn yet."""
+        self._recorder.start(here_deg, wire_deg, image)
 
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """A flag or a remark."""

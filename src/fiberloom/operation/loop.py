@@ -74,6 +74,10 @@ class Move:
 class Recorder(Protocol):
     """Keeps what happened, as it happens."""
 
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Called before the first move: angles and wire positions reported, and the image."""
+        ...
+
     def move(self, move: Move) -> None:
         """Called after every move, before anything else is done."""
         ...
@@ -160,7 +164,9 @@ class Loop:
             if known[i] not in found:
                 self._flag(int(i), Status.DEAD, "does not answer on the bus")
         await self._read_positions(self.maps, self.plane.positioner_id[self.mobile])
-        self._look_for_dark_fibres(self._look())
+        image = self._look()
+        self.recorder.start(self.here_deg, self.wire_deg, image)
+        self._look_for_dark_fibres(image)
 
     def _look(self) -> Measurement:
         """An image, with what the positioners say of where they are."""

@@ -6,13 +6,20 @@ import hashlib
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import Measurement
 from fiberloom.operation.loop import Move
 from fiberloom.planning import Plan
 from fiberloom.store import Run
 from fiberloom.targets import TargetList
+
+Floats = NDArray[np.float64]
+
+START = "start"
+"""Kind of the record that a run begins with: where everybody stood, before anything moved."""
 
 
 class StoreRecorder:
@@ -33,6 +40,10 @@ class StoreRecorder:
         """One row for the move, one for each positioner."""
         _record(self._run, self._plane, move, self._targets)
 
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Where everybody stands before anything moves."""
+        _record_start(self._run, self._plane, here_deg, wire_deg, image)
+
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """A flag or a remark."""
         self._run.record_event(kind, text, positioner_id=positioner_id)
@@ -48,21 +59,37 @@ class SurveyRecorder:
         """One row for the move, one for each positioner."""
         _record(self._run, self._plane, move, {})
 
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Where everybody stands before anything moves."""
+        _record_start(self._run, self._plane, here_deg, wire_deg, image)
+
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """A flag or a remark."""
         self._run.record_event(kind, text, positioner_id=positioner_id)
 
 
-def _record(run: Run, plane: FocalPlane, move: Move, targets: dict[str, Any]) -> None:
-    measured = {
+def _record_start(
+    run: Run, plane: FocalPlane, here_deg: Floats, wire_deg: Floats, image: Measurement
+) -> None:
+    run.record_move(0, START, _columns(plane, image, here_deg, wire_deg), time_s=image.time_s)
+
+
+def _columns(plane: FocalPlane, image: Measurement, at_deg: Floats, wire_deg: Floats) -> dict[str, Any]:
+    return {
         "positioner_id": plane.positioner_id,
-        "x_mm": move.measurement.x_mm,
-        "y_mm": move.measurement.y_mm,
-        "seen": move.measurement.seen,
-        "alpha_deg": move.commanded_deg[:, 0],
-        "beta_deg": move.commanded_deg[:, 1],
-        "wire_alpha_deg": move.wire_deg[:, 0],
-        "wire_beta_deg": move.wire_deg[:, 1],
+        "x_mm": image.x_mm,
+        "y_mm": image.y_mm,
+        "seen": image.seen,
+        "alpha_deg": at_deg[:, 0],
+        "beta_deg": at_deg[:, 1],
+        "wire_alpha_deg": wire_deg[:, 0],
+        "wire_beta_deg": wire_deg[:, 1],
+    }
+
+
+def _record(run: Run, plane: FocalPlane, move: Move, targets: dict[str, Any]) -> None:
+    measured = _columns(plane, move.measurement, move.commanded_deg, move.wire_deg)
+    measured |= {
         "error_um": move.measured_error_um,
         "status": np.array([str(s) for s in move.status], dtype=object),
     }

@@ -218,7 +218,7 @@ def plot_repeatability(
     for axis in range(2):
         if found[axis].measured.reason[row]:
             continue
-        off_um = _turned(data[axis], row)
+        off_um = turned_um(data[axis], row)
         for target in off_um:
             panels[0, axis].plot(*target.T, ".", ms=3)
         half = 1.1 * np.nanmax(np.abs(off_um))
@@ -235,7 +235,7 @@ def plot_repeatability(
     _save(figure, path)
 
 
-def _turned(data: RepeatabilityData, row: int) -> Floats:
+def turned_um(data: RepeatabilityData, row: int) -> Floats:
     """(T, V, 2) um about the middle, along the way of the fibre and across it."""
     xy = data.xy_mm[row]
     middle = np.nanmean(xy, axis=(0, 1))

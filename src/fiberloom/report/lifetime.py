@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,23 +44,31 @@ class LifetimeCurves:
     """(N, delta cycles, 2, points): "true", "recalibrated", "adaptive", "adaptive_paper"."""
 
 
+def rms(error: Floats, axis: int | None = None) -> Floats:
+    """Over those that have not dropped out; NaN where nobody is left."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a mean over nobody
+        return np.asarray(np.sqrt(np.nanmean(error**2, axis=axis)))
+
+
 def plot_lifetime(path: Path, curves: LifetimeCurves) -> None:
     """Blind errors by cycle (Fig. 26), and the lengths of the arms (Fig. 21)."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
     late = slice(len(curves.cycles) // 2, None)
-    mean = {way: np.sqrt(np.mean(e**2, axis=0)) for way, e in curves.blind_um.items()}
+    mean = {way: rms(e, axis=0) for way, e in curves.blind_um.items()}
     for way, (colour, line, label) in STYLES.items():
         left.plot(curves.cycles, mean[way], line, color=colour, linewidth=1.6, label=label)
         for each in curves.blind_um[way][: 4 if len(curves.positioner_id) > 1 else 0]:
             left.plot(curves.cycles, each, line, color=colour, linewidth=0.5, alpha=0.5)
     left.set(xlabel="cycle of 15260 moves", ylabel="error of blind moves, rms [µm]", yscale="log")
     left.grid(True, which="both", alpha=0.3)
-    um = {way: float(np.sqrt(np.mean(m[late] ** 2))) for way, m in mean.items()}
+    um = {way: float(rms(m[late])) for way, m in mean.items()}
     left.set_title(
         f"Learning holds {um['adaptive']:.1f} µm (as printed {um['adaptive_paper']:.1f}); recalibrating "
         f"{um['recalibrated']:.1f},\nthe first map {um['fixed']:.1f}, a linear ratio {um['linear']:.1f} µm"
     )
-    left.legend(fontsize=8)
+    left.set_yticks([1, 2, 5, 10, 20, 50], labels=["1", "2", "5", "10", "20", "50"])
+    left.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     _plot_arms(right, curves)
     figure.savefig(path, dpi=120)
     plt.close(figure)
@@ -126,10 +135,11 @@ def _delta_title(curves: LifetimeCurves) -> str:
     last = {name: delta[:, -1, 1, used] for name, delta in curves.delta_deg.items()}
     off = {k: 1e3 * float(np.sqrt(np.mean((last[k] - last["true"]) ** 2))) for k in _CURVES if k != "true"}
     change = np.abs(curves.delta_deg["true"][:, -1, 1] - curves.delta_deg["true"][:, 0, 1]).max()
+    first, final = curves.delta_cycles[0], curves.delta_cycles[-1]
     return (
-        f"δ of the beta axis less its true course in cycle {curves.delta_cycles[0]}: wear changes it by up to "
-        f"{change:.2f} deg.\nIn cycle {curves.delta_cycles[-1]} maps are off by {off['adaptive']:.0f} mdeg rms "
-        f"(adaptive), {off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
+        f"δ of beta less its true course in cycle {first}: wear changes it by {change:.2f} deg at most.\n"
+        f"In cycle {final} maps are off by {off['adaptive']:.0f} mdeg rms (adaptive), "
+        f"{off['adaptive_paper']:.0f} (as printed), {off['recalibrated']:.0f} (recalibrated)"
     )
 
 

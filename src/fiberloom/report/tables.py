@@ -45,8 +45,9 @@ def print_estimates(rows: Sequence[Mapping[str, Any]]) -> None:
     known = any("true" in row for row in rows)
     for number in dict.fromkeys(row["positioner_id"] for row in rows):
         table = Table(box=box.SIMPLE, title=f"positioner {number}", title_justify="left")
-        for name in ("quantity", "value", "std. error", "unit", *(("true", "off/s.e.") if known else ())):
-            table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
+        for name in ("quantity", "value", "s.e.", "unit", *(("true", "off/s.e.") if known else ())):
+            left = name in ("quantity", "unit")
+            table.add_column(name, justify="left" if left else "right", no_wrap=name == "quantity")
         for row in rows:
             if row["positioner_id"] == number:
                 table.add_row(*_estimate_cells(row, known))

@@ -25,22 +25,23 @@ AXES = ("alpha", "beta")
 
 
 def paper_law(units: Units) -> None:
-    """Eq. 22 as printed, nothing else: no contact rule, no allowance for drag, none learnt."""
-    units.firmware["contact_torque"] = 0.0
+    """Eq. 22 as printed, nothing else: no rule of ours, no allowance for drag, none learnt."""
+    allowed_drag(units)
     units.firmware["collision_speed_share"] = 0.0
     units.firmware["drag_learning_time"] = 0.0
 
 
 def allowed_drag(units: Units) -> None:
-    """Eq. 22 with the firmware's allowance for drag that is not learnt yet; no contact rule."""
-    units.firmware["contact_torque"] = 0.0
+    """Eq. 22 with the firmware's allowance for drag that is not learnt yet; no rule of ours."""
+    for ours in ("contact_torque", "touch_torque"):
+        units.firmware[ours] = 0.0
 
 
 def as_shipped(units: Units) -> None:
-    """The firmware with the twin's parameters: Eq. 22 and the rule for contacts of the arm."""
+    """The firmware with the twin's parameters: Eq. 22, and its own watches for contacts of the arm."""
 
 
-LAWS = {"Eq. 22": paper_law, "Eq. 22 with drag allowance": allowed_drag, "with the contact rule": as_shipped}
+LAWS = {"Eq. 22": paper_law, "Eq. 22 with drag allowance": allowed_drag, "as shipped": as_shipped}
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,9 @@ def run(settings: Settings) -> Outcome:
             "integral."
         ),
         beyond=[
-            "A rule of our own watches the load on the resisting side only, which model-based feedforward "
-            "makes possible; it finds a blocked rotor several times sooner than Eq. 22, and it is what "
-            "stops an arm that meets another one, which winds up its gear slowly (docs/firmware.md)."
+            "As shipped, the firmware also watches the load that its model leaves unexplained, on the "
+            "resisting side; that finds a blocked rotor many times sooner than Eq. 22, and it is what stops "
+            "an arm that meets another one, which winds up its gear slowly (docs/firmware.md)."
         ],
     )
 
@@ -141,7 +142,7 @@ def _quantities(found: dict[tuple[str, str], list[Found]]) -> list[Quantity]:
             _latest(f"eq22.{axis}.{key}_max_ms", axis, law, found[law, axis], True)
             for law, key in (
                 ("Eq. 22 with drag allowance", "allowance"),
-                ("with the contact rule", "contact"),
+                ("as shipped", "shipped"),
             )
             for axis in AXES
         ),

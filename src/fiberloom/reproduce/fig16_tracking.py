@@ -31,7 +31,7 @@ PAPER_OPEN_DEG, PAPER_CLOSED_DEG, PAPER_WITHIN_DEG = 55.0, 15.0, 20.0
 def _paper_law(units: Units) -> None:
     """Eq. 21 as printed: the drag is not learnt. Alarms off: this is about tracking."""
     units.firmware["drag_learning_time"] = 0.0
-    for alarm in ("collision_torque", "contact_torque"):
+    for alarm in ("collision_torque", "contact_torque", "touch_torque"):
         units.firmware[alarm] *= 100.0
 
 

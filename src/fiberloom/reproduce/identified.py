@@ -54,6 +54,8 @@ def identified(seed: int, n_units: int = UNITS) -> Identified:
 async def _identify(bench: Bench, seed: int) -> Identified:
     client, camera, plane = bench.client, bench.camera, bench.plane
     weights = TwinWeights(bench.twin, seed=seed)
+    # a weight on an arm is what the firmware's watch takes for a contact
+    await client.set_loop(bench.ids, closed=True, collision_detection=False)
     scales = [identify_torque_scale(d) for d in await measure_torque_scale(client, None, weights, plane)]
     scale = tuple(measured_scale(found) for found in scales)
     friction = await measure_friction(client, None, plane, FrictionSettings(run_rpm=RUN_RPM))

@@ -28,13 +28,17 @@ class Part(BaseModel):
     smaller: str
     beyond: list[str]
     seconds: float
+    cpu_s: float
+    """Of this process: what the figure costs on a machine that does nothing else."""
     seeds: list[int]
     full: bool
     version: str
     utc: str
 
 
-def keep(figure: Figure, outcome: Outcome, settings: Settings, seconds: float, out: Path) -> Part:
+def keep(
+    figure: Figure, outcome: Outcome, settings: Settings, out: Path, *, seconds: float, cpu_s: float
+) -> Part:
     """Writes the part and its pictures."""
     for folder in ("figures", "parts"):
         (out / folder).mkdir(exist_ok=True)
@@ -54,6 +58,7 @@ def keep(figure: Figure, outcome: Outcome, settings: Settings, seconds: float, o
         smaller=outcome.smaller,
         beyond=outcome.beyond,
         seconds=round(seconds, 1),
+        cpu_s=round(cpu_s, 1),
         seeds=list(settings.seeds),
         full=settings.full,
         version=__version__,

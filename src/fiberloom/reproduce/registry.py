@@ -50,7 +50,13 @@ FIGURES: tuple[Figure, ...] = (
     Figure("16", "Tracking of a motor along ramps", "fig16_tracking"),
     Figure("eq22", "Collision detection", "eq22_collision"),
     Figure("17", "Repeatability of three targets 1 um apart", "fig17_repeatability"),
+    Figure("18", "Cameras of the bench on a static fibre", "fig18_camera"),
     Figure("19", "Precision iterations", "fig19_iterations"),
+    Figure("20", "In-focal-plane calibration", "fig20_focal_plane"),
+    Figure("21", "Arm lengths over a lifetime", "fig21_arms"),
+    Figure("22", "Transmission over a lifetime", "fig22_wear"),
+    Figure("25", "What the adaptive calibration follows", "fig25_adaptive"),
+    Figure("26", "Blind error over a lifetime", "fig26_blind"),
 )
 
 

@@ -101,7 +101,8 @@ def _section(part: Part, out: Path) -> str:
     return (
         f'<h2 id="{part.name}">{escape(part.heading)}: {escape(part.title)}</h2><p>{escape(part.how)}</p>'
         f"{smaller if part.smaller else ''}{_table(part.quantities)}{beyond}{pictures}"
-        f'<p class="small">Took {part.seconds:.0f} s; seeds {", ".join(map(str, part.seeds))}; '
+        f'<p class="small">Took {part.seconds:.0f} s ({part.cpu_s:.0f} s of processor); '
+        f"seeds {', '.join(map(str, part.seeds))}; "
         f"{'full' if part.full else 'default'} size; fiberloom {escape(part.version)}, {part.utc}. Again: "
         f"<code>fiberloom reproduce {part.key} --seed {part.seeds[0]} --seeds {len(part.seeds)}"
         f"{' --full' if part.full else ''}</code></p>"

@@ -30,9 +30,10 @@ def reproduce(
     parts = []
     for figure in figures:
         settings.say(f"{figure.heading}: {figure.title}")
-        started_s = time.monotonic()
+        started_s, cpu_s = time.monotonic(), time.process_time()
         outcome = figure.run(settings)
-        part = keep(figure, outcome, settings, time.monotonic() - started_s, out)
+        took = {"seconds": time.monotonic() - started_s, "cpu_s": time.process_time() - cpu_s}
+        part = keep(figure, outcome, settings, out, **took)
         parts.append(part)
         write_all(out)
         done(part)

@@ -17,6 +17,7 @@ from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.loop import Loop, LoopSettings, Move
 from fiberloom.reproduce.bench import finish
 from fiberloom.reproduce.fig05_coverage import cover, hexagonal
+from fiberloom.reproduce.no_record import NoRecord
 from fiberloom.reproduce.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.reproduce.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.targets import TargetList, random_targets
@@ -25,7 +26,7 @@ from fiberloom.units import UM_PER_MM
 
 Floats = NDArray[np.float64]
 
-UNITS, MANY_UNITS = 37, 169
+UNITS, MANY_UNITS = 19, 169
 TARGETS_PER_UNIT = 3
 SDSSV_BUFFER_SHARE = 2.0 / 22.4
 """Half width of a beta arm over the pitch, as SDSS-V has it; assumed of the others."""
@@ -111,16 +112,6 @@ class Run:
     collisions: int
 
 
-class _NoRecord:
-    """The report needs the moves only."""
-
-    def move(self, move: Move) -> None:
-        """Kept by the loop itself."""
-
-    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """Shows in the moves."""
-
-
 def observe(row: Row, seed: int, n_units: int) -> Run:
     """Units drawn, maps calibrated on a bench, targets assigned, planned, verified, moved, corrected."""
     plane = generate(instrument_of(row), seed, n_positioners=n_units)
@@ -132,7 +123,7 @@ def observe(row: Row, seed: int, n_units: int) -> Run:
     camera = NoiseCamera(twin, plane.instrument.metrology.noise_rms_um, seed)
     hardware = Hardware(TwinTransport(twin), camera, twin)
     moves = 1 + plane.instrument.operation.corrections_max
-    loop = Loop(plane, assignment, maps, hardware, LoopSettings(moves=moves, seed=seed), _NoRecord())
+    loop = Loop(plane, assignment, maps, hardware, LoopSettings(moves=moves, seed=seed), NoRecord())
     finish(_whole(loop))
     return Run(
         [_true_error_um(move, targets, assignment.target) for move in loop.moves],

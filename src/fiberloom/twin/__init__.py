@@ -2,6 +2,7 @@
 
 from .ailments import AilmentKind, AilmentModel, Ailments, draw_ailments
 from .bench import bench_units
+from .bench_camera import BenchCamera, static_fibre_um
 from .camera import NoiseCamera
 from .draw import draw_units, put_in
 from .faults import Fault, FaultKind
@@ -18,6 +19,7 @@ __all__ = [
     "AilmentKind",
     "AilmentModel",
     "Ailments",
+    "BenchCamera",
     "Fault",
     "FaultKind",
     "NoiseCamera",
@@ -37,5 +39,6 @@ __all__ = [
     "draw_units",
     "field_hardware",
     "put_in",
+    "static_fibre_um",
     "worn",
 ]

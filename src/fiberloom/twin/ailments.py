@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fiberloom.errors import InputError
 from fiberloom.twin.faults import Fault, FaultKind
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
@@ -166,6 +167,12 @@ class Ailments:
         """(N,) fibres that the camera does not see."""
         return (self.table["kind"] == AilmentKind.DARK) & self.begun(move)
 
+    def out_at(self, units: Units, move: int) -> Flags:
+        """(N,) who no longer goes where it is told, or is not seen: nothing to calibrate."""
+        lost = self.stalled_at(units, move) | (self.non_moves_at(move) > 0.0)
+        slips = (self.follows_at(move) != 1.0).any(axis=2)
+        return np.asarray(np.any(lost | slips, axis=1) | self.dark_at(move))
+
     def _hall_share(self, move: int) -> Floats:
         out, rows = np.ones(len(self)), self._rows(AilmentKind.WEAK_HALL, move)
         out[rows] = np.exp(-(move - self.table["onset"][rows]) / self.table["fading_moves"][rows])
@@ -199,6 +206,38 @@ def excess_torque_Nm(units: Units, motor_rpm: float = 2000.0) -> Floats:
     drag = p["viscous_motor"] + p["viscous_gear"] + back_emf - f["drag"]
     coulomb = p["coulomb_motor"] + p["coulomb_gear"] - f["coulomb"]
     return coulomb + drag * motor_rpm * 2.0 * np.pi / 60.0
+
+
+def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) -> Floats:
+    """Metrology fibres (N, 2, M) with beta arms longer by (N, M) than the units': along the arm."""
+    angle = np.deg2rad(theta_deg[:, 0]) + units.arms[:, 3:4]
+    elbow = units.arms[:, :2, None] + units.arms[:, 2, None, None] * np.stack(
+        [np.cos(angle), np.sin(angle)], 1
+    )
+    along = xy_mm - elbow
+    return xy_mm + along * (longer_mm / np.hypot(along[:, 0], along[:, 1]))[:, None]
+
+
+def chosen_ailments(units: Units, seed: int, faults: str, onset: int) -> Ailments:
+    """Ailments of a "kind=count,..." text for units 0, 1, ... by their number, all from one move on."""
+    wanted = [kind for part in faults.split(",") if part.strip() for kind in _fault_kinds(part)]
+    ailments = draw_ailments(units, seed, AilmentModel(rate_per_year=0.0))
+    for kind in dict.fromkeys(wanted):
+        drawn = draw_ailments(units, seed, AilmentModel(weights={str(kind): 1.0})).table
+        places = [i for i, k in enumerate(wanted) if k == kind]
+        rows = np.isin(units.number, np.array(places) + 1)
+        ailments.table[rows] = drawn[rows]
+        ailments.table["onset"][rows] = onset
+    return ailments
+
+
+def _fault_kinds(part: str) -> list[AilmentKind]:
+    name, _, count = part.strip().partition("=")
+    try:
+        return [AilmentKind(name)] * max(int(count or 1), 0)
+    except ValueError:
+        kinds = ", ".join(sorted(AilmentKind))
+        raise InputError(f"--faults {part}: write KIND=COUNT, with KIND one of {kinds}") from None
 
 
 def draw_ailments(units: Units, seed: int, model: AilmentModel | None = None) -> Ailments:

@@ -275,7 +275,7 @@ def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
     first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
     seen = {
         "noise": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
-        "image": "photons, pixels and optics of its images (twin/imaging.py says which are assumed)",
+        "image": "photons, pixels and optics of its images: [camera] and [twin.camera] of the instrument",
     }
     return {
         "camera": seen[camera],

@@ -5,20 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import FocalPlane
+from fiberloom.instruments import FocalPlane, Instrument
+from fiberloom.instruments.model import Axis
 from fiberloom.operation.hardware import Hardware
 from fiberloom.twin.camera import NoiseCamera
+from fiberloom.twin.cameras import image_camera
 from fiberloom.twin.faults import Fault, FaultKind
-from fiberloom.twin.imaging import image_camera
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
-from fiberloom.twin.units import Units
+from fiberloom.twin.units import GEAR, Units
 
 CAMERAS = ("noise", "image")
 
 
 def bench_hardware(plane: FocalPlane, units: Units, seed: int) -> Hardware:
     """Each positioner alone under the camera: arms do not meet."""
+    check_motors(plane.instrument)
     return _hardware(Twin(plane, units, seed=seed, neighbours=False), seed + 1)
 
 
@@ -28,18 +30,37 @@ def field_hardware(
     """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
     if camera not in CAMERAS:
         raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
+    check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)
     return _hardware(twin, seed, camera)
 
 
+def missing_in_twin(instrument: Instrument) -> str:
+    """What the twin and its firmware lack to drive an instrument in a loop; empty: nothing."""
+    if not instrument.metrology.present:
+        return f"{instrument.name} has no metrology camera: it cannot be observed in a loop"
+    for name in ("alpha", "beta"):
+        axis: Axis = getattr(instrument, name)
+        if (axis.kind, axis.closed_loop, axis.gear) != ("bldc", True, GEAR):
+            loop = "closed" if axis.closed_loop else "open"
+            return (
+                f"{instrument.name}: {name} is a {axis.kind} motor in {loop} loop with a gear of "
+                f"{axis.gear:g}; the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
+                "assign, plan, verify, centroid and match work with this instrument"
+            )
+    return ""
+
+
+def check_motors(instrument: Instrument) -> None:
+    """Refuses an instrument that the twin cannot drive."""
+    if reason := missing_in_twin(instrument):
+        raise InputError(reason)
+
+
 def _hardware(twin: Twin, seed: int, camera: str = "noise") -> Hardware:
     metrology = twin.plane.instrument.metrology
-    if not metrology.present:
-        raise InputError(
-            f"{twin.plane.instrument.name} has no metrology camera: it cannot be observed in a loop"
-        )
     if camera == "image":
         return Hardware(TwinTransport(twin), image_camera(twin, seed), twin)
     return Hardware(TwinTransport(twin), NoiseCamera(twin, metrology.noise_rms_um, seed), twin)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,12 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom import __version__
 from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
-from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
-from fiberloom.metrology.cameras import GEOMETRIES
 from fiberloom.metrology.images import CameraImage
-from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.units import MM_PER_UM
 
 Floats = NDArray[np.float64]
@@ -360,131 +357,3 @@ class ImagingCamera:
             y = (start[1] + step * np.sin(angle)).astype(int)
             inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
             np.add.at(image, (y[inside], x[inside]), np.float32(rng.uniform(150, 1500)))
-
-
-# presets
-
-
-def sdssv() -> CameraModel:
-    """The fibre viewing camera of SDSS-V.
-
-    Frame and scale from the public header of MJD 60039 (0.12149 mm/px), distortion by its terms:
-    S11 0.64 mm, S22 28 um, 17 um outside the default terms. Fluxes: peaks of some 20 000 electrons
-    (assumed, within the linear range), read noise and gain assumed.
-    """
-    geometry = GEOMETRIES["sdssv"]
-    terms = {9: 0.64, 20: 0.028, 5: 0.020, 6: -0.015, 28: 0.010, 29: -0.008, 30: 0.004}
-    optics = Optics(geometry, 330.0, terms | {12: 0.004, 16: -0.003})
-    psf = Psf("moffat", 3.5, beta=4.0, ellipticity=0.03, growth=0.15, astigmatism=0.05)
-    detector = Detector(1.3, 10.0, 500.0, 60_000.0, hot_share=1e-5, cosmic_rays=30.0)
-    return CameraModel(optics, psf, detector, Light(background_e=100.0, gradient_e=60.0))
-
-
-def desi() -> CameraModel:
-    """The fibre view camera of DESI: 6000 x 6000 px, S11 3.5 mm, turbulence of 5 um."""
-    geometry = GEOMETRIES["desi"]
-    terms = {9: 3.5, 20: 0.040, 5: 0.03, 6: -0.02, 28: 0.01, 29: 0.01}
-    optics = Optics(geometry, 420.0, terms, turbulence_um=5.0)
-    psf = Psf("gaussian", 2.4, growth=0.1)
-    light = Light(fibre_e=120_000.0, fiducial_e=120_000.0, background_e=60.0)
-    return CameraModel(optics, psf, Detector(1.0, 10.0, 1000.0), light, exposure_s=2.0)
-
-
-def pfs() -> CameraModel:
-    """The metrology camera of PFS: 8960 x 5778 px, elongated spots."""
-    optics = Optics(GEOMETRIES["pfs"], 240.0, {9: 0.05, 20: 0.003, 5: 0.01}, turbulence_um=2.0)
-    psf = Psf("gaussian", 6.0, ellipticity=0.38, angle_deg=90.0, growth=0.1)
-    return CameraModel(optics, psf, Detector(1.0, 8.0, 1000.0), Light(fibre_e=400_000.0))
-
-
-FIBRE_DIAMETER_UM = 120.0
-"""Core of the back-lit fibre of the bench (SDSS-V)."""
-
-
-def workspace() -> CameraModel:
-    """Kronig 2020, Fig. 18 right: the whole workspace in view, one image; 669 nm rms.
-
-    22.5 um/px puts 46 mm on 2048 px; the tip of the fibre is five pixels wide. The flux, 6 250
-    electrons, is the one free number: photons and pixels do the rest.
-    """
-    optics = Optics(GEOMETRIES["workspace"], 23.0)
-    psf = Psf("disc", FIBRE_DIAMETER_UM / 22.5, edge=0.25)
-    light = Light(fibre_e=WORKSPACE_E, scatter=0.0, background_e=5.0)
-    return CameraModel(optics, psf, Detector(1.0, 3.0, 100.0), light, exposure_s=0.1)
-
-
-def close_up() -> CameraModel:
-    """Kronig 2020, Fig. 18 left: a small part of the workspace, ten images averaged; 101 nm rms."""
-    optics = Optics(GEOMETRIES["close-up"], 4.0)
-    psf = Psf("disc", FIBRE_DIAMETER_UM / 8.0, edge=0.15)
-    light = Light(fibre_e=CLOSE_UP_E, scatter=0.0, background_e=5.0)
-    return CameraModel(optics, psf, Detector(1.0, 3.0, 100.0), light, exposure_s=0.1, average=10)
-
-
-WORKSPACE_E = 6250.0
-CLOSE_UP_E = 19600.0
-
-PRESETS = {
-    "sdssv": sdssv, "desi": desi, "pfs": pfs, "workspace": workspace, "close-up": close_up,
-}  # fmt: skip
-
-
-def model_for(plane: FocalPlane) -> CameraModel:
-    """The camera of a focal plane: the preset of its instrument, or one that just sees all of it.
-
-    The latter spreads the field over 4096 px and has a little third-order distortion (assumed).
-    """
-    if plane.instrument.name in PRESETS:
-        return PRESETS[plane.instrument.name]()
-    places = np.vstack([plane.centres_mm, plane.fiducials[:, :2]])
-    radius_mm = float(np.hypot(*places.T).max()) + float(plane.body_reach_mm.max())
-    optics = Optics(CameraGeometry(4096, 4096, 2.1 * radius_mm / 4096), radius_mm, {9: 2e-3 * radius_mm})
-    return CameraModel(optics)
-
-
-def misaligned(model: CameraModel, seed: int) -> CameraModel:
-    """The camera as it hangs there: turned by 0.3 deg, off by 1 mm and by 1e-3 in scale (sd)."""
-    rng = np.random.default_rng([seed, 0x0FF5])
-    g = model.optics.geometry
-    x, y = g.middle_px
-    shift = rng.normal(0.0, 1.0 / g.scale_mm_px, 2)
-    off = replace(
-        g,
-        rotation_deg=g.rotation_deg + rng.normal(0.0, 0.3),
-        scale_mm_px=g.scale_mm_px * (1 + rng.normal(0.0, 1e-3)),
-        centre_px=(x + shift[0], y + shift[1]),
-    )
-    return replace(model, optics=replace(model.optics, geometry=off))
-
-
-def image_camera(twin: Any, seed: int, model: CameraModel | None = None) -> ImageCamera:
-    """A camera with images on a twin; the host knows its geometry but not how it is misaligned."""
-    plane = twin.plane
-    if len(plane.fiducials) < 4:
-        raise InputError(
-            f"{plane.instrument.name}: {len(plane.fiducials)} fiducials in the layout, images need at "
-            "least 4 to be read; add some, or take --camera noise"
-        )
-    nominal = model or model_for(plane)
-    source = ImagingCamera(
-        TwinScene(twin), misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,
-        instrument=plane.instrument.name,
-    )  # fmt: skip
-    geometry = replace(nominal.optics.geometry, rotation_tolerance_deg=15.0, shift_tolerance_mm=20.0)
-    settings = ReductionSettings(geometry, radius_mm=nominal.optics.field_radius_mm)
-    return ImageCamera(source, plane, settings)
-
-
-def camera_model(name: str) -> CameraModel:
-    """A preset by name."""
-    try:
-        return PRESETS[name]()
-    except KeyError:
-        raise InputError(f"camera '{name}': known are {', '.join(PRESETS)}") from None
-
-
-__all__ = [
-    "PRESETS", "CameraModel", "Detector", "ImagingCamera", "Light", "Optics", "Psf", "Scene",
-    "StillScene", "TwinScene", "camera_model", "image_camera", "misaligned",
-    "model_for",
-]  # fmt: skip

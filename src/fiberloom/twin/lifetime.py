@@ -33,6 +33,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
 from fiberloom.operation.correction import plain_update
+from fiberloom.twin.ailments import chosen_ailments, loosened
 from fiberloom.twin.bench import bench_units
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
@@ -75,6 +76,10 @@ class LifetimeSettings:
     snapshots: tuple[int, ...] = (1, 10, 50, 100)
     """Cycles whose delta is kept."""
     wear: WearModel = field(default_factory=WearModel)
+    faults: str = ""
+    """Ailments of the first units, "kind=count,..."; who no longer goes where it is told drops out."""
+    fault_cycle: int = 0
+    """When they begin; 0: half-way."""
 
     def __post_init__(self) -> None:
         for name in ("cycles", "repeats", "approaches", "batch", "cycle_step"):
@@ -85,6 +90,11 @@ class LifetimeSettings:
     def simulated(self) -> NDArray[np.int64]:
         """Cycles that are simulated: the first and the last among them."""
         return np.unique(np.append(np.arange(1, self.cycles + 1, self.cycle_step), self.cycles))
+
+    @property
+    def breaks(self) -> int:
+        """Move at which ailments begin."""
+        return MOVES_PER_CYCLE * (self.fault_cycle or max(self.cycles // 2, 1))
 
     @property
     def kept(self) -> list[int]:
@@ -126,6 +136,8 @@ class _Test:
         self.settings = settings
         self.layout, new = bench_units(settings.instrument, seed, units)
         self.wear = Wear(new, seed, settings.wear)
+        self.ailments = chosen_ailments(new, seed, settings.faults, settings.breaks)
+        self.loose = UnitNoise(seed, 0x1005, new.number)
         self.twin = StatisticalTwin(self.layout, new, seed=seed)
         self.targets = UnitNoise(seed, 0x7A26, new.number)
         self.camera = UnitNoise(seed, 0xCA3E, new.number)
@@ -140,7 +152,9 @@ class _Test:
 
     def cycle(self, k: int, cycle: int) -> None:
         """Calibration, then targets."""
-        self.twin.set_units(self.wear.at(cycle))
+        self.move = cycle * MOVES_PER_CYCLE
+        ill = self.ailments.units_at(self.wear.at(cycle), self.move)
+        self.twin.set_units(ill)
         maps, plane, report = calibrate(self.twin, self.settings, self.look)
         if k == 0:
             self.first, self.first_plane = maps, plane
@@ -161,6 +175,9 @@ class _Test:
         for name, learner in self.learners.items():
             self._book(name, k, self._learn(learner, target))
         self._note(k, cycle, maps, report)
+        out = self.ailments.out_at(ill, self.move)
+        for name in ("measured_um", "true_um", "corrected_um"):
+            self.rows[name][out, :, k] = np.nan
 
     def look(self, xy_mm: Floats) -> Floats:
         """What the camera makes of (N, 2, ...) true positions."""
@@ -180,12 +197,18 @@ class _Test:
         command, made = target_mm, []
         for _ in range(1 + corrections):
             wire = source.to_wire(angles_deg(plane, command))
-            true = self.twin.fibre_xy(METROLOGY, self.twin.stand(wire))
+            true = self._rest(wire)
             measured = self.look(true)
             made.append((wire, true, measured))
             command = plain_update(command, target_mm, measured)
         wires, trues, seen = (np.stack(column) for column in zip(*made, strict=True))
         return _Approach(target_mm, wires, trues, seen)
+
+    def _rest(self, wire_deg: Floats) -> Floats:
+        """(N, 2, M) mm: where the metrology fibres come to rest."""
+        theta = self.twin.stand(wire_deg)
+        longer = self.ailments.loose_mm_at(self.move)[:, None] * self.loose.normal(theta.shape[2])
+        return loosened(self.twin.units, self.twin.fibre_xy(METROLOGY, theta), theta, longer)
 
     def _learn(self, learner: AdaptiveCalibration, target_mm: Floats) -> _Approach:
         """Batch by batch: approach with the maps as they are, then learn."""

@@ -43,9 +43,16 @@ class RealTimeTwin:
 
     `fileno()` becomes readable when frames wait in `take()`. Touch the twin itself only inside
     `held()`. `buses` says which bus each positioner (row of the plane) hangs on; all on 0 by default.
+    `first`: before all ordinary programs of this machine (SCHED_FIFO), where the system allows it.
     """
 
-    def __init__(self, twin: Twin, speed: float = 1.0, buses: Iterable[int] | None = None) -> None:
+    def __init__(
+        self,
+        twin: Twin,
+        speed: float = 1.0,
+        buses: Iterable[int] | None = None,
+        first: bool = False,
+    ) -> None:
         if not SPEEDS[0] <= speed <= SPEEDS[1]:
             raise InputError(f"speed {speed}: give {SPEEDS[0]} to {SPEEDS[1]:g} virtual seconds a second")
         self._twin = twin
@@ -56,6 +63,9 @@ class RealTimeTwin:
         for fd in (self._read_fd, self._write_fd):
             os.set_blocking(fd, False)
         self._real = _core.RealTime(twin._core, speed, self._write_fd)
+        if first and not self._real.go_first():
+            self.close()
+            raise InputError("--first: the system does not allow it; run as root, or give CAP_SYS_NICE")
 
     def fileno(self) -> int:
         """Readable when frames can be taken."""

@@ -194,7 +194,7 @@ class _Listener:
 
     def write(self, line: str) -> None:
         """A line to the host, if there is one and it reads."""
-        if self.host is None or self.host.transport is None:
+        if self.host is None or self.host.transport is None or self.host.transport.is_closing():
             return
         if self.host.transport.get_write_buffer_size() > BACKLOG_BYTES:
             self.server.traffic.unread += 1
@@ -224,7 +224,8 @@ class _Outgoing:
 class TwinServer:
     """Serves a twin until `close`. `troubles` go wrong in the twin's time.
 
-    `queue_frames`: places in a port's transmit queue, 100 in the device.
+    `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: everybody begins
+    there, as after power-on. `first`: the clock runs before all ordinary programs of the machine.
     """
 
     def __init__(
@@ -237,6 +238,7 @@ class TwinServer:
         seed: int = 0,
         queue_frames: int = QUEUE_FRAMES,
         bootloader: bool = False,
+        first: bool = False,
     ) -> None:
         places = places_of(len(twin.plane), len(addresses))
         self.places = dict(zip(map(int, twin.plane.positioner_id), places, strict=True))
@@ -263,6 +265,7 @@ class TwinServer:
                 twin.power_cycle(i, bootloader=True)
         self._twin = twin
         self._speed = speed
+        self._first = first
         self.real: RealTimeTwin | None = None
 
     @property
@@ -280,7 +283,11 @@ class TwinServer:
             self.close()
             raise
         buses = [bus_of(*place) for place in self.places.values()]
-        self.real = RealTimeTwin(self._twin, self._speed, buses)
+        try:
+            self.real = RealTimeTwin(self._twin, self._speed, buses, self._first)
+        except BaseException:
+            self.close()
+            raise
         loop.add_reader(self.real.fileno(), self._take)
         self._make_trouble()
 

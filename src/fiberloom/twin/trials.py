@@ -17,8 +17,8 @@ from fiberloom.bus.protocol import Command
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
-from fiberloom.twin.units import Units
-from fiberloom.units import COUNTS_PER_DEG, TICK_S
+from fiberloom.twin.units import GEAR, Units
+from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
@@ -28,13 +28,12 @@ FULL_SPEED_DEG_S = 2000.0 * 6.0 / 1024.0
 GREASE = (0.5, 2.0)
 """Viscous friction over its nominal value, between a warm and a cold night."""
 _RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
-_SYNC_S = 0.002
 
 
 def greased(units: Units, rng: Rng) -> Units:
     """The same units at a temperature of their own: viscous friction x0.5 to x2, log-uniform."""
     plant = units.plant.copy()
-    factor = np.exp(rng.uniform(*np.log(GREASE), (len(units), 1)))
+    factor = np.exp(rng.uniform(np.log(GREASE[0]), np.log(GREASE[1]), (len(units), 1)))
     for name in ("viscous_motor", "viscous_gear"):
         plant[name] *= factor
     return replace(units, plant=plant)
@@ -56,6 +55,8 @@ class LegalTrial:
     kinds: dict[str, int]
     collisions: list[tuple[int, str]]
     """Positioner and kind of every false detection."""
+    lost: list[int]
+    """Positioners whose count is off by a turn or more from where their motor is."""
     simulated_s: float
 
 
@@ -85,7 +86,25 @@ def legal_moves(
             at[rows] = np.clip(twin.truth()[rows], *np.transpose(_RANGE_DEG))
         for kind in chosen:
             kinds[kind] += 1
-    return LegalTrial(len(plane), moves * len(plane), kinds, collisions, twin.time_s)
+    return LegalTrial(len(plane), moves * len(plane), kinds, collisions, miscounted(twin), twin.time_s)
+
+
+def miscounted(twin: Twin) -> list[int]:
+    """Positioners at rest that report (32) another place than their gear stands at.
+
+    What is reported is the motor angle at which the move settled: the gear's, and up to the backlash more
+    after a move upwards. Half a motor turn either way is allowed for the rest.
+    """
+    twin.send([(encode(int(i), Command.GET_ACTUAL_POSITION, 1), b"") for i in twin.plane.positioner_id])
+    told = {decode(r.id).positioner: struct.unpack("<ii", r.data) for r in twin.run(TICK_S)}
+    truth, wrong = twin.truth(), []
+    for row, number in enumerate(twin.plane.positioner_id):
+        for axis in (0, 1):
+            gear_deg, backlash_deg = twin.units.transmission(row, axis, truth[row, axis])
+            above = told[int(number)][axis] / COUNTS_PER_DEG * GEAR - gear_deg[0] * GEAR
+            if not -180.0 < above < backlash_deg[0] + 180.0:
+                wrong.append(int(number))
+    return wrong
 
 
 def _path(kind: str, at: Floats, rng: Rng) -> list[list[tuple[float, float]]]:
@@ -106,7 +125,7 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
     points = [(0.1, float(from_deg))]
     for _ in range(rng.integers(2, pieces + 1)):
         way_s = rng.uniform(0.1, longest_s)
-        top = FULL_SPEED_DEG_S * (10.0 ** rng.uniform(-3, -1) if kind == "crawl" else 1.0)
+        top = FULL_SPEED_DEG_S * (10.0 ** rng.uniform(-3.0, -0.3) if kind == "crawl" else 1.0)
         speed = top * (rng.choice([-1.0, 1.0]) if kind == "path" else rng.uniform(-1.0, 1.0))
         points.append((points[-1][0] + way_s, _held(points[-1][1] + speed * way_s, axis)))
     return points
@@ -130,11 +149,10 @@ def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats)
 
 def _longest_s(path: list[list[tuple[float, float]]], from_deg: Floats) -> float:
     """When a move has surely ended: at full speed and 0.25 s to reach it, precise ways and settling."""
-    ways = [abs(axis[0][1] - x) / FULL_SPEED_DEG_S for axis, x in zip(path, from_deg, strict=True)]
-    return (
-        max(axis[-1][0] + (way if len(axis) == 1 else 0.0) for axis, way in zip(path, ways, strict=True))
-        + 2.0
-    )
+    if len(path[0]) > 1:
+        return max(axis[-1][0] for axis in path) + 2.0
+    ways = [abs(axis[0][1] - x) for axis, x in zip(path, from_deg, strict=True)]
+    return max(ways) / FULL_SPEED_DEG_S + 2.0
 
 
 def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
@@ -145,7 +163,7 @@ def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
 
 
 def upload(twin: Twin, paths: dict[int, list[list[tuple[float, float]]]]) -> list[Reply]:
-    """Loads the trajectories of all, a frame of each in every tick: mailboxes hold no more than 16 answers."""
+    """Loads the trajectories of all, a frame of each in every tick: a mailbox holds 16 answers."""
     queues = {number: _trajectory_frames(number, axes) for number, axes in paths.items()}
     replies = []
     while any(queues.values()):
@@ -178,3 +196,35 @@ def _collided(replies: list[Reply]) -> dict[int, float]:
         if identifier.command == Command.COLLISION_DETECTED:
             found.setdefault(identifier.positioner, reply.time_s)
     return found
+
+
+# -- what a motor shows of its load ---------------------------------------------------------------
+
+
+def cruise(plane: FocalPlane, *, axis: int, seed: int) -> Floats:
+    """Raw load beyond the model of each unit, every tick of a second at 2000 rpm, Nm: (units, ticks).
+
+    From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
+    resists. The feedforward is that of the last tick's drag, learnt for two seconds before.
+    """
+    rng = np.random.default_rng([seed, 0xC4])
+    units = greased(draw_units(plane, seed), rng)
+    start = np.tile([20.0, 20.0], (len(plane), 1))
+    twin = Twin(plane, units, seed=seed, threads=1, neighbours=False, start_deg=start)
+    for number in plane.positioner_id:
+        go_to(twin, int(number), [100.0, 100.0])
+    twin.run(3.0)
+    scopes = [twin.scope(row, axis) for row in range(len(plane))]
+    twin.run(1.0)
+    return np.array([_load_Nm(s.take(), units.firmware[row, axis]) for row, s in enumerate(scopes)])
+
+
+def _load_Nm(log: np.ndarray, firmware: np.ndarray) -> Floats:
+    error = deg_to_rad(log["tracking_deg"])
+    torque = log["voltage"] * float(firmware["torque_per_volt"] * firmware["u_dc"])
+    beyond = torque - log["feedforward_Nm"]
+    bend = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / TICK_S**2
+    rate = (error[2:] - error[:-2]) / (2.0 * TICK_S)
+    # a torque acts over the tick that follows its sample
+    drive = 0.5 * (beyond[1:-1] + beyond[:-2])
+    return float(firmware["inertia"]) * bend + drive + float(firmware["drag"]) * rate

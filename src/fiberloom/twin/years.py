@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.twin.ailments import AilmentModel, Ailments, draw_ailments, excess_torque_Nm
+from fiberloom.twin.ailments import AilmentModel, Ailments, draw_ailments, excess_torque_Nm, loosened
 from fiberloom.twin.lifetime import MOVES_PER_CYCLE
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
@@ -124,12 +124,5 @@ class Years:
 
     def _with_play(self, xy_mm: Floats, theta_deg: Floats) -> Floats:
         """A loose arm is somewhat longer or shorter after every move."""
-        longer = self.ailments.loose_mm_at(self.move) * self._chance.normal(1)[:, 0]
-        arms = self.twin.units.arms
-        elbow = arms[:, :2] + arms[:, 2:3] * _direction(np.deg2rad(theta_deg[:, 0]) + arms[:, 3])
-        along = xy_mm - elbow
-        return xy_mm + along * (longer / np.hypot(*along.T))[:, None]
-
-
-def _direction(angle_rad: Floats) -> Floats:
-    return np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+        longer = self.ailments.loose_mm_at(self.move)[:, None] * self._chance.normal(1)
+        return loosened(self.twin.units, xy_mm[..., None], theta_deg[..., None], longer)[..., 0]

@@ -25,7 +25,7 @@
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
 #define FL_LAW_OBSERVER(X) \
     X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2) X(float, mean_Nm) X(float, mean_speed_rad_s) X(float, follow) \
-    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, unrest_Nm) X(float, way_rad) X(float, rise_Nm) X(float, limit_Nm)
+    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, scatter_Nm) X(float, unrest_Nm) X(float, way_rad) X(float, rise_Nm) X(float, limit_Nm)
 #define FL_LAW_INPUT(X) \
     X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
     X(float, acceleration_rad_s2) X(int32_t, settling)

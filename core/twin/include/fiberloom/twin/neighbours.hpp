@@ -86,6 +86,11 @@ class Neighbours {
         double speed_mm_s;
         const Pose *pose; // of an arm
     };
+    struct Place { // of a contact: its number as in Contact, and the share of a Newton step it takes
+        int number;
+        double share;
+        Closest closest;
+    };
     double reach_mm(size_t i) const;
     double approach_speed_mm_s(size_t i) const;
     void find_neighbours();
@@ -94,7 +99,7 @@ class Neighbours {
     double softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
     double touch(Look &look, const Touched &body) const;
-    void press(Look &look, const Touched &body, int place, const Closest &c) const;
+    void press(Look &look, const Touched &body, const Place &at) const;
 
     std::vector<Arm> arms_;
     std::vector<Obstacle> obstacles_;

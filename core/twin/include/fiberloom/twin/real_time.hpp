@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -56,8 +57,11 @@ class RealTime {
     RealTime(const RealTime &) = delete;
     RealTime &operator=(const RealTime &) = delete;
 
-    // Frames for the buses, none before its tick; those of one tick in the order of their posting.
+    // Frames for the buses, none before its tick nor in one that has begun; those of one tick in the order of
+    // their posting.
     void post(const std::vector<Errand> &errands);
+    // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
+    bool go_first();
     // What the positioners sent since the last call.
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
@@ -79,27 +83,39 @@ class RealTime {
         }
     };
     void loop();
-    bool rest(std::unique_lock<std::mutex> &lock);
-    void compute(std::unique_lock<std::mutex> &lock, uint64_t ticks);
+    void nap();
+    void park();
+    void exchange(std::unique_lock<std::mutex> lock);
+    void compute(uint64_t ticks);
     void deliver();
-    void catch_up_or_give_up();
+    void give_up();
+    bool called() const { return stop_ || holders_ > 0; }
+    uint64_t ticks_begun() const;
     uint64_t ticks_due() const;
+    uint64_t idle_ticks(uint64_t ticks) const;
     Clock::time_point due(uint64_t tick) const;
-    void wake_taker();
 
     Twin &twin_;
     const std::chrono::duration<double> tick_;
     const int wake_fd_;
-    Clock::time_point start_; // of tick 0; moves when time is given up
+    std::atomic<Clock::time_point> start_; // of tick 0; moves when time is given up
+    std::atomic<bool> stop_{false};
+    std::atomic<int> holders_{0};
+
+    // the thread's own: whoever else has been stopped by the system on the way never keeps it waiting
+    std::priority_queue<Posted, std::vector<Posted>, std::greater<>> agenda_;
+    std::vector<Reply> sent_;
+    Pace pace_;
+
+    // what it shares, and looks at only when nobody else does
     mutable std::mutex mutex_;
     std::condition_variable change_;
-    bool stop_ = false;
-    int holders_ = 0;
-    bool computing_ = false;
-    std::priority_queue<Posted, std::vector<Posted>, std::greater<>> inbox_;
+    bool parked_ = false;
     uint64_t posted_ = 0;
+    std::vector<Posted> inbox_;
     std::vector<Reply> outbox_;
-    Pace pace_;
+    Pace published_;
+
     std::thread thread_;
 };
 

@@ -11,14 +11,13 @@ import time
 import traceback
 
 import numpy as np
+from jaeger import FPS
 from jaeger.commands import CommandID
 from jaeger.commands.bootloader import load_firmware
 from jaeger.commands.calibration import calibrate_positioners
 from jaeger.commands.trajectory import Trajectory
 from jaeger.maskbits import BootloaderStatus, FPSStatus
 from jaeger.maskbits import PositionerStatus as PS
-
-from jaeger import FPS
 
 QUIET = {"save_snapshot": False}  # snapshots need the observatory's calibration files
 SCENARIOS = {}
@@ -138,8 +137,10 @@ async def collision(fps, job):
     await fps.unlock()
     answer["locked_after"] = fps.locked
     await sent(fps, {i: (goals[i][0], home[i][1]) for i in goals})
+    answer["folded_again_at"] = where(fps, goals)
     await sent(fps, home)
     answer["miss_deg"] = largest_miss(fps, home)
+    answer["began_and_ended_at"] = [list(home.values()), where(fps, home)]
     return answer
 
 

@@ -131,6 +131,7 @@ class Jaeger:
         self.process.stdin.write(json.dumps(job) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.lines.wait_for("RESULT ", timeout_s))
+        print(scenario, answer)  # `pytest -m jaeger -rP` shows it
         assert "error" not in answer, answer["error"] + "".join(self.lines.seen[-60:])
         return answer
 
@@ -203,6 +204,7 @@ def test_collision_locks_and_unlock_frees(jaeger):
     assert answer["miss_deg"] < MISS_DEG
 
 
+@pytest.mark.long
 def test_calibrations_and_homing(jaeger):
     # on a bench, and ten times as fast: nobody wants to watch a datum search
     with Served("bench", 2, "--no-neighbours", "--speed", "10"):
@@ -213,6 +215,7 @@ def test_calibrations_and_homing(jaeger):
     assert answer["miss_deg"] < MISS_DEG
 
 
+@pytest.mark.long
 def test_firmware_upgrade(jaeger, tmp_path):
     image = tmp_path / "tendo_v04.01.22.bin"
     image.write_bytes(bytes(range(256)) * 4 + b"tail")  # 1028 bytes: the last frame is shorter

@@ -1,0 +1,93 @@
+"""Does the served twin keep its clock? Serves positioners, drives them by the client, prints lateness.
+
+    python benchmarks/twin_server.py [--positioners 500] [--seconds 10]
+
+Idle first, then a move of everybody at 2000 rpm, both over TCP, on the machine as it is: the load average
+is part of the answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from fiberloom.bus import CanNetTransport, Client, Trajectory
+from fiberloom.twin.server import addresses_of, device_count
+
+LISTEN = "127.0.0.1:19328"
+HOME, AWAY = (10.0, 170.0), (45.0, 175.0)  # alpha turns at 1935 rpm for 3.1 s
+
+
+def served(positioners: int, seconds: float, first: bool) -> subprocess.Popen:
+    options = ["--listen", LISTEN, "--positioners", str(positioners), "--stop-after", str(seconds), "--json"]
+    options += ["--first"] if first else []
+    return subprocess.Popen([sys.executable, "-m", "fiberloom.cli", "twin", *options], stdout=subprocess.PIPE)
+
+
+async def drive(positioners: int, seconds: float, moving: bool) -> dict[str, float]:
+    """Connects as soon as it listens; moves everybody to and fro, or only asks for the status."""
+    hosts = [str(address) for address in addresses_of(LISTEN, device_count(positioners))]
+    transport = await connected(hosts)
+    client = Client(transport)
+    ids = await client.discover()
+    assert len(ids) == positioners
+    begin_s, load_s, there = time.monotonic(), 0.0, True
+    while time.monotonic() - begin_s < seconds:
+        if not moving:
+            await client.status(ids)
+            await client.sleep(0.1)
+            continue
+        here, goal = (HOME, AWAY) if there else (AWAY, HOME)
+        start = time.monotonic()
+        path = Trajectory.from_deg([0.1, 3.2], *zip(here, goal, strict=True))
+        sent = await client.send_trajectories(dict.fromkeys(ids, path))
+        load_s = time.monotonic() - start
+        assert sent.ok.all(), sent
+        await client.start(ids)
+        done = await client.wait_until_done(ids, 10.0, expected_s=3.0)
+        assert done.ok.all(), done
+        there = not there
+    await client.close()
+    return {"load_s": load_s}
+
+
+async def connected(hosts: list[str]) -> CanNetTransport:
+    for _ in range(200):
+        try:
+            return await CanNetTransport.open(hosts)
+        except Exception:
+            await asyncio.sleep(0.1)
+    raise SystemExit("the server does not listen")
+
+
+def measure(positioners: int, seconds: float, moving: bool, first: bool) -> dict:
+    server = served(positioners, seconds + 6.0, first)
+    driven = asyncio.run(drive(positioners, seconds, moving))
+    out, _ = server.communicate()
+    report = json.loads(out)
+    keep = ("ticks", "resting", "share_kept", "p50_ms", "p99_ms", "worst_ms", "given_up_s")
+    return {k: report[k] for k in keep} | driven | {"load_average": report["load_average_1min"]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--positioners", type=int, default=500)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--first", action="store_true", help="as `fiberloom twin --first`")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    results = {}
+    for name, moving in (("idle", False), ("moving", True)):
+        results[name] = measure(args.positioners, args.seconds, moving, args.first)
+        print(name, json.dumps(results[name]))
+    if args.out:
+        args.out.write_text(json.dumps(results, indent=2))
+
+
+if __name__ == "__main__":
+    main()
