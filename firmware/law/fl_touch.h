@@ -41,10 +41,11 @@
 #define FL_TOUCH_FADE 0.97f              /* of a surge per tick: 16 ms, for the observer is late */
 #define FL_TOUCH_SCATTER (1.0f / 500.0f) /* per tick: 250 ms */
 #define FL_TOUCH_WILD 3.5f               /* times the scatter: a worn sensor or a rough gear is no touch */
-#define FL_TOUCH_SCATTER_FIRST 3.0f /* at power-up, over the threshold: learnt in half a second of driving   \
-                                     */
-#define FL_TOUCH_DOUBT 3.0f         /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
-#define FL_TOUCH_INERTIA 0.12f      /* what it may be wrong by */
+#define FL_TOUCH_SCATTER_FIRST                                                                               \
+    3.0f                       /* at power-up, over the threshold: learnt in half a second of driving        \
+                                */
+#define FL_TOUCH_DOUBT 3.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
 
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */
