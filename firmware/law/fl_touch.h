@@ -33,18 +33,18 @@
 #define FL_TOUCH_LAG 0.201484f    /* 1 - p */
 #define FL_TOUCH_WAY_RAD 16.0f    /* 920 motor degrees: the largest backlash, 250, and what follows its end */
 #define FL_TOUCH_SLOW_RAD_S 50.0f /* slower, contacts are gentle and cogging is not */
-#define FL_TOUCH_FAST_RAD_S                                                                                  \
-    160.0f /* from here on the observer smoothes cogging; twice the threshold at none */
+/* from here on the observer smoothes cogging; twice the threshold at none */
+#define FL_TOUCH_FAST_RAD_S 160.0f
 #define FL_TOUCH_MEAN (1.0f / 120.0f)    /* per tick: 60 ms */
 #define FL_TOUCH_CATCH 0.1f              /* the same while nothing is watched: 5 ms */
 #define FL_TOUCH_CALM 0.98f              /* from the one to the other: 25 ms */
 #define FL_TOUCH_FADE 0.97f              /* of a surge per tick: 16 ms, for the observer is late */
 #define FL_TOUCH_SCATTER (1.0f / 500.0f) /* per tick: 250 ms */
 #define FL_TOUCH_WILD 3.5f               /* times the scatter: a worn sensor or a rough gear is no touch */
-#define FL_TOUCH_SCATTER_FIRST 3.0f /* at power-up, over the threshold: learnt in half a second of driving   \
-                                     */
-#define FL_TOUCH_DOUBT 3.0f         /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
-#define FL_TOUCH_INERTIA 0.12f      /* what it may be wrong by */
+/* at power-up, over the threshold: learnt in half a second of driving */
+#define FL_TOUCH_SCATTER_FIRST 3.0f
+#define FL_TOUCH_DOUBT 3.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
 
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */

@@ -110,9 +110,11 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
             assert time.monotonic() < end
             time.sleep(0.2)
         process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=150)
     finally:
         process.kill()
+        process.wait()
+        process.stderr.close()
     assert process.returncode == 130, stderr
     (kept,) = history_step(str(learnt), None)
     assert kept["positioners"] == N

@@ -151,12 +151,12 @@ def _by_name(values: Floats) -> dict[str, float]:
 
 
 def flat_convergence(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For people: one line per number of configurations."""
+    """For people: one line per number of configurations; um, `se` a standard error."""
     return [
-        {"configurations": row["configurations"], "calibrated": row["calibrated"]}
-        | {f"{name}: error_um": value for name, value in (row["error_um"] or {}).items()}
+        {"number": row["configurations"], "fitted": row["calibrated"]}
+        | {name.replace("l_", ""): value for name, value in (row["error_um"] or {}).items()}
         | {"worst": row["worst_error_um"]}
-        | {f"{name}: standard": value for name, value in row["standard_error_um"].items()}
+        | {f"se {name.replace('l_', '')}": value for name, value in row["standard_error_um"].items()}
         for row in rows
     ]
 
