@@ -269,6 +269,9 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path) {
         return creep(a, leg.target_cnt, landing_step(a, leg.target_cnt));
     case FL_LEG_SEARCH:
         a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
+        /* the stop is found by the same rule from near and far: the touch watch needs some way first, and
+         * where it stops the gear is wound up less, by which the datum could be a motor turn off */
+        a->drive.touch.way_rad = 0.0f;
         return false;
     case FL_LEG_SPIN:
     case FL_LEG_SPIN_RANGE:

@@ -335,6 +335,7 @@ def tiny_arms(sdssv):
     data["positioner"] = {"l_alpha_mm": 3.0, "park_deg": [0.0, 165.0], "points": {"fibre": fibre}}
     data["bodies"] |= {"beta_segment_mm": [-0.5, 3.2], "collision_buffer_mm": 0.8}
     data["metrology"] = {"present": False, "sees": "fibre"}
+    del data["camera"]
     data["operation"] = {"requirement_um": 50.0, "corrections_max": 0}
     data["layout"] = {"pitch_mm": 5.2, "rings": 4, "n_positioners": 61, "orientation_deg": 0.0}
     none = {"mean": 0.0, "sd": 0.0}

@@ -61,7 +61,7 @@ class Sequences(RuleBasedStateMachine):
     @rule(alpha=ANGLE, beta=ANGLE)
     def go_to(self, alpha, beta):
         if self.ask(30, rig.pair(alpha, beta)):
-            assert -4.01 < min(alpha, beta) < max(alpha, beta) < 364.01
+            assert -4.01 < min(alpha, beta) <= max(alpha, beta) < 364.01
             self.driven = True
             self.forget()
 

@@ -90,7 +90,7 @@ def test_the_survey_finds_the_arms_and_observe_uses_them(field):
     assert seen["n_within_requirement"] >= N - 2
     with Store.open(folder / "arms" / "store.sqlite") as store:
         assert store.runs()[-1].status == "finished"
-        assert store.runs()[-1].n_measurements == 9 * N  # eight, and everybody folds
+        assert store.runs()[-1].n_measurements == 10 * N  # the start, eight, and everybody folds
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select, update
-from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
 from fiberloom.errors import InputError
 from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
@@ -27,6 +28,11 @@ from fiberloom.store.schema import (
 )
 
 Columns = dict[str, NDArray[Any]]
+
+
+_TRIES = 20
+_MOMENT_S = 0.05
+"""While another process makes the tables of the same new store."""
 
 
 class Store:
@@ -54,15 +60,18 @@ class Store:
         return store
 
     def _prepare(self) -> None:
-        try:
-            with self._engine.begin() as connection:
-                _prepare(connection, self.name)
-        except IntegrityError:
-            # another process made the tables in the same moment: now they are there
-            with self.transaction() as connection:
-                _prepare(connection, self.name)
-        except SQLAlchemyError as error:
-            raise _readable(self.name, error) from None
+        for _ in range(_TRIES):
+            try:
+                with self._engine.begin() as connection:
+                    return _prepare(connection, self.name)
+            except (IntegrityError, OperationalError) as error:
+                # another process makes the tables in the same moment: soon they are there
+                if isinstance(error, OperationalError) and "already exists" not in str(error.orig):
+                    raise _readable(self.name, error) from None
+                time.sleep(_MOMENT_S)
+            except SQLAlchemyError as error:
+                raise _readable(self.name, error) from None
+        raise InputError(f"store '{self.name}': another process does not finish making its tables; try again")
 
     def close(self) -> None:
         """Lets go of the database."""

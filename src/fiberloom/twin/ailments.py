@@ -47,13 +47,12 @@ HEALTHY = ""
 KINDS = tuple(AilmentKind)
 _TOOTH_DEG = 10.0
 """One of 36 tooth pairings of the output turn."""
-HALL_STALLS = 0.98
-"""Share of its amplitude below which a channel makes moves end as collisions: MEASURED on the full
-physics at 2000 rpm, whose touch watch takes the wavering for contact in every second move at 0.98 and in
-all at 0.97. Without collision detection the motor turns down to 0.6."""
-STALL_PER_INERTIA = 1.75e4
+HALL_STALLS = 0.45
+"""Share of its amplitude below which a channel no longer turns the motor: MEASURED on the full physics, where
+one of 24 units stalls at 0.5 and all at 0.4."""
+STALL_PER_INERTIA = 3.65e4
 """Friction beyond the firmware's model, over the rotor's inertia, at which moves end as collisions, in
-Nm / (kg m^2): MEASURED on the full physics, 58 to 65 uNm for alpha, a friction of 1.8 to 1.9 times."""
+Nm / (kg m^2): MEASURED on the full physics, 103 to 133 uNm for alpha."""
 
 
 @dataclass(frozen=True)
