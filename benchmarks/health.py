@@ -1,9 +1,9 @@
 """Health over positioner-years: share of faults found, delay in moves, false alarms. JSON out.
 
-    python benchmarks/health.py --units 1000 --fields 6000 --workers 2 --out health.json
+    python benchmarks/health.py --units 1000 --fields 8000 --workers 2 --out health.json
 
-A year is 6000 fields of a blind move and two corrections. Half of the units fall ill in it. Goes on
-where it was killed (`--folder`).
+A year is 8000 fields of a blind move and two corrections (24 000 moves). Goes on where it was killed
+(`--folder`).
 """
 
 import argparse
@@ -16,7 +16,7 @@ import numpy as np
 
 from fiberloom import __version__
 from fiberloom.campaign import Campaign, run
-from fiberloom.twin.ailments import KINDS
+from fiberloom.twin.ailments import KINDS, AilmentModel
 from fiberloom.twin.health_trial import TrialSettings, health_trial
 
 CHUNK = 250
@@ -25,10 +25,11 @@ CHUNK = 250
 def main() -> None:
     """Run what the command line asks for."""
     asked = arguments()
-    settings = TrialSettings(fields=asked.fields)
+    settings = TrialSettings(fields=asked.fields, ailments=AilmentModel(rate_per_year=asked.rate))
     campaign = Campaign("health", health_trial, asked.units, asked.seed, settings, chunk=CHUNK)
     rows = run(campaign, asked.folder, workers=asked.workers)
-    report = {"version": __version__, "units": asked.units, "fields": asked.fields, "seed": asked.seed}
+    report = {"version": __version__, "units": asked.units, "fields": asked.fields}
+    report |= {"seed": asked.seed, "rate_per_year": asked.rate}
     report |= {"false_alarms": false_alarms(rows), "ailments": [found(rows, kind) for kind in KINDS]}
     print("\n".join(table(report)))
     if asked.out:
@@ -40,6 +41,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--units", type=int, default=250)
     parser.add_argument("--fields", type=int, default=600)
+    parser.add_argument("--rate", type=float, default=0.5, help="ailments per unit and 24 000 moves")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="keeps finished chunks")

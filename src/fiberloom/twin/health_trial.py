@@ -36,8 +36,8 @@ class TrialSettings:
     """What a trial does."""
 
     instrument: str = "sdssv"
-    fields: int = 6000
-    """A year of 300 nights with 20 fields."""
+    fields: int = 8000
+    """A year: 24 000 moves."""
     corrections: int = 2
     look_every: int = 4
     """Fields between two looks at the findings: what an operator reads."""
