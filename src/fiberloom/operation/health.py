@@ -101,6 +101,7 @@ class HealthSettings:
     """Smaller jumps are left to the fit of the last moves."""
     tell_way_deg: float = 0.3
     """Shorter ways do not tell a non-move from a miss."""
+    tell_way_mm: float = 0.3
     scale_step: float = 0.01
     """A share of the way that is worth knowing."""
     map_tail: float = 1.6
@@ -165,6 +166,7 @@ class HealthMonitor:
         self._pending = np.zeros((n, 2), dtype=bool)
         self._way = WayShare(n)
         self._seen_deg = np.full((n, 2), np.nan)
+        self._seen_mm = np.full((n, 2), np.nan)
         self._seen_sd_deg = np.full((n, 2), np.nan)
         self._effort = Habit(n, self.settings.settle)
         self._lever_mm = self._levers()
@@ -181,6 +183,7 @@ class HealthMonitor:
         self._collisions(passage)
         self._torques(passage)
         looked = np.isfinite(miss_deg).all(axis=1)
+        self._seen_mm = np.where(seen[:, None], passage.seen_mm, np.nan)
         changed = (looked | passage.asked)[:, None]
         self._seen_deg = np.where(changed, passage.believed_deg + miss_deg, self._seen_deg)
         self._seen_sd_deg = np.where(changed, image_sd_deg, self._seen_sd_deg)
@@ -231,7 +234,7 @@ class HealthMonitor:
         far: Flags = np.any(np.abs(np.nan_to_num(way)) > self.settings.far_deg, axis=1)
         whole: Flags = np.all(told, axis=1)
         sd = self._gain_sd_deg(way, far, np.hypot(image_sd_deg, self._seen_sd_deg))
-        still = self._stills(way, gain, sd, told)
+        still = self._stills(way, gain, sd, told, self._rests(passage))
         self._scales(way, gain, sd, told & ~still)
         self._jumps(passage, miss_deg, gain, sd, told & ~still, far)
         self._slip_deg += np.where(still, -way, 0.0)  # accounted for: it is not where its motor is
@@ -248,22 +251,32 @@ class HealthMonitor:
         """(N, 2) deg by which one axis moves the fibre as far as one coordinate of a 2-D rms."""
         return rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / self._lever_mm)
 
-    def _stills(self, way: Floats, gain: Floats, sd: Floats, told: Flags) -> Flags:
+    def _rests(self, passage: Passage) -> Flags:
+        """(N,) reports arrival, and its fibre is seen where it was: needs no angles."""
+        before, after = passage.before_deg, passage.believed_deg
+        way_mm = self.plane.forward(after[:, 0], after[:, 1]) - self.plane.forward(before[:, 0], before[:, 1])
+        moved_mm = passage.seen_mm - self._seen_mm
+        asked_mm, gone_mm = np.hypot(*way_mm.T), np.hypot(*moved_mm.T)
+        rests: Flags = (asked_mm > self.settings.tell_way_mm) & (gone_mm < 0.03 * asked_mm)
+        return rests & passage.asked & passage.arrived
+
+    def _stills(self, way: Floats, gain: Floats, sd: Floats, told: Flags, rests: Flags) -> Flags:
         """Axes that report a way that they did not go."""
-        asked = told & (np.abs(way) > np.maximum(self.settings.tell_way_deg, 12.0 * sd))
+        long = np.abs(way) > self.settings.tell_way_deg
+        asked = told & long & (np.abs(way) > 12.0 * sd)
         moved = way + gain
         moved[:, 0] -= 360.0 * np.rint(moved[:, 0] / 360.0)
         still = asked & (np.abs(moved) < np.maximum(0.03 * np.abs(way), 4.0 * sd))
+        still, asked = still | (rests[:, None] & long), asked | (rests[:, None] & long)
         self.still.add(of_event(still, 1e-6, 0.15), asked)
-        self.stills_in_a_row = np.where(
-            asked, np.where(still, self.stills_in_a_row + 1, 0), self.stills_in_a_row
-        )
+        again = np.where(still, self.stills_in_a_row + 1, 0)
+        self.stills_in_a_row = np.where(asked, again, self.stills_in_a_row)
         return still
 
     def _collisions(self, passage: Passage) -> None:
         """A way that ends as a collision may be a neighbour's fault once; hardly four times."""
         if passage.collided is not None:
-            self.blocked.add(of_event(passage.collided, 2e-3, 0.5), passage.asked)
+            self.blocked.add(of_event(passage.collided, 1e-4, 0.5), passage.asked)
 
     def _scales(self, way: Floats, gain: Floats, sd: Floats, told: Flags) -> None:
         """A share of the way that is missing or too much, for each direction of its own."""

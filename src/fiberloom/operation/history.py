@@ -30,7 +30,6 @@ def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[Passage]:
         move = _Move({name: column[here] for name, column in columns.items()}, plane)
         if np.all(move.kind == START):
             before = move.believed_deg
-            continue
         yield move.passage(before)
         before = np.where(move.known[:, None], move.believed_deg, before)
 
@@ -58,7 +57,9 @@ class _Move:
         status[self.rows] = self._columns["status"]
         near = np.all(np.abs(self.wire_deg - self.believed_deg) < _NEAR_DEG, axis=1)
         arrived = near & ~np.isin(status.astype(str), [str(s) for s in _NOT_ARRIVED])
-        return Passage(before_deg, self.believed_deg, seen_mm, self.known & ~stays, arrived)
+        gave_up = status.astype(str) == str(Status.DEAD)
+        asked = self.known & ~stays
+        return Passage(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
 
     def _pair(self, first: str, second: str) -> NDArray[np.float64]:
         out = np.full((self.n, 2), np.nan)
