@@ -262,7 +262,8 @@ class HealthMonitor:
 
     def _stills(self, way: Floats, gain: Floats, sd: Floats, told: Flags, rests: Flags) -> Flags:
         """Axes that report a way that they did not go."""
-        long = np.abs(way) > self.settings.tell_way_deg
+        # nearly a whole turn of alpha and none look the same
+        long = (np.abs(way) > self.settings.tell_way_deg) & (np.abs(way) < 300.0)
         asked = told & long & (np.abs(way) > 12.0 * sd)
         moved = way + gain
         moved[:, 0] -= 360.0 * np.rint(moved[:, 0] / 360.0)
