@@ -15,7 +15,9 @@ import typer
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import Twin, draw_units
-from fiberloom.twin.faults.schedule import troubles_of
+from fiberloom.twin.faults.grammar import parse_faults
+from fiberloom.twin.faults.kinds import SERVED
+from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.server.device import PORTS
 from fiberloom.twin.server.server import Address, TwinServer, addresses_of, device_count
 
@@ -43,7 +45,7 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
     addresses = addresses_of(request.listen, request.devices or device_count(len(plane)))
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
-    troubles = troubles_of(request.faults, ids, places, request.seed)
+    schedule = schedule_faults(parse_faults(request.faults, SERVED), ids, places, request.seed)
     units = draw_units(plane, request.seed)
     # one thread: ticks are short, and the other core is the host's
     twin = Twin(plane, units, seed=request.seed, threads=1, neighbours=request.neighbours)
@@ -51,7 +53,7 @@ def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
         twin,
         addresses,
         speed=request.speed,
-        troubles=troubles,
+        schedule=schedule,
         seed=request.seed,
         bootloader=request.bootloader,
         first=request.first,

@@ -4,8 +4,9 @@ from fiberloom.twin.bench import bench_units
 from fiberloom.twin.camera.bench_camera import BenchCamera, static_fibre_um
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units, put_in
-from fiberloom.twin.faults.ailments import AilmentKind, AilmentModel, Ailments, draw_ailments
-from fiberloom.twin.faults.faults import Fault, FaultKind
+from fiberloom.twin.faults.ailments import AilmentModel, Ailments, draw_ailments
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import AilmentKind, FaultKind
 from fiberloom.twin.hardware import bench_hardware, field_hardware
 from fiberloom.twin.statistical import StatisticalTwin
 from fiberloom.twin.transport import TwinTransport
