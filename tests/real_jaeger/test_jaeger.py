@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiberloom.cli.twin import jaeger_config
+from fiberloom.twin.server.jaeger import jaeger_config
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin.server.server import Address
 

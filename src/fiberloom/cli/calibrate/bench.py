@@ -1,0 +1,69 @@
+"""What the commands of a bench share: units of a preset, alone under a camera, with weights."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from fiberloom.cli.options import JsonOptions, LayoutOptions, require_folder, require_instrument
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from fiberloom.calibration.bench.bench import Progress
+    from fiberloom.calibration.bench.rig import BenchRig
+    from fiberloom.instruments import FocalPlane
+    from fiberloom.twin import Units
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions(LayoutOptions, JsonOptions):
+    """Of every command of a bench."""
+
+    positioners: Annotated[
+        int | None,
+        typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre."),
+    ] = None
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=1.")] = ""
+
+    def check(self, out: Path) -> None:
+        """Refuses what can be refused before anything heavy is imported."""
+        from fiberloom.twin.faults.grammar import parse_faults
+        from fiberloom.twin.faults.kinds import OBSERVED
+
+        parse_faults(self.faults, OBSERVED)
+        require_instrument(self.instrument)
+        require_folder(out)
+
+    def plane(self) -> FocalPlane:
+        """One positioner of a preset, unless told otherwise."""
+        return self._plane(self.positioners if self.layout is not None else self.positioners or 1)
+
+    def rig(self, plane: FocalPlane) -> tuple[BenchRig, Units]:
+        """The bench, and for reports what its units really are."""
+        from fiberloom.twin import draw_units
+        from fiberloom.twin.bench import bench_rig
+
+        units = draw_units(plane, self.seed)
+        return bench_rig(plane, units, self.seed, self.faults), units
+
+
+def on_bench(rig: BenchRig, work: Callable[[BenchRig], Awaitable[Found]]) -> Found:
+    """Finds the units that answer, and lets `work` measure them."""
+
+    async def connected() -> Found:
+        await rig.client.discover()
+        return await work(rig)
+
+    return asyncio.run(connected())
+
+
+def counting(count: Progress) -> Progress:
+    """Progress, not more often than a terminal is redrawn."""
+    return lambda done, total: count(done, total) if done % 8 == 0 or done == total else None
