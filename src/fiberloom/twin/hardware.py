@@ -29,13 +29,18 @@ def field_hardware(
     plane: FocalPlane, units: Units, seed: int, faults: str = "", camera: str = "noise"
 ) -> Hardware:
     """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
-    if camera not in CAMERAS:
-        raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
+    check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)
     return _hardware(twin, seed, camera)
+
+
+def check_camera(camera: str) -> None:
+    """Refuses a camera that the twin does not have."""
+    if camera not in CAMERAS:
+        raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
 
 
 def missing_in_twin(instrument: Instrument) -> str:
