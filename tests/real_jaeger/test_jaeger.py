@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiberloom.twin.server.jaeger import jaeger_config
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.twin.server.jaeger import jaeger_config
 from fiberloom.twin.server.server import Address
 
 ROOT = Path(__file__).resolve().parents[2]

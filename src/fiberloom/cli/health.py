@@ -14,13 +14,13 @@ from fiberloom.cli.options import JsonOptions, PlaneOptions
 class HealthOptions(PlaneOptions, JsonOptions):
     """Of `fiberloom health`."""
 
-    where: Annotated[
-        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
-    ] = "runs"
+    where: Annotated[str, typer.Argument(help="Store, database URL, or a folder with stores below it.")] = (
+        "runs"
+    )
 
 
 def health(options: HealthOptions) -> int:
-    """Say which positioners are healthy, degraded, suspect or disabled by all that was observed, and what to do."""
+    """Say which positioners are degraded, suspect or disabled by all that was observed; what to do."""
     from fiberloom.store.find import stores_below
 
     stores_below(options.where)

@@ -25,9 +25,9 @@ class LifetimeOptions(JsonOptions):
     positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2
     instrument: Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")] = "sdssv"
     points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200
-    targets: Annotated[
-        int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")
-    ] = 1220
+    targets: Annotated[int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")] = (
+        1220
+    )
     every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1
     faults: Annotated[
         str,
@@ -38,9 +38,9 @@ class LifetimeOptions(JsonOptions):
         str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
     ] = None
     seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
-    out: Annotated[
-        Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")
-    ] = Path("runs/lifetime")
+    out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")] = (
+        Path("runs/lifetime")
+    )
 
 
 def lifetime(options: LifetimeOptions) -> int:

@@ -14,9 +14,9 @@ from fiberloom.cli.options import JsonOptions
 class RunsOptions(JsonOptions):
     """Of `fiberloom runs`."""
 
-    where: Annotated[
-        str, typer.Argument(help="Store, database URL, or a folder with stores below it.")
-    ] = "runs"
+    where: Annotated[str, typer.Argument(help="Store, database URL, or a folder with stores below it.")] = (
+        "runs"
+    )
 
 
 def runs(options: RunsOptions) -> None:

@@ -103,9 +103,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     )
 
 
-async def _serve(
-    server: TwinServer, options: TwinOptions, greeting: str
-) -> dict[str, Any]:
+async def _serve(server: TwinServer, options: TwinOptions, greeting: str) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

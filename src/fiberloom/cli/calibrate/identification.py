@@ -47,9 +47,9 @@ Work = Callable[[Task], Awaitable[Measured]]
 class IdentificationOptions(BenchOptions):
     """Of every identification."""
 
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")
-    ] = False
+    truth: Annotated[bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")] = (
+        False
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

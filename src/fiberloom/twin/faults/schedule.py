@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,11 +81,15 @@ class _Pool:
 
 
 def _scheduled(request: FaultRequest, pool: _Pool) -> list[ScheduledFault]:
-    kind, when = request.kind, {"start_s": request.start_s, "end_s": request.end_s}
+    return [replace(fault, start_s=request.start_s, end_s=request.end_s) for fault in _endless(request, pool)]
+
+
+def _endless(request: FaultRequest, pool: _Pool) -> list[ScheduledFault]:
+    kind = request.kind
     if request.share is not None:
-        return [ScheduledFault(kind, share=request.share, late_s=request.late_s or 0.0, **when)]
+        return [ScheduledFault(kind, share=request.share, late_s=request.late_s or 0.0)]
     if request.positioner_id is not None:
-        return [ScheduledFault(kind, pool.named(request), **when)]
+        return [ScheduledFault(kind, pool.named(request))]
     if kind == ServiceKind.BUS_OFF:
-        return [ScheduledFault(kind, place=place, **when) for place in pool.drawn(request)]
-    return [ScheduledFault(kind, positioner, **when) for positioner in pool.drawn(request)]
+        return [ScheduledFault(kind, place=place) for place in pool.drawn(request)]
+    return [ScheduledFault(kind, positioner) for positioner in pool.drawn(request)]
