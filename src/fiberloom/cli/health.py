@@ -23,6 +23,7 @@ def health(options: HealthOptions) -> int:
     """Say which positioners are degraded, suspect or disabled by all that was observed; what to do."""
     from fiberloom.store.find import stores_below
 
+    options.check_plane()
     stores_below(options.where)
     from fiberloom.health.past_runs import health_report
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_instrument
+from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def match(options: MatchOptions) -> None:
     """Tell which positioner each spot is, and where it is in the focal plane."""
     require_file(options.source)
     require_file(options.expected)
-    require_instrument(options.instrument)
+    options.check_plane()
     from fiberloom.metrology import one_image
 
     plane = options.plane()

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder, require_instrument
+from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
 from fiberloom.cli.plan import TargetsArgument
 from fiberloom.cli.terminal import waiting
 
@@ -123,7 +123,7 @@ def check(options: Any) -> None:
     from fiberloom.twin.faults.kinds import OBSERVED
 
     parse_faults(options.faults, OBSERVED)
-    require_instrument(options.instrument)
+    options.check_plane()
     for name in ("calibration", "arms", "measured"):
         require_file(getattr(options, name, None))
 

@@ -84,10 +84,16 @@ class LayoutOptions:
     ] = None
     seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
 
-    def _plane(self, positioners: int | None) -> FocalPlane:
-        if self.layout is not None and positioners is not None:
+    def check_plane(self) -> None:
+        """Refuses what can be refused before anything heavy is imported."""
+        if self.layout is not None and getattr(self, "positioners", None) is not None:
             raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
+        if self.layout is not None and not self.layout.is_dir():
+            raise InputError(f"{self.layout}: no such directory; a layout is a folder of tables")
         require_instrument(self.instrument)
+
+    def _plane(self, positioners: int | None) -> FocalPlane:
+        self.check_plane()
         from fiberloom.instruments import generate, load_instrument, read_layout
 
         model = load_instrument(self.instrument)

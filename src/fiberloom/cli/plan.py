@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder, require_instrument
+from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
 
 if TYPE_CHECKING:
     from fiberloom.planning import Plan
@@ -29,7 +29,7 @@ def assign(options: AssignOptions) -> None:
     """Choose a target for each positioner; write the configuration as CSV."""
     from fiberloom.targets import read_targets
 
-    require_instrument(options.instrument)
+    options.check_plane()
     wanted = read_targets(options.targets)
     require_folder(options.out.parent)
     from fiberloom.assignment import assign_relaxed
@@ -64,6 +64,7 @@ def plan(options: PlanOptions) -> int:
     """Plan collision-free trajectories from one configuration to another."""
     require_file(options.start)
     require_file(options.goal)
+    options.check_plane()
     from fiberloom import planning
 
     plane = options.plane()
@@ -101,6 +102,7 @@ class VerifyOptions(PlaneOptions, JsonOptions):
 def verify(options: VerifyOptions) -> int:
     """Check trajectories in continuous time: clearances, limits, speeds, accelerations."""
     require_file(options.trajectories)
+    options.check_plane()
     from fiberloom import planning
 
     plane = options.plane()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fiberloom.cli.options import JsonOptions
+from fiberloom.cli.options import JsonOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
 if TYPE_CHECKING:
@@ -34,12 +34,15 @@ class ReproduceOptions(JsonOptions):
 
 def reproduce(options: ReproduceOptions) -> None:
     """Make the paper's figures and numbers on the twin, ours beside theirs."""
-    from rich.console import Console
-
-    from fiberloom.studies.paper import Settings, chosen
-    from fiberloom.studies.paper import reproduce as run_figures
+    from fiberloom.studies.paper import chosen
 
     figures = chosen(tuple(options.figures or ()))
+    require_folder(options.out)
+    from rich.console import Console
+
+    from fiberloom.studies.paper import Settings
+    from fiberloom.studies.paper import reproduce as run_figures
+
     console = Console(quiet=options.as_json)
     with waiting(options.as_json) as wait:
         settings = Settings(options.seed, options.seeds, options.full, wait.say)

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_instrument
+from fiberloom.cli.options import JsonOptions, PlaneOptions
 
 if TYPE_CHECKING:
-    from fiberloom.twin.server.server import Address, TwinServer
+    from fiberloom.twin.server.address import Address
+    from fiberloom.twin.server.server import TwinServer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,10 +59,12 @@ def twin(options: TwinOptions) -> None:
     """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import SERVED
+    from fiberloom.twin.server.address import addresses_of
 
     parse_faults(options.faults, SERVED)
-    require_instrument(options.instrument)
-    from fiberloom.twin.server.server import addresses_of, device_count
+    addresses_of(options.listen, 1)
+    options.check_plane()
+    from fiberloom.twin.server.server import device_count
 
     plane = options.plane()
     addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))

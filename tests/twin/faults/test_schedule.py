@@ -13,7 +13,8 @@ from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.kinds import SERVED
 from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 from fiberloom.twin.hardware import draw_faults
-from fiberloom.twin.server.server import Address, addresses_of, bus_of, device_count, places_of
+from fiberloom.twin.server.address import Address, addresses_of
+from fiberloom.twin.server.server import bus_of, device_count, places_of
 
 IDS = [3, 5, 8, 13, 21]
 PLACES = [(0, 1), (0, 2), (1, 1)]

@@ -19,7 +19,8 @@ from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.schedule import schedule_faults
-from fiberloom.twin.server.server import BACKLOG_BYTES, Address, TwinServer, places_of
+from fiberloom.twin.server.address import Address
+from fiberloom.twin.server.server import BACKLOG_BYTES, TwinServer, places_of
 
 PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=8)
 UNITS = draw_units(PLANE, seed=2)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, LayoutOptions, require_folder, require_instrument
+from fiberloom.cli.options import JsonOptions, LayoutOptions, require_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +38,7 @@ class BenchOptions(LayoutOptions, JsonOptions):
         from fiberloom.twin.faults.kinds import OBSERVED
 
         parse_faults(self.faults, OBSERVED)
-        require_instrument(self.instrument)
+        self.check_plane()
         require_folder(out)
 
     def plane(self) -> FocalPlane:

@@ -20,6 +20,9 @@ class HistoryOptions(JsonOptions):
 
 def history(options: HistoryOptions) -> None:
     """Show what operation has taught the maps, generation by generation."""
+    from fiberloom.store.find import existing
+
+    existing(options.learnt)
     from fiberloom.store.generations import learnt_generations
 
     rows = learnt_generations(options.learnt, options.positioner)
@@ -41,6 +44,9 @@ class UndoOptions(JsonOptions):
 
 def undo(options: UndoOptions) -> None:
     """Go back to what was known at an earlier generation; nothing is deleted."""
+    from fiberloom.store.find import existing
+
+    existing(options.learnt)
     from fiberloom.store.generations import go_back
 
     options.show(go_back(options.learnt, options.to, options.positioner))

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder, require_instrument
+from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
 
@@ -23,7 +23,7 @@ class TransmissionOptions(PlaneOptions, JsonOptions):
 
 def transmission(options: TransmissionOptions) -> int:
     """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7)."""
-    require_instrument(options.instrument)
+    options.check_plane()
     require_folder(options.out)
     from fiberloom.field import Field
     from fiberloom.report.outputs import marks

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 from fiberloom.errors import InputError
+from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.device import PORTS
-from fiberloom.twin.server.server import Address
 
 
 def jaeger_config(addresses: list[Address], folder: Path) -> str:

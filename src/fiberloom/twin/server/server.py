@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import heapq
-import ipaddress
 import socket
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -24,6 +23,7 @@ from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import SHARES, FaultKind, ServiceKind
 from fiberloom.twin.faults.schedule import ScheduledFault
 from fiberloom.twin.real_time import RealTimeTwin
+from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.device import PORTS, Device, Port
 from fiberloom.twin.server.wire import QUEUE_FRAMES, Wire
 from fiberloom.twin.twin import Reply, Twin
@@ -54,40 +54,9 @@ class Traffic:
     refused_clients: int = 0
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where a device listens."""
-
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
-
-
 def device_count(positioners: int) -> int:
     """Devices needed for so many positioners."""
     return -(-positioners // POSITIONERS_PER_DEVICE)
-
-
-def addresses_of(text: str, devices: int) -> list[Address]:
-    """Where the devices listen: HOST:PORT, and what follows it.
-
-    jaeger has one port number for all of its devices, so loopback addresses are counted up and the port
-    stays (127.0.0.1, 127.0.0.2, ...); with any other host ports are counted up.
-    """
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"--listen {text}: write HOST:PORT with a port 1 to 65535")
-    try:
-        first = ipaddress.IPv4Address(host)
-    except ValueError:
-        first = None
-    if first is not None and first.is_loopback:
-        return [Address(str(first + k), int(port)) for k in range(devices)]
-    if int(port) + devices > 65536:
-        raise InputError(f"--listen {text}: {devices} devices need the ports up to {int(port) + devices - 1}")
-    return [Address(host, int(port) + k) for k in range(devices)]
 
 
 def places_of(positioners: int, devices: int) -> list[tuple[int, int]]:
