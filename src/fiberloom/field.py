@@ -329,7 +329,7 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         >>> import fiberloom as fl
         >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
         >>> field.run.observe(fl.read_targets("targets.csv"), corrections=2)
-        Observation('sdssv', 7 positioners, 5 with a target, 3 moves, 5 within 5 um)
+        Observation('sdssv', 7 positioners, 7 with a target, 3 moves, 7 within 5 um)
         """
         folder = prepare_folder(Path(out))
         settings, learning = _asked(corrections, options, self.seed)

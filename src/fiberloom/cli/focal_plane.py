@@ -13,7 +13,7 @@ from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.survey import SurveySettings
 from fiberloom.report.outputs import prepare_folder
-from fiberloom.twin.mounting import misplaced
+from fiberloom.twin.draw import misplaced
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Observation:
     >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
     >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
     >>> seen
-    Observation('sdssv', 7 positioners, 5 with a target, 2 moves, 5 within 5 um)
+    Observation('sdssv', 7 positioners, 7 with a target, 2 moves, 7 within 5 um)
     """
 
     plane: FocalPlane
@@ -223,7 +223,21 @@ class Observation:
         return self.plane.instrument.operation.requirement_um
 
     def target_mm(self) -> Floats:
-        """Where the science fibre of each positioner should be (N, 2); NaN without a target."""
+        """Where the science fibre of each positioner should be.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.target_mm().shape
+        (7, 2)
+        """
         xy = np.full((len(self.plane), 2), np.nan)
         has = self.assignment.target >= 0
         chosen = self.assignment.target[has]
@@ -231,13 +245,52 @@ class Observation:
         return xy
 
     def true_error_um(self, move: Move) -> Floats | None:
-        """True distance of the science fibre from its target (N,); a twin only."""
+        """True distance of the science fibres from their targets.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
+        True
+        """
         if move.true_mm is None:
             return None
         return UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
 
     def error_um(self, move: Move) -> Floats:
-        """True error where it is known, else the measured one."""
+        """True error where it is known, else the measured one.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float
+            um; NaN without a target, or where nothing was seen.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.error_um(seen.final))
+        7
+        """
         true = self.true_error_um(move)
         return move.measured_error_um if true is None else true
 
@@ -247,7 +300,25 @@ class Observation:
         return next(m for m in reversed(self.moves) if not m.comparison)
 
     def counted(self, move: Move) -> Flags:
-        """Positioners with a target that are healthy."""
+        """Positioners with a target that are healthy.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.counted(seen.final).sum())
+        7
+        """
         return np.array([status not in NOT_COUNTED for status in move.status])
 
 
