@@ -14,22 +14,6 @@ NAMES = [
     *("Instrument", "FocalPlane", "TargetList", "read_targets", "assign", "plan", "verify", "Plan"),
     *("Field", "Observation", "TransmissionMaps", "centroid", "Spots", "InputError", "__version__"),
 ]
-    "Instrument",
-    "FocalPlane",
-    "TargetList",
-    "read_targets",
-    "assign",
-    "plan",
-    "verify",
-    "Plan",
-    "Field",
-    "Observation",
-    "TransmissionMaps",
-    "centroid",
-    "Spots",
-    "InputError",
-    "__version__",
-]
 
 
 def loaded_by(statement):
