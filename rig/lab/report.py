@@ -1,6 +1,6 @@
 """What the firmware costs on a Cortex-M4F: flash, RAM, stack, instructions per tick; against the aims.
 
-    python -m targetlab.report [--out DIR]      `make firmware-report`
+    python -m lab.report [--out DIR]      `make firmware-report`
 
 Exit code 1 when an aim is missed, 2 when something is missing on this machine.
 """
@@ -15,8 +15,8 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from targetlab import build, scenarios, stack
-from targetlab.unit import Cost, Unit
+from lab import build, scenarios, stack
+from lab.unit import Cost, Unit
 
 FLASH_AIM = 48 * 1024
 RAM_AIM = 24 * 1024
@@ -84,14 +84,14 @@ def image_graph(folder: Path) -> stack.Graph:
     """The call graph of the image with the board; `folder` is the build's top."""
     firmware = folder / "firmware"
     objects = sorted(firmware.glob("CMakeFiles/fl_firmware.dir/**/*.ci"))
-    objects += sorted(firmware.glob("targets/cortex-m4f/CMakeFiles/positioner.dir/*.ci"))
+    objects += sorted(firmware.glob("boards/stm32f405/CMakeFiles/positioner.dir/*.ci"))
     graph = stack.read_graph(objects)
     handlers = [name for name in map(stack.plain_name, graph) if name.startswith("fl_handle_")]
     tables = {name: [name] for name in PORT} | {"handler": handlers}
     # constructors of C++: none, as the empty section shows; an image of an upgrade: the board takes none
     tables |= {"init": [], "image_write": []}
     stack.resolve(graph, tables, build.ROOT)
-    machine = stack.read_disassembly(stack.disassemble(firmware / "targets" / "positioner.elf"))
+    machine = stack.read_disassembly(stack.disassemble(folder / "programs" / "positioner.elf"))
     stack.complete(graph, machine)
     return graph
 
@@ -153,7 +153,7 @@ def seen_stack(command: list[str]) -> dict[str, int]:
 def report() -> dict:
     """Everything, as it is written to JSON. Raises Missing, Unbounded."""
     programs = build.build("cortex-m4f")
-    folder = programs.parent.parent
+    folder = programs.parent
     size = sections(programs / "positioner.elf")
     assert size.get(".init_array", 0) == 0, "the firmware has constructors"
     costs = measure(build.rig_command("cortex-m4f"))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from targetlab.unit import COUNTS_PER_DEG, NUMBER, Truth, Unit, drawn
+from lab.unit import COUNTS_PER_DEG, NUMBER, Truth, Unit, drawn
 
 ACCEPTED, OUT_OF_RANGE, INVALID_TRAJECTORY, IN_MOTION, NOT_INITIALIZED = range(5)
 WRONG_LENGTH, COLLISION, INVALID_BROADCAST, INVALID_BOOTLOADER, INVALID, UNKNOWN = 5, 8, 10, 11, 12, 13
