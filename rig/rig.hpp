@@ -8,6 +8,7 @@
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wshadow"
 extern "C" {
+#include "fl_dispatch.h"
 #include "fl_positioner.h"
 }
 #pragma GCC diagnostic pop

@@ -6,7 +6,6 @@
 
 #include "fl_collision.h"
 #include "fl_commutation.h"
-#include "fl_port.h"
 #include "fl_servo.h"
 #include "fl_touch.h"
 
@@ -41,7 +40,7 @@ static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state
         in->acceleration_rad_s2,
         st->servo.drag_doubt,
     };
-    return fl_touch_step(&cfg->touch, &st->touch, &touch, FL_TICK_S);
+    return fl_touch_step(&cfg->touch, &st->touch, &touch);
 }
 
 /* rotor: measured at the start of the tick. */

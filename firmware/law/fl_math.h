@@ -8,15 +8,18 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "fl_tick.h"
+
 #define FL_TURN_BITS 20
-#define FL_TURN_CNT (1 << FL_TURN_BITS)      /* counts per motor turn */
-#define FL_RAD_PER_CNT 5.9921124e-6f         /* 2 pi / 2^20 */
-#define FL_CNT_PER_RAD 166886.05f            /* 2^20 / (2 pi) */
-#define FL_CNT_PER_MOTOR_DEG 2912.7111f      /* 2^20 / 360 */
-#define FL_CNT_PER_OUTPUT_DEG 2982616.2f     /* 2^30 / 360 */
-#define FL_RAD_S_PER_CNT_TICK 0.011984225f   /* 2 pi / 2^20 * 2000 Hz */
-#define FL_CNT_TICK_PER_RPM 8.7381333f       /* 2^20 / (60 * 2000 Hz) */
-#define FL_CNT_TICK2_PER_RAD_S2 0.041721513f /* 2^20 / (2 pi) / (2000 Hz)^2 */
+#define FL_TURN_CNT (1 << FL_TURN_BITS) /* counts per motor turn */
+#define FL_TWO_PI 6.283185307179586     /* in double: the constants below are rounded once, by the compiler */
+#define FL_RAD_PER_CNT ((float)(FL_TWO_PI / FL_TURN_CNT))
+#define FL_CNT_PER_RAD ((float)(FL_TURN_CNT / FL_TWO_PI))
+#define FL_CNT_PER_MOTOR_DEG ((float)(FL_TURN_CNT / 360.0))
+#define FL_CNT_PER_OUTPUT_DEG ((float)((1 << 30) / 360.0))
+#define FL_RAD_S_PER_CNT_TICK ((float)(FL_TWO_PI / FL_TURN_CNT * FL_TICK_HZ))
+#define FL_CNT_TICK_PER_RPM ((float)(FL_TURN_CNT / (60.0 * FL_TICK_HZ)))
+#define FL_CNT_TICK2_PER_RAD_S2 ((float)(FL_TURN_CNT / FL_TWO_PI / FL_TICK_HZ / FL_TICK_HZ))
 
 typedef struct fl_sincos {
     float sin, cos;

@@ -6,6 +6,8 @@
 #include <stdint.h>
 
 #include "fl_axis.h"
+#include "fl_boot.h"
+#include "fl_outbox.h"
 #include "fl_params.h"
 #include "fl_port.h"
 #include "fl_supervisor.h"
@@ -14,24 +16,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Frames waiting for a mailbox of the bus. */
-enum { FL_TX_FRAMES = 16 };
-
-typedef struct fl_tx_queue {
-    uint8_t first, count;
-    fl_can_frame_t frame[FL_TX_FRAMES];
-} fl_tx_queue_t;
-
-/* What the bootloader knows of the image that arrives. */
-typedef struct fl_boot {
-    uint32_t status; /* FL_BOOT_... */
-    uint32_t size, crc_expected;
-    uint32_t received, crc;
-    uint32_t until_tick; /* then the main firmware starts */
-    /* Where a board puts the image; returns the bytes taken. NULL: received, checked, dropped. */
-    uint32_t (*image_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
-} fl_boot_t;
 
 /* What the end of a motion brings with it, in the order in which it is done. */
 enum {
@@ -57,7 +41,7 @@ typedef struct fl_positioner {
     uint32_t ticks; /* since power-up */
     fl_axis_t axis[FL_AXES];
 
-    fl_tx_queue_t tx;
+    fl_outbox_t tx;
     uint64_t status;          /* what command 3 reports */
     uint64_t options;         /* status bits that are only remembered */
     uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
@@ -84,9 +68,6 @@ void fl_positioner_tick(fl_positioner_t *p);
 bool fl_positioner_begin_tick(fl_positioner_t *p);
 void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event);
 
-/* A frame seen on the bus (for whomever it is). Replies go out through port->send_frame. */
-void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);
-
 /* True when ticks change nothing but time: no move, phases off, nothing queued. A simulator may then
  * leave ticks out; fl_positioner_skip tells how many. */
 bool fl_positioner_at_rest(const fl_positioner_t *p);
@@ -98,8 +79,14 @@ void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[F
 /* Replaces the parameters of an axis. False and no change while it moves. */
 bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params);
 
-/* The SYNC line rises: like START_TRAJECTORY without an answer. */
-void fl_positioner_sync(fl_positioner_t *p);
+/* A command was carried out: the supervisor's next state (fl_state_t), with all that follows. */
+void fl_positioner_enter(fl_positioner_t *p, uint8_t state);
+
+/* An event from inside moves the supervisor on. */
+void fl_positioner_apply(fl_positioner_t *p, fl_input_t input);
+
+/* Both axes: phases off; they coast to a standstill. */
+void fl_positioner_brake(fl_positioner_t *p);
 
 /* For logs and the scope of a bench: what the control law saw and did in the last tick. */
 typedef struct fl_axis_telemetry {

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "fl_dispatch.h"
 #include "fl_identifier.h"
 #include "fl_positioner.h"
 

@@ -80,11 +80,17 @@ def modules(archive: Path) -> dict[str, int]:
     return {m[3]: int(m[1]) + int(m[2]) for m in rows}
 
 
+def _graphs(objects: Path, sources: Path) -> list[Path]:
+    """The call graphs beside objects whose sources exist: a build folder keeps those of moved files."""
+    graphs = sorted(objects.glob("**/*.ci"))
+    return [file for file in graphs if (sources / file.relative_to(objects)).with_suffix("").exists()]
+
+
 def image_graph(folder: Path) -> stack.Graph:
     """The call graph of the image with the board; `folder` is the build's top."""
     firmware = folder / "firmware"
-    objects = sorted(firmware.glob("CMakeFiles/fl_firmware.dir/**/*.ci"))
-    objects += sorted(firmware.glob("boards/stm32f405/CMakeFiles/positioner.dir/*.ci"))
+    objects = _graphs(firmware / "CMakeFiles" / "fl_firmware.dir", build.ROOT / "firmware")
+    objects += _graphs(firmware / "boards" / "stm32f405" / "CMakeFiles" / "positioner.dir", build.BOARD)
     graph = stack.read_graph(objects)
     handlers = [name for name in map(stack.plain_name, graph) if name.startswith("fl_handle_")]
     tables = {name: [name] for name in PORT} | {"handler": handlers}

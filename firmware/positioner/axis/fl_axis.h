@@ -13,6 +13,7 @@
 #include "fl_friction_fit.h"
 #include "fl_hall.h"
 #include "fl_hall_fit.h"
+#include "fl_leg.h"
 #include "fl_params.h"
 #include "fl_path.h"
 #include "fl_port.h"
@@ -35,26 +36,9 @@ typedef struct fl_axis_law {
     uint32_t speed_max_cnt_tick;
 } fl_axis_law_t;
 
-typedef enum fl_leg_kind {
-    FL_LEG_REST,       /* nothing to do; the phases are off or hold */
-    FL_LEG_FOLLOW,     /* the stored trajectory */
-    FL_LEG_GOTO,       /* trapezoid to the target */
-    FL_LEG_LAND,       /* creep to the target */
-    FL_LEG_SETTLE,     /* stand until the error is small */
-    FL_LEG_SEARCH,     /* turn in the negative direction until something blocks */
-    FL_LEG_DATUM,      /* coast to a standstill, which is the datum */
-    FL_LEG_BRAKE,      /* coast to a standstill */
-    FL_LEG_SPIN,       /* the field turns slowly to the target, whatever the sensors say */
-    FL_LEG_SPIN_RANGE, /* the same, looking at the range of the hall channels */
-    FL_LEG_SPIN_FIT,   /* the same, fitting their shape */
-    FL_LEG_SWEEP_IN,   /* closed loop at creep speed, until the backlash is closed */
-    FL_LEG_SWEEP,      /* the same, measuring the torque */
-    FL_LEG_PUSH,       /* two torques, one after the other, wherever they lead */
-} fl_leg_kind_t;
-
 typedef struct fl_leg {
     int32_t target_cnt;
-    uint8_t kind;
+    uint8_t kind; /* fl_leg_kind_t */
 } fl_leg_t;
 
 enum { FL_PLAN_LEGS = 6 };
@@ -72,7 +56,7 @@ typedef struct fl_torque_step {
 } fl_torque_step_t;
 
 /* A push ends after 0.2 s at the latest: at 6000 rpm 20 turns of the motor, 7 deg of the arm. */
-enum { FL_TORQUE_TICKS = 400 };
+enum { FL_TORQUE_TICKS = FL_TICK_HZ / 5 };
 
 /* What every tick touches comes first: it is what a simulator of many positioners waits for. */
 typedef struct fl_axis {
@@ -153,8 +137,7 @@ typedef struct fl_axis_demand {
 /* In closed loop along a way of the ordinary kinds, not in its first tick. */
 static inline bool fl_axis_tracks(const fl_axis_t *a) {
     if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
+    return (fl_leg_traits[a->plan[a->leg].kind].traits & FL_LEG_TRACKS) != 0;
 }
 /* a->hall is that of this tick. Moves the command on. */
 void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
