@@ -25,15 +25,23 @@ typedef struct fl_sincos {
     float sin, cos;
 } fl_sincos_t;
 
+/* |x|.
+ * @pre x != INT32_MIN */
 static inline int32_t fl_abs_i32(int32_t x) { return x < 0 ? -x : x; }
+/* The larger; b where one is NaN. */
 static inline float fl_max(float a, float b) { return a > b ? a : b; }
+/* The smaller; b where one is NaN. */
 static inline float fl_min(float a, float b) { return a < b ? a : b; }
+/* x kept within lo..hi; lo where x is NaN.
+ * @pre lo <= hi */
 static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max(x, lo), hi); }
 
+/* |x|. */
 static inline float fl_abs(float x) { return __builtin_fabsf(x); }
 
 /* Sums and differences of positions wrap instead of overflowing. */
 static inline int32_t fl_add_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
+/* The difference, likewise. */
 static inline int32_t fl_sub_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
 
 /* An angle folded to half a motor turn either side of zero. */
@@ -58,6 +66,7 @@ static inline float fl_sin_cnt(int32_t angle_cnt) {
     return x * ((0.999996616f - 0.166648284f * z) + (0.00830632516f - 0.000183636522f * z) * (z * z));
 }
 
+/* Sine and cosine of a motor angle; errors as of fl_sin_cnt. */
 static inline fl_sincos_t fl_sincos_cnt(int32_t angle_cnt) {
     const fl_sincos_t out = {fl_sin_cnt(angle_cnt), fl_sin_cnt(fl_add_i32(angle_cnt, FL_TURN_CNT / 4))};
     return out;

@@ -28,6 +28,7 @@ typedef struct fl_command {
     float acceleration_rad_s2;
 } fl_command_t;
 
+/* Standing at position_cnt, as if it had been commanded for 16 ms. */
 static inline void fl_smooth_reset(fl_smooth_state_t *st, int32_t position_cnt) {
     for (int i = 0; i < FL_SMOOTH_TICKS; ++i) st->ring_cnt[i] = position_cnt;
     st->sum_cnt = (int64_t)position_cnt * FL_SMOOTH_TICKS;

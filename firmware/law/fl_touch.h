@@ -8,7 +8,7 @@
  *
  * with three equal poles at FL_TOUCH_RAD_S, corrected once a tick: white noise of the sensors is no more than
  * 0.3 uNm for alpha, a load that grows is seen 3/FL_TOUCH_RAD_S = 6.7 ms late. What the model is wrong by
- * changes slowly at constant speed: the mean of some 60 ms, against which a touch stands out. A change of
+ * changes slowly at constant speed: the mean of some 60 ms, which a touch exceeds. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
  *   touch if sgn(w) L - mean - excess > touch + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
@@ -102,6 +102,9 @@ static inline float fl_touch_late(fl_touch_state_t *st, float speed_rad_s) {
     return st->late_3_rad_s;
 }
 
+/* One tick of FL_TICK_S: true when the arm is touched. rise_Nm and limit_Nm in `st` tell by how much, for
+ * logs.
+ * @pre in->direction is -1, 0 or 1; cfg->inertia > 0 */
 static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st,
                                  const fl_touch_in_t *in) {
     const float load_Nm = fl_touch_observe(cfg, st, in);

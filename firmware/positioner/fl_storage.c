@@ -115,8 +115,8 @@ static void load_calibration(fl_positioner_t *p) {
     p->options |= FL_STATUS(CALIBRATION_SAVED);
 }
 
-/* At rest the rotor cannot have turned far: its angle tells the rest of the turn. In motion nobody
- * knows: the last position is a guess and the datum has to be found again. */
+/* At rest the rotor cannot have turned far: its angle tells the rest of the turn. A position noted in
+ * motion is a guess: the datum has to be found again. */
 static void load_position(fl_positioner_t *p) {
     position_record_t r, other;
     if (read_newest(&p->port, &position_place, &r, &other) < 0) return;

@@ -1,7 +1,7 @@
 /* What a positioner may do: a table of rules and one pure matcher. First match wins.
  *
  * The supervisor sits above the laws and receives only states, inputs and conditions. It answers
- * with a response code and the next state; whoever asked acts on it.
+ * with a response code and the next state; the caller acts on it.
  */
 #ifndef FL_SUPERVISOR_H
 #define FL_SUPERVISOR_H
@@ -77,6 +77,7 @@ typedef struct fl_verdict {
     uint8_t code; /* fl_code_t; the state does not change unless it is FL_ACCEPTED */
 } fl_verdict_t;
 
+/* The verdict of the table; conditions are FL_IF_... bits. Pure. */
 fl_verdict_t fl_supervisor_match(fl_state_t state, fl_input_t input, uint32_t conditions);
 
 #endif

@@ -73,7 +73,7 @@ def sections(image: Path) -> dict[str, int]:
 
 
 def modules(archive: Path) -> dict[str, int]:
-    """Bytes of flash of every source file, before the linker drops what nobody calls."""
+    """Bytes of flash of every source file, before the linker drops what is not called."""
     command = ["arm-none-eabi-size", str(archive)]
     text = subprocess.run(command, check=True, text=True, capture_output=True).stdout
     rows = re.finditer(r"^\s*(\d+)\s+(\d+)\s+\d+\s+\d+\s+\S+\s+(\w+)\.c\.obj", text, re.MULTILINE)
@@ -104,7 +104,7 @@ def image_graph(folder: Path) -> stack.Graph:
 
 @dataclass(frozen=True)
 class Stack:
-    """Bytes: the background, the deepest interrupt on top of it, and what stands there then."""
+    """Bytes: the background, the deepest interrupt on top of it, and its chain of calls."""
 
     background: int
     interrupt: int

@@ -1,6 +1,6 @@
 """One positioner on a rig, spoken to as a host would: frames in, frames out, time passes.
 
-The rig runs on the host or on the emulated target; whoever speaks to it cannot tell which, and
+The rig runs on the host or on the emulated target; the client cannot tell which, and
 everything that was said is kept, so that two runs can be compared to the last bit.
 """
 

@@ -1,4 +1,4 @@
-"""The firmware is a leaf with floors: can above positioner above law and port; rig above all, and nothing back."""
+"""The firmware is a leaf with floors: can above positioner above law and port, and nothing back."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ def includes(file):
 
 @pytest.mark.parametrize("floor", MAY_INCLUDE)
 def test_a_floor_includes_only_itself_and_what_is_below(floor):
-    files = [f for f in (FIRMWARE / floor).rglob("*.[ch]")]
+    files = list((FIRMWARE / floor).rglob("*.[ch]"))
     assert files
     for file in files:
         for name in includes(file):
@@ -51,3 +51,17 @@ def test_no_folder_is_too_full():
     for folder in [FIRMWARE, ROOT / "rig", *FIRMWARE.rglob("*/"), ROOT / "rig" / "lab"]:
         if folder.is_dir() and folder.name != "__pycache__":
             assert sum(f.is_file() for f in folder.iterdir()) <= 15, folder
+
+
+def test_every_function_of_a_header_is_documented():
+    function = re.compile(r"^(?:static inline |const )*\w+ \**(fl_\w+)\(|^FL_HANDLER\((fl_\w+)\);")
+    found = 0
+    for file in FIRMWARE.rglob("*.h"):
+        if file.relative_to(FIRMWARE).parts[0] == "tests":
+            continue
+        lines = file.read_text().splitlines()
+        for before, line in zip(lines, lines[1:], strict=False):
+            if match := function.match(line):
+                found += 1
+                assert before.endswith("*/"), f"{file.name}: {match[1] or match[2]}"
+    assert found > 150

@@ -104,7 +104,7 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index, fl_
     return FL_AXIS_NONE;
 }
 
-/* The command stands still and the rotor does not lag, for the settle time; or never mind. The error
+/* The command is constant and the rotor does not lag, for the settle time; or the time is over. The error
  * is averaged over some 4 ms against the noise of the sensors. Beyond the target counts as arrived:
  * the backlash lies between the rotor and any way back. */
 static bool settled(fl_axis_t *a) {

@@ -80,7 +80,7 @@ static int32_t inward(const fl_axis_t *a, float turns) {
 }
 
 /* Two turns for the range, four for the shape, back to the start; then the field holds until the
- * rotor stands. */
+ * rotor is at a standstill. */
 void fl_axis_calibrate_hall(fl_axis_t *a) {
     fl_axis_clear_plan(a);
     fl_axis_add_leg(a, FL_LEG_SPIN_RANGE, inward(a, 2.0f));
