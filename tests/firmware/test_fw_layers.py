@@ -1,5 +1,6 @@
 """The firmware is a leaf with floors: can above positioner above law and port, and nothing back."""
 
+import itertools
 import re
 from pathlib import Path
 
@@ -60,7 +61,7 @@ def test_every_function_of_a_header_is_documented():
         if file.relative_to(FIRMWARE).parts[0] == "tests":
             continue
         lines = file.read_text().splitlines()
-        for before, line in zip(lines, lines[1:], strict=False):
+        for before, line in itertools.pairwise(lines):
             if match := function.match(line):
                 found += 1
                 assert before.endswith("*/"), f"{file.name}: {match[1] or match[2]}"
