@@ -299,6 +299,16 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
             Moves after the blind one; as many as the instrument makes when left out.
         out : str or Path
             Folder of the record, and of pages where they are asked for.
+        **options
+            By name; see below.
+
+        Returns
+        -------
+        Observation
+            How near every fibre came.
+
+        Other Parameters
+        ----------------
         correction : str, optional
             ``"filtered"`` (Kalman) or ``"plain"`` (Kronig 2020, Eq. 25); default: the instrument's.
         compare_linear : bool
@@ -313,11 +323,6 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
             Exposures that get pages to look at: ``"none"``, ``"last"`` or ``"all"``.
         save_images : bool
             Keep every exposure as FITS.
-
-        Returns
-        -------
-        Observation
-            How near every fibre came.
 
         Raises
         ------

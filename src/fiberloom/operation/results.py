@@ -18,7 +18,13 @@ from fiberloom.health.status import FAULTS, Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
 from fiberloom.report.figures import new_axes
-from fiberloom.report.focal_plane import FieldPicture, draw_focal_plane, plot_errors, plot_focal_plane
+from fiberloom.report.focal_plane import (
+    FieldPicture,
+    draw_focal_plane,
+    frame_positioners,
+    plot_errors,
+    plot_focal_plane,
+)
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
 from fiberloom.targets import TargetList
@@ -187,8 +193,10 @@ class Observation:
         """
         if not self.moves:
             raise InputError("nothing to plot: no move was made")
-        picture = _picture(self)
-        return draw_focal_plane(new_axes((7.0, 6.4)) if ax is None else ax, self.plane, picture)
+        axes = new_axes((7.0, 6.4)) if ax is None else ax
+        draw_focal_plane(axes, self.plane, _picture(self))
+        frame_positioners(axes, self.plane)
+        return axes
 
     def save(self, folder: str | Path) -> None:
         """Writes summary.json, fibres.ecsv, trajectories.json and two figures.

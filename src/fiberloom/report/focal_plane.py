@@ -54,6 +54,13 @@ def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Ax
     return axes
 
 
+def frame_positioners(axes: Axes, plane: FocalPlane) -> None:
+    """Shows the part of the field that the arms reach."""
+    reach_mm = 1.2 * float(plane.body_reach_mm.max(initial=0.0))
+    (left, bottom), (right, top) = plane.centres_mm.min(axis=0), plane.centres_mm.max(axis=0)
+    axes.set(xlim=(left - reach_mm, right + reach_mm), ylim=(bottom - reach_mm, top + reach_mm))
+
+
 def _draw_fibres(axes: Axes, plane: FocalPlane, picture: FieldPicture, tip: Floats) -> None:
     flagged, error_um = picture.flagged, picture.error_um
     served = np.isfinite(error_um) & ~flagged
