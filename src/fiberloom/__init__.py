@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from fiberloom.version import __version__
 
 if TYPE_CHECKING:
-    from fiberloom.assignment import assign
+    from fiberloom.assignment.assign import assign
     from fiberloom.calibration.transmission.maps import TransmissionMaps
     from fiberloom.errors import InputError
     from fiberloom.field import Field
@@ -62,7 +62,7 @@ _PLACES = {
     "Spots": "metrology.spots",
     "TargetList": "targets",
     "TransmissionMaps": "calibration.transmission.maps",
-    "assign": "assignment",
+    "assign": "assignment.assign",
     "centroid": "metrology.centroids",
     "plan": "planning",
     "read_targets": "targets",
