@@ -105,7 +105,7 @@ nb::tuple plan_all(Arms arms, std::array<double, 2> segment, double radius, Caps
     settings.last_deadline = last_deadline;
     settings.effort = effort;
     settings.seed = seed;
-    Outcome outcome;
+    PlanResult outcome;
     {
         nb::gil_scoped_release release;
         outcome = plan(bodies, task, settings);

@@ -393,9 +393,9 @@ nb::dict pace_of(const RealTime &real) {
 
 void real_time_post(RealTime &real,
                     const std::vector<std::tuple<uint32_t, nb::bytes, int, uint64_t>> &frames) {
-    std::vector<Errand> errands;
-    for (const auto &[id, data, bus, tick] : frames) errands.push_back({frame_of(id, data), bus, tick});
-    real.post(errands);
+    std::vector<QueuedFrame> queued;
+    for (const auto &[id, data, bus, tick] : frames) queued.push_back({frame_of(id, data), bus, tick});
+    real.post(queued);
 }
 
 void bind_real_time(nb::module_ &m) {

@@ -38,15 +38,15 @@ class Visited {
     std::vector<std::uint64_t> bits_;
 };
 
-// Level and noise of the background where a hill stands: looked up once for all its pixels.
+// Level and noise of the background under a peak: looked up once for all its pixels.
 struct Ground {
     float level;
     float noise;
 };
 
-template <class P> class Hills {
+template <class P> class PeakFinder {
   public:
-    Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box)
+    PeakFinder(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box)
         : box_(box), pixels_(pixels), background_(background),
           saturation_(static_cast<float>(settings.saturation_adu)),
           threshold_(static_cast<float>(settings.threshold)) {}
@@ -65,7 +65,7 @@ template <class P> class Hills {
                above(3.0f * g.noise) >= 5;
     }
 
-    // Uphill on the sum of the clipped pixels of the box. False: this hill was climbed before.
+    // Uphill on the sum of the clipped pixels of the box. False: this peak was climbed before.
     bool climb(int x, int y, Visited *visited, Seed &seed) const {
         const Ground g = ground(x, y);
         std::array<std::pair<int, int>, longest_climb_px> path;
@@ -206,7 +206,7 @@ template <class P>
 std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &background, const Settings &settings,
                             int box) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings, box);
+    const PeakFinder<P> finder(pixels, background, settings, box);
     Visited visited(image.width, image.height);
     std::vector<float> thresholds;
     std::vector<int> peaks;
@@ -218,7 +218,7 @@ std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &backgroun
         row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, image.width,
                   thresholds.data(), peaks);
         for (const int x : peaks)
-            if (Seed seed; hills.lit(x, y) && hills.climb(x, y, &visited, seed) && hills.significant(seed))
+            if (Seed seed; finder.lit(x, y) && finder.climb(x, y, &visited, seed) && finder.significant(seed))
                 seeds.push_back(seed);
     }
     return seeds;
@@ -228,7 +228,7 @@ template <class P>
 bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box,
              double x_px, double y_px, double radius_px, Seed &best) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings, box);
+    const PeakFinder<P> finder(pixels, background, settings, box);
     // one pixel more on the left and right, which the scan leaves alone
     const int x0 = std::max(static_cast<int>(std::floor(x_px - radius_px)) - 1, 0);
     const int x1 = std::min(static_cast<int>(std::ceil(x_px + radius_px)) + 1, image.width - 1);
@@ -246,9 +246,10 @@ bool near_in(const Pixels<P> &pixels, const Background &background, const Settin
                   thresholds.data(), peaks);
         for (const int x : peaks) {
             Seed seed;
-            if (!hills.lit(x0 + x, y) || !hills.climb(x0 + x, y, nullptr, seed)) continue;
+            if (!finder.lit(x0 + x, y) || !finder.climb(x0 + x, y, nullptr, seed)) continue;
             const double distance = std::hypot(seed.x - x_px, seed.y - y_px);
-            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed, found = true;
+            if (distance <= nearest && finder.significant(seed))
+                nearest = distance, best = seed, found = true;
         }
     }
     return found;

@@ -1,4 +1,4 @@
-// Where a spot may be: local maxima above the background, each led to the top of its own hill.
+// Where a spot may be: local maxima above the background, each led to the top of its own peak.
 #pragma once
 
 #include "background.hpp"
@@ -16,7 +16,7 @@ struct Seed {
     bool saturated = false;
 };
 
-// `box` 1 or 2: hills are climbed on sums of 3 x 3 or 5 x 5 pixels.
+// `box` 1 or 2: peaks are climbed on sums of 3 x 3 or 5 x 5 pixels.
 std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings,
                          int box);
 

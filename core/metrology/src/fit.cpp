@@ -246,7 +246,7 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
     const Shape shape = shape_of(profile, ellipse);
     const double peak_share = profile_value(profile, 0) / ellipse.area();
     const double longest = 0.7 * std::sqrt(ellipse.area()), x0 = fit.x, y0 = fit.y;
-    State state{fit.flux, fit.x - stamp.x0, fit.y - stamp.y0, free_background ? fit.background : 0.0};
+    FitState state{fit.flux, fit.x - stamp.x0, fit.y - stamp.y0, free_background ? fit.background : 0.0};
     fit.converged = false;
     for (int k = 0; k < most_iterations && !fit.converged; ++k) {
         const Judge judge = judge_at(k, profile, settings, std::max(state.flux, 0.0) * peak_share, fit.q_max);

@@ -172,7 +172,7 @@ FL_INLINE void widen(const Judge &judge, WideJudge &wide) {
     wide.q_max = all(judge.q_max), wide.steepness = all(5.0f / judge.q_max);
 }
 
-FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state,
+FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const FitState &state,
                           const Judge &narrow_judge, Float8 *sum) {
     using N = Normal;
     WideShape shape;
@@ -240,7 +240,7 @@ FL_INLINE void rungs_at(const WideShape &shape, Float8 q, Float8 scale, Float8 *
     for (int k = 5; k >= 0; --k, e = e * e) rung[k] = e * scale;
 }
 
-FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, const State &state,
+FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, const FitState &state,
                            const Judge &narrow_judge, Float8 *sum) {
     WideShape shape;
     WideJudge judge;
@@ -329,7 +329,7 @@ void Stamp::resize(int x, int y, int w, int h) {
     if (width > w) std::fill(value.begin(), value.end(), 0.0f); // the padding must hold numbers
 }
 
-Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &state, const Judge &judge) {
+Normal normal_equations(const Stamp &stamp, const Shape &shape, const FitState &state, const Judge &judge) {
     Float8 lanes[Normal::size] = {};
     accumulate(stamp, shape, state, judge, lanes);
     Normal normal;
@@ -352,7 +352,7 @@ std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, d
     return sum;
 }
 
-void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const State &state, const Judge &judge,
+void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const FitState &state, const Judge &judge,
                 LadderSums &sums) {
     Float8 lanes[29] = {};
     ladder_sums(stamp, shape, norm, state, judge, lanes);

@@ -41,7 +41,7 @@ struct Shape {
     float square = 0;
 };
 
-struct State {
+struct FitState {
     double flux, x, y, background; // x, y relative to the stamp's first pixel
 };
 
@@ -82,7 +82,7 @@ struct Normal {
     std::array<double, size> sum{};
 };
 
-Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &state, const Judge &judge);
+Normal normal_equations(const Stamp &stamp, const Shape &shape, const FitState &state, const Judge &judge);
 
 // stamp.value -= flux * profile, stamp.variance += the same / gain, for a neighbour at (x, y) of the stamp.
 void subtract_profile(Stamp &stamp, const Shape &shape, double flux, double x, double y, float inverse_gain);
@@ -94,7 +94,7 @@ std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, d
 // side, then what the misfit needs: sum of (r^2 - variance) / variance^2, sum of model^2 / variance^2 for q
 // < 8.
 using LadderSums = std::array<double, 29>;
-void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const State &state, const Judge &judge,
+void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const FitState &state, const Judge &judge,
                 LadderSums &sums);
 
 } // namespace fl::metrology

@@ -27,7 +27,7 @@ constexpr double least_share = 0.04; // of the peak
 constexpr double narrow_fwhm_px = 4.5;
 constexpr int neighbour_rounds = 5;
 
-// Spots of one image and who stands near whom.
+// The spots of one image, and which are near each other.
 class Frame {
   public:
     Frame(const ImageView &image, const Background &background, const Settings &settings,

@@ -71,7 +71,7 @@ std::vector<const Seed *> bright_seeds(const ImageView &image, const std::vector
     return out;
 }
 
-// Seeds by column strip, to ask who is near.
+// Seeds by column strip, to ask which are near.
 class Neighbours {
   public:
     explicit Neighbours(const std::vector<Seed> &seeds) {
@@ -230,7 +230,7 @@ void add_spots(const Profile &profile, const Settings &settings, const std::vect
         const auto norm = static_cast<float>(1 / (2 * pi * e.area()));
         const Judge judge{6.0f, round < 2 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu),
                           120.0f};
-        const State state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
+        const FitState state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
         add_ladder(s.stamp, shape_of(profile, e), norm, state, judge, sums);
     }
 }
@@ -289,7 +289,7 @@ Profile round_profile(const ImageView &image, double fwhm_px) {
     return p;
 }
 
-// Centre of light under a round Gaussian weight, moved along until it stands still.
+// Centre of light under a round Gaussian weight, moved along until it no longer moves.
 void centre_on_light(const ImageView &image, const Background &background, const Settings &settings,
                      double fwhm_px, Seed &seed) {
     const float s = static_cast<float>(fwhm_per_sigma * fwhm_per_sigma / (fwhm_px * fwhm_px));

@@ -216,7 +216,7 @@ struct Contact {
     Mask positive, negative;
 };
 
-// The gear gives way to whoever closes the gap, and stays where it is otherwise: it cannot be driven
+// The gear gives way to the side that closes the gap, and stays where it is otherwise: it cannot be driven
 // back. In contact both sides are the same number, not nearly so.
 inline Contact close_gap(const AxisGroup &g, int i, V turned, V &gear) {
     const V from_below = load(g.closed_rad + i) + turned * load(g.closed_scale + i);
@@ -286,7 +286,7 @@ TickEvents step(AxisGroup &g, int substeps) {
     TickEvents events;
     for (int k = 0; k < count; ++k) {
         substep_chunk(g, chunks[k], 0.5f);
-        // at rest now, and where it was: then at rest all the time, for the field stands in a tick
+        // at rest now, and where it was: then at rest all the time, for the field does not turn in a tick
         if (end_ways(g, chunks[k]) == 0) g.still |= 1U << (chunks[k] / chunk_size);
         events.left_cell |= lanes_out_of_cell(g, chunks[k]);
     }

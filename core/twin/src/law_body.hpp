@@ -25,7 +25,7 @@ static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE
 
 // Not first samples: an axis that tracks has looked before.
 void hall_law(LawBatch &b) {
-    for (int i = 0; i < squad_size; ++i) {
+    for (int i = 0; i < lane_group_size; ++i) {
 #define X(type, name) b.hall.name[i],
         const fl_hall_config_t config = {FL_LAW_HALL(X)};
 #undef X
@@ -40,7 +40,7 @@ void hall_law(LawBatch &b) {
 }
 
 void drive_law(LawBatch &b) {
-    for (int i = 0; i < squad_size; ++i) {
+    for (int i = 0; i < lane_group_size; ++i) {
 #define X(type, name) b.servo.name[i],
         const fl_servo_config_t servo = {FL_LAW_SERVO(X)};
 #undef X

@@ -82,7 +82,7 @@ void Positioner::record_axes(const Plant &plant, uint64_t tick) {
 
 ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) const {
     const size_t number = 2 * index_ + static_cast<size_t>(axis);
-    const int lane = lane_ + axis * squad_size;
+    const int lane = lane_ + axis * lane_group_size;
     const AxisState state = plant.state(number);
     const fl_axis_telemetry_t t = fl_positioner_telemetry(&firmware_, axis);
     ScopeSample s{};
@@ -108,7 +108,7 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
 
 void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
     uint16_t *last = last_hall_[axis];
-    const int lane = lane_ + axis * squad_size;
+    const int lane = lane_ + axis * lane_group_size;
     if (!faults.stuck_hall[axis])
         for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->hall_cnt[k][lane]);
     adc_cnt[0] = last[0];
@@ -121,7 +121,7 @@ void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
 
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
-    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * squad_size] = duty[k];
+    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * lane_group_size] = duty[k];
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {

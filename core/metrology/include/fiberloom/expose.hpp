@@ -22,7 +22,7 @@ struct Sky {
 
 // Poisson and read noise on `light` plus sky, then full well, gain, bias, rounding and the sixteen bits.
 // The noise of a row depends on seed and row alone, not on the number of threads. From 40 electrons on, one
-// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) stands for both noises.
+// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) serves for both noises.
 void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
             std::uint64_t seed, std::span<std::uint16_t> adu, int threads = 1);
 

@@ -78,7 +78,7 @@ class Twin {
     const Neighbours &neighbours() const;
     const char *kernel_name() const;
 
-    // A frame now, on one bus or on all: for one positioner, or for everybody there (identifier bits 28..18
+    // A frame now, on one bus or on all: for one positioner, or for all there (identifier bits 28..18
     // zero).
     void send(const fl_can_frame_t &frame, int bus = every_bus);
     // Which bus a positioner hangs on; 0 unless told.
@@ -89,7 +89,7 @@ class Twin {
     Angles output(size_t positioner) const;
     const fl_positioner_t &firmware(size_t positioner) const;
     bool asleep(size_t positioner) const;
-    // Nothing moves and nobody's firmware has anything to do: time alone goes on.
+    // Nothing moves and no firmware has anything to do: time alone goes on.
     bool resting() const;
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;

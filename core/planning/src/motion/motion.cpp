@@ -1,4 +1,4 @@
-#include "motion.hpp"
+#include "motion/motion.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -14,22 +14,20 @@ void add_point(Motion &motion, double time_s, Angles angles) {
     motion.angles.push_back(angles);
 }
 
-bool straight(const AxisGrid &axis, int line, Bend bend) {
-    const double before = axis.angle(line) - axis.angle(line + bend.from),
-                 after = axis.angle(line + bend.to) - axis.angle(line);
+bool straight(const AxisGrid &axis, int line, VelocityChange change) {
+    const double before = axis.angle(line) - axis.angle(line + change.from),
+                 after = axis.angle(line + change.to) - axis.angle(line);
     return std::abs(after - before) < 1e-12;
 }
 
-Angles angles_at(const Robot &robot, Cell c, Bends bends, int k) {
-    return {robot.alpha().angle(c.alpha, bends.alpha, k), robot.beta().angle(c.beta, bends.beta, k)};
+Angles angles_at(const Robot &robot, Cell c, VelocityChanges changes, int k) {
+    return {robot.alpha().angle(c.alpha, changes.alpha, k), robot.beta().angle(c.beta, changes.beta, k)};
 }
 
-Cell cell_at(const std::vector<Cell> &way, int step) {
-    return way[static_cast<size_t>(std::clamp(step, 0, static_cast<int>(way.size()) - 1))];
-}
+Cell cell_at(const List<Cell> &path, int step) { return path[std::clamp(step, 0, path.size() - 1)]; }
 
-Bends bends_at(const std::vector<Cell> &way, int step) {
-    const Cell before = cell_at(way, step - 1), here = cell_at(way, step), after = cell_at(way, step + 1);
+VelocityChanges changes_at(const List<Cell> &path, int step) {
+    const Cell before = cell_at(path, step - 1), here = cell_at(path, step), after = cell_at(path, step + 1);
     return {{before.alpha - here.alpha, after.alpha - here.alpha},
             {before.beta - here.beta, after.beta - here.beta}};
 }
@@ -55,20 +53,21 @@ Clock::Clock(const Settings &s, double highest_approach_rad) {
     leg_quarters = std::max(1, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
 }
 
-Motion motion_of(const Robot &robot, const std::vector<Cell> &way, int steps, const Clock &clock,
+Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
                  double approach_rad) {
     Motion motion;
-    add_point(motion, 0.0, angles_at(robot, way[0], {}, 2));
+    add_point(motion, 0.0, angles_at(robot, path[0], {}, 2));
     for (int step = 0; step <= steps; ++step) {
-        const Cell here = cell_at(way, step);
-        const Bends bends = bends_at(way, step);
-        if (straight(robot.alpha(), here.alpha, bends.alpha) && straight(robot.beta(), here.beta, bends.beta))
+        const Cell here = cell_at(path, step);
+        const VelocityChanges changes = changes_at(path, step);
+        if (straight(robot.alpha(), here.alpha, changes.alpha) &&
+            straight(robot.beta(), here.beta, changes.beta))
             continue;
         for (int k = step == 0 ? 2 : 1; k <= 3; ++k) // the first point is there already
-            add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, bends, k));
+            add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
     }
     const int end = 4 * steps + 2; // in quarters: the last cut corner ends here
-    const Angles high = angles_at(robot, cell_at(way, steps), {}, 2);
+    const Angles high = angles_at(robot, cell_at(path, steps), {}, 2);
     if (motion.time_s.back() < end * clock.quarter_s) add_point(motion, end * clock.quarter_s, high);
     if (approach_rad == 0.0) return motion;
     const double down[] = {0.25, 0.75, 1.0};
@@ -78,20 +77,17 @@ Motion motion_of(const Robot &robot, const std::vector<Cell> &way, int steps, co
     return motion;
 }
 
-Piece approach_leg(const Arm &arm, double from_mm, double to_mm, Angles goal, double approach_rad) {
-    Piece piece;
+SweptArm approach_leg(const ArmBody &body, Angles goal, double approach_rad) {
+    SweptArm leg;
     for (int k = 0; k <= quarters; ++k) {
         const double above = approach_rad * (quarters - k) / quarters;
-        const Turn a = turn(goal.alpha_rad + above + arm.alpha_off_rad);
-        const Turn u = a * turn(goal.beta_rad + above + arm.beta_off_rad);
-        const Vec2 e{arm.centre_mm.x + arm.l_alpha_mm * a.c, arm.centre_mm.y + arm.l_alpha_mm * a.s};
-        piece.at[static_cast<size_t>(k)] = {{e.x + from_mm * u.c, e.y + from_mm * u.s},
-                                            {e.x + to_mm * u.c, e.y + to_mm * u.s}};
+        leg.at[k] = body.line(turn(goal.alpha_rad + above + body.arm.alpha_off_rad),
+                              turn(goal.beta_rad + above + body.arm.beta_off_rad));
     }
-    const double far = std::max(std::abs(from_mm), std::abs(to_mm)), part = approach_rad / quarters;
-    piece.bulge_mm = (std::abs(arm.l_alpha_mm) + 4.0 * far) * part * part / 8.0;
-    measure_sway(piece);
-    return piece;
+    const double part = approach_rad / quarters;
+    leg.bulge_mm = (std::abs(body.arm.l_alpha_mm) + 4.0 * body.far_mm()) * part * part / 8.0;
+    measure_displacement_bound(leg);
+    return leg;
 }
 
 } // namespace fl::planning

@@ -1,4 +1,4 @@
-// One time step of a beta arm, and the test whether two of them stay apart during all of it.
+// What a beta arm sweeps in one time step, and the test whether two of them stay apart during all of it.
 //
 // A step is cut into four quarters; within a quarter both angles run straight in time. The ends of the arm's
 // centre line are kept at the five borders. Between borders an end follows an arc, which leaves its
@@ -8,17 +8,16 @@
 #include "fiberloom/distance.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 namespace fl::planning {
 
 inline constexpr int quarters = 4;
 
-struct Piece {
-    std::array<Segment, quarters + 1> at{};
-    double sway_mm = 0.0;  // no point of the arm gets farther than this from its place at mid-step
-    double bulge_mm = 0.0; // arc against chord, within a quarter
+struct SweptArm {
+    Segment at[quarters + 1] = {};      // the centre line at the borders of the quarters
+    double displacement_bound_mm = 0.0; // no point of the arm gets farther from its place at mid-step
+    double bulge_mm = 0.0;              // arc against chord, within a quarter
 };
 
 inline Vec2 operator-(Vec2 p, Vec2 q) { return {p.x - q.x, p.y - q.y}; }
@@ -56,17 +55,23 @@ inline double squared_distance(const Segment &p, const Segment &q) {
 
 inline double distance(const Segment &p, const Segment &q) { return std::sqrt(squared_distance(p, q)); }
 
-// How far apart the ends of two segments move during an interval, at most: by so much, and no more, can
+// Two centre lines at one moment, and their distance.
+struct TwoLines {
+    Segment p, q;
+    double distance_mm = 0.0;
+};
+
+// How far apart the ends of two segments move between two moments, at most: by so much, and no more, can
 // the distance of any two of their points change.
-double relative_way(const Segment &p0, const Segment &p1, const Segment &q0, const Segment &q1);
+double relative_displacement(const TwoLines &from, const TwoLines &to);
 
 // True only if the centre lines stay at least `need_mm` apart during the whole step.
-bool stay_apart(const Piece &p, const Piece &q, double need_mm);
+bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
 // A body that does not move, as a step.
-Piece standing(const Segment &line);
+SweptArm resting_arm(const Segment &line);
 
-// Fills in sway_mm from the borders and the bulge.
-void measure_sway(Piece &piece);
+// Fills in displacement_bound_mm from the centre lines at the borders and the bulge.
+void measure_displacement_bound(SweptArm &swept);
 
 } // namespace fl::planning

@@ -1,4 +1,4 @@
-#include "squad.hpp"
+#include "lane_group.hpp"
 
 #include <algorithm>
 #include <cstddef>
@@ -6,8 +6,8 @@
 namespace fl::twin {
 namespace {
 
-// The squad's turn comes every few ticks, after all others': what its firmware touches is asked for at once,
-// not piece by piece.
+// The lane_group's turn comes every few ticks, after all others': what its firmware touches is asked for at
+// once, not piece by piece.
 void fetch(const fl_positioner_t &firmware) {
     constexpr size_t line = 64;
     for (const fl_axis_t &a : firmware.axis)
@@ -59,7 +59,7 @@ void take_output(const LawBatch &b, int i, fl_axis_t &a) {
 
 } // namespace
 
-void Squad::attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side) {
+void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side) {
     plant_ = &plant;
     group_ = &plant.group(group);
     positioners_ = positioners;
@@ -67,7 +67,7 @@ void Squad::attach(Plant &plant, size_t group, Positioner *positioners, size_t c
     side_by_side_ = side_by_side;
 }
 
-bool Squad::muster() {
+bool LaneGroup::gather() {
     bool any = false;
     for (size_t i = 0; i < count_; ++i) {
         awake_[i] = !positioners_[i].asleep();
@@ -78,18 +78,18 @@ bool Squad::muster() {
     return any;
 }
 
-void Squad::tick(uint64_t tick) {
+void LaneGroup::tick(uint64_t tick) {
     for (size_t i = 0; i < count_; ++i) runs_[i] = awake_[i] && positioners_[i].begin_tick(tick);
     for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis);
 }
 
-void Squad::rest(uint64_t tick, bool may_sleep) {
+void LaneGroup::rest(uint64_t tick, bool may_sleep) {
     for (size_t i = 0; i < count_; ++i)
         if (awake_[i]) positioners_[i].rest(*plant_, tick, may_sleep);
 }
 
 // All of one axis before the other, as within a positioner: a collision of alpha stops beta in the same tick.
-void Squad::tick_axis(int axis) {
+void LaneGroup::tick_axis(int axis) {
     LawBatch &batch = batches_[static_cast<size_t>(axis)];
     size_t count = 0;
     for (size_t i = 0; i < count_; ++i)
@@ -103,7 +103,7 @@ void Squad::tick_axis(int axis) {
 }
 
 // An axis that tracks gives its hall counts to the batch. Any other does its tick alone.
-bool Squad::ask(int axis, Positioner &p, int lane, LawBatch &b) {
+bool LaneGroup::ask(int axis, Positioner &p, int lane, LawBatch &b) {
     fl_positioner_t &firmware = p.firmware();
     fl_axis_t &a = firmware.axis[axis];
     bool &loaded = loaded_[static_cast<size_t>(axis)][static_cast<size_t>(lane)];
@@ -123,22 +123,22 @@ bool Squad::ask(int axis, Positioner &p, int lane, LawBatch &b) {
     return true;
 }
 
-void Squad::advance(int axis, Tracker &t, LawBatch &b) {
-    fl_positioner_t &firmware = t.who->firmware();
+void LaneGroup::advance(int axis, Tracker &t, LawBatch &b) {
+    fl_positioner_t &firmware = t.positioner->firmware();
     fl_axis_t &a = firmware.axis[axis];
     a.hall.angle_cnt = b.angle_cnt[t.lane];
     fl_axis_advance(&a, &firmware.path[axis], &t.demand);
     load_input(b, t.lane, t.demand.servo, a.drive);
 }
 
-void Squad::conclude(int axis, const Tracker &t, const LawBatch &b) {
-    fl_positioner_t &firmware = t.who->firmware();
+void LaneGroup::conclude(int axis, const Tracker &t, const LawBatch &b) {
+    fl_positioner_t &firmware = t.positioner->firmware();
     fl_axis_t &a = firmware.axis[axis];
     const int i = t.lane;
     take_output(b, i, a);
     const bool stops = b.stuck[i] != 0 && a.detect;
     if (!stops) {
-        const int lane = axis * squad_size + i;
+        const int lane = axis * lane_group_size + i;
         group_->duty[0][lane] = b.duty_a[i];
         group_->duty[1][lane] = b.duty_b[i];
         group_->duty[2][lane] = b.duty_c[i];

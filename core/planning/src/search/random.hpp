@@ -1,10 +1,9 @@
 // A small generator of our own: the same numbers from the same seed on every platform.
 #pragma once
 
-#include <cstddef>
+#include "motion/index.hpp"
 #include <cstdint>
 #include <utility>
-#include <vector>
 
 namespace fl::planning {
 
@@ -25,9 +24,8 @@ class Random {
 
     bool chance(int percent) { return below(100) < percent; }
 
-    template <class T> void shuffle(std::vector<T> &items) {
-        for (size_t i = items.size(); i > 1; --i)
-            std::swap(items[i - 1], items[static_cast<size_t>(below(static_cast<int>(i)))]);
+    template <class T, class I> void shuffle(List<T, I> &items) {
+        for (int i = items.size(); i > 1; --i) std::swap(items[i - 1], items[below(i)]);
     }
 
   private:

@@ -1,4 +1,4 @@
-// Sixteen positioners whose axes share a group of the plant: runs their firmware, the laws side by side.
+// Sixteen positioners with axes in one group of the plant: runs their firmware, the laws side by side.
 #pragma once
 
 #include <array>
@@ -8,17 +8,17 @@
 
 namespace fl::twin {
 
-class Squad {
+class LaneGroup {
   public:
-    // positioners: count of them, at most squad_size, the group's of the plant.
+    // positioners: count of them, at most lane_group_size, the group's of the plant.
     // side_by_side: laws of several axes at once where they track; false: every positioner's own tick, the
     // same bits.
     void attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side);
 
-    // Between slices: who is awake. False when nobody is.
-    bool muster();
+    // Between slices: notes which positioners are awake. False when none is.
+    bool gather();
     void tick(uint64_t tick);
-    // After a slice: who has come to rest sleeps.
+    // After a slice: positioners that have come to rest fall asleep.
     void rest(uint64_t tick, bool may_sleep);
 
     const Positioner *begin() const { return positioners_; }
@@ -27,7 +27,7 @@ class Squad {
   private:
     // An axis that tracks, and what its firmware asked of the law.
     struct Tracker {
-        Positioner *who;
+        Positioner *positioner;
         int lane;
         fl_axis_demand_t demand;
     };
@@ -41,11 +41,11 @@ class Squad {
     Positioner *positioners_ = nullptr;
     size_t count_ = 0;
     bool side_by_side_ = true;
-    std::array<bool, squad_size> awake_{}, runs_{};
+    std::array<bool, lane_group_size> awake_{}, runs_{};
     // axes whose configuration lies in the batch, by lane
-    std::array<std::array<bool, squad_size>, FL_AXES> loaded_{};
+    std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};
     std::array<LawBatch, FL_AXES> batches_{};
-    std::array<Tracker, squad_size> trackers_{};
+    std::array<Tracker, lane_group_size> trackers_{};
 };
 
 } // namespace fl::twin
