@@ -131,9 +131,11 @@ FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::ve
     }
 }
 
-template <class P> Rows<P> rows_of(const std::byte *above, const std::byte *row, const std::byte *below) {
-    const auto as = [](const std::byte *p) { return reinterpret_cast<const typename P::Raw *>(p); };
-    return {as(above), as(row), as(below)};
+template <class P> Rows<P> rows_of(const ImageView &image, const RowPart &part) {
+    const auto at = [&](int y) {
+        return reinterpret_cast<const typename P::Raw *>(image.data + y * image.row_bytes) + part.x0;
+    };
+    return {at(part.y - 1), at(part.y), at(part.y + 1)};
 }
 
 FL_CLONES void scan_u16(Rows<PixelU16> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
@@ -302,20 +304,19 @@ FL_CLONES void subtract(Stamp &stamp, const Shape &narrow, float flux, float x, 
 
 } // namespace
 
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
-               int width, const float *threshold, std::vector<int> &peaks) {
+void row_peaks(const ImageView &image, const RowPart &part, const float *threshold, std::vector<int> &peaks) {
     peaks.clear();
-    switch (type) {
+    switch (image.type) {
     case PixelType::U16:
-        return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
+        return scan_u16(rows_of<PixelU16>(image, part), part.width, threshold, peaks);
     case PixelType::U16Fits:
-        return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
+        return scan_u16_fits(rows_of<PixelU16Fits>(image, part), part.width, threshold, peaks);
     case PixelType::F32:
-        return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
+        return scan_f32(rows_of<PixelF32>(image, part), part.width, threshold, peaks);
     case PixelType::F32Fits:
-        return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
+        return scan_f32_fits(rows_of<PixelF32Fits>(image, part), part.width, threshold, peaks);
     case PixelType::F64:
-        return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
+        return scan_f64(rows_of<PixelF64>(image, part), part.width, threshold, peaks);
     }
 }
 

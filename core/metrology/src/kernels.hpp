@@ -11,11 +11,16 @@ namespace fl::metrology {
 
 constexpr int chunk_px = 64;
 
-// Columns of a row where a pixel is above its chunk's threshold, not below its four neighbours before it in
-// reading order and above the four after it (so of equal neighbours exactly one is the top). `above` and
-// `below` are the neighbouring rows; the first and last columns are left to the caller.
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
-               int width, const float *threshold, std::vector<int> &peaks);
+// A part of a row of an image.
+struct RowPart {
+    int x0, y, width;
+};
+
+// Columns of a part of a row, from its first, where a pixel is above its chunk's threshold, not below its
+// four neighbours before it in reading order and above the four after it (so of equal neighbours exactly one
+// is the top). The rows above and below are read; the first and last columns of the part are left to the
+// caller. threshold: one for each chunk of the part.
+void row_peaks(const ImageView &image, const RowPart &part, const float *threshold, std::vector<int> &peaks);
 
 // A rectangle cut out around one spot: what it shows less background and neighbours, the variance of those,
 // and 1 for a pixel that may be used. Rows are padded with unusable pixels to a multiple of `lanes`.

@@ -93,8 +93,11 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
     s.speed_rad_s =
         state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
     s.torque_out_Nm = plant.external_torque_Nm(number);
-    for (size_t k = 0; k < 3; ++k) s.duty[k] = static_cast<double>(group_->duty[k][lane]);
-    for (size_t k = 0; k < 2; ++k) s.hall_cnt[k] = group_->hall_cnt[k][lane];
+    s.duty_a = static_cast<double>(group_->duty[0][lane]);
+    s.duty_b = static_cast<double>(group_->duty[1][lane]);
+    s.duty_c = static_cast<double>(group_->duty[2][lane]);
+    s.hall_a_cnt = group_->hall_cnt[0][lane];
+    s.hall_b_cnt = group_->hall_cnt[1][lane];
     s.command_deg = static_cast<double>(t.command_deg);
     s.tracking_deg = static_cast<double>(t.tracking_deg);
     s.command_speed_rad_s = static_cast<double>(t.speed_rad_s);
