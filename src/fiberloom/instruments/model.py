@@ -70,7 +70,7 @@ class Axis(Table):
     closed_loop: bool
     """Does the motor know its own angle?"""
     step_deg: NotNegative = 0.0
-    """Smallest step at the output; 0: continuous."""
+    """Smallest step at the output, of which corrections are made; 0: continuous."""
     speed_deg_s: Positive
     acceleration_deg_s2: Positive
     backlash_deg: NotNegative = 0.0
@@ -190,11 +190,13 @@ class Operation(Table):
     """Largest distance of a fibre from its target that the instrument accepts."""
     corrections_max: Annotated[int, Field(ge=0)]
     """Correction moves after the blind move, at most; 0 without a camera."""
-    stop_rule: Literal["fixed", "percentile"] = "fixed"
-    """fixed: always corrections_max. percentile: stop once the measured percentile is good."""
+    stop_rule: Literal["fixed", "percentile", "positioner"] = "fixed"
+    """fixed: always corrections_max. percentile: end once the measured percentile is within the
+    limit. positioner: one within the limit is not moved again; end when none is outside."""
     stop_percentile: Annotated[float, Field(gt=0, le=100)] = 100.0
+    """Of the fibres with a target that are seen and healthy; for the rule of that name."""
     stop_below_um: Positive | None = None
-    """Measured distance that ends the loop; the requirement when left out."""
+    """The limit, as measured; the requirement when left out."""
     correction: Literal["plain", "filtered"] = "filtered"
     """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
 

@@ -39,6 +39,16 @@ def plain_update(commanded_mm: Floats, target_mm: Floats, measured_mm: Floats) -
     return commanded_mm + (target_mm - measured_mm)
 
 
+def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Floats:
+    """Angles (N, 2) in reach of drives that make steps: a whole number of them from here (N, 2).
+
+    `step_deg` (2,) at the output, 0: continuous. Less than half a step is not sent at all.
+    """
+    size_deg = np.where(step_deg > 0.0, step_deg, 1.0)
+    stepped = here_deg + size_deg * np.rint((wanted_deg - here_deg) / size_deg)
+    return np.where(step_deg > 0.0, stepped, wanted_deg)
+
+
 @dataclass(frozen=True)
 class Offsets:
     """Estimated offset of the arm angles (N, 2) in deg, and its covariance (N, 2, 2) in deg^2."""
