@@ -108,7 +108,9 @@ def _observe(
         loop = Loop(
             plane, assignment, known.maps, hardware, settings, recorder, wait.say, known.map_sigma_deg
         )
+        known.record_used(run)
         asyncio.run(_whole(loop))
+        known.record_learnt(run)
     return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified, loop.stopped)
 
 

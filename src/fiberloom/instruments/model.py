@@ -14,6 +14,9 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
+AXES: tuple[Literal["alpha"], Literal["beta"]] = ("alpha", "beta")
+"""Names of the two axes, in the order of every array over axes."""
+
 METROLOGY = "metrology"
 """Name of the point that the camera sees, in every plane that has one."""
 
