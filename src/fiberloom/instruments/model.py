@@ -346,13 +346,18 @@ class Instrument(Table):
 
     @model_validator(mode="after")
     def _park(self) -> Self:
-        for axis, angle in zip(["alpha", "beta"], self.positioner.park_deg, strict=True):
+        for axis, angle in zip(AXES, self.positioner.park_deg, strict=True):
             low, high = getattr(self, axis).target_range_deg
             if not low <= angle <= high:
                 raise ValueError(
                     f"positioner.park_deg: {axis} {angle} is outside {axis}.target_range_deg {[low, high]}"
                 )
         return self
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """Alpha and beta, in the order of AXES."""
+        return self.alpha, self.beta
 
     @property
     def science_fibres(self) -> tuple[str, ...]:

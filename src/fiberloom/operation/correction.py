@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
@@ -197,7 +197,7 @@ class CorrectionLoop:
 
     def _levers(self) -> Floats:
         """(2, N) mm: alpha arm, and beta axis to the metrology fibre."""
-        return np.stack([self.plane.arms[:, 2], np.hypot(*self.plane.points[METROLOGY].T)])
+        return np.stack([self.plane.l_alpha_mm, self.plane.l_beta_mm])
 
     def _spread(self, rms_um: float) -> Floats:
         """(N, 2, 2) deg^2 of angles that scatter the fibre by this much, half by each axis."""
@@ -208,6 +208,5 @@ class CorrectionLoop:
 
     def _inside(self, angles_deg: Floats) -> Floats:
         """Short of the hard stops, with room for the approach from above."""
-        axes = (self.plane.instrument.alpha, self.plane.instrument.beta)
         low, high = self.plane.hard_stops_deg.T
-        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in axes])
+        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in self.plane.instrument.axes])

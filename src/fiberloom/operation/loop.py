@@ -272,8 +272,7 @@ class Loop:
         wanted_deg = corrections.update(
             self.here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
         )
-        instrument = self.plane.instrument
-        step_deg = np.array([instrument.alpha.step_deg, instrument.beta.step_deg])
+        step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(self.here_deg, wanted_deg, step_deg)
         goal_deg = np.where(self._arrived[:, None], self.here_deg, goal_deg)
         await self._small_move(number, f"correction {number - 1}", goal_deg, self.maps)

@@ -117,13 +117,13 @@ async def _visit(loop: Loop, goal_deg: Floats) -> None:
 
 def _goals(plane: FocalPlane, goal_deg: Floats) -> Assignment:
     """Goals without targets."""
-    n, axes = plane.n, (plane.instrument.alpha, plane.instrument.beta)
+    n = plane.n
     return Assignment(
         target=np.full(n, -1),
         fibre=np.full(n, ""),
         alpha_deg=goal_deg[:, 0],
         beta_deg=goal_deg[:, 1],
-        approach_deg=np.full(n, max(axis.approach_deg for axis in axes)),
+        approach_deg=np.full(n, max(axis.approach_deg for axis in plane.instrument.axes)),
         clearance_mm=np.full(n, np.inf),
         unassigned={},
         notes=[],

@@ -111,7 +111,7 @@ def verify(
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
     found = core.verify(
         *bodies.arguments,
