@@ -42,7 +42,7 @@ $(STAMP): $(VENV)/.dependencies $(NATIVE)
 	@touch $@
 
 run: setup
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"

@@ -141,8 +141,8 @@ class _Drawing:
         return chosen
 
     def _anywhere(self, row: int) -> Floats:
-        l_alpha = self.plane.arms[row, 2]
-        l_beta = float(np.hypot(*self.plane.points["metrology"][row]))
+        l_alpha = self.plane.l_alpha_mm[row]
+        l_beta = float(self.plane.l_beta_mm[row])
         low, high = deg_to_rad(self.plane.limits_deg).T
         inner, outer = abs(l_alpha - l_beta), l_alpha + l_beta
         while True:

@@ -46,7 +46,7 @@ class PlanSettings:
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),

@@ -111,7 +111,7 @@ def verify(
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
     rules = core.Rules(
         speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),

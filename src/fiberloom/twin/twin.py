@@ -13,7 +13,7 @@ from fiberloom._core import geometry
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.units import Units, plain
 from fiberloom.typing import Floats
@@ -149,7 +149,7 @@ class Twin:
         firmware counts its motor and reports arrival.
         """
         row = int(self.plane.index_of(positioner_id))
-        self._core.slip(row, ("alpha", "beta").index(axis), up, down)
+        self._core.slip(row, AXES.index(axis), up, down)
 
     def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
         """Power off and on: the firmware starts anew with what it has stored.
