@@ -296,7 +296,8 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         targets : TargetList
             What to look at; mm in the focal plane.
         corrections : int, optional
-            Moves after the blind one; as many as the instrument makes when left out.
+            Moves after the blind one, exactly so many; when left out, the instrument's stop rule says when
+            it is enough.
         out : str or Path
             Folder of the record, and of pages where they are asked for.
         **options

@@ -13,6 +13,7 @@ from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.survey import SurveySettings
 from fiberloom.report.outputs import prepare_folder
+from fiberloom.store.calibrations import record_calibration
 from fiberloom.twin.draw import misplaced
 
 
@@ -45,7 +46,10 @@ def run_calibrate_focal_plane(plane: FocalPlane, request: FocalPlaneRequest) -> 
     with waiting(request.quiet) as field.watcher:
         found = field.run.survey(_settings(plane, request), guess=guess, measured=request.measured, out=out)
     found.save(out)
-    return found.summary() | {"arms": str(out / "arms.ecsv"), "layout": str(out / "layout")}
+    made, same_run = found.fit.positioner_id[found.fit.ok], request.measured is None
+    arms = out / "arms.ecsv"
+    record_calibration(arms, "focal-plane", made, found.marks, field.command_line, same_run=same_run)
+    return found.summary() | {"arms": str(arms), "layout": str(out / "layout")}
 
 
 def _settings(plane: FocalPlane, request: FocalPlaneRequest) -> SurveySettings:

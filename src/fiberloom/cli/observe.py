@@ -26,6 +26,7 @@ class ObserveRequest:
     out: Path
     seed: int = 0
     moves: int | None = None
+    """Exactly so many, the blind one counted; None: the instrument's stop rule."""
     correction: str | None = None
     camera: str = "noise"
     pages: str = "last"
@@ -79,6 +80,7 @@ def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
 def _close(summary: dict[str, Any], out: Path) -> None:
     console = Console()
     console.print(observation_table(summary))
+    console.print(f"corrections ended: {summary['stopped']}")
     console.print(
         f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, "
         f"{summary['collisions_verified']} collisions in verified trajectories; "

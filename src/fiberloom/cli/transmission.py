@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.report.transmission import plot_transmission
+from fiberloom.store.calibrations import record_calibration
 
 
 def run_calibrate_transmission(
@@ -24,5 +26,7 @@ def run_calibrate_transmission(
     calibration.maps.save(out / "transmission.npz")
     summary = marks(plane, seed) | calibration.summary()
     (out / "transmission.json").write_text(json.dumps(summary, indent=2) + "\n")
+    made = plane.positioner_id[calibration.report.ok]
+    record_calibration(out / "transmission.npz", "transmission", made, summary, " ".join(sys.argv))
     plot_transmission(out / "transmission.png", calibration.maps, row=0)
     return summary | {"maps": str(out / "transmission.npz")}

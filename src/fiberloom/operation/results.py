@@ -60,6 +60,8 @@ class Observation:
         Blind move, corrections, and comparisons where they were asked for.
     collisions_verified : int
         Collisions that the verifier found in plans that were carried out; 0.
+    stopped : str
+        Why the loop made no further correction.
     about : dict
         Marks and remarks that `summary` hands on: version, seed, instrument, configuration hash, UTC.
     wall_s : float
@@ -79,6 +81,7 @@ class Observation:
     assignment: Assignment
     moves: list[Move]
     collisions_verified: int = 0
+    stopped: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     wall_s: float = 0.0
 
@@ -345,6 +348,7 @@ def summarise(observed: Observation) -> dict[str, Any]:
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
         "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
+        "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
     }
