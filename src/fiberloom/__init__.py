@@ -8,7 +8,7 @@ From a target list to fibres on target, on hardware or on the twin:
 >>> maps = field.run.calibrate()
 >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=2)
 >>> seen
-Observation('sdssv', 7 positioners, 5 with a target, 3 moves, 5 within 5 um)
+Observation('sdssv', 7 positioners, 7 with a target, 3 moves, 7 within 5 um)
 
 `field.run` is for scripts; where an event loop runs, as in Jupyter, write ``await field.calibrate()`` and
 ``await field.observe(...)``.
@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Any
 from fiberloom.version import __version__
 
 if TYPE_CHECKING:
-    from fiberloom.assignment import assign
+    from fiberloom.assignment.assign import assign
     from fiberloom.calibration.transmission.maps import TransmissionMaps
     from fiberloom.errors import InputError
     from fiberloom.field import Field
     from fiberloom.instruments import FocalPlane, Instrument
-    from fiberloom.metrology.centroid import centroid
+    from fiberloom.metrology.centroids import centroid
     from fiberloom.metrology.spots import Spots
     from fiberloom.operation.results import Observation
     from fiberloom.planning import Plan, plan, verify
@@ -62,8 +62,8 @@ _PLACES = {
     "Spots": "metrology.spots",
     "TargetList": "targets",
     "TransmissionMaps": "calibration.transmission.maps",
-    "assign": "assignment",
-    "centroid": "metrology.centroid",
+    "assign": "assignment.assign",
+    "centroid": "metrology.centroids",
     "plan": "planning",
     "read_targets": "targets",
     "verify": "planning",

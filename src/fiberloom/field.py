@@ -296,9 +296,20 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         targets : TargetList
             What to look at; mm in the focal plane.
         corrections : int, optional
-            Moves after the blind one; as many as the instrument makes when left out.
+            Moves after the blind one, exactly so many; when left out, the instrument's stop rule says when
+            it is enough.
         out : str or Path
             Folder of the record, and of pages where they are asked for.
+        **options
+            By name; see below.
+
+        Returns
+        -------
+        Observation
+            How near every fibre came.
+
+        Other Parameters
+        ----------------
         correction : str, optional
             ``"filtered"`` (Kalman) or ``"plain"`` (Kronig 2020, Eq. 25); default: the instrument's.
         compare_linear : bool
@@ -314,11 +325,6 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         save_images : bool
             Keep every exposure as FITS.
 
-        Returns
-        -------
-        Observation
-            How near every fibre came.
-
         Raises
         ------
         InputError
@@ -329,7 +335,7 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         >>> import fiberloom as fl
         >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
         >>> field.run.observe(fl.read_targets("targets.csv"), corrections=2)
-        Observation('sdssv', 7 positioners, 5 with a target, 3 moves, 5 within 5 um)
+        Observation('sdssv', 7 positioners, 7 with a target, 3 moves, 7 within 5 um)
         """
         folder = prepare_folder(Path(out))
         settings, learning = _asked(corrections, options, self.seed)

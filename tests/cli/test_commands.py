@@ -34,6 +34,10 @@ def fl(monkeypatch, capsys):
     return run
 
 
+def folded(plane):
+    return np.broadcast_to(plane.instrument.positioner.park_deg, (len(plane), 2))
+
+
 @pytest.fixture(scope="module")
 def plane():
     return generate(load_instrument("sdssv"), SEED, n_positioners=N)
@@ -79,7 +83,7 @@ def test_assign_plan_verify(fl, folder, plane, tmp_path):
     assert 0 < report["assigned"] <= N
     assert report["not_assigned"][-1].startswith("... and ")
     start = tmp_path / "start.csv"
-    write_configuration(start, plane.positioner_id, plane.folded_deg())
+    write_configuration(start, plane.positioner_id, folded(plane))
     code, out, _ = fl("plan", "--start", start, "--goal", goal, *PLANE, "--out", way)
     assert code == 0
     assert "motion s" in out
@@ -101,7 +105,7 @@ def test_assign_plan_verify(fl, folder, plane, tmp_path):
 
 def test_a_goal_that_cannot_be_reached_exits_1(fl, plane, tmp_path):
     start, goal = tmp_path / "start.csv", tmp_path / "goal.csv"
-    angles = np.array(plane.folded_deg())
+    angles = np.array(folded(plane))
     write_configuration(start, plane.positioner_id, angles)
     crossed = angles.copy()
     crossed[:, 1] = 0.0  # stretched out towards each other
@@ -220,7 +224,7 @@ def test_from_an_image_to_positions(fl, tmp_path):
     xy = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     plane = replace(plane, fiducials=np.column_stack([xy, np.full(20, 2.0)]))
     write_layout(plane, tmp_path / "layout")
-    angles = np.array(plane.folded_deg())
+    angles = np.array(folded(plane))
     model = CameraModel(
         Optics(CameraGeometry(1300, 1300, 0.2, flipped=True), 150.0),
         Psf("moffat", 3.0, beta=4.0),

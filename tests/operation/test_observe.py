@@ -31,7 +31,7 @@ def field(tmp_path_factory):
 def observe(field, name, **asked):
     plane, folder = field
     out = folder / name
-    asked = {"camera": CameraKind.noise} | asked
+    asked = {"camera": CameraKind.noise, "moves": 3} | asked
     options = ObservationOptions(
         targets=folder / "targets.csv", out=out, seed=SEED, positioners=len(plane), as_json=True, **asked
     )

@@ -51,11 +51,13 @@ class ObservationOptions(PlaneOptions, JsonOptions):
 
     targets: TargetsArgument
     moves: Annotated[
-        int | None, typer.Option(min=1, help="Blind move + corrections; default: the instrument's.")
+        int | None,
+        typer.Option(min=1, help="Exactly so many, blind move counted; default: the instrument's stop rule."),
     ] = None
-    correction: Annotated[Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")] = (
-        Correction.filtered
-    )
+    correction: Annotated[
+        Correction | None,
+        typer.Option(help="Kalman filter, or Eq. 25 as printed; default: the instrument's."),
+    ] = None
     camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image
     pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
         Pages.last
@@ -98,7 +100,7 @@ def observe(options: ObservationOptions) -> int:
             targets,
             None if options.moves is None else options.moves - 1,
             out=options.out,
-            correction=options.correction.value,
+            correction=None if options.correction is None else options.correction.value,
             compare_linear=options.compare_linear,
             arms=options.arms,
             learnt=options.learnt,
@@ -140,6 +142,7 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         f"{summary['collisions_verified']} collisions in verified trajectories; "
         f"everything took {summary['wall_s']:.0f} s"
     )
+    console.print(f"corrections ended: {summary['stopped']}")
     for note in summary["notes"]:
         console.print(f"note: {note}")
     if "learnt" in summary:

@@ -9,10 +9,11 @@ if TYPE_CHECKING:
     from fiberloom.instruments.generated import generate
     from fiberloom.instruments.layout import read_layout, write_layout
     from fiberloom.instruments.load import load_instrument, parse_instrument
-    from fiberloom.instruments.model import METROLOGY, Instrument
+    from fiberloom.instruments.model import AXES, METROLOGY, Instrument
     from fiberloom.instruments.names import instrument_names
 
 __all__ = [
+    "AXES",
     "METROLOGY",
     "FocalPlane",
     "Instrument",

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +18,22 @@ from scipy.spatial import cKDTree
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 CENTRE = slice(0, 2)
 L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
 """Columns of FocalPlane.arms."""
+
+
+def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
+    """(n, 2, ...) mm: the beta axes of arms (n, 5) at alpha (n, ...) deg."""
+    alpha = deg_to_rad(alpha_deg)
+    more = (None,) * (alpha.ndim - 1)
+    turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
 
 
 class Inverse(NamedTuple):
@@ -38,9 +49,29 @@ class Inverse(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
-    """N positioners, M fiducials, G guide cameras. Read-only."""
+    """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
+
+    Made by `FocalPlane.of` from an instrument, or by `FocalPlane.read` from a folder of tables. All
+    calls take and return arrays over positioners; `index` selects some of them. Frames and signs:
+    docs/conventions.md.
+
+    Raises
+    ------
+    InputError
+        A positioner_id that appears twice, or an array of another length.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", seed=0, n=50)
+    >>> plane
+    FocalPlane('sdssv', 50 positioners, 61 fiducials, 6 guide cameras)
+    >>> plane.forward(plane.park_deg[:, 0], plane.park_deg[:, 1]).shape
+    (50, 2)
+    """
 
     instrument: Instrument
+    """What all positioners have in common."""
     positioner_id: Ints
     """(N,) number on the bus, unique."""
     hole: NDArray[np.str_]
@@ -71,8 +102,99 @@ class FocalPlane:
         if METROLOGY not in self.points:
             self.points[METROLOGY] = self.points[self.instrument.seen_point]
 
+    @classmethod
+    def of(cls, name_or_toml: str | Path, seed: int = 0, n: int | None = None) -> "FocalPlane":
+        """A focal plane of an instrument, with units drawn from its scatter.
+
+        Parameters
+        ----------
+        name_or_toml : str or Path
+            A preset, e.g. ``"sdssv"`` (`fiberloom instruments` lists them), or a TOML file of your own.
+        seed : int
+            The same seed gives the same units.
+        n : int, optional
+            Only so many positioners, from the centre; all of the instrument when left out. With more
+            than it has, the hexagon grows.
+
+        Returns
+        -------
+        FocalPlane
+            In the order of the holes.
+
+        Raises
+        ------
+        InputError
+            Neither a preset nor a file, a file that does not hold an instrument, or n below 1.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> len(fl.FocalPlane.of("pfs", n=19))
+        19
+        >>> fl.FocalPlane.of("pfs", n=0)
+        Traceback (most recent call last):
+        fiberloom.errors.InputError: n_positioners = 0: must be at least 1
+        """
+        from fiberloom import instruments  # built on this class
+
+        return instruments.generate(instruments.load_instrument(name_or_toml), seed, n)
+
+    @classmethod
+    def read(cls, folder: str | Path, instrument: str | Path = "sdssv") -> "FocalPlane":
+        """The focal plane as built, from a folder of tables.
+
+        Parameters
+        ----------
+        folder : str or Path
+            A layout that fiberloom wrote (layout.toml), or calibration tables of SDSS-V.
+        instrument : str or Path
+            The preset or TOML file that the layout belongs to.
+
+        Returns
+        -------
+        FocalPlane
+            As in the tables: arms in mm, offsets in deg.
+
+        Raises
+        ------
+        InputError
+            No such folder, neither kind of layout in it, or a table that cannot be read.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> from fiberloom.instruments import write_layout
+        >>> write_layout(fl.FocalPlane.of("sdssv", n=7), "layout")
+        >>> fl.FocalPlane.read("layout")
+        FocalPlane('sdssv', 7 positioners, 61 fiducials, 6 guide cameras)
+        """
+        from fiberloom import instruments  # built on this class
+
+        return instruments.read_layout(folder, instruments.load_instrument(instrument))
+
     def __len__(self) -> int:
         return len(self.positioner_id)
+
+    def __repr__(self) -> str:
+        still = f", {int(self.offline.sum())} offline" if self.offline.any() else ""
+        return (
+            f"FocalPlane({self.instrument.name!r}, {self.n} positioners{still}, "
+            f"{len(self.fiducials)} fiducials, {len(self.guide_cameras)} guide cameras)"
+        )
+
+    def _repr_html_(self) -> str:
+        some = range(min(self.n, 5))
+        rows = [
+            {
+                "positioner": int(self.positioner_id[k]),
+                "hole": str(self.hole[k]),
+                "x [mm]": float(self.arms[k, 0]),
+                "y [mm]": float(self.arms[k, 1]),
+                "alpha arm [mm]": float(self.arms[k, L_ALPHA]),
+            }
+            for k in some
+        ]
+        return html_rows(repr(self), rows)
 
     @property
     def n(self) -> int:
@@ -85,6 +207,31 @@ class FocalPlane:
         return self.arms[:, CENTRE]
 
     @property
+    def l_alpha_mm(self) -> Floats:
+        """(N,) from the alpha to the beta axis."""
+        return self.arms[:, L_ALPHA]
+
+    @property
+    def l_beta_mm(self) -> Floats:
+        """(N,) from the beta axis to the metrology fibre."""
+        return np.hypot(*self.points[METROLOGY].T)
+
+    @property
+    def metrology_phi_rad(self) -> Floats:
+        """(N,) direction of the metrology fibre in the frame of its beta arm."""
+        return np.arctan2(self.points[METROLOGY][:, 1], self.points[METROLOGY][:, 0])
+
+    @property
+    def alpha_off_rad(self) -> Floats:
+        """(N,) direction in the focal plane of alpha = 0."""
+        return self.arms[:, ALPHA_OFF]
+
+    @property
+    def beta_off_rad(self) -> Floats:
+        """(N,) direction of beta = 0 against the alpha arm."""
+        return self.arms[:, BETA_OFF]
+
+    @property
     def collision_buffer_mm(self) -> float:
         """Radius of the beta arm's capsule."""
         return self.instrument.bodies.collision_buffer_mm
@@ -95,16 +242,19 @@ class FocalPlane:
         return self.instrument.bodies.beta_segment_mm
 
     @property
+    def park_deg(self) -> Floats:
+        """(N, 2) folded: where positioners wait."""
+        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+
+    @property
     def limits_deg(self) -> Floats:
         """[[alpha_min, alpha_max], [beta_min, beta_max]] for targets."""
-        axes = (self.instrument.alpha, self.instrument.beta)
-        return np.array([a.target_range_deg for a in axes])
+        return np.array([axis.target_range_deg for axis in self.instrument.axes])
 
     @property
     def hard_stops_deg(self) -> Floats:
         """[[alpha_min, alpha_max], [beta_min, beta_max]] of the mechanism."""
-        axes = (self.instrument.alpha, self.instrument.beta)
-        return np.array([a.hard_stop_deg for a in axes])
+        return np.array([axis.hard_stop_deg for axis in self.instrument.axes])
 
     @property
     def science_fibres(self) -> tuple[str, ...]:
@@ -112,7 +262,28 @@ class FocalPlane:
         return self.instrument.science_fibres
 
     def carries(self, fibre: str) -> Flags:
-        """(N,) which positioners have this fibre."""
+        """Which positioners have a fibre.
+
+        Parameters
+        ----------
+        fibre : str
+            By its name in the instrument, e.g. ``"BOSS"``; ``"metrology"`` is the one the camera sees.
+
+        Returns
+        -------
+        (N,) bool
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> int(fl.FocalPlane.of("sdssv").carries("APOGEE").sum())
+        300
+        """
         return ~np.isnan(self._point(fibre)[:, 0])
 
     def forward(
@@ -122,7 +293,35 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2) mm: where a fibre is. Kronig 2020, Eq. 1. NaN where a positioner lacks it."""
+        """Where a fibre is. Kronig 2020, Eq. 1.
+
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2) float
+            x and y in the focal plane, mm; NaN where a positioner lacks the fibre.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> reach = plane.forward(0.0, 0.0) - plane.centres_mm
+        >>> bool((abs((reach**2).sum(axis=1) ** 0.5 - 21.7) < 0.1).all())
+        True
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
@@ -134,16 +333,69 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta)."""
+        """How a fibre moves with the arm angles.
+
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2, 2) float
+            d(x, y)/d(alpha, beta), mm/deg; NaN where a positioner lacks the fibre.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).jacobian(10.0, 90.0).shape
+        (7, 2, 2)
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
         return per_rad * RAD_PER_DEG
 
     def inverse(self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None) -> Inverse:
-        """Angles inside the limits that put a fibre on (n, 2) targets. Kronig 2020, Eq. 2.
+        """Angles inside the limits that put a fibre on its target. Kronig 2020, Eq. 2.
 
-        The right-handed elbow (beta in [0, 180]) first, then the lowest alpha; 0 where none.
+        Parameters
+        ----------
+        xy_mm : array_like
+            (n, 2) targets, or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        Inverse
+            alpha_deg, beta_deg (0 where out of reach), reachable, gap_mm. Of two solutions the
+            right-handed elbow (beta in [0, 180]) comes first, then the lowest alpha.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> found = plane.inverse(plane.forward(20.0, 100.0))
+        >>> bool(np.allclose(found.alpha_deg, 20.0)), bool(np.allclose(found.beta_deg, 100.0))
+        (True, True)
         """
         rows = self._rows(index)
         xy = np.broadcast_to(np.asarray(xy_mm, dtype=np.float64), (len(rows), 2))
@@ -162,10 +414,34 @@ class FocalPlane:
         alpha, beta = np.where(reachable, alpha, 0.0), np.where(reachable, beta, 0.0)
         return Inverse(alpha, beta, reachable, gap)
 
+    def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
+        """(n, 2) mm: where the beta axes are at these angles, (n,) or one for all."""
+        rows = self._rows(index)
+        return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
+
     def beta_segments(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, index: ArrayLike | None = None
     ) -> Floats:
-        """(n, 4) mm: x0, y0, x1, y1 of the centre lines of the beta arms' capsules."""
+        """Centre lines of the beta arms' capsules: what collides.
+
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 4) float
+            x0, y0, x1, y1 in mm; the radius is `collision_buffer_mm`.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).beta_segments(0.0, 180.0).shape
+        (7, 4)
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         ends = [np.broadcast_to([x, 0.0], (len(rows), 2)).copy() for x in self.beta_segment_mm]
@@ -175,10 +451,27 @@ class FocalPlane:
     def body_reach_mm(self) -> Floats:
         """(N,) how far from its centre the arm of each positioner can touch something."""
         arm = max(map(abs, self.beta_segment_mm)) + self.collision_buffer_mm
-        return self.arms[:, L_ALPHA] + arm
+        return self.l_alpha_mm + arm
 
     def neighbour_pairs(self, extra_mm: float = 0.0) -> Ints:
-        """(P, 2) indices i < j, in order, of positioners whose arms can come within `extra_mm`."""
+        """Positioners whose arms can meet.
+
+        Parameters
+        ----------
+        extra_mm : float
+            Count those too that can come so near, mm.
+
+        Returns
+        -------
+        (P, 2) int
+            Rows i < j, in order.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=3).neighbour_pairs().tolist()
+        [[0, 1], [0, 2], [1, 2]]
+        """
         reach = self.body_reach_mm
         tree = cKDTree(self.centres_mm)
         pairs = tree.query_pairs(2 * reach.max(initial=0.0) + extra_mm, output_type="ndarray")
@@ -188,7 +481,30 @@ class FocalPlane:
         return near[np.lexsort((near[:, 1], near[:, 0]))]
 
     def index_of(self, positioner_id: ArrayLike) -> Ints:
-        """Rows of these positioners (an array for an array, one number for one)."""
+        """Rows of positioners by their number on the bus.
+
+        Parameters
+        ----------
+        positioner_id : array_like
+            Numbers, or one.
+
+        Returns
+        -------
+        int
+            An array for an array, one number for one.
+
+        Raises
+        ------
+        InputError
+            A number that is not in this focal plane.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> int(plane.index_of(plane.positioner_id[3]))
+        3
+        """
         wanted = np.asarray(positioner_id, dtype=np.int64)
         if self.n == 0:
             raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
@@ -204,7 +520,24 @@ class FocalPlane:
         return rows
 
     def select(self, index: ArrayLike) -> "FocalPlane":
-        """The same plane with only some positioners; fiducials and cameras stay."""
+        """The same plane with only some positioners; fiducials and cameras stay.
+
+        Parameters
+        ----------
+        index : array_like
+            Rows, in the order that is wanted, or a mask.
+
+        Returns
+        -------
+        FocalPlane
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> len(plane.select(plane.carries("APOGEE")))
+        4
+        """
         rows = self._rows(index)
         return replace(
             self,
@@ -215,7 +548,31 @@ class FocalPlane:
     def with_offline(
         self, positioner_id: Iterable[int], position_deg: ArrayLike | None = None
     ) -> "FocalPlane":
-        """The same plane with these positioners standing still, where told or folded."""
+        """The same plane with positioners that do not move.
+
+        Parameters
+        ----------
+        positioner_id : iterable of int
+            Their numbers on the bus.
+        position_deg : array_like, optional
+            (k, 2) where they are, alpha and beta; folded when left out.
+
+        Returns
+        -------
+        FocalPlane
+
+        Raises
+        ------
+        InputError
+            A number that is not in this focal plane.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> plane.with_offline(plane.positioner_id[:2], [[0.0, 180.0], [90.0, 170.0]])
+        FocalPlane('sdssv', 7 positioners, 2 offline, 61 fiducials, 6 guide cameras)
+        """
         rows = self.index_of(np.fromiter(positioner_id, dtype=np.int64))
         offline, position = self.offline.copy(), self.offline_position_deg.copy()
         offline[rows] = True
@@ -224,12 +581,41 @@ class FocalPlane:
         return replace(self, offline=offline, offline_position_deg=position)
 
     def with_collision_buffer(self, collision_buffer_mm: float) -> "FocalPlane":
-        """The same plane with another radius of the beta arms' capsules."""
+        """The same plane with another radius of the beta arms' capsules.
+
+        Parameters
+        ----------
+        collision_buffer_mm : float
+            The radius, mm.
+
+        Returns
+        -------
+        FocalPlane
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).with_collision_buffer(2.5).collision_buffer_mm
+        2.5
+        """
         bodies = self.instrument.bodies.model_copy(update={"collision_buffer_mm": collision_buffer_mm})
         return replace(self, instrument=self.instrument.model_copy(update={"bodies": bodies}))
 
     def config_hash(self) -> str:
-        """16 hex digits that change with any number of the instrument or the layout."""
+        """A mark of the instrument and the layout, for result files and caches.
+
+        Returns
+        -------
+        str
+            16 hex digits that change with any number of either.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> plane.config_hash() == fl.FocalPlane.of("sdssv", seed=1, n=7).config_hash()
+        False
+        """
         digest = hashlib.sha256(self.instrument.model_dump_json().encode())
         for field in fields(self):
             value = getattr(self, field.name)

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from fiberloom.assignment import Assignment
-from fiberloom.operation.correction import CorrectionLoop
+from fiberloom.instruments.model import Operation
+from fiberloom.operation.correction import CorrectionLoop, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
+from fiberloom.operation.stopping import StopRule
 from fiberloom.planning import plan_corrections
 from fiberloom.typing import Flags, Floats
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop is run; `moves` counts the blind move."""
+    """How the loop is run; `moves` counts the blind move, and is the most that a stop rule allows."""
 
     moves: int = 3
+    stop: StopRule = field(default_factory=StopRule)
     filtered: bool = True
     compare_linear: bool = False
     seed: int = 0
     recoveries: int = RECOVERIES
+
+    @classmethod
+    def of(cls, operation: Operation, moves: int | None = None, **others: Any) -> LoopSettings:
+        """The instrument's rule and its corrections; with `moves`: exactly so many moves."""
+        if moves is not None:
+            return cls(moves=moves, **others)
+        return cls(moves=1 + operation.corrections_max, stop=StopRule.of(operation), **others)
 
 
 class Loop:
@@ -40,6 +51,9 @@ class Loop:
         self.motion, self.settings, self.map_sigma_deg = motion, settings, map_sigma_deg
         self.plane, self.maps = motion.plane, motion.maps
         self.goals = Goals.of(assignment)
+        self.stopped = ""
+        """Why the loop made no further correction."""
+        self._arrived = np.zeros(len(self.plane), dtype=bool)
 
     @property
     def moves(self) -> list[Move]:
@@ -63,10 +77,27 @@ class Loop:
             self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()
         )
         for number in range(2, self.settings.moves + 1):
+            if self.settings.stop.satisfied(self._open_um()):
+                break
             await self.correct(corrections, number)
+        self.stopped = self._why_stopped()
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
+
+    def _open_um(self) -> Floats:
+        """Last measured distances (n,) of the fibres with a target that are seen and healthy and
+        that the stop rule has not let go."""
+        error_um = self.moves[-1].measured_error_um
+        self._arrived |= self.settings.stop.arrived(error_um)
+        return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived]
+
+    def _why_stopped(self) -> str:
+        stop, open_um = self.settings.stop, self._open_um()
+        why = stop.explain(open_um)
+        if stop.satisfied(open_um):
+            return why
+        return ", ".join(filter(None, [f"all {self.settings.moves} moves made", why]))
 
     async def blind_move(self) -> None:
         """Go to the goals by the maps; go round positioners that turn out not to move."""
@@ -79,12 +110,18 @@ class Loop:
         return self.map_sigma_deg(self.maps.to_wire(self.goal_deg))
 
     async def correct(self, corrections: CorrectionLoop, number: int) -> None:
-        """Weigh the last image and move every healthy positioner with a target by what it says."""
-        image = self.moves[-1].measurement
+        """Weigh the last image and move every healthy positioner with a target by what it says.
+
+        A positioner that the stop rule has let go stays; a correction is made of whole steps.
+        """
+        image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(
-            self.motion.state.here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
+            here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
         )
-        await self._small_move(number, f"correction {number - 1}", wanted_deg)
+        step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
+        goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
+        goal_deg = np.where(self._arrived[:, None], here_deg, goal_deg)
+        await self._small_move(number, f"correction {number - 1}", goal_deg)
 
     async def linear_move(self) -> None:
         """What a blind move by a linear gear ratio gives, for comparison (Fig. 26).

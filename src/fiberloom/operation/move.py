@@ -37,8 +37,8 @@ class Goals:
     @classmethod
     def without_targets(cls, plane: FocalPlane, angles_deg: Floats) -> Goals:
         """Angles (N, 2) alone, with the instrument's approach."""
-        axes, n = (plane.instrument.alpha, plane.instrument.beta), plane.n
-        approach_deg = np.full(n, max(axis.approach_deg for axis in axes))
+        n = plane.n
+        approach_deg = np.full(n, max(axis.approach_deg for axis in plane.instrument.axes))
         return cls(angles_deg, approach_deg, np.full(n, ""), np.zeros(n, dtype=bool))
 
 

@@ -56,7 +56,7 @@ class ObserveSettings:
     """How to observe; None: as the instrument says."""
 
     corrections: int | None = None
-    """Moves after the blind one."""
+    """Moves after the blind one, exactly so many; None: the instrument's stop rule."""
     correction: str | None = None
     """filtered (a Kalman filter) or plain (Eq. 25)."""
     compare_linear: bool = False
@@ -80,9 +80,9 @@ class ObserveSettings:
     def loop(self, plane: FocalPlane) -> LoopSettings:
         """With the instrument's numbers filled in."""
         operation = plane.instrument.operation
-        corrections = operation.corrections_max if self.corrections is None else self.corrections
-        return LoopSettings(
-            moves=1 + corrections,
+        return LoopSettings.of(
+            operation,
+            None if self.corrections is None else 1 + self.corrections,
             filtered=(self.correction or operation.correction) == "filtered",
             compare_linear=self.compare_linear,
             seed=self.seed,
@@ -112,20 +112,28 @@ class Observer:
         kept, assignment = assign_relaxed(self.known.plane, targets, seed=settings.seed)
         hardware = await connect()
         log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
-        motion: FieldMotion | None = None
+        loop: Loop | None = None
         try:
             log.watch(hardware.camera)
             with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
                 motion = self._motion(kept, targets, assignment, hardware, run)
-                await self._loop(motion, assignment, settings)
+                loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
+                self.known.record_used(run)
+                await _whole(loop)
+                self.known.record_learnt(run)
             log.close()
         finally:
             log.stop()
-            moves = [] if motion is None else motion.moves
-            hit = 0 if motion is None else motion.collisions_verified
-            about = marks(self.plane, settings.seed) | self.about | self.known.summary()
-            wall_s = time.monotonic() - begun_s
-            self.last = Observation(kept, targets, assignment, moves, hit, about, wall_s)
+            self.last = Observation(
+                kept,
+                targets,
+                assignment,
+                moves=[] if loop is None else loop.moves,
+                collisions_verified=0 if loop is None else loop.motion.collisions_verified,
+                stopped="" if loop is None else loop.stopped,
+                about=marks(self.plane, settings.seed) | self.about | self.known.summary(),
+                wall_s=time.monotonic() - begun_s,
+            )
         return self.last
 
     def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
@@ -142,10 +150,10 @@ class Observer:
         recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
         return FieldMotion(kept, self.known.maps, hardware, recorder, self.watcher.say)
 
-    async def _loop(self, motion: FieldMotion, assignment: Assignment, settings: ObserveSettings) -> None:
-        loop = Loop(motion, assignment, settings.loop(motion.plane), self.known.map_sigma_deg)
-        try:
-            await motion.connect()
-            await loop.run()
-        finally:
-            await motion.close()
+
+async def _whole(loop: Loop) -> None:
+    try:
+        await loop.motion.connect()
+        await loop.run()
+    finally:
+        await loop.motion.close()

@@ -18,7 +18,13 @@ from fiberloom.health.status import FAULTS, Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
 from fiberloom.report.figures import new_axes
-from fiberloom.report.focal_plane import FieldPicture, draw_focal_plane, plot_errors, plot_focal_plane
+from fiberloom.report.focal_plane import (
+    FieldPicture,
+    draw_focal_plane,
+    frame_positioners,
+    plot_errors,
+    plot_focal_plane,
+)
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
 from fiberloom.targets import TargetList
@@ -54,6 +60,8 @@ class Observation:
         Blind move, corrections, and comparisons where they were asked for.
     collisions_verified : int
         Collisions that the verifier found in plans that were carried out; 0.
+    stopped : str
+        Why the loop made no further correction.
     about : dict
         Marks and remarks that `summary` hands on: version, seed, instrument, configuration hash, UTC.
     wall_s : float
@@ -65,7 +73,7 @@ class Observation:
     >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
     >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
     >>> seen
-    Observation('sdssv', 7 positioners, 5 with a target, 2 moves, 5 within 5 um)
+    Observation('sdssv', 7 positioners, 7 with a target, 2 moves, 7 within 5 um)
     """
 
     plane: FocalPlane
@@ -73,6 +81,7 @@ class Observation:
     assignment: Assignment
     moves: list[Move]
     collisions_verified: int = 0
+    stopped: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     wall_s: float = 0.0
 
@@ -187,8 +196,10 @@ class Observation:
         """
         if not self.moves:
             raise InputError("nothing to plot: no move was made")
-        picture = _picture(self)
-        return draw_focal_plane(new_axes((7.0, 6.4)) if ax is None else ax, self.plane, picture)
+        axes = new_axes((7.0, 6.4)) if ax is None else ax
+        draw_focal_plane(axes, self.plane, _picture(self))
+        frame_positioners(axes, self.plane)
+        return axes
 
     def save(self, folder: str | Path) -> None:
         """Writes summary.json, fibres.ecsv, trajectories.json and two figures.
@@ -223,7 +234,21 @@ class Observation:
         return self.plane.instrument.operation.requirement_um
 
     def target_mm(self) -> Floats:
-        """Where the science fibre of each positioner should be (N, 2); NaN without a target."""
+        """Where the science fibre of each positioner should be.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.target_mm().shape
+        (7, 2)
+        """
         xy = np.full((len(self.plane), 2), np.nan)
         has = self.assignment.target >= 0
         chosen = self.assignment.target[has]
@@ -231,13 +256,52 @@ class Observation:
         return xy
 
     def true_error_um(self, move: Move) -> Floats | None:
-        """True distance of the science fibre from its target (N,); a twin only."""
+        """True distance of the science fibres from their targets.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
+        True
+        """
         if move.true_mm is None:
             return None
         return UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
 
     def error_um(self, move: Move) -> Floats:
-        """True error where it is known, else the measured one."""
+        """True error where it is known, else the measured one.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float
+            um; NaN without a target, or where nothing was seen.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.error_um(seen.final))
+        7
+        """
         true = self.true_error_um(move)
         return move.measured_error_um if true is None else true
 
@@ -247,7 +311,25 @@ class Observation:
         return next(m for m in reversed(self.moves) if not m.comparison)
 
     def counted(self, move: Move) -> Flags:
-        """Positioners with a target that are healthy."""
+        """Positioners with a target that are healthy.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.counted(seen.final).sum())
+        7
+        """
         return np.array([status not in NOT_COUNTED for status in move.status])
 
 
@@ -266,6 +348,7 @@ def summarise(observed: Observation) -> dict[str, Any]:
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
         "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
+        "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
     }

@@ -90,7 +90,7 @@ async def survey(
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
     """What the last run of a store has measured: also one that was interrupted or killed."""
-    runs = store.runs()
+    runs = [run for run in store.runs() if run.n_moves]
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)

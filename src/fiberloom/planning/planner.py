@@ -46,7 +46,7 @@ class PlanSettings:
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
@@ -120,14 +120,44 @@ def plan(
     approach_deg: ArrayLike | None = None,
     settings: PlanSettings | None = None,
 ) -> Plan:
-    """Trajectories (N, 2) -> (N, 2) in deg for everybody at once, direct, free of collisions.
+    """Trajectories of all positioners at once, direct, free of collisions; verified before they leave.
 
-    Each positioner that moves comes to its goal from approach_deg above on both axes, in the
-    negative direction, after all its other motion; approach_deg is one number or one per
-    positioner, the instrument's when left out. Who is at its goal already stays, unless it is in
-    the way. Who cannot arrive is named in `Plan.refused`, stands or goes out of the way, and all
-    others are planned round it. The same input and seed give the same plan on every platform.
-    Angles: within the hard stops; lengths and speeds: the instrument's.
+    Each positioner that moves comes to its goal from approach_deg above on both axes, in the negative
+    direction, after all its other motion. One that is at its goal already stays, unless it is in the
+    way. Lengths and speeds are the instrument's.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners; offline ones are where the plane says.
+    start_deg, goal_deg : array_like
+        (N, 2) alpha and beta, deg, within the hard stops.
+    seed : int
+        The same input and seed give the same plan on every platform.
+    approach_deg : array_like, optional
+        One number or (N,), deg; the instrument's when left out.
+    settings : PlanSettings, optional
+        How hard to try; speeds and buffer other than the instrument's.
+
+    Returns
+    -------
+    Plan
+        Positioners that cannot arrive are named in `Plan.refused`; they stay or go out of the way, and
+        all others are planned round them.
+
+    Raises
+    ------
+    InputError
+        Angles of another shape, or beyond the hard stops.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> assigned = fl.assign(plane, fl.read_targets("targets.csv"))
+    >>> made = fl.plan(plane, plane.park_deg, assigned.goal_deg)
+    >>> made.refused
+    {}
     """
     return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
 
@@ -152,19 +182,16 @@ def _plan(task: _Task, seed: int) -> Plan:
 
 def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
     chosen = task.settings
+    settings = core.Settings(**chosen.dynamics)
+    settings.clearance_mm = chosen.clearance_mm
+    settings.first_deadline = chosen.first_deadline
+    settings.last_deadline = chosen.last_deadline
+    settings.effort = chosen.effort
+    settings.seed = seed
     motions, refused, statistics = core.plan(
-        *task.bodies.arguments,
-        task.start,
-        task.goal,
-        task.approach,
-        fixed,
-        travel_rad(task.plane),
-        **chosen.dynamics,
-        clearance_mm=chosen.clearance_mm,
-        first_deadline=chosen.first_deadline,
-        last_deadline=chosen.last_deadline,
-        effort=chosen.effort,
-        seed=seed,
+        core.Bodies(*task.bodies.arguments),
+        core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane)),
+        settings,
     )
     names = task.plane.positioner_id
     why = {int(names[i]): _reason(names, i, text, other) for i, text, other in refused}

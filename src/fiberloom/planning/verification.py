@@ -103,28 +103,62 @@ def verify(
 ) -> Verification:
     """Prove in continuous time that a plan keeps clear of everything and within all limits.
 
-    Bodies: every pair of beta arms, arms and fiducials, arms and guide cameras; offline positioners
-    stand where the plane says. Gaps are proven above -1e-6 mm; the smallest is true to 1e-4 mm.
-    start_deg, goal_deg (N, 2) and approach_deg are checked when given; goals not for those whom
-    the plan refuses. Limits: the instrument's, and the plan's own collision buffer, when left out.
+    Other code and another method than the planner's. Bodies: every pair of beta arms, arms and fiducials,
+    arms and guide cameras; offline positioners are where the plane says. Gaps are proven above -1e-6 mm;
+    the smallest is true to 1e-4 mm.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners.
+    plan : Plan
+        What is to be proven.
+    start_deg, goal_deg : array_like, optional
+        (N, 2) deg; checked where given, goals not for positioners that the plan refuses.
+    approach_deg : array_like, optional
+        One number or (N,), deg; checked where given.
+    speed_deg_s, acceleration_deg_s2 : float, optional
+        Limits, deg/s and deg/s2; the instrument's when left out.
+    collision_buffer_mm : float, optional
+        Radius of the beta arms, mm; the plan's own when left out.
+
+    Returns
+    -------
+    Verification
+        `ok`, every breach with its time and depth, and the smallest clearance in mm.
+
+    Raises
+    ------
+    InputError
+        The plan moves an offline positioner, or does not say where one is.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> assigned = fl.assign(plane, fl.read_targets("targets.csv"))
+    >>> made = fl.plan(plane, plane.park_deg, assigned.goal_deg)
+    >>> fl.verify(plane, made, goal_deg=assigned.goal_deg).ok
+    True
     """
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
-    found = core.verify(
-        *bodies.arguments,
-        _motions(plane, plan),
-        travel_rad(plane),
+    rules = core.Rules(
+        speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
+        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
+        rounding=ROUNDING_RAD,
+        travel=travel_rad(plane),
+    )
+    rules.expect(
         nothing if start_deg is None else angles_rad("start_deg", start_deg, plane),
         nothing if goal_deg is None else angles_rad("goal_deg", goal_deg, plane),
         _arrives(plane, plan),
         np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
-        speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
-        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
-        rounding=ROUNDING_RAD,
     )
+    found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, plan), rules)
     return Verification(
         violations=tuple(_violation(plane, *entry) for entry in found["violations"]),
         min_robot_clearance_mm=_gap(found["robots"]),

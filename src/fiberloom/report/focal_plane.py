@@ -54,6 +54,13 @@ def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Ax
     return axes
 
 
+def frame_positioners(axes: Axes, plane: FocalPlane) -> None:
+    """Shows the part of the field that the arms reach."""
+    reach_mm = 1.2 * float(plane.body_reach_mm.max(initial=0.0))
+    (left, bottom), (right, top) = plane.centres_mm.min(axis=0), plane.centres_mm.max(axis=0)
+    axes.set(xlim=(left - reach_mm, right + reach_mm), ylim=(bottom - reach_mm, top + reach_mm))
+
+
 def _draw_fibres(axes: Axes, plane: FocalPlane, picture: FieldPicture, tip: Floats) -> None:
     flagged, error_um = picture.flagged, picture.error_um
     served = np.isfinite(error_um) & ~flagged
@@ -75,12 +82,8 @@ def _draw_fibres(axes: Axes, plane: FocalPlane, picture: FieldPicture, tip: Floa
 
 def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, Floats]:
     """Alpha axis, beta axis and end of the beta arm of every positioner, mm."""
-    base = plane.arms[:, :2]
-    direction = plane.arms[:, 3] + np.deg2rad(angles_deg[:, 0])
-    turn = np.stack([np.cos(direction), np.sin(direction)], axis=1)
-    elbow = base + plane.arms[:, 2:3] * turn
     tip = plane.forward(angles_deg[:, 0], angles_deg[:, 1], fibre="metrology")
-    return base, elbow, tip
+    return plane.centres_mm, plane.elbows_mm(angles_deg[:, 0]), tip
 
 
 def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fiberloom.calibration.transmission.maps import AXES, NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.instruments.model import AXES
 from fiberloom.report.figures import figure_with, save
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fiberloom.instruments.model import AXES
 from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime, rms
 from fiberloom.studies.campaign import Campaign, Rows
 from fiberloom.studies.lifetime import (
@@ -115,7 +116,7 @@ def _result(study: Campaign, rows: Rows) -> dict[str, Any]:
             "and pace assumed",
         },
         "arms": {
-            "columns": ["alpha", "beta"],
+            "columns": list(AXES),
             "calibrated_mm": rows["arms_mm"][few].round(6).tolist(),
             "true_mm": rows["true_arms_mm"][few].round(6).tolist(),
         },

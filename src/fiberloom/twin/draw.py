@@ -9,6 +9,7 @@ derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which numb
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR,
@@ -26,7 +28,7 @@ from fiberloom.twin.units import (
     Units,
     defaults,
 )
-from fiberloom.units import RAD_PER_DEG
+from fiberloom.units import MM_PER_UM, RAD_PER_DEG
 
 Rng = np.random.Generator
 
@@ -156,8 +158,8 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
     record["stiffness"] = STIFFNESS_NM_PER_RAD[axis]
     record["seat_rms"] = SEAT_RMS_RAD[axis]
     record["stop_min"], record["stop_max"] = plane.hard_stops_deg[axis] * RAD_PER_DEG
-    overrides = plane.instrument.twin.get(("alpha", "beta")[axis], {})
-    return _override(record, overrides, f"{plane.instrument.name}: twin.{('alpha', 'beta')[axis]}")
+    overrides = plane.instrument.twin.get(AXES[axis], {})
+    return _override(record, overrides, f"{plane.instrument.name}: twin.{AXES[axis]}")
 
 
 def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
@@ -291,3 +293,10 @@ def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
     }
+
+
+def misplaced(plane: FocalPlane, by_um: float, by_deg: float, seed: int) -> FocalPlane:
+    """A layout as it is known before anything was measured: every number off by so much, rms."""
+    rng = np.random.default_rng([seed, 0x3015])
+    sigmas = np.array([*[by_um * MM_PER_UM] * 3, *[by_deg * RAD_PER_DEG] * 2])
+    return replace(plane, arms=plane.arms + rng.normal(size=plane.arms.shape) * sigmas)

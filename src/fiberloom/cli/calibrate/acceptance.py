@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -91,11 +92,15 @@ def _write(
     from fiberloom.report.acceptance import acceptance_html
     from fiberloom.report.acceptance_records import page_head, page_name, unit_record
     from fiberloom.report.outputs import marks
+    from fiberloom.store.calibrations import record_calibration
 
     settings: AcceptanceSettings = papers.settings
     content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(settings)}
     content |= {"units": [unit_record(v, papers.serial) for v in verdicts]}
-    (out / "acceptance.json").write_text(json.dumps(content, indent=2) + "\n")
+    file = out / "acceptance.json"
+    file.write_text(json.dumps(content, indent=2) + "\n")
+    judged = [v.positioner_id for v in verdicts if not v.reason]
+    record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
     data.maps.save(out / "transmission.npz")
     for verdict in verdicts:
         head = page_head(verdict, papers, firmware.get(verdict.positioner_id, "unknown"))

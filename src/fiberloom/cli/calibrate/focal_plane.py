@@ -47,7 +47,8 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     from fiberloom.calibration.focal_plane.fit import FitSettings
     from fiberloom.field import Field
     from fiberloom.operation.survey import SurveySettings
-    from fiberloom.twin.mounting import misplaced
+    from fiberloom.store.calibrations import record_calibration
+    from fiberloom.twin.draw import misplaced
 
     out, plane = options.out, options.plane()
     settings = SurveySettings(
@@ -62,7 +63,9 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     with waiting(options.as_json) as field.watcher:
         found = field.run.survey(settings, guess=guess, measured=options.measured, out=out)
     found.save(out)
-    _show(options, found.summary() | {"arms": str(out / "arms.ecsv"), "layout": str(out / "layout")})
+    made, same_run, arms = found.fit.positioner_id[found.fit.ok], options.measured is None, out / "arms.ecsv"
+    record_calibration(arms, "focal-plane", made, found.marks, field.command_line, same_run=same_run)
+    _show(options, found.summary() | {"arms": str(arms), "layout": str(out / "layout")})
     return 1 if found.summary()["refused"] else 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,11 +234,17 @@ def _identify(name: str, options: IdentificationOptions, out: Path, work: Work) 
         except InputError as error:
             ids = ", ".join(map(str, plane.positioner_id[:3]))
             raise InputError(f"calibrate {name}, positioner {ids}: {error}") from None
+    import numpy as np
+
     from fiberloom.report.estimates import estimate_records
+    from fiberloom.store.calibrations import record_calibration
     from fiberloom.twin.truth import true_values
 
     truth = true_values(plane, units) if options.truth else {}
-    _write(name, options, out, estimate_records(plane, options.seed, measured.estimates, truth))
+    content = estimate_records(plane, options.seed, measured.estimates, truth)
+    _write(name, options, out, content)
+    whole = plane.positioner_id[np.all([e.ok for e in measured.estimates], axis=0)]
+    record_calibration(out / f"{name}.json", name, whole, content, " ".join(sys.argv))
     measured.draw(out / f"{name}.png", _complete_row(measured.estimates))
     return 1 if any(any(e.reason) for e in measured.estimates) else 0
 

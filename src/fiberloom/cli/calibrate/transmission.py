@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +29,7 @@ def transmission(options: TransmissionOptions) -> int:
     from fiberloom.field import Field
     from fiberloom.report.outputs import marks
     from fiberloom.report.transmission import plot_transmission
+    from fiberloom.store.calibrations import record_calibration
 
     out, plane = options.out, options.plane()
     field = Field.twin(plane, options.seed, camera="noise")
@@ -37,5 +39,7 @@ def transmission(options: TransmissionOptions) -> int:
     summary = marks(plane, options.seed) | calibration.summary()
     (out / "transmission.json").write_text(json.dumps(summary, indent=2) + "\n")
     plot_transmission(out / "transmission.png", calibration.maps, row=0)
+    made = plane.positioner_id[calibration.report.ok]
+    record_calibration(out / "transmission.npz", "transmission", made, summary, " ".join(sys.argv))
     options.show(summary | {"maps": str(out / "transmission.npz")})
     return 1 if summary["refused"] else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from fiberloom.instruments.model import AXES
 from fiberloom.twin.faults.kinds import PER_POSITIONER, FaultKind
 
 
@@ -21,4 +22,4 @@ class Fault:
         """0 alpha, 1 beta; one entry where axes make no difference."""
         if FaultKind(self.kind) in PER_POSITIONER:
             return (0,)
-        return (0, 1) if self.axis is None else (("alpha", "beta").index(self.axis),)
+        return (0, 1) if self.axis is None else (AXES.index(self.axis),)

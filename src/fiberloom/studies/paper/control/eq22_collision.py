@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.blocking import finish
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import Bench, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
@@ -20,7 +21,6 @@ SPEED_RPM = 2000
 START_DEG = 60.0
 PAPER_MS = 16.0
 THRESHOLD_DEG = 120.0
-AXES = ("alpha", "beta")
 
 
 def paper_law(units: Units) -> None:

@@ -18,7 +18,7 @@ from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import bench_hardware, draw_units, field_hardware
-from fiberloom.twin.mounting import misplaced
+from fiberloom.twin.draw import misplaced
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
