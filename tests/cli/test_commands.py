@@ -23,6 +23,7 @@ PLANE = ("--positioners", N, "--seed", SEED)
 @pytest.fixture
 def fl(monkeypatch, capsys):
     """Runs the command line in this process: exit code, stdout, stderr."""
+    monkeypatch.setenv("COLUMNS", "200")
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["fiberloom", *map(str, words)])
@@ -108,15 +109,18 @@ def test_a_goal_that_cannot_be_reached_exits_1(fl, plane, tmp_path):
     angles = np.array(folded(plane))
     write_configuration(start, plane.positioner_id, angles)
     crossed = angles.copy()
-    crossed[:, 1] = 0.0  # stretched out towards each other
-    crossed[:, 0] = np.rad2deg(np.arctan2(*(plane.centres_mm[3] - plane.centres_mm).T[::-1])) % 360.0
+    apart = np.hypot(*(plane.centres_mm[1:] - plane.centres_mm[0]).T)
+    for one, other in ((0, 1 + apart.argmin()), (1 + apart.argmin(), 0)):  # stretched out across each other
+        along = plane.centres_mm[other] - plane.centres_mm[one]
+        crossed[one] = np.rad2deg(np.arctan2(along[1], along[0])) % 360.0, 0.0
     write_configuration(goal, plane.positioner_id, crossed)
     code, out, err = fl(
         "plan", "--start", start, "--goal", goal, *PLANE, "--out", tmp_path / "w.json", "--json"
     )
-    assert code in (1, 2), out
-    assert code == 2 or len(json.loads(out)["not_arrived"]) > 0
-    assert (code == 2) == err.startswith("fiberloom: ")
+    assert (code, err) == (1, "")
+    report = json.loads(out)
+    assert report["arrived"] < N
+    assert report["not_arrived"]
 
 
 @pytest.fixture
@@ -218,15 +222,17 @@ def test_reproduce_one_figure(fl, tmp_path):
 
 
 def test_from_an_image_to_positions(fl, tmp_path):
-    plane = generate(load_instrument("sdssv"), 0, n_positioners=37)
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=91)
     rng = np.random.default_rng(5)
-    angle, radius = rng.uniform(0, 2 * np.pi, 20), np.repeat([95.0, 120.0], 10)
+    angle = rng.uniform(0, 2 * np.pi, 30)
+    radius = np.concatenate([rng.uniform(20, 110, 12), np.full(18, 140.0)])
     xy = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-    plane = replace(plane, fiducials=np.column_stack([xy, np.full(20, 2.0)]))
+    plane = replace(plane, fiducials=np.column_stack([xy, np.full(30, 2.0)]))
     write_layout(plane, tmp_path / "layout")
-    angles = np.array(folded(plane))
+    low, high = plane.limits_deg.T
+    angles = rng.uniform(low, high, (len(plane), 2))
     model = CameraModel(
-        Optics(CameraGeometry(1300, 1300, 0.2, flipped=True), 150.0),
+        Optics(CameraGeometry(1500, 1500, 0.2, flipped=True), 150.0),
         Psf("moffat", 3.0, beta=4.0),
         Detector(1.3, 8.0, 400.0, 60_000.0),
         Light(fibre_e=150_000.0, fiducial_e=150_000.0),
@@ -239,7 +245,7 @@ def test_from_an_image_to_positions(fl, tmp_path):
         "centroid", tmp_path / "image.fits", "--out", spots, "--plot", tmp_path / "s.png", "--json"
     )
     assert (code, json.loads(out)["gain_e_adu"]) == (0, 1.3)
-    assert json.loads(out)["spots"] >= 50
+    assert json.loads(out)["spots"] >= 105
     assert (tmp_path / "s.png").stat().st_size > 10_000
     words = (
         "--layout",
@@ -252,7 +258,7 @@ def test_from_an_image_to_positions(fl, tmp_path):
     )
     code, out, err = fl("match", spots, *words, "--rotation", 0, "--out", tmp_path / "p.csv", "--json")
     assert code == 0, err
-    assert json.loads(out)["matched"] > 30
+    assert json.loads(out)["matched"] > 80
     # only where it is told to look, and nothing there
     (tmp_path / "corner.csv").write_text("x_px,y_px\n20,20\n")
     code, out, _ = fl(
