@@ -4,7 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
+from fiberloom.errors import InputError
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
@@ -54,3 +56,29 @@ def arm_rows(
         }
         for k in range(min(len(positioner_id), most))
     ]
+
+
+def pairs_within(centres_mm: Floats, reach_mm: Floats, extra_mm: float) -> Ints:
+    """(P, 2) rows i < j, in order, of arms at centres (N, 2) with reach (N,) that come within `extra_mm`."""
+    tree = cKDTree(centres_mm)
+    pairs = tree.query_pairs(2 * reach_mm.max(initial=0.0) + extra_mm, output_type="ndarray")
+    i, j = pairs[:, 0], pairs[:, 1]
+    gap = np.linalg.norm(centres_mm[i] - centres_mm[j], axis=1)
+    near = pairs[gap < reach_mm[i] + reach_mm[j] + extra_mm].astype(np.int64)
+    return near[np.lexsort((near[:, 1], near[:, 0]))]
+
+
+def rows_of(known: Ints, positioner_id: ArrayLike) -> Ints:
+    """Rows of positioners among the `known` (N,); an InputError names the first that is not there."""
+    wanted, n = np.asarray(positioner_id, dtype=np.int64), len(known)
+    if n == 0:
+        raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
+    order = np.argsort(known)
+    rows = order[np.searchsorted(known, wanted, sorter=order).clip(max=n - 1)]
+    wrong = known[rows] != wanted
+    if np.any(wrong):
+        raise InputError(
+            f"positioner {np.atleast_1d(wanted)[np.atleast_1d(wrong)][0]}: not in "
+            f"this focal plane of {n} positioners"
+        )
+    return rows

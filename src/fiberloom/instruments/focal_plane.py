@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
@@ -20,6 +19,8 @@ from fiberloom.instruments.arms import (
     arm_rows,
     columns_of,
     elbows_mm,
+    pairs_within,
+    rows_of,
 )
 from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.model import METROLOGY, Instrument
@@ -32,8 +33,7 @@ from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 class FocalPlane:
     """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
 
-    All calls take and return arrays over positioners; `index` selects some of them. Frames and signs:
-    docs/conventions.md.
+    All calls take and return arrays over positioners; frames and signs: docs/conventions.md.
 
     Raises
     ------
@@ -46,8 +46,6 @@ class FocalPlane:
     >>> plane = fl.FocalPlane.of("sdssv", seed=0, n=50)
     >>> plane
     FocalPlane('sdssv', 50 positioners, 61 fiducials, 6 guide cameras)
-    >>> plane.forward(plane.park_deg[:, 0], plane.park_deg[:, 1]).shape
-    (50, 2)
     """
 
     instrument: Instrument
@@ -381,7 +379,26 @@ class FocalPlane:
         return Inverse(alpha, beta, reachable, gap)
 
     def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """(n, 2) mm: where the beta axes are at these angles, (n,) or one for all."""
+        """Where the beta axes are.
+
+        Parameters
+        ----------
+        alpha_deg : array_like
+            One for each positioner or one for all.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2) float
+            mm.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).elbows_mm(90.0).shape
+        (7, 2)
+        """
         rows = self._rows(index)
         return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
 
@@ -438,13 +455,7 @@ class FocalPlane:
         >>> fl.FocalPlane.of("sdssv", n=3).neighbour_pairs().tolist()
         [[0, 1], [0, 2], [1, 2]]
         """
-        reach = self.body_reach_mm
-        tree = cKDTree(self.centres_mm)
-        pairs = tree.query_pairs(2 * reach.max(initial=0.0) + extra_mm, output_type="ndarray")
-        i, j = pairs[:, 0], pairs[:, 1]
-        gap = np.linalg.norm(self.centres_mm[i] - self.centres_mm[j], axis=1)
-        near = pairs[gap < reach[i] + reach[j] + extra_mm].astype(np.int64)
-        return near[np.lexsort((near[:, 1], near[:, 0]))]
+        return pairs_within(self.centres_mm, self.body_reach_mm, extra_mm)
 
     def index_of(self, positioner_id: ArrayLike) -> Ints:
         """Rows of positioners by their number on the bus.
@@ -471,19 +482,7 @@ class FocalPlane:
         >>> int(plane.index_of(plane.positioner_id[3]))
         3
         """
-        wanted = np.asarray(positioner_id, dtype=np.int64)
-        if self.n == 0:
-            raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
-        order = np.argsort(self.positioner_id)
-        place = np.searchsorted(self.positioner_id, wanted, sorter=order).clip(max=self.n - 1)
-        rows = order[place]
-        wrong = self.positioner_id[rows] != wanted
-        if np.any(wrong):
-            raise InputError(
-                f"positioner {np.atleast_1d(wanted)[np.atleast_1d(wrong)][0]}: not in "
-                f"this focal plane of {self.n} positioners"
-            )
-        return rows
+        return rows_of(self.positioner_id, positioner_id)
 
     def select(self, index: ArrayLike) -> "FocalPlane":
         """The same plane with only some positioners; fiducials and cameras stay.
