@@ -1,6 +1,7 @@
 """`import fiberloom`: fifteen names, at no cost, and no event loop or print where they do not belong."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,14 @@ def test_type_checkers_see_where_each_name_is_found():
     block = next(n for n in tree.body if isinstance(n, ast.If))
     seen = {a.name: n.module for n in block.body for a in n.names}
     assert seen == {name: f"fiberloom.{place}" for name, place in fl._PLACES.items()}
+
+
+def test_every_name_has_its_place_in_the_reference():
+    pages = "".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
+    shown = set(re.findall(r"^::: fiberloom\.(\w+)$", pages, flags=re.MULTILINE))
+    assert shown == set(NAMES) - {"__version__"}
+    nav = (ROOT / "mkdocs.yml").read_text()
+    assert all(f"api/{path.name}" in nav for path in (ROOT / "docs" / "api").glob("*.md"))
 
 
 # one place each

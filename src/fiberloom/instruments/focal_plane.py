@@ -1,59 +1,39 @@
-"""A focal plane: every positioner with its own geometry, and everything that it can hit.
+"""A focal plane: every positioner with its own geometry, and everything that it can hit."""
 
-Angles in deg, lengths in mm, in the frames of docs/conventions.md. All calls take and return
-arrays over positioners; `index` selects some of them (all when left out).
-"""
-
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
+from fiberloom.instruments.arms import (
+    ALPHA_OFF,
+    BETA_OFF,
+    CENTRE,
+    L_ALPHA,
+    Inverse,
+    arm_rows,
+    columns_of,
+    elbows_mm,
+    pairs_within,
+    rows_of,
+)
+from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.model import METROLOGY, Instrument
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
-
-CENTRE = slice(0, 2)
-L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
-"""Columns of FocalPlane.arms."""
-
-
-def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
-    """(n, 2, ...) mm: the beta axes of arms (n, 5) at alpha (n, ...) deg."""
-    alpha = deg_to_rad(alpha_deg)
-    more = (None,) * (alpha.ndim - 1)
-    turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
-
-
-class Inverse(NamedTuple):
-    """Arm angles that put a fibre on its target."""
-
-    alpha_deg: Floats
-    beta_deg: Floats
-    reachable: Flags
-    gap_mm: Floats
-    """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
-    axis limits stand in the way; inf: the positioner lacks the fibre."""
 
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
     """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
 
-    Made by `FocalPlane.of` from an instrument, or by `FocalPlane.read` from a folder of tables. All
-    calls take and return arrays over positioners; `index` selects some of them. Frames and signs:
-    docs/conventions.md.
+    All calls take and return arrays over positioners; frames and signs: docs/conventions.md.
 
     Raises
     ------
@@ -66,8 +46,6 @@ class FocalPlane:
     >>> plane = fl.FocalPlane.of("sdssv", seed=0, n=50)
     >>> plane
     FocalPlane('sdssv', 50 positioners, 61 fiducials, 6 guide cameras)
-    >>> plane.forward(plane.park_deg[:, 0], plane.park_deg[:, 1]).shape
-    (50, 2)
     """
 
     instrument: Instrument
@@ -109,12 +87,11 @@ class FocalPlane:
         Parameters
         ----------
         name_or_toml : str or Path
-            A preset, e.g. ``"sdssv"`` (`fiberloom instruments` lists them), or a TOML file of your own.
+            A preset (`fiberloom instruments` lists them), or a TOML file of your own.
         seed : int
             The same seed gives the same units.
         n : int, optional
-            Only so many positioners, from the centre; all of the instrument when left out. With more
-            than it has, the hexagon grows.
+            Only so many positioners, from the centre; all when left out. With more the hexagon grows.
 
         Returns
         -------
@@ -131,9 +108,6 @@ class FocalPlane:
         >>> import fiberloom as fl
         >>> len(fl.FocalPlane.of("pfs", n=19))
         19
-        >>> fl.FocalPlane.of("pfs", n=0)
-        Traceback (most recent call last):
-        fiberloom.errors.InputError: n_positioners = 0: must be at least 1
         """
         from fiberloom import instruments  # built on this class
 
@@ -183,17 +157,7 @@ class FocalPlane:
         )
 
     def _repr_html_(self) -> str:
-        some = range(min(self.n, 5))
-        rows = [
-            {
-                "positioner": int(self.positioner_id[k]),
-                "hole": str(self.hole[k]),
-                "x [mm]": float(self.arms[k, 0]),
-                "y [mm]": float(self.arms[k, 1]),
-                "alpha arm [mm]": float(self.arms[k, L_ALPHA]),
-            }
-            for k in some
-        ]
+        rows = arm_rows(self.positioner_id, self.hole, self.arms)
         return html_rows(repr(self), rows)
 
     @property
@@ -323,7 +287,7 @@ class FocalPlane:
         True
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
 
     def jacobian(
@@ -361,7 +325,7 @@ class FocalPlane:
         (7, 2, 2)
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
         return per_rad * RAD_PER_DEG
 
@@ -415,7 +379,26 @@ class FocalPlane:
         return Inverse(alpha, beta, reachable, gap)
 
     def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """(n, 2) mm: where the beta axes are at these angles, (n,) or one for all."""
+        """Where the beta axes are.
+
+        Parameters
+        ----------
+        alpha_deg : array_like
+            One for each positioner or one for all.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2) float
+            mm.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).elbows_mm(90.0).shape
+        (7, 2)
+        """
         rows = self._rows(index)
         return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
 
@@ -443,7 +426,7 @@ class FocalPlane:
         (7, 4)
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         ends = [np.broadcast_to([x, 0.0], (len(rows), 2)).copy() for x in self.beta_segment_mm]
         return np.hstack([geometry.forward(self.arms[rows], e, angles) for e in ends])
 
@@ -472,13 +455,7 @@ class FocalPlane:
         >>> fl.FocalPlane.of("sdssv", n=3).neighbour_pairs().tolist()
         [[0, 1], [0, 2], [1, 2]]
         """
-        reach = self.body_reach_mm
-        tree = cKDTree(self.centres_mm)
-        pairs = tree.query_pairs(2 * reach.max(initial=0.0) + extra_mm, output_type="ndarray")
-        i, j = pairs[:, 0], pairs[:, 1]
-        gap = np.linalg.norm(self.centres_mm[i] - self.centres_mm[j], axis=1)
-        near = pairs[gap < reach[i] + reach[j] + extra_mm].astype(np.int64)
-        return near[np.lexsort((near[:, 1], near[:, 0]))]
+        return pairs_within(self.centres_mm, self.body_reach_mm, extra_mm)
 
     def index_of(self, positioner_id: ArrayLike) -> Ints:
         """Rows of positioners by their number on the bus.
@@ -505,19 +482,7 @@ class FocalPlane:
         >>> int(plane.index_of(plane.positioner_id[3]))
         3
         """
-        wanted = np.asarray(positioner_id, dtype=np.int64)
-        if self.n == 0:
-            raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
-        order = np.argsort(self.positioner_id)
-        place = np.searchsorted(self.positioner_id, wanted, sorter=order).clip(max=self.n - 1)
-        rows = order[place]
-        wrong = self.positioner_id[rows] != wanted
-        if np.any(wrong):
-            raise InputError(
-                f"positioner {np.atleast_1d(wanted)[np.atleast_1d(wrong)][0]}: not in "
-                f"this focal plane of {self.n} positioners"
-            )
-        return rows
+        return rows_of(self.positioner_id, positioner_id)
 
     def select(self, index: ArrayLike) -> "FocalPlane":
         """The same plane with only some positioners; fiducials and cameras stay.
@@ -534,9 +499,8 @@ class FocalPlane:
         Examples
         --------
         >>> import fiberloom as fl
-        >>> plane = fl.FocalPlane.of("sdssv", n=7)
-        >>> len(plane.select(plane.carries("APOGEE")))
-        4
+        >>> len(fl.FocalPlane.of("sdssv", n=7).select([0, 3]))
+        2
         """
         rows = self._rows(index)
         return replace(
@@ -612,18 +576,11 @@ class FocalPlane:
         Examples
         --------
         >>> import fiberloom as fl
-        >>> plane = fl.FocalPlane.of("sdssv", n=7)
-        >>> plane.config_hash() == fl.FocalPlane.of("sdssv", seed=1, n=7).config_hash()
-        False
+        >>> len(fl.FocalPlane.of("sdssv", n=7).config_hash())
+        16
         """
-        digest = hashlib.sha256(self.instrument.model_dump_json().encode())
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                _feed(digest, field.name, value)
-        for name in sorted(self.points):
-            _feed(digest, name, self.points[name])
-        return digest.hexdigest()[:16]
+        arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
+        return mark_of(self.instrument.model_dump_json(), arrays)
 
     def _point(self, fibre: str) -> Floats:
         try:
@@ -641,19 +598,3 @@ class FocalPlane:
 
 
 _PER_POSITIONER = ("positioner_id", "hole", "arms", "offline", "offline_position_deg")
-
-
-def _columns(first: Floats, second: Floats, n: int) -> Floats:
-    pair = np.empty((n, 2))
-    pair[:, 0], pair[:, 1] = first, second
-    return pair
-
-
-def _feed(digest: "hashlib._Hash", name: str, values: NDArray) -> None:
-    # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
-    plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
-    digest.update(name.encode())
-    if plain.dtype.kind == "U":
-        digest.update("\0".join(plain).encode())
-    else:
-        digest.update(plain.astype(plain.dtype.newbyteorder("<")).tobytes())
