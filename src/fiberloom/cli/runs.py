@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -23,25 +23,7 @@ def runs(options: RunsOptions) -> None:
     """Show what was observed, and how it ended."""
     from fiberloom.store.find import stores_below
 
-    options.show([row for store in stores_below(options.where) for row in _runs_of(store)])
+    stores_below(options.where)
+    from fiberloom.store.listing import runs_below
 
-
-def _runs_of(path: str) -> list[dict[str, Any]]:
-    from fiberloom.store import Store
-
-    with Store.open(path, create=False) as store:
-        return [
-            {
-                "store": path,
-                "run": run.id,
-                "utc": run.utc_start.isoformat(timespec="seconds"),
-                "status": run.status,
-                "moves": run.n_moves,
-                "measurements": run.n_measurements,
-                "calibrations": ", ".join(f"{k} {n}" for k, n in store.calibrated(run.id).items()),
-                "seed": run.seed,
-                "instrument": run.instrument,
-                "note": run.note,
-            }
-            for run in store.runs()
-        ]
+    options.show(runs_below(options.where))
