@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import MOTOR_DEG, NAMES, alpha_params
 
 from fiberloom._core import firmware as fw
+from rig import MOTOR_DEG, NAMES, alpha_params
 
 TURN = 2**20
 CNT_PER_RAD = TURN / (2 * np.pi)
@@ -341,6 +341,67 @@ def test_hall_calibration_finds_offset_gain_and_phase(oa, ob, aa, ab, phase):
 
 def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
+
+
+def ellipse(samples, amplitude_a=1500.0, amplitude_b=1500.0):
+    theta = np.arange(samples) * (2 * np.pi / samples) * 3
+    return np.round(
+        2048 + np.stack([amplitude_a * np.sin(theta), amplitude_b * np.cos(theta)], axis=1)
+    ).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("amplitudes", "good"),
+    [((104, 1500), True), ((1500, 104), True), ((96, 1500), False), ((1500, 96), False)],
+)
+def test_a_hall_channel_needs_an_amplitude_of_a_hundred_counts(amplitudes, good):
+    found = fw.hall_fit(ellipse(500, *amplitudes))
+    assert (found is not None) == good
+    if good:
+        assert found[2:4] == pytest.approx(amplitudes, abs=0.5)
+
+
+@pytest.mark.parametrize(("samples", "good"), [(100, True), (99, False)])
+def test_hall_calibration_needs_a_hundred_samples(samples, good):
+    assert (fw.hall_fit(ellipse(samples)) is not None) == good
+
+
+def sweep(samples, coulomb=2e-5, spring=5e-6, cogging=1e-5, phase=0.7, back=None):
+    """Rows of a sweep of four turns each way, torque as Eq. 11 and Fig. 11 have it."""
+    rows = []
+    for direction, count in ((1.0, samples), (-1.0, samples if back is None else back)):
+        rotor = np.round(np.arange(count) * (4 * TURN / max(count, 1)))
+        angle = 2 * rotor / CNT_PER_RAD + phase
+        torque = coulomb * direction - spring + cogging * np.sin(angle)
+        rows.append(np.stack([np.full(count, direction), rotor, torque], axis=1))
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize(("coulomb", "spring", "cogging", "phase"), [(2e-5, 5e-6, 1e-5, 0.7),
+                                                                     (2e-6, -3e-6, 4e-6, -2.5)])  # fmt: skip
+def test_friction_fit_tells_friction_spring_and_cogging_apart(coulomb, spring, cogging, phase):
+    found = fw.friction_fit(sweep(1000, coulomb, spring, cogging, phase))
+    # float32 sums of 2000 terms
+    assert found[:3] == pytest.approx((coulomb, spring, cogging), rel=1e-3)
+    assert found[3] == pytest.approx(phase, abs=1e-3)
+
+
+@pytest.mark.parametrize(("forth", "back", "good"), [(100, 100, True), (99, 100, False), (100, 99, False)])
+def test_friction_fit_needs_a_hundred_samples_each_way(forth, back, good):
+    assert (fw.friction_fit(sweep(forth, back=back)) is not None) == good
+
+
+def test_friction_fit_refuses_friction_that_drives_and_a_rotor_that_did_not_turn():
+    assert fw.friction_fit(sweep(500, coulomb=-1e-6)) is None
+    held = sweep(500)
+    held[:, 1] = 1000
+    assert fw.friction_fit(held) is None
+
+
+@pytest.mark.parametrize(("x", "nearest"), [(0.0, 0), (0.49, 0), (0.5, 1), (1.49, 1), (-0.49, 0), (-0.5, -1),
+                                            (-1.49, -1), (-1.51, -2), (2.0e9, 2_000_000_000)])  # fmt: skip
+def test_rounding_is_to_the_nearest_halves_away_from_zero(x, nearest):
+    assert fw.round_i32(x) == nearest
 
 
 def test_default_parameters_are_good_and_bad_ones_are_named():
