@@ -313,6 +313,25 @@ def test_a_thousand_points_fit_and_cost_six_bytes():
     assert len(got) == 10
 
 
+@pytest.mark.parametrize(
+    ("short", "long", "taken"),
+    [(1024, 0, True), (1025, 0, False), (1022, 1, True), (1023, 1, False), (0, 512, True), (0, 513, False)],
+)
+def test_a_path_holds_1024_slots_of_which_a_long_gap_takes_two(short, long, taken):
+    gaps = np.concatenate([np.full(short, 2), np.full(long, 2**16)])
+    points = np.stack([np.arange(gaps.size), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    if taken:
+        assert fw.path(points, 0, 1)[1] == short + 2 * long
+    else:
+        with pytest.raises(ValueError, match=f"point {gaps.size - 1} "):
+            fw.path(points, 0, 1)
+
+
+def test_a_gap_of_65535_ticks_is_short_and_one_more_is_long():
+    slots = [fw.path(np.array([[5, gap - 1]], np.int32), 0, 1)[1] for gap in (2**16 - 1, 2**16)]
+    assert slots == [1, 2]
+
+
 def test_a_path_whose_time_does_not_grow_is_refused():
     with pytest.raises(ValueError, match="point 1"):
         fw.path(np.array([[0, 5], [9, 5]], np.int32), 0, 10)
