@@ -56,11 +56,10 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def write_hashes(root: Path, files: Iterable[Path]) -> None:
-    """Notes what the files were when they were measured; those of earlier runs stay as noted."""
+def write_hashes(root: Path, hashes: dict[str, str]) -> None:
+    """Notes what the files were that have been measured; those of the other languages stay as noted."""
     path = root / FOLDER / SOURCES
-    noted = json.loads(path.read_text()) if path.exists() else {}
-    noted |= {f.as_posix(): file_hash(root / f) for f in files}
+    noted = (json.loads(path.read_text()) if path.exists() else {}) | hashes
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(noted, indent=1) + "\n")
 

@@ -50,7 +50,9 @@ def block(table: list[Row], columns: Sequence[str]) -> str:
     lines = [["", *columns], *([r.name, *(cell(c, r.values[c]) for c in columns)] for r in table)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(columns) + 1)]
     return "\n".join(
-        "  ".join([line[0].ljust(widths[0]), *(t.rjust(w) for t, w in zip(line[1:], widths[1:], strict=True))])
+        "  ".join(
+            [line[0].ljust(widths[0]), *(t.rjust(w) for t, w in zip(line[1:], widths[1:], strict=True))]
+        )
         for line in lines
     )
 

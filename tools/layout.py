@@ -29,10 +29,8 @@ TESTS = (
 COMPILED = "fiberloom._core"
 SHARED_WITH_CORE = r"tests/(planning|metrology|twin)/"
 
-# `make coverage`: the small tests of the host, and those that reach most of C and C++ in some minutes.
+# `make coverage`: the small tests for Python, and of those the ones that reach most of C and C++.
 SMALL = "not slow and not long and not jaeger"
-HOST_TESTS = ("tests",)
-HOST_LEFT_OUT = ("tests/tools", "tests/firmware", "tests/rig", "tests/real_jaeger")
 NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/geometry", "tests/planning",
                 "tests/metrology", "tests/twin")  # fmt: skip
 
@@ -93,7 +91,7 @@ def group_of(path: Path) -> Group | None:
     return None
 
 
-def tested_top(path: Path, text: str) -> tuple[str, str] | None:
+def top_under_test(path: Path, text: str) -> tuple[str, str] | None:
     """(top folder, room) that a file of tests counts for; None where it is no test."""
     if path.suffix not in LANGUAGES or "tests" not in path.parts:
         return None

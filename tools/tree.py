@@ -1,13 +1,13 @@
 """The whole tree counted: a row for each language of a top folder and for each room of the host."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tools.coverage_data import Count, Coverage, read_coverage
 from tools.duplicates import Pair, find_duplicates
-from tools.layout import HOST, TOPS, Group, files_below, group_of, tested_top
+from tools.layout import HOST, TOPS, Group, files_below, group_of, top_under_test
 from tools.native_source import is_public_header, read_native
 from tools.python_source import read_python
 from tools.source import Function, Source, median_length
@@ -52,7 +52,7 @@ def read_tree(root: Path) -> Tree:
     tests: Counter[tuple[str, str]] = Counter()
     test_sources = []
     for path in files:
-        if "tests" in path.parts and (top := tested_top(path, _text(root / path))) is not None:
+        if "tests" in path.parts and (top := top_under_test(path, _text(root / path))) is not None:
             test = _read(root, path, top_has_include=True)
             tests[top] += len(test.code)
             test_sources.append(test)
@@ -103,12 +103,10 @@ def _test_lines(tree: Tree, group: Group) -> int | None:
     """
     if group.top == HOST:
         return tree.tests.get((HOST, group.room), 0)
-    lines = {g.language: _sum(len(s.code) for s in tree.sources[g]) for g in tree.sources if g.top == group.top}
+    lines = {
+        g.language: sum(len(s.code) for s in tree.sources[g]) for g in tree.sources if g.top == group.top
+    }
     return tree.tests.get((group.top, ""), 0) if max(lines, key=lines.__getitem__) == group.language else None
-
-
-def _sum(numbers: Iterable[int]) -> int:
-    return sum(numbers)
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -152,7 +150,9 @@ def offenders(tree: Tree) -> dict[str, list[str]]:
     code = [s for sources in tree.sources.values() for s in sources]
 
     def named(fits: Callable[[Function], bool], n: Callable[[Function], int]) -> list[str]:
-        every = [(n(f), f"{s.path.as_posix()}:{f.line} {f.name}") for s in code for f in s.functions if fits(f)]
+        every = [
+            (n(f), f"{s.path.as_posix()}:{f.line} {f.name}") for s in code for f in s.functions if fits(f)
+        ]
         return [f"{text} ({count})" for count, text in sorted(every, key=lambda e: (-e[0], e[1]))]
 
     return {
@@ -167,6 +167,11 @@ def offenders(tree: Tree) -> dict[str, list[str]]:
         "duplicates": [f"{p.one} = {p.other} ({p.n_lines} lines)" for p in tree.duplicates],
         f"folders over {MAX_FOLDER} files": [
             f"{path.as_posix()} ({n})" for path, n in tree.folders.most_common() if n > MAX_FOLDER
+        ],
+        "files with functions, in no measurement of coverage": [
+            f"{s.path.as_posix()} ({len(s.functions)})"
+            for s in code
+            if s.functions and tree.coverage.counts and s.path not in tree.coverage.counts
         ],
         f"files over {MAX_FILE} lines": [
             f"{s.path} ({s.n_lines})" for s in (*code, *tree.test_sources) if s.n_lines > MAX_FILE
