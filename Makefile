@@ -74,7 +74,7 @@ check: lint
 
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
-             tests/twin/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
+             tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
              tests/metrology/test_centroids.py tests/metrology/test_images.py
 SITE := $(abspath build/sanitized/site)
 sanitized: setup

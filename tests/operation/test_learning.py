@@ -10,9 +10,9 @@ import time
 import numpy as np
 import pytest
 
-from fiberloom.commands.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
-from fiberloom.commands.learnt import history_step, undo_step
-from fiberloom.commands.observe import ObserveRequest, run_observe
+from fiberloom.cli.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
+from fiberloom.cli.learnt import history_step, undo_step
+from fiberloom.cli.observe import ObserveRequest, run_observe
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.store import Store
 from fiberloom.targets import random_targets, write_targets

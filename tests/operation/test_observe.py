@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from fiberloom.commands.observe import ObserveRequest, run_observe
+from fiberloom.cli.observe import ObserveRequest, run_observe
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import read_plans, verify

@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from .._core import geometry
-from ..errors import InputError
-from ..units import RAD_PER_DEG, deg_to_rad, rad_to_deg
-from .model import METROLOGY, Instrument
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from fiberloom._core import geometry
+from fiberloom.errors import InputError
+from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 CENTRE = slice(0, 2)
 L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
@@ -33,7 +30,7 @@ class Inverse(NamedTuple):
 
     alpha_deg: Floats
     beta_deg: Floats
-    reachable: Bools
+    reachable: Flags
     gap_mm: Floats
     """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
     axis limits stand in the way; inf: the positioner lacks the fibre."""
@@ -56,7 +53,7 @@ class FocalPlane:
     """(M, 3): x_mm, y_mm, radius_mm."""
     guide_cameras: Floats
     """(G, 5): x0_mm, y0_mm, x1_mm, y1_mm, radius_mm (capsules)."""
-    offline: Bools
+    offline: Flags
     """(N,) does not move."""
     offline_position_deg: Floats
     """(N, 2) where it stands if it does not move: alpha, beta."""
@@ -114,7 +111,7 @@ class FocalPlane:
         """Fibres that targets can ask for."""
         return self.instrument.science_fibres
 
-    def carries(self, fibre: str) -> Bools:
+    def carries(self, fibre: str) -> Flags:
         """(N,) which positioners have this fibre."""
         return ~np.isnan(self._point(fibre)[:, 0])
 

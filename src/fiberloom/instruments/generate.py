@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from ..errors import InputError
-from ..units import deg_to_rad
-from .focal_plane import Floats, FocalPlane, Ints
-from .model import METROLOGY, Instrument, Layout, Scatter
+from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import FocalPlane
+from fiberloom.instruments.model import METROLOGY, Instrument, Layout, Scatter
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad
 
 SQRT_3_2 = math.sqrt(3.0) / 2.0
 

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import __version__
-from ..errors import InputError
-from ..tables import TableFile, read_table
-from ..units import deg_to_rad, rad_to_deg
-from .focal_plane import ALPHA_OFF, BETA_OFF, L_ALPHA, Floats, FocalPlane
-from .layout_sdssv import read_sdssv
-from .model import Instrument
+from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, L_ALPHA, FocalPlane
+from fiberloom.instruments.layout_sdssv import read_sdssv
+from fiberloom.instruments.model import Instrument
+from fiberloom.tables import TableFile, read_table
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad, rad_to_deg
+from fiberloom.version import __version__
 
 FORMAT = 1
 INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"

@@ -25,10 +25,8 @@ from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, matc
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
 from fiberloom.metrology.transform import FieldTransform
 from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class ImageSource(Protocol):

@@ -23,38 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.metrology.noise import CorrectionNoise
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # An innovation beyond this many standard deviations, squared, is no noise: 1 in 2e5 of two
 # Gaussian numbers. The offset has changed (a slip, a bump), and what was learnt is void.
 _SURPRISE = 25.0
 # A command for the plain update keeps this far inside the reach of the arms.
 _INSIDE_MM = 1e-6
-
-
-@dataclass(frozen=True)
-class CorrectionNoise:
-    """What the filter believes of camera and positioners, 2-D rms in um."""
-
-    camera_um: float = 0.669
-    """Of a camera that does not tell the covariance of what it measures."""
-    repeatability_um: float = 0.2
-    """Scatter of arrivals at the same command."""
-    blind_um: float = 10.0
-    """Error before the first image."""
-    drift_um: float = 0.0
-    """How much the offset itself changes from move to move."""
-    slope: float = 0.1
-    """How much it changes over the way of a correction, as a share of that way, rms: the derivative
-    of what the transmission map does not know. SDSS-V accepts gears up to 0.15."""
-
-    @classmethod
-    def of(cls, plane: FocalPlane) -> CorrectionNoise:
-        """With the camera of this instrument."""
-        return cls(camera_um=plane.instrument.metrology.noise_rms_um)
 
 
 def plain_update(commanded_mm: Floats, target_mm: Floats, measured_mm: Floats) -> Floats:

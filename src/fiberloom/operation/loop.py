@@ -17,19 +17,18 @@ from fiberloom.assignment import Assignment
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Results
 from fiberloom.bus.trajectory import Trajectory
-from fiberloom.calibration.transmission import TransmissionMaps
+from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.health.status import Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.correction import CorrectionLoop
-from fiberloom.operation.hardware import Hardware
-from fiberloom.operation.status import ASTRAY_MM, Evidence, Status, judge
+from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
 from fiberloom.planning import Plan, Robot, plan, plan_corrections, verify
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
 

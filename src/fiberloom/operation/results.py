@@ -10,18 +10,15 @@ from typing import Any
 
 import numpy as np
 from astropy.table import Table, vstack
-from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
+from fiberloom.health.status import FAULTS, Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.loop import Move
-from fiberloom.operation.status import FAULTS, Status
 from fiberloom.report.focal_plane import plot_errors, plot_focal_plane
 from fiberloom.targets import TargetList
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NOT_COUNTED = FAULTS | {Status.PARKED, Status.OFFLINE, Status.BLOCKED}
 

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..units import deg_to_rad
-
-Floats = NDArray[np.float64]
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad
 
 ROUNDING_RAD = 1e-8
 """Angles that differ by less are the same: a count of the bus is 5.9e-9 rad, a digit of the JSON

@@ -14,8 +14,7 @@ from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from fiberloom.instruments import FocalPlane
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 
 def plot_focal_plane(

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 STYLES = {
     "linear": ("tab:blue", "-", "linear ratio"),

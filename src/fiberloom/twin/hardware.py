@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.model import Axis
-from fiberloom.operation.hardware import Hardware
-from fiberloom.twin.camera import NoiseCamera
-from fiberloom.twin.cameras import image_camera
-from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.twin.camera.models import image_camera
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import GEAR, Units

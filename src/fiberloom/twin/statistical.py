@@ -21,10 +21,8 @@ from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.twin.gears import NODE_RAD, Gears
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.units import GEAR, Units
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import COUNTS_PER_DEG, RAD_PER_DEG, deg_to_rad, rad_to_deg
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 LANDING_RMS_RAD = 0.065 * RAD_PER_DEG
 """Scatter of the motor at the end of a move beside the errors of its sensors. MEASURED on the full

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fiberloom.calibration.torque import AXES
+from fiberloom.calibration.bench.torque import AXES
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.twin.draw import firmware_truth
 from fiberloom.twin.units import GEAR, Units
+from fiberloom.typing import Floats
 from fiberloom.units import RAD_PER_DEG
-
-Floats = NDArray[np.float64]
 
 SEAT_BETWEEN_NODES = (1.0 - (1.0 - 0.7788) / 3.0) ** 0.5
 """The plant draws seats at nodes whose neighbours go together by 0.7788 (plant.cpp) and is straight in
