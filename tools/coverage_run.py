@@ -40,7 +40,13 @@ def python_coverage(root: Path, jobs: int) -> bool:
     parallel = ["-n", str(jobs), "--dist", "loadgroup"] if jobs > 1 else []
     code = [f"--cov={top}" for top in present(root, TOPS)]
     command = [sys.executable, "-m", "pytest", *parallel, "-m", SMALL, "--cov-branch", *code]
-    return run([*command, f"--cov-report=json:{target}"], root)
+    # absolute: tests start programs in other folders
+    path = os.pathsep.join([str(root / "src"), os.environ.get("PYTHONPATH", "")])
+    if run([*command, f"--cov-report=json:{target}"], root, PYTHONPATH=path.strip(os.pathsep)):
+        return True
+    # pytest-cov writes what it has even where tests fail
+    target.unlink(missing_ok=True)
+    return False
 
 
 def native_coverage(root: Path) -> bool:

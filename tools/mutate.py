@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tools.layout import MUTATED, ROOT, Target, files_below
-from tools.mutants import Mutant, mutants_of
-from tools.mutation_runs import NativeRuns, PythonRuns, Runs, TestsFail, Verdict
+from tools.mutation.python import Mutant, mutants_of
+from tools.mutation.runs import NativeRuns, PythonRuns, Runs, TestsFail, Verdict
 
 EXPLAINED = Path(__file__).with_name("mutants_explained.toml")
 SAMPLE, SEED = 30, 0

@@ -83,11 +83,19 @@ def _public(body: list[ast.stmt], in_class: bool) -> Iterator[Public]:
             continue
         doc = ast.get_docstring(node)
         named = None
-        if isinstance(node, FunctionNode) and len(names := parameters(node)) >= MANY_PARAMETERS:
-            named = doc is not None and all(_names(doc, name) for name in names)
+        if isinstance(node, FunctionNode) and not _is_command(node):
+            names = parameters(node)
+            if len(names) >= MANY_PARAMETERS:
+                named = doc is not None and all(_names(doc, name) for name in names)
         yield Public(node.name, node.lineno, doc is not None, named)
         if isinstance(node, ast.ClassDef) and not in_class:
             yield from _public(node.body, in_class=True)
+
+
+def _is_command(node: FunctionNode) -> bool:
+    """A command of the command line, `@app.command(...)`: its options carry the help of each parameter."""
+    calls = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+    return any(isinstance(c, ast.Attribute) and c.attr in ("command", "callback") for c in calls)
 
 
 def _names(doc: str, parameter: str) -> bool:

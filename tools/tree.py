@@ -92,7 +92,8 @@ def rows(tree: Tree) -> list[Row]:
             n_tests = sum(n for (top, _), n in tree.tests.items() if top == HOST)
             found.append(Row("host Python", _figures(tree, host, n_tests)))
         found.append(Row(str(group), _figures(tree, sources, _test_lines(tree, group))))
-    found.append(Row("tests", _figures(tree, tree.test_sources, None)))
+    not_asked = dict.fromkeys(("documented", "parameters named", "lines covered", "branches covered"))
+    found.append(Row("tests", _figures(tree, tree.test_sources, None) | not_asked))
     return found
 
 

@@ -122,6 +122,13 @@ def test_parameters_are_named_in_backticks_or_in_numpydoc(root, doc, share):
     assert room(root)["parameters named"] == share
 
 
+def test_a_command_tells_its_parameters_as_options(root):
+    write(root, f"{ROOM}/many.py", '@app.command("many")\ndef many(a, b, c, d):\n    """Adds."""\n')
+    assert room(root)["parameters named"] is None
+    write(root, f"{ROOM}/many.py", '@app.cached("many")\ndef many(a, b, c, d):\n    """Adds."""\n')
+    assert room(root)["parameters named"] == 0
+
+
 HEADER = """\
 // The room.
 #pragma once

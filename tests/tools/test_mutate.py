@@ -9,9 +9,9 @@ import pytest
 
 from tools import mutate
 from tools.layout import ROOT, Target
-from tools.mutants import Mutant, mutants_of
-from tools.mutation_runs import PythonRuns, TestsFail, Verdict
-from tools.native_mutants import PRELUDE, native_mutants, schema
+from tools.mutation.native import PRELUDE, native_mutants, schema
+from tools.mutation.python import Mutant, mutants_of
+from tools.mutation.runs import PythonRuns, TestsFail, Verdict
 
 LAW = '''\
 """Not mutated: 1 < 2."""

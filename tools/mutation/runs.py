@@ -15,8 +15,8 @@ import coverage
 
 from tools.coverage_run import package_with, present, run
 from tools.layout import LANGUAGES, ROOT, SMALL, Target, files_below, group_of
-from tools.mutants import Mutant
-from tools.native_mutants import PRELUDE, Change, native_mutants, schema
+from tools.mutation.native import PRELUDE, Change, native_mutants, schema
+from tools.mutation.python import Mutant
 
 FOLDER = Path("build/mutate")
 PATIENCE, AT_LEAST_S = 4.0, 30.0

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tree_sitter import Node
 
-from tools.mutants import Mutant, more, numbered
+from tools.mutation.python import Mutant, more, numbered
 from tools.native_source import DIRECTIVE, parse
 
 COMPARISONS = {"<", ">", "<=", ">=", "==", "!="}
