@@ -343,6 +343,22 @@ def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
 
 
+@pytest.mark.parametrize("channel", [0, 1])
+def test_hall_calibration_refuses_an_amplitude_below_a_hundred_counts(channel):
+    amplitude = np.full(2, 1500.0)
+    # rounding of the converter: 0.3 counts rms over 2000 samples
+    amplitude[channel] = 101.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is not None
+    amplitude[channel] = 99.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is None
+
+
+def test_hall_calibration_refuses_less_than_a_hundred_samples():
+    theta = np.linspace(0, 2 * np.pi, 101)[1:]
+    assert fw.hall_fit(adc(theta)) is not None
+    assert fw.hall_fit(adc(theta[1:])) is None
+
+
 def test_default_parameters_are_good_and_bad_ones_are_named():
     assert fw.params_fault(alpha_params()) == -1
     assert fw.params_fault(alpha_params(k_p=-1.0)) == NAMES.index("k_p")
