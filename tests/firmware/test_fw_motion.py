@@ -7,7 +7,7 @@ import pytest
 import rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import ACCEPTED, MOTOR_DEG, NAMES, Rig, pair
+from rig import ACCEPTED, COUNTS_PER_DEG, MOTOR_DEG, NAMES, Rig, pair
 
 from fiberloom._core import firmware as fw
 
@@ -448,3 +448,18 @@ def test_the_field_is_a_quarter_turn_ahead_of_the_rotor_in_the_middle_of_the_tic
         ahead_rad.append((field_rad - middle_rad + np.pi) % (2 * np.pi) - np.pi)
     # without the lead of half a tick the field would be 0.052 rad late; 7e-4 is a step of the converter
     assert np.mean(ahead_rad) == pytest.approx(np.copysign(np.pi / 2, turn_deg), abs=2e-3)
+
+
+def farthest_cnt(sign):
+    """The last goal of alpha that is accepted between limits of one degree either way, in counts."""
+    good, bad = 0, round(3 * COUNTS_PER_DEG)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        unit = Rig((0.0, 0.0), position_min=-1.0, position_max=1.0)
+        accepted = unit.code(30, struct.pack("<ii", sign * middle, 0)) == ACCEPTED
+        good, bad = (middle, bad) if accepted else (good, middle)
+    return good
+
+
+def test_limits_of_the_same_size_are_rounded_alike():
+    assert farthest_cnt(-1) == farthest_cnt(1)
