@@ -371,3 +371,23 @@ def test_parameter_names_are_unique_and_defaults_inside_limits():
     assert len(set(NAMES)) == len(NAMES)
     for name, _unit, low, high, default, _doc in fw.AXIS_PARAMS:
         assert low <= default <= high, name
+
+
+@pytest.mark.parametrize(
+    ("gaps", "n_slots"),
+    [([1] * 1024, 1024), ([70_000] * 512, 1024), ([70_000] * 511 + [1, 1], 1024), ([65_535] * 1024, 1024)],
+)
+def test_a_path_takes_what_its_memory_holds_and_no_more(gaps, n_slots):
+    # a gap above 65535 ticks takes two slots of 1024; time begins at -1
+    points = np.stack([np.arange(len(gaps)), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    assert fw.path(points, 0, 1)[1] == n_slots
+    one_more = np.vstack([points, points[-1:] + 1]).astype(np.int32)
+    with pytest.raises(ValueError, match=f"point {len(gaps)} was not taken"):
+        fw.path(one_more, 0, 1)
+
+
+def test_half_a_long_gap_does_not_fit():
+    gaps = [70_000] * 511 + [1, 65_536]
+    points = np.stack([np.arange(513), np.cumsum(gaps)], axis=1).astype(np.int32)
+    with pytest.raises(ValueError, match="point 512 was not taken"):
+        fw.path(points, 0, 1)
