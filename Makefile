@@ -9,7 +9,7 @@ DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace clean figures coverage mutate
+.PHONY: firmware-report docs lint format inplace stubs clean figures coverage mutate
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -28,6 +28,7 @@ help:
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
+	@echo "make stubs    types of the compiled module anew, after a change of core/bindings"
 
 setup: $(STAMP)
 
@@ -45,7 +46,7 @@ $(STAMP): $(VENV)/.dependencies $(NATIVE)
 	@touch $@
 
 run: setup
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
@@ -146,6 +147,11 @@ inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \
 	      -DPython_EXECUTABLE=$(abspath $(DEV))
 	cmake --build build/inplace
+
+# Types of the compiled module for type checkers, from the module itself; tests/bindings compares them.
+stubs: inplace
+	PYTHONPATH=src $(DEV) -m nanobind.stubgen --quiet --recursive \
+	    --module fiberloom._core --pattern-file core/bindings/stubs.txt --output-dir src/fiberloom
 
 clean:
 	rm -rf build .venv .venv-jaeger .cache site
