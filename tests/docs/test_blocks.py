@@ -32,6 +32,11 @@ def blocks(text):
     return [(m["how"], m["what"], m["code"]) for m in BLOCK.finditer(text)]
 
 
+def outside(text):
+    """The page without its fenced blocks."""
+    return re.sub(r"^```.*?^```", "", text, flags=re.M | re.S)
+
+
 ALL = [
     pytest.param(how, what, code, id=f"{page.relative_to(ROOT)}-{k}")
     for page in PAGES
@@ -59,9 +64,7 @@ def test_python_blocks_run(how, what, code, tmp_path, monkeypatch, request):
 
 def test_no_block_of_python_is_hidden():
     """Python in indented blocks would not be found."""
-    assert [
-        p.name for p in PAGES if INDENTED.search(re.sub(r"^```.*?^```", "", p.read_text(), flags=re.M | re.S))
-    ] == []
+    assert [p.name for p in PAGES if INDENTED.search(outside(p.read_text()))] == []
     assert len(ALL) >= 10
 
 
@@ -115,10 +118,9 @@ def faults(line):
     groups = [p for p in paths if p in COMMANDS and hasattr(COMMANDS[p], "list_commands")]
     if groups and words and not words[0].startswith("-"):
         wrong.append(f"{line}: no command {words[0]}")
-    for word in (w.split("=")[0] for w in words if w.startswith("--")):
-        wrong += [
-            f"{line}: no option {word}" for p in paths if p in COMMANDS and word not in options(COMMANDS[p])
-        ]
+    for path in (p for p in paths if p in COMMANDS):
+        said = {w.split("=")[0] for w in words if w.startswith("--")}
+        wrong += [f"{line}: no option {word}" for word in sorted(said - options(COMMANDS[path]))]
     return wrong
 
 
@@ -138,7 +140,7 @@ def test_options_alone_exist():
     used = {
         (p.name, word)
         for p in PAGES
-        for code in re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", p.read_text(), flags=re.M | re.S))
+        for code in re.findall(r"`([^`\n]+)`", outside(p.read_text()))
         for word in re.findall(r"(?<![\w-])--[a-z][\w-]*", code)
         if not code.startswith(("fiberloom", "make", "chrt", "gcc", "mkdocs"))
     }
@@ -155,10 +157,8 @@ def test_programs_and_targets_exist():
         for path in re.findall(r"(?:python|pytest -s) ((?:benchmarks|tests|examples)/[\w/]+\.py)", text):
             wrong += [f"{page.name}: {path}"] if not (ROOT / path).is_file() else []
         for path, rest in re.findall(r"(benchmarks/\w+\.py)((?: [^`\n]+)?)`", text):
-            there = (ROOT / path).read_text()
-            wrong += [
-                f"{page.name}: {path} {o}" for o in re.findall(r"--[a-z-]+", rest) if f'"{o}"' not in there
-            ]
+            there = set(re.findall(r'"(--[\w-]+)"', (ROOT / path).read_text()))
+            wrong += [f"{page.name}: {path} {o}" for o in re.findall(r"--[a-z-]+", rest) if o not in there]
         for target in re.findall(r"(?:`|^ {4})make ([a-z][\w-]*)", text, re.M):
             wrong += [f"{page.name}: make {target}"] if target not in make else []
     assert wrong == []
