@@ -60,14 +60,15 @@ def assign(
 ) -> Assignment:
     """Give targets to positioners: most and highest-priority ones, no collision at rest.
 
-    One target of a priority level outweighs nine of the next lower level. Every goal, goal +
-    approach_deg on both axes, and the straight way between are free of collisions with every pose
-    of the neighbours on their ways, for arms thicker by margin_mm / 2; and the positioner, alone,
-    can get from there to its folded place. approach_deg: the instrument's when left out. The same
-    input and seed give the same assignment; the seed decides between equally good ones.
+    `plane` has N positioners, `targets` M rows in focal-plane mm. One target of a priority level
+    outweighs nine of the next lower level. Every goal, goal + `approach_deg` on both axes, and the
+    straight way between are free of collisions with every pose of the neighbours on their ways, for
+    arms thicker by `margin_mm` / 2; and the positioner, alone, can get from there to its folded place.
+    `approach_deg`: the instrument's when left out. The same input and seed give the same assignment;
+    `seed` decides between equally good ones.
 
-    Targets that demand a positioner get it before all others, without margin and, where needed,
-    with an approach that only just closes the backlash; never below the collision buffer.
+    Targets that demand a positioner get it before all others, without margin and, where needed, with an
+    approach that only just closes the backlash; never below the collision buffer.
     """
     check_targets(plane, targets)
     if approach_deg is None:

@@ -145,7 +145,12 @@ class CanNetTransport:
         bitrate_kbit: float = 1000,
         timeout_s: float = 5.0,
     ) -> CanNetTransport:
-        """Connects to the gateways ("host" or "host:port") and starts their CAN ports."""
+        """Connect to gateways and start their CAN ports.
+
+        `hosts`: "host" or "host:port" each, `tcp_port` where none is given; `ports`: the CAN ports to
+        use; `bitrate_kbit`: kbit/s of these; `timeout_s`: for the connection and each answer.
+        InputError for a bit rate that the device does not have, or when a gateway does not answer.
+        """
         if bitrate_kbit not in BITRATES_KBIT:
             raise InputError(f"CAN@net has no {bitrate_kbit} kbit/s; it knows {BITRATES_KBIT}")
         gateways: list[_Gateway] = []

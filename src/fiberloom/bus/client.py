@@ -244,7 +244,11 @@ class Client:
         *,
         relative: bool = False,
     ) -> Results:
-        """Starts moves at the set speeds; DONE means begun, `values` the durations in ticks."""
+        """Start moves at the set speeds; DONE means begun, `values` the durations in ticks.
+
+        `ids`: positioners, all known ones when None; `alpha_deg`, `beta_deg`: wire positions, one for
+        all or one each; `relative`: from the present position, and never repeated.
+        """
         command = Command.GO_TO_RELATIVE_POSITION if relative else Command.GO_TO_ABSOLUTE_POSITION
         counts = _counts(alpha_deg), _counts(beta_deg)
         results = await self.command(command, ids, *counts)
@@ -319,10 +323,11 @@ class Client:
         poll_s: float = 0.1,
         stop_on_collision: bool = True,
     ) -> Results:
-        """Polls until every motion has ended, or the timeout; the first poll after `expected_s`.
+        """Poll until every motion has ended, or the timeout; the first poll after `expected_s`.
 
-        A collision stops all the others too, unless told otherwise: from there on nobody is where
-        its neighbours expect it. A positioner that no longer answers ends as TIMED_OUT at once.
+        `ids`: positioners, all known ones when None; `timeout_s`: from now on; `poll_s`: time between
+        polls. With `stop_on_collision`, a collision stops all the others too: from there on none is
+        where its neighbours expect it. A positioner that no longer answers ends as TIMED_OUT at once.
         """
         results = all_of(self._chosen(ids), Outcome.TIMED_OUT)
         active = set(results)
@@ -366,10 +371,12 @@ class Client:
         margin_s: float = 3.0,
         tolerance_deg: float = 0.1,
     ) -> Results:
-        """Loads, starts and waits for trajectories, then checks where everyone says it is.
+        """Load, start and wait for trajectories, then check the position that each positioner reports.
 
-        When one cannot be loaded, nobody starts (the others end as STOPPED), unless `partial`:
-        a plan holds only when all keep to it.
+        `trajectories`: by positioner; `margin_s`: time allowed beyond the longest one; `tolerance_deg`:
+        largest difference of the reported wire position from the end, beyond it MISPLACED. When one
+        cannot be loaded, none starts (the others end as STOPPED), unless `partial`: a plan is valid
+        only when all follow it.
         """
         results = await self.send_trajectories(trajectories)
         loaded = results.ok_ids

@@ -81,9 +81,10 @@ class Exchange:
         payloads: Sequence[bytes],
         timeout_s: float,
     ) -> list[Frame | None]:
-        """Sends one frame per row and returns each one's reply, None where none came in time.
+        """Send one frame per row and return each one's reply, None where none came in time.
 
-        A positioner may be named several times; its frames keep their order.
+        `command`: its number; `positioners` and `payloads`: one each per row; `timeout_s`: for each
+        reply. A positioner may be named several times; its frames keep their order.
         """
         waiter = _Waiter(len(positioners))
         deadline_s = self.time_s + timeout_s
@@ -149,10 +150,11 @@ class Exchange:
         timeout_s: float,
         expected: Iterable[int] | None = None,
     ) -> dict[int, Frame]:
-        """Sends one frame to everyone; returns the replies by positioner.
+        """Send one frame to all positioners; returns the replies by positioner.
 
-        Ends when all expected positioners have answered, else at the timeout. One broadcast per
-        command is in flight at a time, because all of them share uid 0.
+        `command`: its number, with `payload`. Ends when all `expected` positioners have answered, else
+        at `timeout_s`. One broadcast per command is in flight at a time, because all of them share uid
+        0.
         """
         async with self._broadcast_locks.setdefault(command, asyncio.Lock()):
             waiter = _BroadcastWaiter(expected)

@@ -33,7 +33,9 @@ def _check(name: str, value: int, largest: int) -> None:
 
 
 def encode(positioner: int, command: int, uid: int = 0, code: int = 0) -> int:
-    """Packs the four fields; a field out of its range is a ValueError."""
+    """Pack `positioner`, `command`, `uid` and response `code` into an identifier; ValueError when one
+    is out of its range.
+    """
     _check("positioner", positioner, MAX_POSITIONER)
     _check("command", command, MAX_COMMAND)
     _check("uid", uid, MAX_UID)

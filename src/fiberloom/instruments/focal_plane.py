@@ -122,7 +122,11 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2) mm: where a fibre is. Kronig 2020, Eq. 1. NaN where a positioner lacks it."""
+        """(n, 2) mm: position of a fibre. Kronig 2020, Eq. 1. NaN where a positioner lacks it.
+
+        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
+        when left out.
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
@@ -134,7 +138,11 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta)."""
+        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta) of a fibre.
+
+        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
+        when left out.
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)

@@ -29,9 +29,10 @@ def random_configuration(
 ) -> Floats:
     """(N, 2) deg: every metrology fibre anywhere in its patrol area (uniform in area).
 
-    Placed one after the other in random order, so that all places and approaches to them are free
-    with `margin_mm` between two arms, and between arm and obstacle. Offline positioners stand
-    where they are.
+    The positioners of `plane` are placed one after the other in random order (`seed`), so that all
+    places and approaches to them (`approach_deg`, the instrument's when left out) are free with
+    `margin_mm` between two arms, and between arm and obstacle. `collision_buffer_mm`: radius of the
+    arms, the instrument's when left out. Offline positioners stay.
     """
     rng = np.random.default_rng(seed)
     return _Drawing(plane, rng, margin_mm, approach_deg, collision_buffer_mm).all()
@@ -44,9 +45,11 @@ def random_pair(
     margin_mm: float = 0.2,
     collision_buffer_mm: float | None = None,
 ) -> tuple[Floats, Floats]:
-    """Two random configurations such that each positioner, alone, can get from one to the other.
+    """Two random configurations (N, 2) in deg such that each positioner, alone, can get from one to the
+    other.
 
-    That is, no place lies in a pocket behind a fiducial.
+    That is, no place lies in a pocket behind a fiducial. `plane`, `seed`, `margin_mm` and
+    `collision_buffer_mm` as in `random_configuration`.
     """
     rng = np.random.default_rng(seed)
     start, goal = (_Drawing(plane, rng, margin_mm, None, collision_buffer_mm) for _ in range(2))

@@ -120,14 +120,17 @@ def plan(
     approach_deg: ArrayLike | None = None,
     settings: PlanSettings | None = None,
 ) -> Plan:
-    """Trajectories (N, 2) -> (N, 2) in deg for everybody at once, direct, free of collisions.
+    """Trajectories for all positioners at once, direct, free of collisions.
 
-    Each positioner that moves comes to its goal from approach_deg above on both axes, in the
-    negative direction, after all its other motion; approach_deg is one number or one per
-    positioner, the instrument's when left out. Who is at its goal already stays, unless it is in
-    the way. Who cannot arrive is named in `Plan.refused`, stands or goes out of the way, and all
-    others are planned round it. The same input and seed give the same plan on every platform.
-    Angles: within the hard stops; lengths and speeds: the instrument's.
+    `start_deg`, `goal_deg` (N, 2): alpha, beta of the N positioners of `plane`, within the hard stops;
+    `seed` decides all random choices; `settings`: effort and limits, the instrument's when left out.
+
+    Each positioner that moves comes to its goal from `approach_deg` above on both axes, in the negative
+    direction, after all its other motion; `approach_deg` is one number or one per positioner, the
+    instrument's when left out. A positioner at its goal stays, unless it is in the way. A positioner
+    that cannot arrive is named in `Plan.refused`; it stays or goes out of the way, and all others are
+    planned round it. The same input and seed give the same plan on every platform. InputError for
+    angles beyond the hard stops.
     """
     return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
 
@@ -209,8 +212,9 @@ def plan_corrections(
 ) -> Plan:
     """Small moves, all at once: up to approach_deg above the goal and down again.
 
-    Who shall not move has the same start and goal. If anything would touch when all move straight
-    and together, `plan` finds an order or a way round.
+    `plane`, `start_deg`, `goal_deg` (N, 2), `seed`, `approach_deg` and `settings` as in `plan`. A
+    positioner with the same start and goal does not move. If two would touch when all move straight and
+    together, `plan` finds an order or a way round.
     """
     task = _Task.of(plane, start_deg, goal_deg, approach_deg, settings)
     begin = time.thread_time()

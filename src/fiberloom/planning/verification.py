@@ -103,10 +103,11 @@ def verify(
 ) -> Verification:
     """Prove in continuous time that a plan keeps clear of everything and within all limits.
 
-    Bodies: every pair of beta arms, arms and fiducials, arms and guide cameras; offline positioners
-    stand where the plane says. Gaps are proven above -1e-6 mm; the smallest is true to 1e-4 mm.
-    start_deg, goal_deg (N, 2) and approach_deg are checked when given; goals not for those whom
-    the plan refuses. Limits: the instrument's, and the plan's own collision buffer, when left out.
+    Bodies: every pair of beta arms of the `plane`, arms and fiducials, arms and guide cameras; offline
+    positioners are at the angles of the plane. Gaps are proven above -1e-6 mm; the smallest is true to
+    1e-4 mm. `start_deg`, `goal_deg` (N, 2) and `approach_deg` are checked when given; goals not for
+    positioners that the `plan` refuses. Limits: `speed_deg_s`, `acceleration_deg_s2` of the instrument
+    and `collision_buffer_mm` of the plan when left out.
     """
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm

@@ -119,7 +119,11 @@ async def measure_arms(
     settings: ArmsSettings | None = None,
     progress: Progress | None = None,
 ) -> ArmsData:
-    """All positioners at once; each axis rises through its range while the other rests."""
+    """All positioners of the `plane` at once; each axis rises through its range while the other rests.
+
+    `client` and `camera` of the bench; `settings`: how much is measured, defaults when None; `progress`
+    is called with (steps done, steps in all).
+    """
     settings = settings or ArmsSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.n_points)

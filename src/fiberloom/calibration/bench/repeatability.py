@@ -154,7 +154,12 @@ async def measure_repeatability(
     settings: RepeatabilitySettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[RepeatabilityData, RepeatabilityData]:
-    """Alpha, then beta; all positioners at once. The other axis goes along without moving."""
+    """Alpha, then beta; all positioners of the `plane` at once. The other axis goes along without
+    moving.
+
+    `client` and `camera` of the bench; `settings`: how much is measured, defaults when None; `progress`
+    is called with (steps done, steps in all).
+    """
     settings = settings or RepeatabilitySettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.targets * settings.visits)

@@ -111,7 +111,12 @@ async def measure_stiffness(
     settings: StiffnessSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[StiffnessData, StiffnessData]:
-    """Alpha with the arm stretched (the longest lever), then beta."""
+    """Alpha with the arm stretched (the longest lever), then beta.
+
+    `client` and `camera` of the bench with the positioners of the `plane`; `bench` applies the torques;
+    `settings`: how much is measured, defaults when None; `progress` is called with (steps done, steps
+    in all).
+    """
     settings = settings or StiffnessSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(4 * settings.repeats)

@@ -103,7 +103,12 @@ async def measure_torque_scale(
     settings: TorqueScaleSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[TorqueScaleData, TorqueScaleData]:
-    """One axis after the other, in the upper half of the range, where the spring is weak."""
+    """One axis after the other, in the upper half of the range, where the spring is weak.
+
+    `client` of the bench with the positioners of the `plane`; the `camera` is not needed; `bench`
+    applies the torques; `settings`: how much is measured, defaults when None; `progress` is called with
+    (steps done, steps in all).
+    """
     settings = settings or TorqueScaleSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(4)

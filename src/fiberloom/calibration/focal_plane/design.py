@@ -70,9 +70,10 @@ def candidates(
     bends: int = 9,
     least_bend_deg: float = LEAST_BEND_DEG,
 ) -> Floats:
-    """(N, C, 2) angles over the range of targets with beta at least bent so much, both ends among them.
+    """(N, C, 2) deg: angles over the range of targets of the `plane`, both ends among them.
 
-    All are shifted at random, so that no two fields ask the map at the same angles.
+    `turns` values of alpha times `bends` of beta, which is at least `least_bend_deg`. All are shifted
+    at random (`rng`), so that no two fields use the map at the same angles.
     """
     (low_a, high_a), (low_b, high_b) = plane.limits_deg
     low_b = min(max(low_b, least_bend_deg), high_b - _NEAR_DEG)

@@ -80,10 +80,12 @@ async def calibrate_transmission(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Sweeps both axes of all positioners and builds their maps.
+    """Sweeps both axes of all positioners of the `plane` and builds their maps.
 
-    A positioner that does not take part as it should gets the identity as its map and a reason in
-    the report; the others go on.
+    `client` and `camera` of the bench; `n_points` per axis and direction, in place of that of
+    `settings`; `seed` goes into the provenance; `progress` is called with (points done, points in all).
+    A positioner that does not take part as it should gets the identity as its map and a reason in the
+    report; the others are calibrated. InputError for fewer than 8 points.
     """
     settings = replace(settings or SweepSettings(), n_points=n_points)
     data = await measure_sweeps(client, camera, plane, settings, progress)
@@ -101,7 +103,11 @@ async def measure_sweeps(
     settings: SweepSettings,
     progress: Progress | None = None,
 ) -> SweepData:
-    """The moves and the images."""
+    """The moves and the images of a sweep.
+
+    `client` and `camera` of the bench with the positioners of the `plane`; `settings`: points and
+    speeds; `progress` is called with (points done, points in all).
+    """
     bench = _Bench(client, camera, plane, settings, progress)
     await bench.prepare()
     wire = wire_grid(plane, settings)
@@ -112,7 +118,7 @@ async def measure_sweeps(
 
 
 def wire_grid(plane: FocalPlane, settings: SweepSettings) -> Floats:
-    """(2 axes, K) wire positions of a sweep."""
+    """(2 axes, K) wire positions of a sweep, deg."""
     return np.stack([_grid(plane, axis, settings) for axis in range(2)])
 
 
