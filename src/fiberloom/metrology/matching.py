@@ -98,11 +98,11 @@ def match_spots(
     previous_mm: ArrayLike | None = None,
     settings: MatchSettings | None = None,
 ) -> Match:
-    """Match n spots to N positioners.
+    """Match n spots `spots_mm` (n, 2) to N positioners.
 
-    `expected_mm` (N, 2): where each should be; NaN: anywhere in its reach. `reach_mm` (N, 2): inner
-    and outer radius round `centres_mm`. `previous_mm` (N, 2): where each was seen last; NaN where
-    not. Positioners without any knowledge and without spots are dark.
+    `expected_mm` (N, 2): where each should be; NaN: anywhere in its reach. `reach_mm` (N, 2): inner and
+    outer radius round `centres_mm`. `previous_mm` (N, 2): where each was seen last; NaN where not.
+    `settings`: probabilities and errors. Positioners without any knowledge and without spots are dark.
     """
     s = settings or MatchSettings()
     spots, expected, centres = (np.asarray(a, float) for a in (spots_mm, expected_mm, centres_mm))

@@ -113,11 +113,13 @@ def reduce_image(
     profile: Profile | None = None,
     start: FieldTransform | None = None,
 ) -> Reduction:
-    """Everything from pixels to millimetres.
+    """All steps from pixels to millimetres.
 
-    `standing_mm` (N, 2): known places of positioners that stand still, NaN for the others; used
-    against turbulence. `profile` and `start` (the transform) of an earlier image save time, and are
-    dropped where they do not hold.
+    `image` of the `plane`; `settings`: camera geometry and those of each step; `expected_mm` (N, 2):
+    where the metrology fibres should be, NaN anywhere; `previous_mm` (N, 2): where they were seen last;
+    `standing_mm` (N, 2): known places of positioners that do not move, NaN for the others; used against
+    turbulence. `profile` and `start` (the transform) of an earlier image save time, and are dropped
+    where they do not hold.
     """
     found = find_spots(
         image.pixels,

@@ -122,15 +122,15 @@ def plan(
 ) -> Plan:
     """Trajectories for all positioners at once, direct, free of collisions.
 
-    `start_deg`, `goal_deg` (N, 2): alpha, beta of the N positioners of `plane`, within the hard stops;
-    `seed` decides all random choices; `settings`: effort and limits, the instrument's when left out.
+    `start_deg`, `goal_deg` (N, 2): alpha, beta of the N positioners of `plane`; `seed` decides all
+    random choices; `settings`: effort and limits, the instrument's when left out.
 
     Each positioner that moves comes to its goal from `approach_deg` above on both axes, in the negative
     direction, after all its other motion; `approach_deg` is one number or one per positioner, the
     instrument's when left out. A positioner at its goal stays, unless it is in the way. A positioner
     that cannot arrive is named in `Plan.refused`; it stays or goes out of the way, and all others are
     planned round it. The same input and seed give the same plan on every platform. InputError for
-    angles beyond the hard stops.
+    angles that are not (N, 2) finite numbers.
     """
     return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
 

@@ -101,7 +101,11 @@ class Store:
         seed: int | None = None,
         note: str = "",
     ) -> Run:
-        """Begins a run: a context manager that books how it ended."""
+        """Begins a run: a context manager that records how it ended.
+
+        `command_line`: what the operator typed; `instrument` and `config_hash` of the layout; `seed` of
+        the twin; `note`: free text.
+        """
         values = new_run_values(command_line, instrument, config_hash, seed, note)
         with self.transaction() as connection:
             run_id = connection.execute(insert(RunRow).returning(RunRow.id), values).scalar_one()

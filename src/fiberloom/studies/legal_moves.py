@@ -63,9 +63,10 @@ class LegalTrial:
 def legal_moves(
     plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2
 ) -> LegalTrial:
-    """Random legal moves of a plane without neighbours, over unit scatter and temperature.
+    """Random legal moves of a `plane` without neighbours, over unit scatter and temperature.
 
-    `moves`: of each positioner, both axes at once. Without `touch` Eq. 22 watches alone.
+    `moves`: of each positioner, both axes at once; `seed` draws units and moves; `threads` of the twin.
+    Without `touch` Eq. 22 watches alone.
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
     units = greased(draw_units(plane, seed), rng)

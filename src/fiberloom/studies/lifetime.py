@@ -105,7 +105,7 @@ class Source(Protocol):
     """What turns angles into wire positions."""
 
     def to_wire(self, theta_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """Wire positions (N, 2, M) for output angles."""
+        """Wire positions (N, 2, M) in deg for output angles."""
         ...
 
 

@@ -105,7 +105,12 @@ def _gap_mm(plane: FocalPlane, rows: NDArray, angles_deg: Floats) -> Floats:
 def plan_meeting(
     plane: FocalPlane, rows: NDArray, kind: str, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Start (2, 2) and goal (2, 2) in deg so that the two meet at full speed, `_RUN_UP_S` after the start."""
+    """Start (2, 2) and goal (2, 2) in deg so that the two meet at full speed, `_RUN_UP_S` after the
+    start.
+
+    `rows` (2,) of the pair in the `plane`; `kind`: which axes of which positioner move; `rng` draws the
+    place.
+    """
     moves = np.array(KINDS[kind], dtype=float)
     time_s = np.arange(0.0, _RUN_UP_S[1], 0.01)
     for _ in range(100_000):
@@ -131,10 +136,11 @@ def meetings(
     touch: bool = True,
     threads: int = 2,
 ) -> list[Meeting]:
-    """One meeting of every isolated pair of the plane, units and temperatures drawn from the seed.
+    """One meeting of every isolated pair of the `plane`, units and temperatures drawn from the `seed`.
 
-    `host_s`: time from a frame 18 until the host's stop (13) reaches the other; None without a host.
-    Without `touch` Eq. 22 and the contact rule watch alone.
+    `kind`: which axes of which positioner move; `host_s`: time from a frame 18 until the host's stop
+    (13) reaches the other; None without a host. Without `touch` Eq. 22 and the contact rule watch
+    alone. `threads` of the twin.
     """
     rng = np.random.default_rng([seed, 0x3EE7, list(KINDS).index(kind)])
     pairs = isolated_pairs(plane)

@@ -77,7 +77,7 @@ class RealTimeTwin:
         return self._real.tick_now * _core.TICK_S
 
     def post(self, frames: Iterable[tuple[int, bytes, int, float]]) -> None:
-        """Frames (identifier, data, bus, virtual time at which they arrive)."""
+        """Frames (identifier, data, bus, virtual time in s at which they arrive)."""
         self._real.post([(i, data, bus, _tick_of(time_s)) for i, data, bus, time_s in frames])
 
     def take(self) -> list[Reply]:

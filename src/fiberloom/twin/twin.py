@@ -143,10 +143,11 @@ class Twin:
             self._core.fault(row, axis, str(kind), on)
 
     def slip(self, positioner_id: int, axis: Literal["alpha", "beta"], up: float, down: float) -> None:
-        """From now on the arm makes only a share of its gear's way; 1 and 1 end it.
+        """From now on the arm moves only a share of its gear's way; 1 and 1 end it.
 
-        What degraded motors do, each direction on its own: DESI's go half as far as told. The
-        firmware counts its motor and reports arrival.
+        `positioner_id` and `axis`; `up` and `down`: the shares upwards and downwards. Degraded motors
+        do this, each direction on its own: DESI's move half as far as commanded. The firmware counts
+        its motor and reports arrival.
         """
         row = int(self.plane.index_of(positioner_id))
         self._core.slip(row, ("alpha", "beta").index(axis), up, down)

@@ -62,12 +62,12 @@ class Psf:
 
     @property
     def parameter(self) -> float:
-        """What the painter needs besides the ellipse."""
+        """What the painter needs besides the ellipse, dimensionless."""
         return {"gaussian": 0.0, "moffat": self.beta, "disc": self.edge}[self.kind]
 
     @property
     def end_q(self) -> float:
-        """Elliptical radius squared where the spot ends."""
+        """Elliptical radius squared at which the spot ends, relative to its core."""
         if self.kind == "disc":
             return (1 + 5 * self.edge) ** 2
         return -2 * np.log(_END) if self.kind == "gaussian" else _END ** (-1 / self.beta) - 1

@@ -154,7 +154,7 @@ class Ailments:
         return out | (excess_torque_Nm(units) > STALL_PER_INERTIA * inertia)
 
     def loose_mm_at(self, move: int) -> Floats:
-        """(N,) standard deviation of the beta arm's length from move to move."""
+        """(N,) standard deviation in mm of the beta arm's length from move to move."""
         out, rows = np.zeros(len(self)), self._rows(AilmentKind.LOOSE_ARM, move)
         since = move - self.table["onset"][rows]
         out[rows] = np.minimum(self.table["loose_mm"][rows] * since, 1e-3 * self.model.loose_limit_um)
@@ -206,7 +206,11 @@ def excess_torque_Nm(units: Units, motor_rpm: float = 2000.0) -> Floats:
 
 
 def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) -> Floats:
-    """Metrology fibres (N, 2, M) with beta arms longer by (N, M) than the units': along the arm."""
+    """Metrology fibres (N, 2, M) in mm with longer beta arms: shifted along the arm.
+
+    `xy_mm` and `theta_deg` (N, 2, M): places with the arms of the `units`, and angles; `longer_mm` (N,
+    M): growth of the arm.
+    """
     angle = np.deg2rad(theta_deg[:, 0]) + units.arms[:, 3:4]
     elbow = units.arms[:, :2, None] + units.arms[:, 2, None, None] * np.stack(
         [np.cos(angle), np.sin(angle)], 1
@@ -216,7 +220,9 @@ def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) 
 
 
 def chosen_ailments(units: Units, seed: int, faults: str, onset: int) -> Ailments:
-    """Ailments of a "kind=count,..." text for units 0, 1, ... by their number, all from one move on."""
+    """Ailments of a "kind=count,..." text `faults` for `units` 0, 1, ... by their number, all from the
+    move `onset` on; sizes drawn from the `seed`.
+    """
     wanted = [kind for part in faults.split(",") if part.strip() for kind in _fault_kinds(part)]
     ailments = draw_ailments(units, seed, AilmentModel(rate_per_year=0.0))
     for kind in dict.fromkeys(wanted):

@@ -55,7 +55,11 @@ class Trouble:
 def troubles_of(
     text: str, positioner_ids: list[int], places: list[tuple[int, int]], seed: int
 ) -> list[Trouble]:
-    """Reads `--faults`; positioners and ports are drawn by the seed, each hit once."""
+    """Reads the `text` of `--faults`.
+
+    Positioners (of `positioner_ids`) and ports (of `places`: device, port) are drawn by the `seed`,
+    each hit once. InputError for a text that does not fit.
+    """
     rng = np.random.default_rng([seed, 0xFA17])
     free_ids = [int(i) for i in rng.permutation(positioner_ids)]
     free_places = [places[k] for k in rng.permutation(len(places))]

@@ -36,7 +36,7 @@ class Wire:
         self._free_s = 0.0
 
     def offer(self, data_bytes: int, now_s: float) -> float | None:
-        """A frame from the host: when it arrives; None when it does not."""
+        """A frame from the host: the time in s at which it arrives; None when it does not."""
         if self.queued(now_s) >= self.queue_frames:
             self.overflows += 1
             return None
@@ -46,7 +46,7 @@ class Wire:
         return None if self.cut else self._free_s
 
     def carry(self, data_bytes: int, now_s: float) -> float | None:
-        """A frame from a positioner: when the gateway has it; None when never."""
+        """A frame from a positioner: the time in s at which the gateway has it; None when never."""
         if self.cut:
             return None
         self._free_s = max(now_s, self._free_s) + frame_s(data_bytes)

@@ -37,7 +37,7 @@ class Coverage:
 
     @property
     def mean(self) -> float:
-        """Fibres per point."""
+        """Mean count of fibres per point."""
         return float(self.count.mean())
 
 
@@ -97,7 +97,7 @@ def run(settings: Settings) -> Outcome:
 
 
 def area_ratio(instrument: Instrument) -> float:
-    """Mean number of fibres per point: area of the annulus over the area per positioner."""
+    """Mean number of fibres per point, a ratio: area of the annulus over the area per positioner."""
     l_alpha, l_beta = instrument.positioner.l_alpha_mm, instrument.positioner.points[METROLOGY].x_mm
     annulus = np.pi * ((l_alpha + l_beta) ** 2 - (l_alpha - l_beta) ** 2)
     return float(annulus / (instrument.layout.pitch_mm**2 * np.sqrt(0.75)))

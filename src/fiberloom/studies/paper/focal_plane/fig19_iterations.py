@@ -55,7 +55,10 @@ def target_angles_deg(bench: Bench, n_targets: int) -> Floats:
 
 
 def iterate(bench: Bench, maps: TransmissionMaps, goals_deg: Floats, *, moves: int, filtered: bool) -> Errors:
-    """Visits the goals (targets, N, 2) one after the other, with `moves` moves each."""
+    """Visits the goals `goals_deg` (targets, N, 2) one after the other, with `moves` moves each.
+
+    `bench` with N units and their `maps`; `filtered`: a Kalman filter on the offset, else Eq. 25.
+    """
     return finish(_iterate(bench, maps, goals_deg, moves, filtered))
 
 
@@ -85,7 +88,11 @@ def _off_um(xy_mm: Floats, target_mm: Floats) -> Floats:
 
 
 def run_seed(seed: int, n_units: int, n_targets: int, visits: int, filtered: bool) -> Errors:
-    """The whole experiment on one set of units, their maps calibrated first."""
+    """The whole experiment on one set of units, their maps calibrated first.
+
+    `seed` draws `n_units` units and `n_targets` targets, each visited `visits` times; `filtered`: a
+    Kalman filter on the offset, else Eq. 25.
+    """
     bench = make_bench(seed, n_units)
     goals_deg = target_angles_deg(bench, n_targets)
     order = np.random.default_rng([seed, 19])
