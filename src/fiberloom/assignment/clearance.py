@@ -1,6 +1,6 @@
 """Distances between arms at rest and on the approach leg, over arrays of places.
 
-A place is where one positioner could stand: its goal and the short straight way to it, from
+A place is a possible goal of one positioner: the goal and the short straight way to it, from
 approach_deg above on both axes. The way is kept as POSES poses of the centre line of the beta arm's
 capsule; `dip_mm` bounds how much nearer two arms can come between poses than at them.
 """

@@ -1,4 +1,4 @@
-"""Places for positioners without a target: folded, and out of everybody's way."""
+"""Places for positioners without a target: folded, and out of the way of all others."""
 
 import numpy as np
 
@@ -73,7 +73,7 @@ def _leave_folded(floor: Floor, row: int) -> None:
 
 
 def _park_folded(floor: Floor, rows: Ints, rules: Rules) -> list[int]:
-    """Put into the folded place whoever can stand there; the others."""
+    """Fold every positioner that can be folded; returns the others."""
     plane = floor.plane
     goals = np.tile(plane.instrument.positioner.park_deg, (len(rows), 1))
     segments = sweep(plane, rows, goals, rules.approach_deg)

@@ -1,4 +1,4 @@
-"""The state that an assignment grows on: who stands where, and the rules that places keep."""
+"""The state of an assignment that is being made: the place of each positioner, and the rules for places."""
 
 from dataclasses import dataclass, field
 
@@ -32,7 +32,7 @@ class Rules:
     gap_mm: float
     """Least gap between an arm and a fixed body at the poses."""
     escape: Escape
-    """What does not move, and who can get past it."""
+    """Fixed bodies, and which positioners can get past them."""
 
     @property
     def bodies(self) -> Floats:
@@ -53,7 +53,7 @@ class Rules:
 
 @dataclass
 class Floor:
-    """Arrays over the N positioners. Offline ones stand from the start."""
+    """Arrays over the N positioners. Offline ones are placed from the start."""
 
     plane: FocalPlane
     approach_deg: Floats

@@ -179,7 +179,7 @@ class CanNetTransport:
             self._lost = f"CAN@net gateway {gateway.name} closed the connection"
         except (OSError, ValueError) as error:
             self._lost = f"CAN@net gateway {gateway.name}: {error}"
-        self._received.put_nowait(Frame(-1))  # wakes whoever waits
+        self._received.put_nowait(Frame(-1))  # wakes the task that waits
 
     def _take_line(self, gateway: _Gateway, line: str) -> None:
         parsed = line_to_frame(line)
@@ -208,7 +208,7 @@ class CanNetTransport:
         known = self._route.get(positioner)
         if positioner and known:
             return [known]
-        # not heard of yet: whoever it is hears it on its own port
+        # port not known yet: the positioner gets it on its own port
         return [(gateway, port) for gateway in self._gateways for port in gateway.paces]
 
     async def _feed(self, gateway: _Gateway, port: int, lines: list[str]) -> None:

@@ -1,7 +1,7 @@
 """The 29-bit CAN identifier of the SDSS-V positioner protocol.
 
 `positioner << 18 | command << 10 | uid << 4 | code`: 11 + 8 + 6 + 4 bits. Positioner 0 addresses
-everyone; uid 0 belongs to broadcasts; a request carries code 0.
+all positioners; uid 0 belongs to broadcasts; a request carries code 0.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MAX_CODE = (1 << 4) - 1
 MAX_IDENTIFIER = (1 << 29) - 1
 
 BROADCAST = 0
-"""The positioner number that addresses everyone."""
+"""The positioner number that addresses all positioners."""
 
 
 class Identifier(NamedTuple):

@@ -33,7 +33,7 @@ class Inverse(NamedTuple):
     reachable: Flags
     gap_mm: Floats
     """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
-    axis limits stand in the way; inf: the positioner lacks the fibre."""
+    axis limits prevent it; inf: the positioner lacks the fibre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class FocalPlane:
     offline: Flags
     """(N,) does not move."""
     offline_position_deg: Floats
-    """(N, 2) where it stands if it does not move: alpha, beta."""
+    """(N, 2) its alpha and beta if it does not move."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)

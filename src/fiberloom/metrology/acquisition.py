@@ -232,7 +232,7 @@ class _Hunt:
         return moved if self._hits(moved) >= self.needed_marks else None
 
     def _guides(self) -> tuple[Floats, Floats]:
-        """Spots and places that lead to a transform: fiducials, and fibres where they stand far enough
+        """Spots and places that lead to a transform: fiducials, and fibres where they are far enough
         apart not to be taken for each other."""
         if len(self.marks_mm) < len(self.fiducials) or len(self.help) < 2:
             return self.marks_px, self.marks_mm

@@ -134,7 +134,7 @@ def trouble(image: CameraImage) -> str:
         return f"{100 * saturated / pixels.size:.0f} % of the pixels are saturated: is a light on?"
     if saturated:
         return f"{saturated} pixels are saturated: shorten the exposure"
-    return "nothing stands out of the noise: is the back-illumination on?"
+    return "nothing exceeds the noise: is the back-illumination on?"
 
 
 def _mapped(path: Path, hdu: Any) -> NDArray | None:

@@ -50,7 +50,7 @@ class ReductionSettings:
     """How well the table of fiducials is known, per coordinate; 0: better than the camera."""
     threshold: float = 6.0
     turbulence: bool = False
-    """Remove it, with fiducials and the positioners that stand still."""
+    """Remove it, with fiducials and the positioners that do not move."""
     standing_sigma_um: float = 1.0
     """How well the place of a standing positioner is known, per coordinate."""
     retries: int = 2
@@ -87,7 +87,7 @@ class Reduction:
 
     @property
     def seen(self) -> Flags:
-        """(N,) whose fibre was seen for certain."""
+        """(N,) which fibres were seen for certain."""
         return self.spot_of_match >= 0
 
     def measurement(self) -> Measurement:
@@ -226,7 +226,7 @@ class ImageCamera:
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
-        """(N, 2) known places of positioners that stand still, against turbulence."""
+        """(N, 2) known places of positioners that do not move, against turbulence."""
         self.watchers: list[Callable[[Reduction], None]] = []
         """Told of every exposure."""
 

@@ -1,7 +1,7 @@
 """What the air between camera and focal plane does to the image, taken off again.
 
 Turbulence in the dome shifts neighbouring spots together: a field of a few micrometres that is the
-same over some 50 mm and new in every exposure. Points that stand still (fiducials, positioners that
+same over some 50 mm and new in every exposure. Points that do not move (fiducials, positioners that
 do not move) show it; a Gaussian process carries it to the fibres between them, each axis alone:
 
     k(p, q) = s^2 exp(-|p - q|^2 / (2 l^2)),   shift(q) = k_q^T (K + N)^-1 d,

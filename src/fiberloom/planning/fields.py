@@ -1,4 +1,4 @@
-"""Random configurations that can be stood in: for tests, benchmarks and trials without targets."""
+"""Random configurations without collisions: for tests, benchmarks and trials without targets."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ class _Drawing:
         self.placed = plane.offline.copy()
 
     def near_obstacles(self) -> NDArray[np.bool_]:
-        """(N,) who can touch a fiducial or guide camera."""
+        """(N,) which can touch a fiducial or guide camera."""
         n, k = self.plane.n, len(self.bodies.obstacles)
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
         lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
@@ -102,7 +102,7 @@ class _Drawing:
         return (self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0)
 
     def all(self) -> Floats:
-        """Everybody, in random order; who finds no room displaces a neighbour, which is drawn anew."""
+        """All in random order; one without room displaces a neighbour, which is drawn anew."""
         waiting = list(map(int, self.rng.permutation(np.flatnonzero(~self.plane.offline))))
         for _ in range(_DISPLACED * self.plane.n):
             if not waiting:
@@ -121,7 +121,7 @@ class _Drawing:
         return rad_to_deg(self.angles[row])
 
     def _placed_near(self, row: int) -> NDArray[np.int64]:
-        """Who has a place and can touch this one, nearest first."""
+        """Rows that have a place and can touch this one, nearest first."""
         gaps = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T)
         near = np.flatnonzero(self.placed & (gaps < 2.0 * self.plane.body_reach_mm.max() + 1.0))
         return near[np.argsort(gaps[near], kind="stable")]

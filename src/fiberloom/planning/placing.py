@@ -1,4 +1,4 @@
-"""Configurations of everybody that are good for each and can be stood in by all."""
+"""Configurations that are good for each positioner and free of collisions for all."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def place_by_worth(
     movable = np.flatnonzero(~plane.offline)
     for turn in range(rounds):
         for row in rng.permutation(movable):
-            # who has a good place already stays in later rounds
+            # a positioner with a good place stays in later rounds
             placing.place(int(row), order[row], better_than=turn > 0)
     return rad_to_deg(placing.angles)
 

@@ -46,7 +46,7 @@ class Store:
     def open(cls, path_or_url: str | Path, *, create: bool = True) -> Store:
         """Opens (and if need be makes) a store: the path of an SQLite file, or a database URL.
 
-        Everything that stands in the way is an InputError: no permission, a full disk, a file
+        Every obstacle is an InputError: no permission, a full disk, a file
         that is something else, tables of another version, and with `create=False` no store there.
         """
         name = str(path_or_url)

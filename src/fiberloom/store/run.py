@@ -30,7 +30,7 @@ Transaction = Callable[[], AbstractContextManager[Connection]]
 
 
 START = "start"
-"""Kind of the record that a run begins with: where everybody stood, before anything moved."""
+"""Kind of the record that a run begins with: the place of every positioner, before anything moved."""
 
 
 @dataclass(frozen=True)

@@ -91,8 +91,8 @@ def run(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, NDArray]:
-    """Rows of all units of the `campaign`, in their order: columns with the units that the experiment gives them (um,
-    deg, ...).
+    """Rows of all units of the `campaign`, in their order: columns with the units that the experiment
+    gives them (um, deg, ...).
 
     `folder` keeps finished chunks, each campaign in a folder of its own below it: the same call after a
     kill continues there. `scheduler` is the address of a Dask scheduler ("tcp://host:8786"); otherwise

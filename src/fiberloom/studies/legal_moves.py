@@ -91,7 +91,7 @@ def legal_moves(
 
 
 def miscounted(twin: Twin) -> list[int]:
-    """Positioners at rest that report (32) another place than their gear stands at.
+    """Positioners at rest that report (32) another place than that of their gear.
 
     What is reported is the motor angle at which the move settled: the gear's, and up to the backlash more
     after a move upwards. Half a motor turn either way is allowed for the rest.
@@ -133,7 +133,7 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
 
 
 def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
-    """One move of everybody, from its first frame to the last rotor at rest."""
+    """One move of every positioner, from its first frame to the last rotor at rest."""
     ids = [int(i) for i in twin.plane.positioner_id]
     precise = {i for i, kind in zip(ids, kinds, strict=True) if kind == "correction"}
     for number in ids:

@@ -1,9 +1,10 @@
-"""Neighbours driven into each other on the twin: how soon both stand, and what they bore.
+"""Neighbours driven into each other on the twin: how soon both are off, and the torque on them.
 
 Pairs of neighbours far from each other share a twin. In each meeting the axes that move do so at full speed
 when the arms touch for the first time. What is told of it, from the last moment at which they were
 still apart (the twin looks every 2 ms): when a positioner stopped, by its own watch or because the
-host, told of a collision by frame 18, stopped everybody; and the torque that the contact put on each axis.
+host, told of a collision by frame 18, stopped every positioner; and the torque that the contact put on
+each axis.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ KINDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "one, alpha": ((1, 0), (0, 0)),
     "one, beta": ((0, 1), (0, 0)),
 }
-"""Who moves at full speed when two neighbours meet: (alpha, beta) of the first and of the second."""
+"""Which axes move at full speed when two neighbours meet: (alpha, beta) of the first and of the second."""
 
 SYNC_S = 0.002
 _RUN_UP_S = (0.7, 2.5)  # after the start: full speed is reached, the gaps are closed
@@ -42,7 +43,7 @@ _MIDDLE_DEG = 180.0
 
 @dataclass(frozen=True)
 class Stop:
-    """How one positioner that moved came to stand after its arm had touched another."""
+    """How one positioner that moved stopped after its arm had touched another."""
 
     positioner_id: int
     own_s: float
@@ -177,7 +178,7 @@ class _Meetings:
         return [self._meeting(k, moves, logs) for k in range(len(self.ids) // 2) if 2 * k in self.touched]
 
     def _wire_deg(self, row: int, goal_deg: Floats, moves: NDArray) -> list[float]:
-        """An axis that is to stay is told to: where it stands, on the wire."""
+        """An axis that is to stay gets its present wire position."""
         here = [self.twin.units.transmission(row, k, self.start[row, k])[0][0] for k in (0, 1)]
         return [float(goal_deg[k] if moves[k] else here[k]) for k in (0, 1)]
 
@@ -216,7 +217,7 @@ class _Meetings:
 
 
 def _load_rate_Nm_s(log: NDArray, touched_s: float) -> float:
-    """From what the contact did to one arm; a motor that stands feels nothing through its gear."""
+    """From what the contact did to one arm; a motor at rest feels nothing through its gear."""
     first = np.searchsorted(log["time_s"], touched_s)
     span = slice(first, first + round(0.008 / TICK_S))
     against = -np.sign(log["command_speed_rad_s"][span]) * log["torque_out_Nm"][span] / GEAR

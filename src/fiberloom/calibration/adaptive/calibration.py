@@ -48,7 +48,7 @@ class AdaptiveSettings:
     # "paper"
     command: CommandSigmas = field(default_factory=CommandSigmas)
     printed_covariance: bool = False
-    """Eq. 29 as it stands, instead of the Jacobian of Eq. 1."""
+    """Eq. 29 as printed, instead of the Jacobian of Eq. 1."""
 
     # "improved"
     refine: int = 4

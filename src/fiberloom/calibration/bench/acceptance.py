@@ -75,7 +75,7 @@ class AcceptanceData:
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement and how a unit stands to it."""
+    """One requirement and a unit's value for it."""
 
     name: str
     value: float | None

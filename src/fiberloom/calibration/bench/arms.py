@@ -66,7 +66,7 @@ class Arms:
 
 
 def identify_arms(data: ArmsData) -> Arms:
-    """Two circles for each positioner. InputError when nobody's points lie on circles."""
+    """Two circles for each positioner. InputError when no positioner's points lie on circles."""
     circles = [fit_circles(xy, np.isfinite(xy).all(axis=-1)) for xy in data.xy_mm]
     reason = joined(
         data.trouble,

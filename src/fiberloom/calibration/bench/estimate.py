@@ -45,7 +45,7 @@ class Estimate:
 
     @property
     def ok(self) -> Flags:
-        """Who has an estimate."""
+        """(N,) which positioners have an estimate."""
         return np.array([not r for r in self.reason], dtype=bool)
 
     def interval(self, level: float = 0.95) -> tuple[Floats, Floats]:

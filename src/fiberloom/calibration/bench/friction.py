@@ -110,7 +110,7 @@ class Friction:
 def identify_friction(data: FrictionData, scale: TorqueScale) -> Friction:
     """Least squares over all windows; see the module. Vectorised over positioners.
 
-    InputError when nobody's data support it; a positioner whose own do not gets a reason.
+    InputError when no positioner's data support it; a positioner whose own do not gets a reason.
     """
     windows = together(list(data.segments))
     design = _design(windows, data.gear)

@@ -88,7 +88,7 @@ class Inertia:
 def identify_inertia(data: InertiaData, scale: TorqueScale) -> Inertia:
     """Least squares of the twice integrated balance of momentum; vectorised over positioners.
 
-    InputError when nobody's data support it.
+    InputError when no positioner's data support it.
     """
     use = _pushing(data)
     design, right = _balance(data, use)

@@ -72,7 +72,7 @@ class Repeatability:
 def identify_repeatability(
     data: RepeatabilityData, camera_rms_um: float, camera_relative_error: float = 0.02
 ) -> Repeatability:
-    """Scatter about the targets. InputError when nobody's data support it.
+    """Scatter about the targets. InputError when no positioner's data support it.
 
     camera_rms_um: two-dimensional rms of one measurement of a fibre at rest, known to its relative
     error. Standard errors are those of variances of normal scatter. Where the scatter is the camera's

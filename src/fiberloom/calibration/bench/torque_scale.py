@@ -57,7 +57,7 @@ class TorqueScaleData:
 
 
 def identify_torque_scale(data: TorqueScaleData) -> Estimate:
-    """Torque of the motor at full voltage, uNm. InputError when nobody's data support it."""
+    """Torque of the motor at full voltage, uNm. InputError when no positioner's data support it."""
     windows = together(list(data.segments))
     lengths = [s.voltage.shape[1] for s in data.segments]
     at_motor_uNm = np.repeat(np.array(data.torque_mNm) * 1e3 / data.gear, lengths)

@@ -23,8 +23,8 @@ _FIRST_GUESS = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01])
 _NEAR_DEG = 2.0
 """Near enough to the ends of beta to be stretched and folded."""
 LEAST_BEND_DEG = 60.0
-"""A stretched arm tells the lengths best, but where many are stretched at once nobody gets past: to
-plan the way of 500 from one such configuration to the next took minutes, and seconds without."""
+"""A stretched arm determines the lengths best, but where many are stretched at once there is hardly any
+path left: planning 500 from one such configuration to the next took minutes, and seconds without."""
 _ARM_MM = 10.0
 """Turns errors of the zeros into lengths."""
 

@@ -43,7 +43,7 @@ _LEAST_SIGMA_DEG = 2e-4
 _RANK_TOLERANCE = 1e-5
 _MOST_OUTLIERS = 0.3
 _POOL = 400
-"""Measurements from which the angles' errors can be told; with fewer the given ones stand."""
+"""Measurements from which the angles' errors can be told; with fewer the given ones are kept."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class _Fit:
         self.used = self.seen & (square < _OUTLIER)
 
     def find_angle_errors(self) -> None:
-        """Moments of the residuals, pooled over everybody, against camera and both levers.
+        """Moments of the residuals, pooled over all positioners, against camera and both levers.
 
         E[r r^T] = camera + sigma_alpha^2 a a^T + sigma_beta^2 b b^T, by weighted least squares.
         """

@@ -30,7 +30,7 @@ _STEPS = 3
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """How good the maps of N positioners are, and who has none."""
+    """How good the maps of N positioners are, and which have none."""
 
     positioner_id: NDArray[np.int64]
     reason: list[str]

@@ -122,7 +122,7 @@ class Light:
     gradient_e: float = 0.0
     """Background at the right edge less that at the left."""
     strays: int = 0
-    """Spots of nobody, at places that stay."""
+    """Spots without a fibre, at fixed places."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class CameraModel:
 
 
 class Scene(Protocol):
-    """What stands before the camera."""
+    """What the camera sees."""
 
     @property
     def time_s(self) -> float:
@@ -193,7 +193,7 @@ class Scene(Protocol):
 
 @dataclass
 class StillScene:
-    """Fibres that stand where they stand."""
+    """Fibres at fixed places."""
 
     xy_mm: Floats
     time_s: float = 0.0

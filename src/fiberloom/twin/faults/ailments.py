@@ -2,7 +2,7 @@
 
 Each unit has at most one ailment. It begins at a move drawn from an exponential distribution and acts
 through the same hidden parameters in both fidelities: `Units` (gear, friction, sensors), couplings
-that slip, axes that stand still, fibres that go dark. Rates and sizes are assumed but for slipping,
+that slip, axes that do not move, fibres that go dark. Rates and sizes are assumed but for slipping,
 whose spans are those of DESI's degraded motors (desihub/fpoffline: 458 units with slopes of
 0.2 to 1.0 and up to 0.8 of their moves without motion; 317 linear motors with scales of 0.44 to 1.0
 that differ between the directions by up to 0.28).
@@ -102,15 +102,15 @@ class Ailments:
         return len(self.table)
 
     def begun(self, move: int) -> Flags:
-        """(N,) who ails at this move."""
+        """(N,) which have their ailment at this move."""
         return self.table["onset"] <= move
 
     def label(self, move: int) -> NDArray[np.str_]:
-        """(N,) what ails whom; HEALTHY where nothing does."""
+        """(N,) ailment of each; HEALTHY without one."""
         return np.where(self.begun(move), self.table["kind"], HEALTHY)
 
     def onsets(self) -> NDArray[np.int64]:
-        """Moves at which somebody falls ill, in order."""
+        """Moves at which an ailment begins, in order."""
         return np.unique(self.table["onset"][self.table["onset"] != NEVER])
 
     def _rows(self, kind: AilmentKind, move: int) -> NDArray[np.intp]:
@@ -165,7 +165,7 @@ class Ailments:
         return (self.table["kind"] == AilmentKind.DARK) & self.begun(move)
 
     def out_at(self, units: Units, move: int) -> Flags:
-        """(N,) who no longer goes where it is told, or is not seen: nothing to calibrate."""
+        """(N,) which no longer follow their commands, or are not seen: nothing to calibrate."""
         lost = self.stalled_at(units, move) | (self.non_moves_at(move) > 0.0)
         slips = (self.follows_at(move) != 1.0).any(axis=2)
         return np.asarray(np.any(lost | slips, axis=1) | self.dark_at(move))

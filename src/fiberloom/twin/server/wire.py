@@ -13,7 +13,7 @@ BITRATE_KBIT = 1000.0
 """What the positioners listen to."""
 
 DEAD_FRAME_S = 0.01
-"""On a wire on which nobody acknowledges, a queued frame is given up after this time."""
+"""On a wire without acknowledgement, a queued frame is given up after this time."""
 
 _FRAME_BITS = 67.0  # of an extended frame without data, with the gap behind it
 _STUFFING = 1.04  # assumed: one stuff bit in 25; at random bits one in 32, at worst one in 4
@@ -30,7 +30,7 @@ class Wire:
     def __init__(self, queue_frames: int = QUEUE_FRAMES) -> None:
         self.queue_frames = queue_frames
         self.cut = False
-        """Nobody at the other end: frames leave the queue one by one and are lost."""
+        """No receiver at the other end: frames leave the queue one by one and are lost."""
         self.overflows = 0
         self._starts_s: deque[float] = deque()  # of frames that wait in the queue
         self._free_s = 0.0

@@ -58,7 +58,7 @@ def hexagonal(instrument: Instrument) -> FocalPlane:
 
 
 def cover(plane: FocalPlane, rows: NDArray[np.intp], step_mm: float) -> Coverage:
-    """Counts who reaches each point of four pitches of the middle, by Eq. 2 and the axes' ranges."""
+    """Counts the fibres that reach each point of four pitches of the middle, by Eq. 2 and the ranges."""
     half = 2.0 * plane.instrument.layout.pitch_mm
     x, y = (np.arange(-side, side, step_mm) + 0.5 * step_mm for side in (half, half * np.sqrt(0.75)))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

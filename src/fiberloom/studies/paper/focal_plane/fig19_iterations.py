@@ -69,7 +69,7 @@ async def _iterate(
     await bench.client.set_precise_moves(bench.ids, on=True)
     shape = (len(goals_deg), moves, len(bench.plane))
     errors = Errors(np.empty(shape), np.empty(shape))
-    everybody = np.ones(len(bench.plane), dtype=bool)
+    active = np.ones(len(bench.plane), dtype=bool)
     for target, goal_deg in enumerate(goals_deg):
         loop = CorrectionLoop(bench.plane, goal_deg, filtered=filtered)
         command_deg = goal_deg
@@ -79,7 +79,7 @@ async def _iterate(
             errors.measured_um[target, move] = _off_um(seen_mm, loop.target_mm)
             errors.true_um[target, move] = _off_um(bench.twin.fibre_xy(), loop.target_mm)
             wire_deg, _ = await bench.client.positions_deg(bench.ids)
-            command_deg = loop.update(maps.to_output(wire_deg), seen_mm, everybody)
+            command_deg = loop.update(maps.to_output(wire_deg), seen_mm, active)
     return errors
 
 
