@@ -29,7 +29,7 @@ setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
 NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
-          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
+          $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -106,7 +106,7 @@ reproduce: setup
 # With the report of the last `make reproduce`, where there is one.
 # Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
 firmware-report: setup
-	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+	@PYTHONPATH=rig $(BIN)/python -m lab.report --out build
 # Fifty random units of the twin, identified in full, against what they are.
 identification: setup
 	$(BIN)/python tests/calibration/recovery.py 50 0 full

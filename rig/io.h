@@ -22,7 +22,7 @@ uint32_t io_clock(void);
 extern const uint32_t io_instructions_per_count;
 
 /* How deep a call goes: marks the free stack, then tells how many bytes of it are no longer as marked. 0
- * where nobody looks. */
+ * where it is not measured. */
 void io_stack_mark(void);
 uint32_t io_stack_used(void);
 

@@ -1,6 +1,6 @@
 """What the firmware costs on a Cortex-M4F: flash, RAM, stack, instructions per tick; against the aims.
 
-    python -m targetlab.report [--out DIR]      `make firmware-report`
+    python -m lab.report [--out DIR]      `make firmware-report`
 
 Exit code 1 when an aim is missed, 2 when something is missing on this machine.
 """
@@ -15,8 +15,8 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from targetlab import build, scenarios, stack
-from targetlab.unit import Cost, Unit
+from lab import build, scenarios, stack
+from lab.unit import Cost, Unit
 
 FLASH_AIM = 48 * 1024
 RAM_AIM = 24 * 1024
@@ -73,32 +73,38 @@ def sections(image: Path) -> dict[str, int]:
 
 
 def modules(archive: Path) -> dict[str, int]:
-    """Bytes of flash of every source file, before the linker drops what nobody calls."""
+    """Bytes of flash of every source file, before the linker drops what is not called."""
     command = ["arm-none-eabi-size", str(archive)]
     text = subprocess.run(command, check=True, text=True, capture_output=True).stdout
     rows = re.finditer(r"^\s*(\d+)\s+(\d+)\s+\d+\s+\d+\s+\S+\s+(\w+)\.c\.obj", text, re.MULTILINE)
     return {m[3]: int(m[1]) + int(m[2]) for m in rows}
 
 
+def _graphs(objects: Path, sources: Path) -> list[Path]:
+    """The call graphs beside objects whose sources exist: a build folder keeps those of moved files."""
+    graphs = sorted(objects.glob("**/*.ci"))
+    return [file for file in graphs if (sources / file.relative_to(objects)).with_suffix("").exists()]
+
+
 def image_graph(folder: Path) -> stack.Graph:
     """The call graph of the image with the board; `folder` is the build's top."""
     firmware = folder / "firmware"
-    objects = sorted(firmware.glob("CMakeFiles/fl_firmware.dir/**/*.ci"))
-    objects += sorted(firmware.glob("targets/cortex-m4f/CMakeFiles/positioner.dir/*.ci"))
+    objects = _graphs(firmware / "CMakeFiles" / "fl_firmware.dir", build.ROOT / "firmware")
+    objects += _graphs(firmware / "boards" / "stm32f405" / "CMakeFiles" / "positioner.dir", build.BOARD)
     graph = stack.read_graph(objects)
     handlers = [name for name in map(stack.plain_name, graph) if name.startswith("fl_handle_")]
     tables = {name: [name] for name in PORT} | {"handler": handlers}
     # constructors of C++: none, as the empty section shows; an image of an upgrade: the board takes none
     tables |= {"init": [], "image_write": []}
     stack.resolve(graph, tables, build.ROOT)
-    machine = stack.read_disassembly(stack.disassemble(firmware / "targets" / "positioner.elf"))
+    machine = stack.read_disassembly(stack.disassemble(folder / "programs" / "positioner.elf"))
     stack.complete(graph, machine)
     return graph
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Bytes: the background, the deepest interrupt on top of it, and what stands there then."""
+    """Bytes: the background, the deepest interrupt on top of it, and its chain of calls."""
 
     background: int
     interrupt: int
@@ -153,7 +159,7 @@ def seen_stack(command: list[str]) -> dict[str, int]:
 def report() -> dict:
     """Everything, as it is written to JSON. Raises Missing, Unbounded."""
     programs = build.build("cortex-m4f")
-    folder = programs.parent.parent
+    folder = programs.parent
     size = sections(programs / "positioner.elf")
     assert size.get(".init_array", 0) == 0, "the firmware has constructors"
     costs = measure(build.rig_command("cortex-m4f"))

@@ -8,12 +8,13 @@
  *   PA5..7    SPI1          memory                         PA4      its select line
  */
 #include "factory.h"
+#include "fl_dispatch.h"
 #include "fl_positioner.h"
 #include "fl_storage.h"
 #include "stm32f405.h"
 
-enum { PWM_STEPS = 4200 };       /* 168 MHz / 40 kHz */
-enum { TICK_COUNTS = 84 * 500 }; /* 84 MHz, 0.5 ms */
+enum { PWM_STEPS = 4200 }; /* 168 MHz / 40 kHz */
+enum { TICK_COUNTS = 84000000 / FL_TICK_HZ };
 #define TIMER_NO_UPDATE (1u << 1)
 enum { ADC_CYCLES_15 = 1 };         /* of sampling */
 enum { WATCHDOG_8KHZ_COUNTS = 80 }; /* 10 ms */

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[3]
-TARGETS = ("host", "cortex-m4f")
+ROOT = Path(__file__).resolve().parents[2]
+BOARD = ROOT / "firmware" / "boards" / "stm32f405"
 MACHINE = "mps2-an386"
 PACKAGES = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi",
@@ -67,10 +67,9 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _configure(target: str, folder: Path) -> None:
-    tools = ROOT / "firmware" / "targets" / target / "toolchain.cmake"
-    options = [f"-DCMAKE_TOOLCHAIN_FILE={tools}"] if tools.exists() else []
+    options = [f"-DCMAKE_TOOLCHAIN_FILE={BOARD / 'toolchain.cmake'}"] if target == "cortex-m4f" else []
     options += [f"-DCMAKE_MAKE_PROGRAM={_tool('ninja')}"] if Path(_tool("ninja")).is_absolute() else []
-    options += ["-G", "Ninja", "-DFIBERLOOM_PYTHON=OFF", "-DFIBERLOOM_TARGETS=ON"]
+    options += ["-G", "Ninja", "-DFIBERLOOM_PYTHON=OFF", "-DFIBERLOOM_RIG=ON"]
     _run([_tool("cmake"), "-S", str(ROOT), "-B", str(folder), *options])
 
 
@@ -85,11 +84,11 @@ def build(target: str) -> Path:
     """Builds everything of a target, once; the folder with its programs. Raises Missing."""
     if target == "cortex-m4f" and (missing := missing_packages()):
         raise Missing(f"cortex-m4f needs the Debian packages {' '.join(missing)}")
-    folder = ROOT / "build" / "targets" / target
+    folder = ROOT / "build" / "rig" / target
     with _alone(folder):
         _configure(target, folder)
         _run([_tool("cmake"), "--build", str(folder)])
-    return folder / "firmware" / "targets"
+    return folder / "programs"
 
 
 def rig_command(target: str) -> list[str]:

@@ -8,6 +8,7 @@
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wshadow"
 extern "C" {
+#include "fl_dispatch.h"
 #include "fl_positioner.h"
 }
 #pragma GCC diagnostic pop
@@ -56,7 +57,7 @@ class Rig {
     Cost tick_cost, frame_cost, boot_cost;
     bool look_deep = false; // also how much stack the firmware takes: slow
 
-    // what the firmware has sent and nobody has taken yet
+    // what the firmware has sent and has not been taken yet
     fl_can_frame_t sent[mailbox_frames];
     uint32_t sent_count = 0;
 

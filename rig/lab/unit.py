@@ -1,6 +1,6 @@
 """One positioner on a rig, spoken to as a host would: frames in, frames out, time passes.
 
-The rig runs on the host or on the emulated target; whoever speaks to it cannot tell which, and
+The rig runs on the host or on the emulated target; the client cannot tell which, and
 everything that was said is kept, so that two runs can be compared to the last bit.
 """
 
@@ -22,7 +22,7 @@ from fiberloom.twin.units import FIRMWARE_DTYPE, Units, plain
 NUMBER = 5
 """The rig's positioner."""
 COUNTS_PER_DEG = 2**30 / 360
-TICKS_PER_S = 2000
+TICKS_PER_S = fw.TICK_HZ
 SILENCE_S = 300.0
 """A rig that says nothing for so long has died; no command takes a tenth of it."""
 PARAMETERS = list(FIRMWARE_DTYPE.names or ())

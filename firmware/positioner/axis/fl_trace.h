@@ -1,4 +1,4 @@
-/* What a bench engineer's oscilloscope would show: position and voltage of both axes while they work.
+/* As on an oscilloscope: position and voltage of both axes while they work.
  *
  * A sample covers `decimation` ticks: the position at their start and the mean voltage over them, so that
  * the sums over samples are integrals (Kronig 2020, Eq. 12). An axis at rest is not recorded. The samples
@@ -38,7 +38,8 @@ static inline void fl_trace_start(fl_trace_t *t, uint16_t decimation) {
     for (int i = 0; i < FL_AXES; ++i) t->axis[i] = empty;
 }
 
-/* The samples of an axis are the slots of its path. Call only with room: count < FL_TRACE_SAMPLES. */
+/* Stores a sample: its mean voltage, -1..1 of u_dc. The samples of an axis are the slots of its path.
+ * @pre a->count < FL_TRACE_SAMPLES; no trajectory is loaded */
 static inline void fl_trace_put(fl_trace_axis_t *a, fl_path_t *memory, float voltage) {
     uint16_t *slot = memory->slot[a->count++];
     slot[0] = (uint16_t)a->position_cnt;
@@ -61,6 +62,8 @@ static inline void fl_trace_add(fl_trace_t *t, int axis, fl_path_t *memory, int3
     a->ticks = 0;
 }
 
+/* A sample from the memory of an axis.
+ * @pre index < count of the axis */
 static inline fl_trace_sample_t fl_trace_get(const fl_path_t *memory, uint16_t index) {
     const uint16_t *slot = memory->slot[index];
     const uint32_t position = slot[0] | (uint32_t)slot[1] << 16;

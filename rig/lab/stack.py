@@ -3,7 +3,7 @@
 GCC writes the calls of each object and the stack of each function (-fcallgraph-info=su). Calls through
 pointers are named here, by the member of the struct they go through; what comes from the compiler's own
 library is read from the disassembly. Anything that cannot be bounded is refused: recursion, frames of
-variable size, a call through a pointer that nobody has named.
+variable size, a call through a pointer without a name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Unbounded(Exception):
 
 @dataclass
 class Function:
-    """A node: bytes of its own frame, and whom it calls."""
+    """A node: bytes of its own frame, and its calls."""
 
     frame: int | None = None
     calls: set[str] = field(default_factory=set)
@@ -97,7 +97,7 @@ def resolve(graph: Graph, tables: dict[str, list[str]], root: Path) -> None:
         for site in node.through:
             member = _member(site, root)
             if member not in tables:
-                raise Unbounded(f"{site}: nobody has named what stands behind '{member}'")
+                raise Unbounded(f"{site}: no name for what is behind '{member}'")
             for name in tables[member]:
                 if name not in by_name:
                     raise Unbounded(f"'{member}' is said to be {name}, which is not in the image")

@@ -1,6 +1,6 @@
 /* From reset to main, for any Cortex-M4F: vector table, memory, floating-point unit.
  *
- * Boards name their interrupts in `board_vectors`; everything that nobody handles stops here.
+ * Boards name their interrupts in `board_vectors`; what has no handler stops here.
  */
 #include <stdint.h>
 

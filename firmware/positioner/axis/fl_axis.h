@@ -1,8 +1,8 @@
 /* One axis: hall sensor in, phase voltages out, and the plan of legs it works through.
  *
- * Three frames: the rotor angle (what the hall sensor sees, unwrapped), the position (rotor angle +
- * zero, 0 at output angle 0, 2^20 per motor turn = 2^30 per output turn) and the raw command before
- * smoothing, which is a position.
+ * The axis works through a plan of legs (fl_leg.h). Three frames: the rotor angle (what the hall sensor sees,
+ * unwrapped), the position (rotor angle + zero, 0 at output angle 0, 2^20 per motor turn = 2^30 per output
+ * turn) and the raw command before smoothing, which is a position.
  */
 #ifndef FL_AXIS_H
 #define FL_AXIS_H
@@ -13,6 +13,7 @@
 #include "fl_friction_fit.h"
 #include "fl_hall.h"
 #include "fl_hall_fit.h"
+#include "fl_leg.h"
 #include "fl_params.h"
 #include "fl_path.h"
 #include "fl_port.h"
@@ -35,26 +36,9 @@ typedef struct fl_axis_law {
     uint32_t speed_max_cnt_tick;
 } fl_axis_law_t;
 
-typedef enum fl_leg_kind {
-    FL_LEG_REST,       /* nothing to do; the phases are off or hold */
-    FL_LEG_FOLLOW,     /* the stored trajectory */
-    FL_LEG_GOTO,       /* trapezoid to the target */
-    FL_LEG_LAND,       /* creep to the target */
-    FL_LEG_SETTLE,     /* stand until the error is small */
-    FL_LEG_SEARCH,     /* turn in the negative direction until something blocks */
-    FL_LEG_DATUM,      /* coast to a standstill, which is the datum */
-    FL_LEG_BRAKE,      /* coast to a standstill */
-    FL_LEG_SPIN,       /* the field turns slowly to the target, whatever the sensors say */
-    FL_LEG_SPIN_RANGE, /* the same, looking at the range of the hall channels */
-    FL_LEG_SPIN_FIT,   /* the same, fitting their shape */
-    FL_LEG_SWEEP_IN,   /* closed loop at creep speed, until the backlash is closed */
-    FL_LEG_SWEEP,      /* the same, measuring the torque */
-    FL_LEG_PUSH,       /* two torques, one after the other, wherever they lead */
-} fl_leg_kind_t;
-
 typedef struct fl_leg {
     int32_t target_cnt;
-    uint8_t kind;
+    uint8_t kind; /* fl_leg_kind_t */
 } fl_leg_t;
 
 enum { FL_PLAN_LEGS = 6 };
@@ -72,7 +56,7 @@ typedef struct fl_torque_step {
 } fl_torque_step_t;
 
 /* A push ends after 0.2 s at the latest: at 6000 rpm 20 turns of the motor, 7 deg of the arm. */
-enum { FL_TORQUE_TICKS = 400 };
+enum { FL_TORQUE_TICKS = FL_TICK_HZ / 5 };
 
 /* What every tick touches comes first: it is what a simulator of many positioners waits for. */
 typedef struct fl_axis {
@@ -118,20 +102,33 @@ typedef struct fl_axis {
     } fit;
 } fl_axis_t;
 
-/* Constants from the parameters. Call again when a parameter has changed; not in motion. */
+/* Constants from the parameters. Call again when a parameter has changed. Parameters outside their limits
+ * (fl_params_fault) give constants with which no axis may move.
+ * @pre the axis rests */
 void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *params);
-/* Power-up state; fl_axis_configure first. */
+/* Power-up state, fl_axis_configure included.
+ * @pre none: also on memory that was never used */
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *params);
 
+/* Whether the axis has no plan: then it is not ticked. */
 static inline bool fl_axis_rests(const fl_axis_t *a) { return a->leg >= a->legs; }
 
-/* Start a plan. The first tick starts from the measured position. A path has at least one point. */
+/* Plans: what the axis was doing is forgotten, and the first tick starts from the measured position.
+ * fl_axis_goto: to a position, 2^30 per output turn.
+ * @pre the target is in range; fl_positioner gives a plan to an axis at rest only */
 void fl_axis_goto(fl_axis_t *a, int32_t target_cnt);
+/* Along the stored trajectory, then to rest at its last point.
+ * @pre at least one point; the path is not changed while it is followed */
 void fl_axis_follow(fl_axis_t *a, fl_path_t *path);
+/* To the hard stop, which is the datum, then to position 0. `calibrate`: the stop defines the datum anew. */
 void fl_axis_home(fl_axis_t *a, bool calibrate);
+/* Turns the field and fits the shape of the hall channels; the result is in fit.hall at the end of the plan.
+ */
 void fl_axis_calibrate_hall(fl_axis_t *a);
+/* Sweeps four motor turns each way and fits friction, spring and cogging; the result is in fit.friction. */
 void fl_axis_calibrate_cogging(fl_axis_t *a);
-/* Drives with these torques, then brakes. It ends early at the limits of the range. */
+/* Drives with these torques, then brakes. It ends early at the limits of the range.
+ * @pre step.ticks add up to FL_TORQUE_TICKS at most; no voltage is INT16_MIN */
 void fl_axis_push(fl_axis_t *a, fl_torque_step_t step);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
@@ -139,7 +136,8 @@ void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 /* Phases off and no plan, whatever it was doing. */
 void fl_axis_off(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* One control period. Only while the axis does not rest. The path is the one it was told to follow. */
+/* One control period.
+ * @pre !fl_axis_rests; the path is the one given to fl_axis_follow */
 fl_axis_event_t fl_axis_tick(fl_axis_t *a, const fl_path_t *path, const fl_port_t *port, int index);
 
 /* The same in parts, for hosts that do the laws of many axes at once. While fl_axis_tracks:
@@ -150,28 +148,30 @@ typedef struct fl_axis_demand {
     bool way_ended; /* the leg's way; it may still have to settle */
 } fl_axis_demand_t;
 
-/* In closed loop along a way of the ordinary kinds, not in its first tick. */
+/* In closed loop along an ordinary way (FL_LEG_TRACKS), not in its first tick. */
 static inline bool fl_axis_tracks(const fl_axis_t *a) {
     if (fl_axis_rests(a) || a->fresh || !a->closed_loop) return false;
-    const uint8_t kind = a->plan[a->leg].kind;
-    return kind >= FL_LEG_FOLLOW && kind <= FL_LEG_SETTLE;
+    return (fl_leg_traits[a->plan[a->leg].kind].traits & FL_LEG_TRACKS) != 0;
 }
-/* a->hall is that of this tick. Moves the command on. */
+/* Moves the command on by one tick.
+ * @pre fl_axis_tracks; a->hall is that of this tick */
 void fl_axis_advance(fl_axis_t *a, const fl_path_t *path, fl_axis_demand_t *demand);
-/* a->drive, torque and voltage are those of this tick, the phases are set; but where it is stuck, they
- * are as in the tick before. */
+/* Ends the tick: to the next leg, to rest, or blocked.
+ * @pre fl_axis_tracks; a->drive, torque and voltage are those of this tick, the phases are set; but where it
+ * is stuck, they are as in the tick before */
 fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index, bool way_ended, bool stuck);
 
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* Declares the position of the rotor as it stands now. */
+/* Declares the position of the rotor as it is now, 2^30 per output turn, and with it the datum. */
 void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt);
 
 /* Ticks that a go-to from the present position takes at most, settling not counted:
  * |way|/speed + 0.25 s, and the approach if the axis is precise. */
 uint32_t fl_axis_goto_ticks(const fl_axis_t *a, int32_t target_cnt);
 
+/* Whether a position (2^30 per output turn) lies within position_min..position_max. */
 bool fl_axis_in_range(const fl_axis_t *a, int32_t position_cnt);
 
 #endif

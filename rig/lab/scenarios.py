@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from targetlab.unit import COUNTS_PER_DEG, NUMBER, Truth, Unit, drawn
+from lab.unit import COUNTS_PER_DEG, NUMBER, Truth, Unit, drawn
 
 ACCEPTED, OUT_OF_RANGE, INVALID_TRAJECTORY, IN_MOTION, NOT_INITIALIZED = range(5)
 WRONG_LENGTH, COLLISION, INVALID_BROADCAST, INVALID_BOOTLOADER, INVALID, UNKNOWN = 5, 8, 10, 11, 12, 13
@@ -305,7 +305,7 @@ def arm_against_a_stop(unit: Unit) -> None:
     assert len(unit.unsolicited) == 1
     assert has(unit, COLLISION_ALPHA | COMPLETED)
     truth = unit.look()
-    # the arm stands at the stop, wound up by less than a motor turn (0.35 deg)
+    # the arm is at the stop, wound up by less than a motor turn (0.35 deg)
     assert abs(np.rad2deg(truth.output_rad[0]) - 48.0) < 0.1
     assert abs(truth.position_deg(0) - 48.0) < 1.0  # the gear is not linear
     assert truth.position_deg(1) > 71.0
