@@ -46,6 +46,15 @@ def test_pages_named_in_words_exist(page):
         assert (ROOT / path).is_file(), path
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=name)
+def test_files_named_in_backticks_exist(page):
+    """Whole paths, or the end of one (`search.cpp`); results of a run are no files of ours."""
+    rooms = [ROOT / room for room in ("core", "firmware", "rig", "src", "tests", "benchmarks", "examples")]
+    ours = [str(p) for room in rooms for p in room.rglob("*.*")]
+    for path in re.findall(r"`((?:[\w-]+/)*[\w-]+\.(?:py|c|h|cpp|hpp|ld|cmake|ipynb))`", page.read_text()):
+        assert any(p.endswith("/" + path) for p in ours), path
+
+
 def test_the_site_lists_every_page():
     nav = set(re.findall(r"^\s*- [^#\n]*: ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
     assert nav == {str(p.relative_to(ROOT / "docs")) for p in PAGES}
