@@ -8,7 +8,7 @@ JOBS   ?= 2
 FRAMES ?= 20000000
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace clean
+.PHONY: firmware-report docs lint format inplace stubs clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -24,6 +24,7 @@ help:
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
+	@echo "make stubs    types of the compiled module anew, after a change of core/bindings"
 
 setup: $(STAMP)
 
@@ -41,7 +42,7 @@ $(STAMP): $(VENV)/.dependencies $(NATIVE)
 	@touch $@
 
 run: setup
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
@@ -131,6 +132,11 @@ inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \
 	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
 	cmake --build build/inplace
+
+# Types of the compiled module for type checkers, from the module itself; tests/bindings compares them.
+stubs: inplace
+	PYTHONPATH=src $(or $(DEVPYTHON),$(BIN)/python) -m nanobind.stubgen --quiet --recursive \
+	    --module fiberloom._core --pattern-file core/bindings/stubs.txt --output-dir src/fiberloom
 
 clean:
 	rm -rf build .venv .venv-jaeger .cache site
