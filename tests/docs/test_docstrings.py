@@ -110,8 +110,8 @@ def unnamed(f: Function) -> list[str]:
     own = ast.get_docstring(f.node) or ""
     if len(f.parameters) < 4:
         return []
-    named = set(re.findall(r"`(\w+)|^(?=\w+ ?:)(\w+)", own, re.M))
-    said = {word for pair in named for word in pair}
+    listed = ",".join(re.findall(r"^(\w+(?:, \w+)*) ?:", own, re.M))
+    said = {*re.findall(r"`(\w+)", own), *re.split(r",\s*", listed)}
     return [f"{f.where}: {p.arg}" for p in f.parameters if p.arg not in said]
 
 
