@@ -135,7 +135,7 @@ def test_commands_exist(page, line):
 def test_options_alone_exist():
     """`--option` in backticks belongs to some command, benchmark or study."""
     known = {o for command in COMMANDS.values() for o in options(command)}
-    programs = [*(ROOT / "benchmarks").glob("*.py"), *(ROOT / "examples").glob("*.py")]
+    programs = [p for room in ("benchmarks", "examples", "tools") for p in (ROOT / room).rglob("*.py")]
     known |= {o for p in programs for o in re.findall(r'"(--[\w-]+)"', p.read_text())}
     used = {
         (p.name, word)
@@ -154,7 +154,9 @@ def test_programs_and_targets_exist():
     wrong = []
     for page in PAGES:
         text = page.read_text()
-        for path in re.findall(r"(?:python|pytest -s) ((?:benchmarks|tests|examples)/[\w/]+\.py)", text):
+        for path in re.findall(
+            r"(?:python|pytest -s) ((?:benchmarks|tests|examples|tools)/[\w/]+\.py)", text
+        ):
             wrong += [f"{page.name}: {path}"] if not (ROOT / path).is_file() else []
         for path, rest in re.findall(r"(benchmarks/\w+\.py)((?: [^`\n]+)?)`", text):
             there = set(re.findall(r'"(--[\w-]+)"', (ROOT / path).read_text()))
