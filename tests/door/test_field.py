@@ -197,7 +197,9 @@ def test_an_interruption_loses_nothing(plane, twin, desk):
 
 
 SCRIPT = """
+import signal
 import fiberloom as fl
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells take it from what runs behind them
 field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
 try:
     field.run.observe(fl.read_targets("targets.csv"), corrections=5000)
@@ -221,6 +223,7 @@ def test_ctrl_c_in_a_script_leaves_what_was_seen(desk):
     finally:
         process.kill()
         process.wait()
+        process.stdout.close()
     moves, assigned = map(int, said.split())
     assert moves >= 2
     assert assigned == N

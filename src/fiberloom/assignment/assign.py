@@ -29,13 +29,13 @@ class Assignment:
     """Fibre that looks at the target; empty without one."""
     alpha_deg: Floats
     beta_deg: Floats
-    """Goal; a safe folded place without a target; where it stands if offline."""
+    """Goal; a safe folded place without a target; the place of the plane if offline."""
     approach_deg: Floats
     """Overshoot of the approach on both axes for which the goal was found free."""
     clearance_mm: Floats
     """Gap to the nearest other arm at the goal and on the approach; inf without neighbours."""
     unassigned: dict[int, str]
-    """Row of the target list: why nobody takes it."""
+    """Row of the target list: why no positioner takes it."""
     notes: list[str]
     """What the operator should know: shorter approaches, targets given up, best not proven."""
 

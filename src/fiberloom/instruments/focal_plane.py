@@ -65,7 +65,7 @@ class FocalPlane:
     offline: Flags
     """(N,) does not move."""
     offline_position_deg: Floats
-    """(N, 2) where it stands if it does not move: alpha, beta."""
+    """(N, 2) its alpha and beta if it does not move."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)

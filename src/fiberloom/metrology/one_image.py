@@ -39,8 +39,10 @@ _FITS = (".fits", ".fit", ".fts", ".fz", ".gz")
 def spots_of_image(
     image: CameraImage, threshold: float = 6.0, expected: Path | None = None, radius_px: float = 8.0
 ) -> Found:
-    """Spots brighter than `threshold` sigmas of the noise: all, or those within `radius_px` of the places
-    (x_px, y_px) of the table `expected`."""
+    """Spots of an `image` brighter than `threshold` sigmas of the noise.
+
+    All of them, or those within `radius_px` of the places (x_px, y_px) of the table `expected`.
+    """
     settings = SpotSettings(image.gain_e_adu, image.saturation_adu, threshold)
     if expected is None:
         return find_spots(image.pixels, settings, fits_bytes=image.fits_bytes)
@@ -135,7 +137,10 @@ def require_fiducials(plane: FocalPlane) -> None:
 
 
 def identify(plane: FocalPlane, spots: Spots, geometry: CameraGeometry, expected_mm: Floats) -> Identified:
-    """Fiducials, then positioners, by where the metrology fibres are expected: (N, 2) mm, NaN: anywhere.
+    """Which of the `spots` are fiducials, and which are positioners of the `plane`.
+
+    `geometry`: what is known of the camera; `expected_mm` (N, 2): where the metrology fibres should be,
+    NaN where that is not known.
 
     Raises InputError with fewer than four fiducials, AcquisitionError where they are not found.
     """

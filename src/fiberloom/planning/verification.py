@@ -16,8 +16,8 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 _WHAT = {
     "robots": "comes closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
     "obstacle": "comes closer to {other} than the collision buffer, by {depth:.4g} mm",
-    "contact": "stands closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
-    "obstacle_contact": "stands closer to {other} than the collision buffer, by {depth:.4g} mm",
+    "contact": "is closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
+    "obstacle_contact": "is closer to {other} than the collision buffer, by {depth:.4g} mm",
     "points": "has times that do not rise from 0, or numbers that are not finite",
     "travel": "goes {depth:.4g} deg beyond the travel of an axis",
     "speed": "is {depth:.4g} deg/s too fast",
@@ -188,7 +188,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     if missing:
         raise InputError(
             f"the plan does not say where positioner {missing[0]} is ({len(missing)} missing); "
-            "give one that stands a single point"
+            "give one that does not move a single point"
         )
     return [m for m in motions if m is not None]
 

@@ -18,7 +18,9 @@ def estimate_records(
 ) -> dict[str, Any]:
     """The content of a result file: a record for each positioner and quantity.
 
-    `truth`: (N,) true values by the names of estimates, in their units; empty where none are known.
+    `plane` and `seed` mark the file; `estimates` have a row for each positioner of the plane;
+    `truth`: (N,) true values by the names of estimates, in their units (uNm, mm, deg, ... as the
+    estimate says); empty where none are known.
     """
     positioners = [
         {

@@ -31,14 +31,17 @@ class FieldPicture:
 
 
 def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> None:
-    """Draw every arm, coloured by the error of its fibre, flags in red."""
+    """Draw every arm, coloured by the error of its fibre, flags in red.
+
+    `path`: file to write; `plane`: the N positioners; `picture`: what is drawn of them.
+    """
     figure, axes = figure_with((10, 9.2))
     draw_focal_plane(axes, plane, picture)
     save(figure, path)
 
 
 def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Axes:
-    """The same into axes that exist."""
+    """The same into `axes` that exist, with a colour bar beside them."""
     base, elbow, tip = _arm_points(plane, picture.angles_deg)
     alpha_arms = np.stack([base, elbow], axis=1)
     beta_arms = np.stack([elbow, tip], axis=1)
@@ -87,7 +90,11 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
 
 
 def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:
-    """Cumulative distribution of the true (or measured) error after each move, on a log axis."""
+    """Cumulative distribution of the true (or measured) error after each move, on a log axis.
+
+    `path`: file to write; `errors_um`: (n,) for each move, with its name in `labels`; `requirement_um`:
+    drawn as a line.
+    """
     figure, axes = figure_with((8, 5))
     for error, label in zip(errors_um, labels, strict=True):
         values = np.sort(error[np.isfinite(error)])

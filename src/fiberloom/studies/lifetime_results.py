@@ -90,7 +90,8 @@ def summarize(curves: LifetimeCurves) -> dict[str, float]:
 
 
 def within_requirement(summary: dict[str, float]) -> bool:
-    """Whether learning does what recalibrating would, and a map what it is for."""
+    """Whether learning does what recalibrating would, and a map what it is for: by the ratios of errors
+    (um over um, no unit) in `summary`."""
     return summary["adaptive_over_recalibrated"] <= WITHIN and summary["linear_over_recalibrated"] >= MAP_GAIN
 
 

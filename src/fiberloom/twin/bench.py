@@ -23,7 +23,11 @@ CLOSE_UP_UM = 0.101
 
 
 def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> BenchRig:
-    """Each unit of the plane alone under the cameras, with weights, and with `faults` of `--faults`."""
+    """Each of the `units` of a `plane` alone under the cameras, with weights.
+
+    `seed` decides noise, the weights' own errors and which positioners have the `faults`, a text of
+    `--faults`; InputError where it cannot be read.
+    """
     twin = Twin(plane, units, seed=seed, neighbours=False)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)

@@ -214,7 +214,9 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
 
 
 def firmware_truth(plant: np.ndarray) -> dict[str, float]:
-    """What a perfect identification of an axis would tell its firmware."""
+    """Parameters of the firmware after a perfect identification of an axis: SI, hall channels in
+    counts.
+    """
     torque_constant = float(plant["flux_linkage"] / plant["coil_resistance"])  # Nm per volt and coil
     spring_Nm = float(plant["spring_rate"] / GEAR)
     return {
@@ -296,7 +298,10 @@ def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
 
 
 def misplaced(plane: FocalPlane, by_um: float, by_deg: float, seed: int) -> FocalPlane:
-    """A layout as it is known before anything was measured: every number off by so much, rms."""
+    """The layout of a `plane` as it is known before anything was measured.
+
+    Centres and alpha arms are wrong by `by_um`, zeros by `by_deg`, rms, drawn from the `seed`.
+    """
     rng = np.random.default_rng([seed, 0x3015])
     sigmas = np.array([*[by_um * MM_PER_UM] * 3, *[by_deg * RAD_PER_DEG] * 2])
     return replace(plane, arms=plane.arms + rng.normal(size=plane.arms.shape) * sigmas)

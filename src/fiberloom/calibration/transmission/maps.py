@@ -422,7 +422,10 @@ class TransmissionMaps:
 
 
 def polyline(x_knots: Floats, y_knots: Floats, x: ArrayLike) -> Floats:
-    """Piecewise linear through rising knots, straight on beyond both ends; exact at the knots."""
+    """Piecewise linear through rising knots, extended straight beyond both ends; exact at the knots.
+
+    Knots (K,) and values of any unit, usually deg.
+    """
     x = np.asarray(x, dtype=np.float64)
     k = np.clip(np.searchsorted(x_knots, x, side="right") - 1, 0, len(x_knots) - 2)
     t = (x - x_knots[k]) / (x_knots[k + 1] - x_knots[k])

@@ -45,9 +45,9 @@ def schedule_faults(
     places: Sequence[tuple[int, int]],
     seed: int,
 ) -> list[ScheduledFault]:
-    """Draws by the seed which of `positioner_ids` and `places` (device, port) have which fault.
+    """Draws by the `seed` which of `positioner_ids` and `places` (device, port) have which fault.
 
-    Each is drawn at most once, in the order of the requests. Raises InputError that names the request
+    Each is drawn at most once, in the order of the `requests`. Raises InputError that names the request
     for which too few are left, or whose positioner is not there.
     """
     rng = np.random.default_rng([seed, 0xFA17])
