@@ -261,9 +261,6 @@ _LAYOUTS = {spec.reply: struct.Struct("<" + spec.reply) for spec in _TABLE}
 
 MAX_SPEED_RPM = 5000
 
-GEAR = 1024
-"""Motor turns per output turn of these positioners, as the wire positions count them."""
-
 
 def counts_of_deg(angle_deg: float) -> int:
     """Wire position of an output angle, rounded to the nearest of 2^30 counts per turn.
@@ -278,4 +275,4 @@ def counts_of_deg(angle_deg: float) -> int:
 
 def goto_duration_s(distance_deg: float, speed_rpm: float) -> float:
     """How long a goto takes about: the distance at the motor's speed and 0.25 s for the ramps."""
-    return abs(distance_deg) * GEAR / (6.0 * speed_rpm) + 0.25
+    return abs(distance_deg) * units.GEAR / (6.0 * speed_rpm) + 0.25

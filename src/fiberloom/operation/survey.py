@@ -123,7 +123,7 @@ def _goals(plane: FocalPlane, goal_deg: Floats) -> Assignment:
         fibre=np.full(n, ""),
         alpha_deg=goal_deg[:, 0],
         beta_deg=goal_deg[:, 1],
-        approach_deg=np.full(n, max(axis.approach_deg for axis in plane.instrument.axes)),
+        approach_deg=np.full(n, plane.instrument.approach_deg),
         clearance_mm=np.full(n, np.inf),
         unassigned={},
         notes=[],

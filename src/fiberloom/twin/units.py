@@ -12,9 +12,8 @@ from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR
 
-GEAR = 1024.0
-"""Motor turns per output turn: the firmware counts 2**20 and 2**30 for one of each."""
 ORDERS = np.array(_core.HARMONIC_ORDERS)
 """Cycles per output turn of the harmonic series of a gear."""
 
