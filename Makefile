@@ -8,7 +8,7 @@ JOBS   ?= 2
 FRAMES ?= 20000000
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace clean
+.PHONY: firmware-report docs lint format inplace stubs clean
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -24,12 +24,13 @@ help:
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
+	@echo "make stubs    types of the compiled module anew, after a change of core/bindings"
 
 setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
 NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
-          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
+          $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -106,7 +107,7 @@ reproduce: setup
 # With the report of the last `make reproduce`, where there is one.
 # Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
 firmware-report: setup
-	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+	@PYTHONPATH=rig $(BIN)/python -m lab.report --out build
 # Fifty random units of the twin, identified in full, against what they are.
 identification: setup
 	$(BIN)/python tests/calibration/recovery.py 50 0 full
@@ -131,6 +132,11 @@ inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \
 	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
 	cmake --build build/inplace
+
+# Types of the compiled module for type checkers, from the module itself; tests/bindings compares them.
+stubs: inplace
+	PYTHONPATH=src $(or $(DEVPYTHON),$(BIN)/python) -m nanobind.stubgen --quiet --recursive \
+	    --module fiberloom._core --pattern-file core/bindings/stubs.txt --output-dir src/fiberloom
 
 clean:
 	rm -rf build .venv .venv-jaeger .cache site

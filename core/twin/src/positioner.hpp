@@ -81,7 +81,7 @@ class Positioner {
 
     fl_positioner_t firmware_{};
     AxisGroup *group_ = nullptr;
-    int lane_ = 0; // of alpha; beta's is squad_size further
+    int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;
     Outbox *outbox_ = nullptr;
     std::vector<uint8_t> storage_;
