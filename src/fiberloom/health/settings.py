@@ -63,7 +63,7 @@ class HealthSettings:
     tell_way_sd: float = 12.0
     """[A] Standard deviations that a way must have to tell."""
     still_share: float = 0.03
-    """[A] Of the way: whoever goes less has not moved. A gear that slips goes more."""
+    """[A] Of the way: a positioner that goes less has not moved. A gear that slips goes more."""
     still_sd: float = 4.0
     """[A] Or less than so many standard deviations of the miss."""
     still: Odds = (1e-6, 0.15)
