@@ -85,6 +85,17 @@ FL_HANDLER(fl_handle_led);
 FL_HANDLER(fl_handle_save);
 FL_HANDLER(fl_handle_set_trajectories);
 
+/* fl_handle_params.c */
+FL_HANDLER(fl_handle_params_table);
+FL_HANDLER(fl_handle_params_begin);
+FL_HANDLER(fl_handle_param_set);
+FL_HANDLER(fl_handle_params_commit);
+FL_HANDLER(fl_handle_param_get);
+
+/* CRC-32 over each parameter's name and unit (with their NULs) and its range and default (float32, little
+ * endian): a host that knows another table must not write to this one. */
+uint32_t fl_params_table_crc(void);
+
 /* fl_handle_bench.c */
 FL_HANDLER(fl_handle_trace_start);
 FL_HANDLER(fl_handle_trace_state);

@@ -120,6 +120,8 @@ typedef struct fl_axis {
 
 /* Constants from the parameters. Call again when a parameter has changed; not in motion. */
 void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *params);
+/* Forgets what the laws learnt on the way: integral, drag, the load's scatter. Not in motion. */
+void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *params);
 /* Power-up state; fl_axis_configure first. */
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *params);
 
