@@ -1,8 +1,8 @@
 /* The parameters over the bus. Numbers from 230 on, which no host of an instrument uses.
  *
  * A host names the table that it knows (231), sets values in a copy (232, 233) and asks for all of them to
- * take effect at once, with the CRC-32 of what the copy must hold (234). A frame lost on the way makes another
- * copy: it is refused, and the old parameters go on. Nothing is kept without a save (53). */
+ * take effect at once, with the CRC-32 of what the copy must hold (234). A frame lost on the way makes
+ * another copy: it is refused, and the old parameters go on. Nothing is kept without a save (53). */
 #include <stddef.h>
 
 #include "fl_calibration.h"
