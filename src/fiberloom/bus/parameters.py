@@ -1,4 +1,4 @@
-"""The firmware parameters of positioners over the bus: read, write, read back, save (commands 230 to 236, 53).
+"""The firmware parameters of positioners over the bus: read, write, compare, save (230 to 236, 53).
 
 Firmware of this project only (docs/firmware.md): another answers UNKNOWN_COMMAND. Values are written to a
 copy and take effect together, or not at all: the positioner compares the CRC-32 of its copy with that of

@@ -16,7 +16,7 @@ from fiberloom.units import RAD_PER_DEG
 
 RAD_S_PER_RPM = np.pi / 30.0
 COLLISION_DEG = (90.0, 180.0)
-"""Motor degrees, Eq. 23: in open loop a rotor that follows lags by up to 90; at 180 the field turns it back."""
+"""Motor degrees, Eq. 23: in open loop a rotor that follows lags by up to 90, and at 180 turns back."""
 RESERVE = 0.2
 """Of the motor's torque, that must be left at the speed and acceleration of a go-to."""
 MODEL_ERROR_SHARE = 0.23
@@ -43,9 +43,11 @@ class Context:
 
 
 def checked(derivation: Derivation, context: Context) -> Derivation:
-    """With its cross-checks; axes of which a parameter was refused have none."""
+    """With its cross-checks, and what else was refused; axes of which a parameter was refused have none."""
     checks = [c for axis in range(2) for c in _of_axis(derivation, axis, context)]
-    return replace(derivation, checks=tuple(checks))
+    used = {f.provenance.split(" (")[0] for f in derivation.findings}
+    others = [f"{q.name}: {q.reason}" for q in context.found.values() if q.reason and q.name not in used]
+    return replace(derivation, checks=tuple(checks), others=tuple(others))
 
 
 def _of_axis(derivation: Derivation, axis: int, context: Context) -> Iterator[CrossCheck]:
@@ -67,8 +69,9 @@ def _of_axis(derivation: Derivation, axis: int, context: Context) -> Iterator[Cr
 
 def _collision(name: str, v: Mapping[str, float]) -> CrossCheck:
     deg = (v["collision_torque"] - v["integral_limit"]) / max(v["k_p"], 1e-30) / RAD_PER_DEG
-    return CrossCheck(f"{name} smallest tracking error that is a collision (Eq. 23)", deg, *COLLISION_DEG,
-                      "motor deg", "collision_torque, integral_limit and k_p must belong together")  # fmt: skip
+    what = f"{name} smallest tracking error that is a collision (Eq. 23)"
+    remedy = "collision_torque, integral_limit and k_p must belong together"
+    return CrossCheck(what, deg, *COLLISION_DEG, "motor deg", remedy)
 
 
 def _reserve(name: str, v: Mapping[str, float]) -> CrossCheck:
@@ -77,8 +80,8 @@ def _reserve(name: str, v: Mapping[str, float]) -> CrossCheck:
         + v["drag"] * v["speed_default"] * RAD_S_PER_RPM + v["inertia"] * v["acceleration"]
     )  # fmt: skip
     share = 1.0 - needed / (v["torque_per_volt"] * v["u_dc"])
-    return CrossCheck(f"{name} torque left at {v['speed_default']:g} rpm", share, RESERVE, None, "of the full one",
-                      "look for friction, or check the supply")  # fmt: skip
+    what = f"{name} torque left at {v['speed_default']:g} rpm"
+    return CrossCheck(what, share, RESERVE, None, "of the full one", "look for friction, or check the supply")
 
 
 def _model_error(name: str, v: Mapping[str, float], e: Mapping[str, float]) -> CrossCheck:
@@ -126,5 +129,5 @@ def _bend(name: str, v: Mapping[str, float], found: Quantities) -> CrossCheck:
     stiffness = found.get(f"{name} stiffness")
     value = stiffness.value if stiffness is not None else None
     bend = None if not value else v["contact_torque"] * GEAR * 1e3 / value
-    return CrossCheck(f"{name} arm gives way at contact_torque by", bend, None, BEND_DEG, "deg",
-                      "the gear is too soft for the watch to protect a neighbour: refuse the unit")  # fmt: skip
+    remedy = "the gear is too soft for the watch to protect a neighbour: refuse the unit"
+    return CrossCheck(f"{name} arm gives way at contact_torque by", bend, None, BEND_DEG, "deg", remedy)

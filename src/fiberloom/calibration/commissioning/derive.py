@@ -7,7 +7,7 @@ that is refused keeps the positioner from being written at all; see `Derivation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from fiberloom.bus.parameters import PARAMETERS, PARAMETERS_BY_NAME, AxisParamet
 from fiberloom.bus.protocol import GEAR
 from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.commissioning.gains import control_gains
-from fiberloom.calibration.commissioning.measured import Measured, Quantities
+from fiberloom.calibration.commissioning.measured import Quantities
 from fiberloom.units import RAD_PER_DEG
 
 MEASURED, DERIVED, OWN, FACTORY = "measured", "derived", "self-calibrated", "factory"
@@ -145,14 +145,15 @@ class Derivation:
 
     positioner_id: int
     findings: tuple[Finding, ...]
-    checks: tuple[CrossCheck, ...] = field(default=())
+    checks: tuple[CrossCheck, ...] = ()
+    others: tuple[str, ...] = ()
+    """Why something that no parameter follows from (arms, stiffness, maps) could not be measured."""
 
     @property
     def refused(self) -> list[str]:
         """Every reason why nothing is written; empty when it may be."""
-        return [
-            f"{AXES[f.axis]} {f.name}: {f.reason}" for f in self.findings if f.reason
-        ] + [c.reason for c in self.checks if c.reason]  # fmt: skip
+        own = [f"{AXES[f.axis]} {f.name}: {f.reason}" for f in self.findings if f.reason]
+        return own + [c.reason for c in self.checks if c.reason] + list(self.others)
 
     def of(self, axis: int, name: str) -> Finding:
         """The finding of a parameter."""
@@ -204,36 +205,38 @@ def _measured(blank: Finding, found: Quantities, u_dc: float) -> Finding:
         return blank
     where = f"{quantity.name} ({rule.how}): {quantity.source}"
     if quantity.value is None or quantity.standard_error is None:
-        return _refused(replace(blank, origin=MEASURED, provenance=where), f"{quantity.reason}; measure again")
+        lost = replace(blank, origin=MEASURED, provenance=where)
+        return _refused(lost, f"{quantity.reason}; measure again")
     factor = rule.factor / (u_dc if blank.name == "torque_per_volt" else 1.0)
     value, error = quantity.value * factor, abs(quantity.standard_error * factor)
     finding = replace(blank, origin=MEASURED, provenance=where, value=value, standard_error=error)
-    return _judged(finding, rule, quantity)
+    reason = _fault(finding, value, error, rule)
+    return _refused(finding, reason) if reason else finding
 
 
 def _refused(finding: Finding, reason: str) -> Finding:
     return replace(finding, value=None, reason=reason)
 
 
-def _judged(finding: Finding, rule: _Rule, quantity: Measured) -> Finding:
-    """The finding, or its refusal: range, error, distance from the nominal unit."""
-    value, error = finding.value, finding.standard_error
-    assert value is not None and error is not None
+def _fault(finding: Finding, value: float, error: float, rule: _Rule) -> str:
+    """Why a measured value is not taken: range, error, distance from the nominal unit; empty where it is."""
     told = f"{value:.4g} +- {error:.2g} {finding.unit}"
-    relative = error if finding.name == "cogging_phase" else error / max(abs(value), 1e-300)
     if not (np.isfinite(value) and finding.low <= value <= finding.high):
-        return _refused(finding, f"{told} is outside of {finding.low:g} to {finding.high:g}; "
-                                 f"check the unit's wiring and measure {quantity.name} again")  # fmt: skip
-    if not relative <= rule.relative_error:
-        most = f"{rule.relative_error:g} rad" if finding.unit == "rad" else f"{100 * rule.relative_error:g} %"
-        return _refused(finding, f"{told}: a standard error of {most} at most is taken; "
-                                 "measure longer, or with a better weight")  # fmt: skip
+        return (
+            f"{told} is outside of {finding.low:g} to {finding.high:g}; check the unit's wiring and "
+            f"measure {rule.quantity} again"
+        )
+    in_rad = finding.unit == "rad"
+    if not error <= rule.relative_error * (1.0 if in_rad else abs(value)):
+        most = f"{rule.relative_error:g} rad" if in_rad else f"{100 * rule.relative_error:g} %"
+        return f"{told}: a standard error of {most} at most is taken; measure longer, or with a better weight"
     ratio = abs(value / finding.factory) if finding.factory else 1.0
     if rule.decades and not 1.0 / DECADE <= ratio <= DECADE:
-        return _refused(finding, f"{told} is {ratio:.3g} times the nominal unit's {finding.factory:.4g}, "
-                                 f"{1 / DECADE:.2g} to {DECADE:g} is believed; is it the right unit, axis, "
-                                 "weight?")  # fmt: skip
-    return finding
+        return (
+            f"{told} is {ratio:.3g} times the nominal unit's {finding.factory:.4g}; "
+            f"{1 / DECADE:.2g} to {DECADE:g} times is believed: is it the right unit, axis, weight?"
+        )
+    return ""
 
 
 def _gains(blanks: Mapping[str, Finding], inertia: Finding) -> Iterator[Finding]:
@@ -250,6 +253,7 @@ def _gains(blanks: Mapping[str, Finding], inertia: Finding) -> Iterator[Finding]
         if inertia.value is None:
             yield _refused(finding, "the inertia that it follows from was refused")
         elif not finding.low <= value <= finding.high:
-            yield _refused(finding, f"{value:.4g} {finding.unit} is outside of {finding.low:g} to {finding.high:g}")
+            limits = f"{finding.low:g} to {finding.high:g}"
+            yield _refused(finding, f"{value:.4g} {finding.unit} is outside of {limits}")
         else:
             yield finding

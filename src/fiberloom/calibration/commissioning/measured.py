@@ -1,4 +1,4 @@
-"""What a bench found of one positioner, quantity by quantity: from estimates, or from files of earlier runs."""
+"""What a bench found of one positioner, quantity by quantity: from estimates, or from files."""
 
 from __future__ import annotations
 
@@ -54,8 +54,10 @@ def _is_pushed(measurement: str, quantity: str) -> bool:
     return measurement == "inertia" and quantity.endswith(" drag")
 
 
-def of_maps(maps: TransmissionMaps, row: int, source: str) -> Quantities:
-    """The largest backlash of each axis of a positioner."""
+def of_maps(maps: TransmissionMaps, row: int, source: str, reason: str = "") -> Quantities:
+    """The largest backlash of each axis of a positioner; `reason`: why its maps are none."""
+    if reason:
+        return {(key := BACKLASH.format(name)): refused_quantity(key, reason, source) for name in AXES}
     out = {}
     for axis, name in enumerate(AXES):
         low, high = maps.output_deg[row, axis, :, [0, -1]].T
