@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fiberloom.cli import app
+from fiberloom.cli.app import app
 from fiberloom.errors import InputError
 from fiberloom.instruments import presets
 from fiberloom.tables import read_table

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from fiberloom.bus import Client
 from fiberloom.calibration import SweepSettings, measure_sweeps
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
-from fiberloom.calibration.transmission import evaluate
+from fiberloom.calibration.transmission.evaluate import evaluate
 from fiberloom.calibration.transmission.maps import Provenance
-from fiberloom.cli import app
+from fiberloom.cli.app import app
 from fiberloom.studies.lifetime import WAYS, LifetimeSettings, calibrate, lifetime, sweeps
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Twin, TwinTransport, bench_units, worn
 from fiberloom.twin.noise import UnitNoise

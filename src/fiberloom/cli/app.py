@@ -294,7 +294,8 @@ def focal_plane(
     as_json: JsonOption = False,
 ) -> None:
     """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
-    from fiberloom.cli.focal_plane import FocalPlaneRequest, flat_convergence, run_calibrate_focal_plane
+    from fiberloom.calibration.focal_plane.convergence import flat_convergence
+    from fiberloom.cli.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
 
     request = FocalPlaneRequest(
         out=out,

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.calibration import SweepData, SweepSettings, wire_grid
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration, AdaptiveSettings
-from fiberloom.calibration.transmission import evaluate
-from fiberloom.calibration.transmission.evaluate import CalibrationReport
+from fiberloom.calibration.transmission.evaluate import CalibrationReport, evaluate
 from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, Provenance, TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
