@@ -20,6 +20,7 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Result, Results, result_of
 from fiberloom.bus.protocol import COMMANDS, Command, Response, Status
 from fiberloom.errors import InputError
+from fiberloom.typing import Flags
 
 _SET = (Command.SET_PARAMETER_ALPHA, Command.SET_PARAMETER_BETA)
 _GET = (Command.GET_PARAMETER_ALPHA, Command.GET_PARAMETER_BETA)
@@ -147,21 +148,22 @@ def _told(result: Result) -> str:
     return str(result).partition(": ")[2]
 
 
-async def _read_values(client: Client, ids: Sequence[int]) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
+Asked = tuple[int, tuple[int, ...]]
+"""A positioner, and the values of a request to it."""
+
+
+async def _read_values(client: Client, ids: Sequence[int]) -> tuple[NDArray[np.uint32], Flags]:
     """Bits (n, 2, P), and whether every one of them was answered (n,)."""
     bits = np.zeros((len(ids), 2, len(PARAMETERS)), dtype=np.uint32)
     heard = np.zeros(bits.shape, dtype=bool)
     row_of = {number: row for row, number in enumerate(ids)}
     for axis in range(2):
-        asked = [(i, (p.index,)) for p in PARAMETERS for i in ids]
+        asked: list[Asked] = [(i, (p.index,)) for p in PARAMETERS for i in ids]
         for (number, (index,)), result in await _many(client, _GET[axis], asked):
             if result.ok and result.values[0] == index:
                 bits[row_of[number], axis, index] = result.values[1]
                 heard[row_of[number], axis, index] = True
-    return bits, heard.all(axis=(1, 2))
-
-
-Asked = tuple[int, tuple[int, ...]]
+    return bits, np.asarray(heard.all(axis=(1, 2)))
 
 
 async def _many(client: Client, command: Command, asked: list[Asked]) -> list[tuple[Asked, Result]]:

@@ -306,7 +306,7 @@ def _print(content: dict[str, Any], request: BenchRequest) -> None:
 def _table(title: str, records: list[dict[str, Any]]) -> Table:
     kept = sum(r["origin"] == "factory" for r in records)
     table = Table(
-        box=box.SIMPLE, title=title, title_justify="left", pad_edge=False,
+        box=box.SIMPLE, title=title, title_justify="left", padding=(0, 1, 0, 0),
         caption=f"{kept} parameters kept from the factory", caption_justify="left",
     )  # fmt: skip
     for name in ("parameter", "factory", "found", "unit", "limits", ""):
