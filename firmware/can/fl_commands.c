@@ -75,7 +75,7 @@ static const fl_command_row_t rows[] = {
     ROW(140, 4, 4, 0, QUERY, A12, 0, fl_handle_set_trajectories),
     ROW(200, 8, 8, L, BOOT, A12, 0, fl_handle_upgrade),
     ROW(201, 1, 8, L, BOOT, A12, 0, fl_handle_image),
-    ROW(230, 0, 0, 0, QUERY, A12, 0, fl_handle_params_table),
+    ROW(230, 0, 0, 0, SETTING, A12, 0, fl_handle_params_table),
     ROW(231, 4, 4, 0, SETTING, A12, 0, fl_handle_params_begin),
     ROW(232, 5, 5, 0, SETTING, A1, 0, fl_handle_param_set),
     ROW(233, 5, 5, 0, SETTING, A2, 0, fl_handle_param_set),

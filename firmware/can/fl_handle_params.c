@@ -51,7 +51,8 @@ static float *value_of(fl_axis_params_t *params, uint8_t index) { return (float 
 
 static int axis_of(const fl_request_t *rq) { return rq->axes == FL_AXIS_ALPHA_BIT ? FL_ALPHA : FL_BETA; }
 
-/* CRC-32 of the table (names, units, ranges), and of the values in force. */
+/* CRC-32 of the table (names, units, ranges), and of the values in force: 2 KB to go through, so at rest
+ * only, as a save. */
 FL_HANDLER(fl_handle_params_table) {
     UNUSED(rq);
     fl_reply_u32(re, fl_params_table_crc());

@@ -243,13 +243,15 @@ static uint32_t move_script(bench_t *b, fl_can_frame_t *out) {
     return 2;
 }
 
+static const float range[][2] = {
+#define X(name, unit, min, max, def, doc) {(float)(min), (float)(max)},
+    FL_AXIS_PARAMS(X)
+#undef X
+};
+enum { PARAMS = sizeof range / sizeof *range };
+
 /* A value of the table: near the one in force, or anywhere in its range. */
 static float param_value(bench_t *b, const fl_positioner_t *p, int axis, uint8_t index) {
-    static const float range[][2] = {
-#define X(name, unit, min, max, def, doc) {(float)(min), (float)(max)},
-        FL_AXIS_PARAMS(X)
-#undef X
-    };
     const float now = ((const float *)&p->params[axis])[index];
     if (chance(b, 12))
         return range[index][0] + (range[index][1] - range[index][0]) * (float)(random_u32(b) % 1000) * 1e-3f;
@@ -266,7 +268,7 @@ static uint32_t params_script(bench_t *b, const fl_positioner_t *p, fl_can_frame
     const uint32_t sets = 1 + random_u32(b) % 6;
     for (uint32_t k = 0; k < sets; ++k) {
         const int axis = (int)(random_u32(b) % FL_AXES);
-        const uint8_t index = (uint8_t)(random_u32(b) % (sizeof *meant / sizeof(float)));
+        const uint8_t index = (uint8_t)(random_u32(b) % PARAMS);
         const float value = param_value(b, p, axis, index);
         out[2 + k] = request((uint8_t)(232 + axis), (uint8_t)(3 + k));
         out[2 + k].data[0] = index;
@@ -361,8 +363,11 @@ static void follow_image(bench_t *b, const fl_positioner_t *p, const fl_can_fram
 /* Values set one by one, taken together; 41 and 112 set voltages. False: they are not what was asked for. */
 static bool follow_params(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f, uint8_t command) {
     params_model_t *m = &b->params;
+    const uint8_t index = f->data[0];
     uint32_t crc;
+    float value;
     memcpy(&crc, f->data, sizeof crc);
+    memcpy(&value, f->data + 1, sizeof value);
     switch (command) {
     case 231:
         memcpy(m->copy, m->now, sizeof m->copy);
@@ -370,12 +375,14 @@ static bool follow_params(bench_t *b, const fl_positioner_t *p, const fl_can_fra
         return crc == fl_params_table_crc();
     case 232:
     case 233:
-        memcpy((float *)&m->copy[command - 232] + f->data[0], f->data + 1, sizeof(float));
-        return m->begun;
+        if (!m->begun || index >= PARAMS) return false;
+        ((float *)&m->copy[command - 232])[index] = value;
+        return value >= range[index][0] && value <= range[index][1];
     case 234:
         b->commits_good += 1;
         memcpy(m->now, m->copy, sizeof m->now);
         m->begun = false;
+        for (int i = 0; i < FL_AXES; ++i) sequence_hold(&b->model, m->now[i].holding_voltage);
         return fl_crc_end(fl_crc_add(FL_CRC_START, m->now, sizeof m->now)) == crc &&
                fl_params_fault(&m->now[0]) < 0 && fl_params_fault(&m->now[1]) < 0;
     case 41:

@@ -146,6 +146,7 @@ def test_nothing_is_set_in_motion():
     assert unit.goto(60.0, 60.0) == ACCEPTED
     unit.unit.tick(100)
     assert begin(unit) == put(unit, 0, "coulomb", 1e-5) == commit(unit, rows) == rig.IN_MOTION
+    assert unit.code(TABLE) == rig.IN_MOTION
     assert get(unit, 0, "coulomb") == np.float32(2e-5)
     unit.wait()
     assert commit(unit, rows) == ACCEPTED
