@@ -106,6 +106,40 @@ def test_not_saved_is_gone_after_a_power_cut(bench):
         assert bench.held(number) == bench.factory(number)
 
 
+def test_a_save_that_may_have_been_done_is_undone(bench):
+    """Its answers are lost, and it is not known whether the new ones are in the storage: they are."""
+    lost = Once(Command.SAVE_INTERNAL_CALIBRATION, nth=1, forever=True)
+    bench.bus.lose_answer = lambda identifier: lost(identifier) and lost.seen <= 2 * len(IDS)
+    done = bench.write()
+    assert "timed out to SAVE_INTERNAL_CALIBRATION" in done[IDS[0]].reason
+    assert bench.held() == bench.factory()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        Command.SET_PARAMETER_BETA,
+        Command.COMMIT_PARAMETERS,
+        Command.GET_PARAMETER_BETA,
+        Command.SAVE_INTERNAL_CALIBRATION,
+    ],
+)
+def test_a_power_cut_at_any_step_leaves_the_old_ones(bench, command):
+    first = Once(command, IDS[0], nth=60 if command == Command.GET_PARAMETER_BETA else 1)
+
+    def cut(identifier):
+        if first(identifier):
+            bench.twin.power_cycle(IDS[0])
+        return False
+
+    bench.bus.lose_request = cut
+    done = bench.write()
+    assert [done[i].ok for i in IDS] == [False, True, True]
+    assert done[IDS[0]].in_force == "old"
+    assert bench.held(power_cut=False) == bench.factory()
+    assert bench.held() == bench.factory()
+
+
 @pytest.mark.parametrize("lose", ["lose_request", "lose_answer"])
 @pytest.mark.parametrize("nth", [1, 5])
 def test_one_lost_frame_is_sent_again(bench, lose, nth):

@@ -302,16 +302,22 @@ class _Writer:
         ids = self._left()
         saved = await self._client.command(Command.SAVE_INTERNAL_CALIBRATION, ids)
         status = await self._client.status(saved.ok_ids)
+        tables = await self._client.command(Command.GET_PARAMETER_TABLE, saved.ok_ids)
         for i in ids:
-            if not saved[i].ok:
+            if saved[i].outcome is Outcome.REFUSED:
                 await self.restore([i], f"{_told(saved[i])} to SAVE_INTERNAL_CALIBRATION")
+            elif not saved[i].ok:
+                await self.restore([i], f"{_told(saved[i])} to SAVE_INTERNAL_CALIBRATION", perhaps_saved=True)
             elif not _is_saved(status[i]):
-                await self.restore([i], "it does not report what was saved")
+                await self.restore([i], "it does not report what was saved", perhaps_saved=True)
+            elif not tables[i].ok or tables[i].values[1] != values_crc(self._wanted[i]):
+                # its power was cut in between: it has saved what it started with
+                await self.restore([i], "other parameters are in force after the save", perhaps_saved=True)
             else:
                 self.changed.pop(i, None)
 
-    async def restore(self, ids: list[int], why: str) -> None:
-        """Puts the old parameters back in force, and says why."""
+    async def restore(self, ids: list[int], why: str, perhaps_saved: bool = False) -> None:
+        """Puts the old parameters back in force (and in the storage, if need be), and says why."""
         if not ids:
             return
         old = {i: self._before[i].values for i in ids}
@@ -319,15 +325,23 @@ class _Writer:
             self._fault[i] = ""
         await self._stage(ids, old)
         await self._commit([i for i in ids if not self._fault[i]], old)
+        kept = Results()
+        if perhaps_saved:
+            back = [i for i in ids if not self._fault[i]]
+            kept = await self._client.command(Command.SAVE_INTERNAL_CALIBRATION, back)
         for i in ids:
-            self.changed.pop(i, None)
-            good = not self._fault[i]
-            self._in_force[i] = "old" if good else "unknown"
-            after = "the old parameters are in force again" if good else (
-                f"putting the old ones back failed ({self._fault[i]}): switch its power off and on, "
-                "it then starts with what was saved before"
-            )  # fmt: skip
-            self._fault[i] = f"{why}; {after}"
+            self._conclude(i, why, i in kept.failed)
+
+    def _conclude(self, number: int, why: str, not_kept: bool) -> None:
+        self.changed.pop(number, None)
+        fault = self._fault[number]
+        self._in_force[number] = "unknown" if fault else "old"
+        after = "the old parameters are in force again"
+        if fault:
+            after = f"putting the old ones back failed ({fault}): switch its power off and on, and repeat"
+        elif not_kept:
+            after += ", but after a power cut it may start with the new ones: repeat"
+        self._fault[number] = f"{why}; {after}"
 
 
 def _is_saved(status: Result) -> bool:
