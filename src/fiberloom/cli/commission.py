@@ -30,7 +30,7 @@ from fiberloom.calibration.commissioning.commission import (
     write_units,
 )
 from fiberloom.calibration.commissioning.derive import Derivation
-from fiberloom.calibration.commissioning.measured import Quantities, merged, of_file, of_maps
+from fiberloom.calibration.commissioning.measured import Quantities, merged, of_data_sheet, of_file, of_maps
 from fiberloom.calibration.transmission import maps as maps_file
 from fiberloom.calibration.transmission.sweep import calibrate_transmission
 from fiberloom.cli.acceptance import AcceptanceFound, acceptance_of, write_acceptance
@@ -118,6 +118,9 @@ async def _commission(
     wait.say("own calibrations")
     before = await begin(rig.client, request.plane)
     parts: Parts = {}
+    if not settings.weights:
+        sheet = of_data_sheet(request.plane)
+        parts["data sheet"] = {int(i): sheet for i in request.plane.positioner_id}
     for name, work in _works(request, settings).items():
         wait.say(f"measuring {name}")
         try:
@@ -314,7 +317,7 @@ def _table(title: str, records: list[dict[str, Any]]) -> Table:
     for r in records:
         if r["origin"] == "factory":
             continue
-        style = {"set": "green", "refused": "red"}.get(r["verdict"], "dim")
+        style = {"good": "green", "refused": "red"}.get(r["verdict"], "dim")
         word = "own" if r["verdict"] == "kept" else r["verdict"]
         table.add_row(
             r["parameter"], f"{r['factory']:.3g}", number_text(r), r["unit"],

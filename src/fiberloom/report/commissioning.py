@@ -68,7 +68,7 @@ def _table(records: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _row(r: Mapping[str, Any]) -> str:
-    kind = {"set": "pass", "refused": "fail"}.get(r["verdict"], "other")
+    kind = {"good": "pass", "refused": "fail"}.get(r["verdict"], "other")
     note = html.escape(r["reason"] or r["provenance"])
     return (
         f"<tr><td>{r['axis']} {html.escape(r['parameter'])}"

@@ -92,7 +92,7 @@ def _model_error(name: str, v: Mapping[str, float], e: Mapping[str, float]) -> C
     )  # fmt: skip
     share = 3.0 * float(sigma) / max(v["contact_torque"], 1e-30)
     return CrossCheck(f"{name} three standard errors of the model", share, None, MODEL_ERROR_SHARE,
-                      "of contact_torque", "measure friction longer")  # fmt: skip
+                      "of contact_torque", "measure friction longer, or with a weight")  # fmt: skip
 
 
 def _two_drags(name: str, found: Quantities) -> CrossCheck:

@@ -87,10 +87,10 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """refused, kept, or set."""
+        """refused, kept, or good."""
         if self.reason:
             return "refused"
-        return "kept" if self.origin in (FACTORY, OWN) else "set"
+        return "kept" if self.origin in (FACTORY, OWN) else "good"
 
     def record(self) -> dict[str, Any]:
         """As a file holds it."""
@@ -227,7 +227,7 @@ def _fault(finding: Finding, value: float, error: float, rule: _Rule) -> str:
             f"measure {rule.quantity} again"
         )
     in_rad = finding.unit == "rad"
-    if not error <= rule.relative_error * (1.0 if in_rad else abs(value)):
+    if not error <= 1.000001 * rule.relative_error * (1.0 if in_rad else abs(value)):
         most = f"{rule.relative_error:g} rad" if in_rad else f"{100 * rule.relative_error:g} %"
         return f"{told}: a standard error of {most} at most is taken; measure longer, or with a better weight"
     ratio = abs(value / finding.factory) if finding.factory else 1.0

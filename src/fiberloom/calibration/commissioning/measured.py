@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from fiberloom.calibration.bench.estimate import Estimate
-from fiberloom.calibration.bench.torque import AXES
+from fiberloom.calibration.bench.torque import AXES, data_sheet_scale
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,17 @@ def _of_record(name: str, record: Mapping[str, Any], source: str) -> Measured:
 def refused_quantity(name: str, reason: str, source: str) -> Measured:
     """One that a measurement should have given and did not."""
     return Measured(name, "", None, None, reason, source)
+
+
+def of_data_sheet(plane: FocalPlane) -> Quantities:
+    """The torque at full voltage that measurements without a weight believe in: the same for every unit."""
+    out = {}
+    for axis, name in enumerate(AXES):
+        scale = data_sheet_scale(plane, axis)
+        key, value = f"{name} torque at full voltage", float(scale.full_uNm)
+        error = value * float(scale.relative_error)
+        out[key] = Measured(key, "uNm", value, error, "", f"data sheet of {plane.instrument.name}")
+    return out
 
 
 def of_file(path: Path, marks: Mapping[str, Any]) -> dict[int, Quantities]:
