@@ -4,10 +4,13 @@
 #include "fiberloom/arm.hpp"
 #include "fiberloom/distance.hpp"
 
+#include <algorithm>
+
 namespace {
 
-using Arms = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
-using Pairs = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+using Arms = Input<double, -1, 5>;
+using Pairs = Input<double, -1, 2>;
+using Segments = Input<double, -1, 4>;
 
 fl::Arm arm_at(const Arms &arms, size_t i) {
     const double *a = arms.data() + 5 * i;
@@ -24,33 +27,41 @@ fl::Angles angles_at(const Pairs &pairs, size_t i) {
     return {p[0], p[1]};
 }
 
+fl::Segment segment_at(const Segments &rows, size_t i) {
+    const double *s = rows.data() + 4 * i;
+    return {{s[0], s[1]}, {s[2], s[3]}};
+}
+
 void same_rows(size_t n, std::initializer_list<size_t> others) {
     for (size_t m : others)
         if (m != n) throw nb::value_error("arms, points, angles and targets need the same number of rows");
 }
 
-nb::object forward(Arms arms, Pairs point, Pairs angles) {
+Output<double, -1, 2> forward(Arms arms, Pairs point, Pairs angles) {
     const size_t n = arms.shape(0);
     same_rows(n, {point.shape(0), angles.shape(0)});
-    auto xy = new_array<double>({n, 2});
+    auto xy = new_array<double, -1, 2>({n, 2});
     for (size_t i = 0; i < n; ++i) {
         const fl::Vec2 p = fl::forward(arm_at(arms, i), vec_at(point, i), angles_at(angles, i));
         xy.data()[2 * i] = p.x;
         xy.data()[2 * i + 1] = p.y;
     }
-    return xy.cast();
+    return xy;
 }
 
-nb::tuple inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
+constexpr nb::ssize_t max_solutions = fl::Solutions::max_count;
+using Inverse = std::tuple<Output<double, -1, max_solutions, 2>, Output<int, -1>, Output<double, -1>>;
+
+Inverse inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
     const size_t n = arms.shape(0);
     same_rows(n, {point.shape(0), target.shape(0)});
     if (limits.shape(0) != 2) throw nb::value_error("limits: [[alpha_min, alpha_max], [beta_min, beta_max]]");
     const double *l = limits.data();
     const fl::Limits lim{l[0], l[1], l[2], l[3]};
     constexpr size_t k = fl::Solutions::max_count;
-    auto angles = new_array<double>({n, k, 2});
-    auto count = new_array<int>({n});
-    auto gap = new_array<double>({n});
+    auto angles = new_array<double, -1, max_solutions, 2>({n, k, 2});
+    auto count = new_array<int, -1>({n});
+    auto gap = new_array<double, -1>({n});
     for (size_t i = 0; i < n; ++i) {
         const fl::Solutions s = fl::inverse(arm_at(arms, i), vec_at(point, i), vec_at(target, i), lim);
         for (size_t j = 0; j < k; ++j) {
@@ -60,59 +71,52 @@ nb::tuple inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
         count.data()[i] = s.count;
         gap.data()[i] = s.gap_mm;
     }
-    return nb::make_tuple(angles.cast(), count.cast(), gap.cast());
+    return {angles, count, gap};
 }
 
-nb::object jacobian(Arms arms, Pairs point, Pairs angles) {
+Output<double, -1, 2, 2> jacobian(Arms arms, Pairs point, Pairs angles) {
     const size_t n = arms.shape(0);
     same_rows(n, {point.shape(0), angles.shape(0)});
-    auto out = new_array<double>({n, 2, 2});
+    auto out = new_array<double, -1, 2, 2>({n, 2, 2});
     for (size_t i = 0; i < n; ++i) {
         const auto j = fl::jacobian(arm_at(arms, i), vec_at(point, i), angles_at(angles, i));
         std::copy(j.begin(), j.end(), out.data() + 4 * i);
     }
-    return out.cast();
+    return out;
 }
 
-using Quads = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
-
-fl::Segment segment_at(const Quads &quads, size_t i) {
-    const double *q = quads.data() + 4 * i;
-    return {{q[0], q[1]}, {q[2], q[3]}};
-}
-
-nb::object segment_distance(Quads first, Quads second) {
+Output<double, -1> segment_distance(Segments first, Segments second) {
     const size_t n = first.shape(0);
     same_rows(n, {second.shape(0)});
-    auto out = new_array<double>({n});
+    auto out = new_array<double, -1>({n});
     for (size_t i = 0; i < n; ++i)
         out.data()[i] = fl::segment_distance(segment_at(first, i), segment_at(second, i));
-    return out.cast();
+    return out;
 }
 
-nb::object closest_points(Quads first, Quads second) {
+Output<double, -1, 7> closest_points(Segments first, Segments second) {
     const size_t n = first.shape(0);
     same_rows(n, {second.shape(0)});
-    auto out = new_array<double>({n, 7});
+    auto out = new_array<double, -1, 7>({n, 7});
     for (size_t i = 0; i < n; ++i) {
         const fl::Closest c = fl::closest_points(segment_at(first, i), segment_at(second, i));
         const double row[] = {c.on_first.x,  c.on_first.y,   c.on_second.x, c.on_second.y,
                               c.along_first, c.along_second, c.distance_mm};
         std::copy(std::begin(row), std::end(row), out.data() + 7 * i);
     }
-    return out.cast();
+    return out;
 }
 
-nb::object beta_segment(Arms arms, double from_mm, double to_mm, Pairs angles) {
+Output<double, -1, 4> beta_segment(Arms arms, double from_mm, double to_mm, Pairs angles) {
     const size_t n = arms.shape(0);
     same_rows(n, {angles.shape(0)});
-    auto out = new_array<double>({n, 4});
+    auto out = new_array<double, -1, 4>({n, 4});
     for (size_t i = 0; i < n; ++i) {
         const fl::Segment s = fl::beta_segment(arm_at(arms, i), from_mm, to_mm, angles_at(angles, i));
         const double row[] = {s.a.x, s.a.y, s.b.x, s.b.y};
         std::copy(std::begin(row), std::end(row), out.data() + 4 * i);
     }
-    return out.cast();
+    return out;
 }
 
 } // namespace

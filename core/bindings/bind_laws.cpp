@@ -3,6 +3,9 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
+
+#include <nanobind/stl/optional.h>
 
 extern "C" {
 #include "fl_axis.h"
@@ -14,7 +17,7 @@ extern "C" {
 
 namespace {
 
-using Params = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Params = Input1<float>;
 
 fl_axis_params_t params_of(const Params &row) {
     fl_axis_params_t p;
@@ -36,67 +39,67 @@ void same_length(size_t a, size_t b) {
     if (a != b) throw nb::value_error("arrays need the same length");
 }
 
-nb::object sine_cosine(Input1<int32_t> angle_cnt) {
+Output<float, -1, 2> sine_cosine(Input1<int32_t> angle_cnt) {
     const size_t n = angle_cnt.shape(0);
-    auto out = new_array<float>({n, 2});
+    auto out = new_array<float, -1, 2>({n, 2});
     for (size_t i = 0; i < n; ++i) {
         const fl_sincos_t v = fl_sincos_cnt(angle_cnt.data()[i]);
         out.data()[2 * i] = v.sin;
         out.data()[2 * i + 1] = v.cos;
     }
-    return out.cast();
+    return out;
 }
 
-nb::object atan2_cnt(Input1<float> s, Input1<float> c) {
+Output<int32_t, -1> atan2_cnt(Input1<float> s, Input1<float> c) {
     same_length(s.shape(0), c.shape(0));
-    auto out = new_array<int32_t>({s.shape(0)});
+    auto out = new_array<int32_t, -1>({s.shape(0)});
     for (size_t i = 0; i < s.shape(0); ++i) out.data()[i] = fl_atan2_cnt(s.data()[i], c.data()[i]);
-    return out.cast();
+    return out;
 }
 
-nb::object square_root(Input1<float> x) {
-    auto out = new_array<float>({x.shape(0)});
+Output<float, -1> square_root(Input1<float> x) {
+    auto out = new_array<float, -1>({x.shape(0)});
     for (size_t i = 0; i < x.shape(0); ++i) out.data()[i] = fl_sqrt(x.data()[i]);
-    return out.cast();
+    return out;
 }
 
 // Unwrapped angles of a row of samples.
-nb::object hall_angle(Params params, Input2<uint16_t> adc_cnt) {
+Output<int32_t, -1> hall_angle(Params params, Input2<uint16_t> adc_cnt) {
     if (adc_cnt.shape(1) != 2) throw nb::value_error("adc_cnt: (n, 2)");
     const auto axis = axis_of(params);
-    auto out = new_array<int32_t>({adc_cnt.shape(0)});
+    auto out = new_array<int32_t, -1>({adc_cnt.shape(0)});
     for (size_t i = 0; i < adc_cnt.shape(0); ++i)
         out.data()[i] = fl_hall_step(&axis->law.hall, &axis->hall, adc_cnt.data() + 2 * i).angle_cnt;
-    return out.cast();
+    return out;
 }
 
-nb::object commutate(Input1<float> voltage, Input2<float> rotor, float lead_rad) {
+Output<float, -1, 3> commutate(Input1<float> voltage, Input2<float> rotor, float lead_rad) {
     same_length(voltage.shape(0), rotor.shape(0));
     if (rotor.shape(1) != 2) throw nb::value_error("rotor: (n, 2) of sine and cosine");
-    auto out = new_array<float>({voltage.shape(0), 3});
+    auto out = new_array<float, -1, 3>({voltage.shape(0), 3});
     for (size_t i = 0; i < voltage.shape(0); ++i) {
         const fl_sincos_t r{rotor.data()[2 * i], rotor.data()[2 * i + 1]};
         const fl_duty_t d = fl_commutate(voltage.data()[i], r, lead_rad);
         std::copy_n(d.phase, 3, out.data() + 3 * i);
     }
-    return out.cast();
+    return out;
 }
 
-nb::object rotating_field(float u, Input1<int32_t> field_cnt) {
-    auto out = new_array<float>({field_cnt.shape(0), 3});
+Output<float, -1, 3> rotating_field(float u, Input1<int32_t> field_cnt) {
+    auto out = new_array<float, -1, 3>({field_cnt.shape(0), 3});
     for (size_t i = 0; i < field_cnt.shape(0); ++i) {
         const fl_duty_t d = fl_rotating_field(u, field_cnt.data()[i]);
         std::copy_n(d.phase, 3, out.data() + 3 * i);
     }
-    return out.cast();
+    return out;
 }
 
 // Rows in: command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2. Rows out: torque, feedforward,
 // watched feedback, learnt drag scale, collision (0 or 1).
-nb::object servo(Params params, Input2<double> rows, bool settling) {
+Output<double, -1, 5> servo(Params params, Input2<double> rows, bool settling) {
     if (rows.shape(1) != 4) throw nb::value_error("rows: (n, 4)");
     const auto axis = axis_of(params);
-    auto out = new_array<double>({rows.shape(0), 5});
+    auto out = new_array<double, -1, 5>({rows.shape(0), 5});
     for (size_t i = 0; i < rows.shape(0); ++i) {
         const double *r = rows.data() + 4 * i;
         const auto command = static_cast<int32_t>(r[0]), measured = static_cast<int32_t>(r[1]);
@@ -110,37 +113,38 @@ nb::object servo(Params params, Input2<double> rows, bool settling) {
                                double(hit)};
         std::copy_n(row, 5, out.data() + 5 * i);
     }
-    return out.cast();
+    return out;
 }
 
 // Rows out: position_cnt now, speed_rad_s and acceleration_rad_s2 over the coming tick.
-nb::object smooth(Input1<int32_t> raw_cnt, int32_t start_cnt) {
+Output<double, -1, 3> smooth(Input1<int32_t> raw_cnt, int32_t start_cnt) {
     fl_smooth_state_t st;
     fl_smooth_reset(&st, start_cnt);
-    auto out = new_array<double>({raw_cnt.shape(0), 3});
+    auto out = new_array<double, -1, 3>({raw_cnt.shape(0), 3});
     for (size_t i = 0; i < raw_cnt.shape(0); ++i) {
         const fl_command_t c = fl_smooth_step(&st, raw_cnt.data()[i]);
         const double row[3] = {double(c.position_cnt), c.speed_rad_s, c.acceleration_rad_s2};
         std::copy_n(row, 3, out.data() + 3 * i);
     }
-    return out.cast();
+    return out;
 }
 
 // Positions at the end of each tick, target last.
-nb::object profile(int32_t from_cnt, int32_t to_cnt, float speed_rpm, float acceleration_rad_s2) {
+Output<int32_t, -1> profile(int32_t from_cnt, int32_t to_cnt, float speed_rpm, float acceleration_rad_s2) {
     if (!(speed_rpm > 0) || !(acceleration_rad_s2 > 0))
         throw nb::value_error("speed and acceleration must be positive");
     fl_profile_state_t st;
     const fl_profile_limits_t lim = {speed_rpm * FL_CNT_TICK_PER_RPM,
                                      acceleration_rad_s2 * FL_CNT_TICK2_PER_RAD_S2};
     fl_profile_start(&st, from_cnt, to_cnt, lim);
-    auto out = new_array<int32_t>({st.total_ticks});
+    auto out = new_array<int32_t, -1>({st.total_ticks});
     for (size_t i = 0; i < out.shape(0); ++i) out.data()[i] = fl_profile_step(&st);
-    return out.cast();
+    return out;
 }
 
 // Rows of points (position_cnt, tick); positions at the end of each of n ticks.
-nb::tuple path(Input2<int32_t> points, int32_t here_cnt, size_t ticks, int32_t landing_cnt) {
+std::tuple<Output<int32_t, -1>, int, bool> path(Input2<int32_t> points, int32_t here_cnt, size_t ticks,
+                                                int32_t landing_cnt) {
     if (points.shape(1) != 2) throw nb::value_error("points: (n, 2) of position_cnt and tick");
     auto p = std::make_unique<fl_path_t>();
     fl_path_clear(p.get());
@@ -150,26 +154,35 @@ nb::tuple path(Input2<int32_t> points, int32_t here_cnt, size_t ticks, int32_t l
     p->landing_cnt = landing_cnt;
     fl_path_cursor_t cursor;
     fl_path_start(&cursor, here_cnt);
-    auto out = new_array<int32_t>({ticks});
+    auto out = new_array<int32_t, -1>({ticks});
     for (size_t i = 0; i < ticks; ++i) out.data()[i] = fl_path_step(p.get(), &cursor);
-    return nb::make_tuple(out.cast(), int{p->slots}, fl_path_done(p.get(), &cursor));
+    return {out, int{p->slots}, fl_path_done(p.get(), &cursor)};
 }
 
-nb::tuple supervisor(int state, int input, uint32_t conditions) {
+std::pair<int, int> supervisor(int state, int input, uint32_t conditions) {
     if (state < 0 || state >= FL_STATE_COUNT || input < 0 || input >= FL_IN_COUNT)
         throw nb::value_error("no such state or input");
     const fl_verdict_t v =
         fl_supervisor_match(static_cast<fl_state_t>(state), static_cast<fl_input_t>(input), conditions);
-    return nb::make_tuple(int{v.next}, int{v.code});
+    return {int{v.next}, int{v.code}};
 }
 
-nb::list command_table() {
+using Rows = nb::typed<nb::list, nb::typed<nb::dict, nb::str, nb::any>>;
+
+// The dispatcher's own rows; the names, which the firmware has no room for, are those of its list.
+Rows command_table() {
+    static const char *const names[] = {
+#define X(name, number, least, most, flags, input, axes, arg, handler) #name,
+        FL_COMMANDS(X)
+#undef X
+    };
     unsigned n;
     const fl_command_row_t *rows = fl_command_table(&n);
-    nb::list out;
+    Rows out;
     for (unsigned i = 0; i < n; ++i) {
         nb::dict d;
         d["number"] = int{rows[i].number};
+        d["name"] = names[i];
         d["length"] = nb::make_tuple(int{rows[i].len_min}, int{rows[i].len_max});
         d["broadcast"] = bool(rows[i].flags & FL_CMD_BROADCAST);
         d["bootloader"] = bool(rows[i].flags & FL_CMD_BOOTLOADER);
@@ -180,16 +193,16 @@ nb::list command_table() {
     return out;
 }
 
-nb::object hall_fit(Input2<uint16_t> adc_cnt) {
+std::optional<std::tuple<float, float, float, float, float, float>> hall_fit(Input2<uint16_t> adc_cnt) {
     if (adc_cnt.shape(1) != 2) throw nb::value_error("adc_cnt: (n, 2)");
     fl_hall_fit_t fit;
     fl_hall_fit_reset(&fit);
     for (size_t i = 0; i < adc_cnt.shape(0); ++i) fl_hall_fit_range(&fit, adc_cnt.data() + 2 * i);
     for (size_t i = 0; i < adc_cnt.shape(0); ++i) fl_hall_fit_add(&fit, adc_cnt.data() + 2 * i);
     fl_hall_shape_t s;
-    if (!fl_hall_fit_solve(&fit, &s)) return nb::none();
-    return nb::make_tuple(s.offset_cnt[0], s.offset_cnt[1], s.amplitude_cnt[0], s.amplitude_cnt[1],
-                          s.phase_rad, s.residual_rad);
+    if (!fl_hall_fit_solve(&fit, &s)) return std::nullopt;
+    return std::tuple(s.offset_cnt[0], s.offset_cnt[1], s.amplitude_cnt[0], s.amplitude_cnt[1], s.phase_rad,
+                      s.residual_rad);
 }
 
 int params_fault(Params params) {
@@ -228,42 +241,19 @@ void bind_laws(nb::module_ &m) {
           nb::arg("landing_cnt") = 0);
     m.def("supervisor", &supervisor, nb::arg("state"), nb::arg("input"), nb::arg("conditions"),
           "(next state, response code)");
-    m.def("command_table", &command_table);
+    m.def("command_table", &command_table,
+          "Rows of number, name, length (least, most), broadcast, bootloader, input, axes.");
     m.def("hall_fit", &hall_fit, nb::arg("adc_cnt"),
           "(offset a, b, amplitude a, b, phase_rad, residual_rad) or None.");
     m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
     m.def("crc32", &crc32, nb::arg("data"));
-    m.attr("STATES") = enumeration({{"IDLE", FL_STATE_IDLE},
-                                    {"LOADING", FL_STATE_LOADING},
-                                    {"LOADED", FL_STATE_LOADED},
-                                    {"REFUSED", FL_STATE_REFUSED},
-                                    {"MOVING", FL_STATE_MOVING},
-                                    {"STOPPING", FL_STATE_STOPPING},
-                                    {"HOMING", FL_STATE_HOMING},
-                                    {"HALL_CALIBRATION", FL_STATE_HALL_CALIBRATION},
-                                    {"DATUM_CALIBRATION", FL_STATE_DATUM_CALIBRATION},
-                                    {"COGGING_CALIBRATION", FL_STATE_COGGING_CALIBRATION},
-                                    {"BOOTLOADER", FL_STATE_BOOTLOADER}});
-    m.attr("INPUTS") = enumeration({{"QUERY", FL_IN_QUERY},
-                                    {"SETTING", FL_IN_SETTING},
-                                    {"NEW", FL_IN_NEW},
-                                    {"POINT", FL_IN_POINT},
-                                    {"END", FL_IN_END},
-                                    {"START", FL_IN_START},
-                                    {"STOP", FL_IN_STOP},
-                                    {"GOTO", FL_IN_GOTO},
-                                    {"HOME", FL_IN_HOME},
-                                    {"CALIBRATE_HALL", FL_IN_CALIBRATE_HALL},
-                                    {"CALIBRATE_DATUM", FL_IN_CALIBRATE_DATUM},
-                                    {"CALIBRATE_COGGING", FL_IN_CALIBRATE_COGGING},
-                                    {"BOOT", FL_IN_BOOT},
-                                    {"IMPOSSIBLE", FL_IN_IMPOSSIBLE},
-                                    {"DONE", FL_IN_DONE},
-                                    {"COLLISION", FL_IN_COLLISION},
-                                    {"BAD_TRAJECTORY", FL_IN_BAD_TRAJECTORY}});
-    m.attr("CONDITIONS") = enumeration({{"COLLIDED", FL_IF_COLLIDED},
-                                        {"HALL_UNCALIBRATED", FL_IF_HALL_UNCALIBRATED},
-                                        {"DATUM_UNCALIBRATED", FL_IF_DATUM_UNCALIBRATED},
-                                        {"DATUM_UNKNOWN", FL_IF_DATUM_UNKNOWN},
-                                        {"BAD_PARAMETERS", FL_IF_BAD_PARAMETERS}});
+#define X(name) {#name, FL_STATE_##name},
+    m.attr("STATES") = enumeration({FL_STATES(X)});
+#undef X
+#define X(name) {#name, FL_IN_##name},
+    m.attr("INPUTS") = enumeration({FL_INPUTS(X)});
+#undef X
+#define X(name, bit) {#name, FL_IF_##name},
+    m.attr("CONDITIONS") = enumeration({FL_CONDITIONS(X)});
+#undef X
 }

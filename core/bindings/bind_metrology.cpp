@@ -10,7 +10,7 @@ namespace {
 
 using namespace fl::metrology;
 using Image = nb::ndarray<nb::ro, nb::ndim<2>, nb::device::cpu>;
-using Positions = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+using Positions = Input<double, -1, 2>;
 constexpr size_t profile_size = Profile::components + 3 * Profile::terms + 5;
 
 // `fits`: the bytes are those of an uncompressed FITS file, big-endian, 16 bits with BZERO 32768.
@@ -30,13 +30,13 @@ ImageView view(const Image &image, bool fits) {
             static_cast<int>(image.shape(1)), static_cast<int>(image.shape(0)), pixel_type(image, fits)};
 }
 
-nb::object packed(const Profile &p) {
-    auto out = new_array<double>({profile_size});
+Output<double, -1> packed(const Profile &p) {
+    auto out = new_array<double, -1>({profile_size});
     double *v = std::copy(p.amplitude.begin(), p.amplitude.end(), out.data());
     for (const auto &s : p.shape) v = std::copy(s.begin(), s.end(), v);
     *v++ = p.flat_top ? 1 : 0, *v++ = p.half_width_px, *v++ = p.half_height_px, *v++ = p.misfit,
     *v++ = p.n_spots;
-    return out.cast();
+    return out;
 }
 
 Profile unpacked(const Input1<double> &in) {
@@ -52,16 +52,13 @@ Profile unpacked(const Input1<double> &in) {
     return p;
 }
 
-Settings settings_of(double gain, double saturation, double threshold, double fwhm) {
-    Settings s;
-    s.gain_e_adu = gain, s.saturation_adu = saturation, s.threshold = threshold, s.fwhm_px = fwhm;
-    return s;
-}
+// Spots (N, 9), flags (N,), the profile, background and noise in ADU.
+using Table = std::tuple<Output<double, -1, 9>, Output<uint32_t, -1>, Output<double, -1>, double, double>;
 
-nb::tuple table(const Result &r) {
+Table table(const Result &r) {
     const size_t n = r.spots.size();
-    auto numbers = new_array<double>({n, 9});
-    auto flags = new_array<uint32_t>({n});
+    auto numbers = new_array<double, -1, 9>({n, 9});
+    auto flags = new_array<uint32_t, -1>({n});
     for (size_t i = 0; i < n; ++i) {
         const Spot &s = r.spots[i];
         const double row[] = {s.x_px,     s.y_px,         s.var_x_px2,      s.cov_xy_px2, s.var_y_px2,
@@ -69,46 +66,48 @@ nb::tuple table(const Result &r) {
         std::copy(std::begin(row), std::end(row), numbers.data() + 9 * i);
         flags.data()[i] = s.flags;
     }
-    return nb::make_tuple(numbers.cast(), flags.cast(), packed(r.profile), r.background_adu, r.noise_adu);
+    return {numbers, flags, packed(r.profile), r.background_adu, r.noise_adu};
 }
 
-nb::tuple find(Image image, bool fits, double gain, double saturation, double threshold, double fwhm,
-               Input1<double> profile) {
+void settings_init(Settings *self, double gain, double saturation, double threshold, double fwhm) {
+    Settings s;
+    s.gain_e_adu = gain, s.saturation_adu = saturation, s.threshold = threshold, s.fwhm_px = fwhm;
+    new (self) Settings(s);
+}
+
+Table find(Image image, bool fits, const Settings &settings, Input1<double> profile) {
     const ImageView v = view(image, fits);
-    const Settings s = settings_of(gain, saturation, threshold, fwhm);
     const Profile known = unpacked(profile);
     Result r;
     {
         nb::gil_scoped_release release;
-        r = find_spots(v, s, known);
+        r = find_spots(v, settings, known);
     }
     return table(r);
 }
 
-nb::tuple expected(Image image, bool fits, double gain, double saturation, double threshold, double fwhm,
-                   Input1<double> profile, Positions xy, double radius) {
+Table expected(Image image, bool fits, const Settings &settings, Input1<double> profile, Positions xy,
+               double radius) {
     const ImageView v = view(image, fits);
-    const Settings s = settings_of(gain, saturation, threshold, fwhm);
     const Profile known = unpacked(profile);
     Result r;
     {
         nb::gil_scoped_release release;
-        r = find_expected(v, s, {xy.data(), 2 * xy.shape(0)}, radius, known);
+        r = find_expected(v, settings, {xy.data(), 2 * xy.shape(0)}, radius, known);
     }
     return table(r);
 }
 
-nb::tuple widths(Input1<double> profile, Positions xy) {
+std::tuple<Output<double, -1>> widths(Input1<double> profile, Positions xy) {
     const Profile p = unpacked(profile);
-    auto fwhm = new_array<double>({xy.shape(0)});
+    auto fwhm = new_array<double, -1>({xy.shape(0)});
     for (size_t i = 0; i < xy.shape(0); ++i)
         fwhm.data()[i] = p.fwhm_px(xy.data()[2 * i], xy.data()[2 * i + 1]);
-    return nb::make_tuple(fwhm.cast());
+    return {fwhm};
 }
 
 void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image,
-            nb::ndarray<const double, nb::shape<-1, spot_columns>, nb::c_contig, nb::device::cpu> spots,
-            int kind, double radius_q) {
+            Input<double, -1, spot_columns> spots, int kind, double radius_q) {
     if (kind < 0 || kind > 2) throw nb::value_error("kind: 0 Gaussian, 1 Moffat, 2 disc");
     nb::gil_scoped_release release;
     render_spots({image.data(), image.size()}, static_cast<int>(image.shape(1)),
@@ -116,17 +115,17 @@ void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image
                  radius_q);
 }
 
-nb::object expose_image(nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> light,
-                        std::array<double, 3> sky, std::array<double, 4> detector, uint64_t seed,
-                        int threads) {
-    auto adu = new_array<uint16_t>({light.shape(0), light.shape(1)});
+Output<uint16_t, -1, -1> expose_image(Input2<float> light, std::array<double, 3> sky,
+                                      std::array<double, 4> detector, uint64_t seed, int threads) {
+    auto adu = new_array<uint16_t, -1, -1>({light.shape(0), light.shape(1)});
+    const Exposure exposure{
+        {sky[0], sky[1], sky[2]}, {detector[0], detector[1], detector[2], detector[3]}, seed, threads};
     {
         nb::gil_scoped_release release;
-        expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), {sky[0], sky[1], sky[2]},
-               {detector[0], detector[1], detector[2], detector[3]}, seed, {adu.data(), light.size()},
-               threads);
+        expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), exposure,
+               {adu.data(), light.size()});
     }
-    return adu.cast();
+    return adu;
 }
 
 } // namespace
@@ -135,12 +134,23 @@ void bind_metrology(nb::module_ &m) {
     nb::module_ g =
         m.def_submodule("metrology", "Detection and centroids; px, ADU. See fiberloom.metrology.");
     g.attr("COLUMNS") = "x_px y_px var_x_px2 cov_xy_px2 var_y_px2 flux_adu flux_err_adu background_adu chi2";
-    g.def("find_spots", &find, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"),
-          nb::arg("saturation_adu"), nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
-          "Table (N, 9), flags (N,), profile, background and noise in ADU.");
-    g.def("find_expected", &expected, nb::arg("image"), nb::arg("fits"), nb::arg("gain_e_adu"),
-          nb::arg("saturation_adu"), nb::arg("threshold"), nb::arg("fwhm_px"), nb::arg("profile"),
-          nb::arg("expected_xy_px"), nb::arg("radius_px"), "As find_spots, one row per expected position.");
+    nb::class_<Settings>(g, "Settings", "What is known of the camera, and what counts as a spot.")
+        .def("__init__", &settings_init, nb::arg("gain_e_adu"), nb::arg("saturation_adu"),
+             nb::arg("threshold"), nb::arg("fwhm_px"),
+             "threshold: brightest pixel over the noise. fwhm_px: a hint for the first look, 0 for none.");
+    // an image may have pixels of several types, which a C++ signature cannot tell a type checker
+#define FL_NUMBERS "numpy.typing.NDArray[numpy.float64]"
+#define FL_FIND "image: numpy.typing.NDArray[typing.Any], fits: bool, settings: Settings, profile: " FL_NUMBERS
+#define FL_TABLE "tuple[" FL_NUMBERS ", numpy.typing.NDArray[numpy.uint32], " FL_NUMBERS ", float, float]"
+    g.def("find_spots", &find, nb::sig("def find_spots(" FL_FIND ") -> " FL_TABLE), nb::arg("image"), nb::arg("fits"), nb::arg("settings"), nb::arg("profile"),
+          "Table (N, 9), flags (N,), profile, background and noise in ADU. The image is uint16, float32 or "
+          "float64, or with `fits` the bytes of a FITS file as uint16 or uint32. profile: empty, or one that "
+          "this function returned.");
+    g.def("find_expected", &expected,
+          nb::sig("def find_expected(" FL_FIND ", expected_xy_px: " FL_NUMBERS ", radius_px: float) -> " FL_TABLE),
+          nb::arg("image"), nb::arg("fits"), nb::arg("settings"),
+          nb::arg("profile"), nb::arg("expected_xy_px"), nb::arg("radius_px"),
+          "As find_spots, one row per expected position.");
     g.def("fwhm", &widths, nb::arg("profile"), nb::arg("xy_px"), "FWHM of the profile at positions.");
     g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
           "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");

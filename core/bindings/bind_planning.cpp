@@ -11,11 +11,13 @@
 namespace {
 
 using namespace fl::planning;
-using Arms = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
-using Pairs = nb::ndarray<const double, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
-using Capsules = nb::ndarray<const double, nb::shape<-1, 5>, nb::c_contig, nb::device::cpu>;
-using Four = nb::ndarray<const double, nb::shape<2, 2>, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Arms = Input<double, -1, 5>;
+using Pairs = Input<double, -1, 2>;
+using Capsules = Input<double, -1, 5>;
+using Travel = Input<double, 2, 2>;
+using Flags = Input1<bool>;
+using Points = Input<double, -1, 3>;
+using Dict = nb::typed<nb::dict, nb::str, nb::any>;
 
 std::vector<fl::Arm> arms_of(const Arms &rows) {
     std::vector<fl::Arm> out;
@@ -26,98 +28,38 @@ std::vector<fl::Arm> arms_of(const Arms &rows) {
     return out;
 }
 
-Bodies bodies_of(const Arms &arms, std::array<double, 2> segment, double radius, const Capsules &obstacles) {
-    Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
-    for (size_t i = 0; i < obstacles.shape(0); ++i) {
-        const double *o = obstacles.data() + 5 * i;
-        bodies.obstacles.push_back({{{o[0], o[1]}, {o[2], o[3]}}, o[4]});
-    }
-    return bodies;
-}
-
 std::vector<fl::Angles> angles_of(const Pairs &rows) {
     std::vector<fl::Angles> out;
     for (size_t i = 0; i < rows.shape(0); ++i) out.push_back({rows.data()[2 * i], rows.data()[2 * i + 1]});
     return out;
 }
 
-nb::object rows_of(const std::vector<double> &time, const std::vector<fl::Angles> &angles) {
-    auto out = new_array<double>({time.size(), 3});
-    for (size_t k = 0; k < time.size(); ++k) {
-        out.data()[3 * k] = time[k];
-        out.data()[3 * k + 1] = angles[k].alpha_rad;
-        out.data()[3 * k + 2] = angles[k].beta_rad;
-    }
-    return out.cast();
-}
-
-nb::dict dict_of(const Statistics &s) {
-    nb::dict d;
-    d["searches"] = s.searches;
-    d["expansions"] = s.expansions;
-    d["repairs"] = s.repairs;
-    d["first_conflicts"] = s.first_conflicts;
-    d["bound_steps"] = s.bound_steps;
-    d["steps"] = s.steps;
-    d["step_s"] = s.step_s;
-    return d;
-}
-
-void need_rows(const char *name, size_t have, size_t want) {
-    if (have != want)
-        throw nb::value_error((std::string(name) + ": " + std::to_string(have) + " rows for " +
-                               std::to_string(want) + " positioners")
-                                  .c_str());
-}
-
-Settings settings_of(double speed, double acceleration, double grid) {
-    Settings settings;
-    settings.speed_rad_s = speed;
-    settings.acceleration_rad_s2 = acceleration;
-    settings.grid_rad = grid;
-    return settings;
-}
-
-nb::tuple clock_of(double speed, double acceleration, double grid, double highest_approach) {
-    const Clock clock(settings_of(speed, acceleration, grid), highest_approach);
-    return nb::make_tuple(clock.quarter_s, clock.grid_rad, clock.leg_quarters);
-}
-
-nb::tuple plan_all(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles, Pairs start,
-                   Pairs goal, Input1<double> approach, Flags fixed, Four travel, double speed,
-                   double acceleration, double grid, double clearance, double first_deadline,
-                   double last_deadline, double effort, std::uint64_t seed) {
-    const size_t n = arms.shape(0);
-    need_rows("start", start.shape(0), n);
-    need_rows("goal", goal.shape(0), n);
-    need_rows("approach", approach.shape(0), n);
-    need_rows("fixed", fixed.shape(0), n);
-    const Bodies bodies = bodies_of(arms, segment, radius, obstacles);
+fl::Limits limits_of(const Travel &travel) {
     const double *t = travel.data();
-    const Task task{angles_of(start),
-                    angles_of(goal),
-                    {approach.data(), approach.data() + n},
-                    {fixed.data(), fixed.data() + n},
-                    {t[0], t[1], t[2], t[3]}};
-    Settings settings = settings_of(speed, acceleration, grid);
-    settings.clearance_mm = clearance;
-    settings.first_deadline = first_deadline;
-    settings.last_deadline = last_deadline;
-    settings.effort = effort;
-    settings.seed = seed;
-    Outcome outcome;
-    {
-        nb::gil_scoped_release release;
-        outcome = plan(bodies, task, settings);
-    }
-    nb::list motions, refused;
-    for (const Motion &m : outcome.motions) motions.append(rows_of(m.time_s, m.angles));
-    for (const Refused &r : outcome.refused)
-        refused.append(nb::make_tuple(r.robot, to_string(r.reason), r.other));
-    return nb::make_tuple(motions, refused, dict_of(outcome.statistics));
+    return {t[0], t[1], t[2], t[3]};
 }
 
-using Points = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+template <class T> std::vector<T> vector_of(const Input1<T> &row) {
+    return {row.data(), row.data() + row.shape(0)};
+}
+
+std::vector<std::uint8_t> flags_of(const Flags &row) { return {row.data(), row.data() + row.shape(0)}; }
+
+Output<bool, -1> array_of(const std::vector<std::uint8_t> &flags) {
+    auto out = new_array<bool, -1>({flags.size()});
+    for (size_t k = 0; k < flags.size(); ++k) out.data()[k] = flags[k] != 0;
+    return out;
+}
+
+Output<double, -1, 3> points_of(const Motion &motion) {
+    auto out = new_array<double, -1, 3>({motion.time_s.size(), 3});
+    for (size_t k = 0; k < motion.time_s.size(); ++k) {
+        out.data()[3 * k] = motion.time_s[k];
+        out.data()[3 * k + 1] = motion.angles[k].alpha_rad;
+        out.data()[3 * k + 2] = motion.angles[k].beta_rad;
+    }
+    return out;
+}
 
 Motion motion_from(const Points &rows) {
     Motion m;
@@ -129,8 +71,129 @@ Motion motion_from(const Points &rows) {
     return m;
 }
 
-nb::dict dict_of(const Gap &g) {
-    nb::dict d;
+void need_rows(const char *name, size_t have, size_t want) {
+    if (have != want)
+        throw nb::value_error((std::string(name) + ": " + std::to_string(have) + " rows for " +
+                               std::to_string(want) + " positioners")
+                                  .c_str());
+}
+
+Bodies bodies_of(const Arms &arms, std::array<double, 2> segment, double radius, const Capsules &obstacles) {
+    Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
+    for (size_t i = 0; i < obstacles.shape(0); ++i) {
+        const double *o = obstacles.data() + 5 * i;
+        bodies.obstacles.push_back({{{o[0], o[1]}, {o[2], o[3]}}, o[4]});
+    }
+    return bodies;
+}
+
+Settings settings_of(double speed, double acceleration, double grid) {
+    Settings settings;
+    settings.speed_rad_s = speed;
+    settings.acceleration_rad_s2 = acceleration;
+    settings.grid_rad = grid;
+    return settings;
+}
+
+std::tuple<double, double, int> clock_of(double speed, double acceleration, double grid,
+                                         double highest_approach) {
+    const Clock clock(settings_of(speed, acceleration, grid), highest_approach);
+    return {clock.quarter_s, clock.grid_rad, clock.leg_quarters};
+}
+
+// --- a plan ------------------------------------------------------------------------------------
+
+void bodies_init(Bodies *self, Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles) {
+    new (self) Bodies(bodies_of(arms, segment, radius, obstacles));
+}
+
+void task_init(Task *self, Pairs start, Pairs goal, Input1<double> approach, Flags fixed, Travel travel) {
+    const size_t n = start.shape(0);
+    need_rows("goal", goal.shape(0), n);
+    need_rows("approach", approach.shape(0), n);
+    need_rows("fixed", fixed.shape(0), n);
+    new (self)
+        Task{angles_of(start), angles_of(goal), vector_of(approach), flags_of(fixed), limits_of(travel)};
+}
+
+void settings_init(Settings *self, double speed, double acceleration, double grid) {
+    new (self) Settings(settings_of(speed, acceleration, grid));
+}
+
+Dict dict_of(const Statistics &s) {
+    Dict d;
+    d["searches"] = s.searches;
+    d["expansions"] = s.expansions;
+    d["repairs"] = s.repairs;
+    d["first_conflicts"] = s.first_conflicts;
+    d["bound_steps"] = s.bound_steps;
+    d["steps"] = s.steps;
+    d["step_s"] = s.step_s;
+    return d;
+}
+
+using Motions = std::vector<Output<double, -1, 3>>;
+using Refusals = std::vector<std::tuple<int, std::string, int>>;
+
+std::tuple<Motions, Refusals, Dict> plan_all(const Bodies &bodies, const Task &task,
+                                             const Settings &settings) {
+    need_rows("start", task.start.size(), bodies.arms.size());
+    PlanResult result;
+    {
+        nb::gil_scoped_release release;
+        result = plan(bodies, task, settings);
+    }
+    Motions motions;
+    Refusals refused;
+    for (const Motion &m : result.motions) motions.push_back(points_of(m));
+    for (const Refused &r : result.refused) refused.emplace_back(r.robot, to_string(r.reason), r.other);
+    return {motions, refused, dict_of(result.statistics)};
+}
+
+void bind_plan(nb::module_ &m) {
+    nb::class_<Bodies>(m, "Bodies", "Bodies of a focal plane: the beta arms' capsules and what is fixed.")
+        .def("__init__", &bodies_init, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
+             nb::arg("obstacles"),
+             "arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. segment_mm: the "
+             "centre line of a beta arm from x0 to x1 of its frame. radius_mm: the collision buffer. "
+             "obstacles (K, 5): x0, y0, x1, y1, radius in mm.");
+    nb::class_<Task>(m, "Task", "What a plan must do.")
+        .def(
+            "__init__", &task_init, nb::arg("start"), nb::arg("goal"), nb::arg("approach"), nb::arg("fixed"),
+            nb::arg("travel"),
+            "start, goal (N, 2) in rad; approach (N,): rad above the goal, on both axes, from which the last "
+            "leg starts; fixed (N,): cannot move; travel [[alpha_min, alpha_max], [beta_min, beta_max]] in "
+            "rad. ValueError where the numbers of rows differ.");
+    nb::class_<Settings>(m, "Settings", "Speeds, and how hard the planner tries.")
+        .def("__init__", &settings_init, nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
+             nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
+        .def_rw("clearance_mm", &Settings::clearance_mm, "kept beyond touching")
+        .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
+        .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
+        .def_rw("effort", &Settings::effort, "scales how long the repair goes on")
+        .def_rw("seed", &Settings::seed);
+    m.def(
+        "plan", &plan_all, nb::arg("bodies"), nb::arg("task"), nb::arg("settings"),
+        "Motions (list of (n, 3): time_s, alpha_rad, beta_rad), positioners that do not arrive (index, why, "
+        "other or -1), statistics.");
+}
+
+// --- its verification --------------------------------------------------------------------------
+
+void rules_init(Rules *self, double speed, double acceleration, double rounding, Travel travel) {
+    new (self) Rules{speed, acceleration, limits_of(travel), rounding, {}, {}, {}, {}};
+}
+
+void rules_expect(Rules &rules, Pairs start, Pairs goal, Flags arrives, Input1<double> approach) {
+    if (goal.shape(0) != 0) need_rows("arrives", arrives.shape(0), goal.shape(0));
+    rules.start = angles_of(start);
+    rules.goal = angles_of(goal);
+    rules.arrives = flags_of(arrives);
+    rules.approach_rad = vector_of(approach);
+}
+
+Dict dict_of(const Gap &g) {
+    Dict d;
     d["gap_mm"] = g.gap_mm;
     d["time_s"] = g.time_s;
     d["robot"] = g.robot;
@@ -138,11 +201,11 @@ nb::dict dict_of(const Gap &g) {
     return d;
 }
 
-nb::dict dict_of(const Verification &v) {
+Dict dict_of(const Verification &v) {
     nb::list violations;
     for (const Violation &x : v.violations)
         violations.append(nb::make_tuple(to_string(x.fault), x.robot, x.other, x.time_s, x.depth));
-    nb::dict d;
+    Dict d;
     d["violations"] = violations;
     d["robots"] = dict_of(v.robots);
     d["obstacles"] = dict_of(v.obstacles);
@@ -152,27 +215,14 @@ nb::dict dict_of(const Verification &v) {
     return d;
 }
 
-nb::dict verify_all(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles,
-                    const std::vector<Points> &motions, Four travel, Pairs start, Pairs goal, Flags arrives,
-                    Input1<double> approach, double speed, double acceleration, double rounding) {
-    const size_t n = arms.shape(0);
+Dict verify_all(const Bodies &bodies, const std::vector<Points> &motions, const Rules &rules) {
+    const size_t n = bodies.arms.size();
     need_rows("motions", motions.size(), n);
-    if (start.shape(0) != 0) need_rows("start", start.shape(0), n);
-    if (goal.shape(0) != 0) need_rows("goal", goal.shape(0), n);
-    if (goal.shape(0) != 0) need_rows("arrives", arrives.shape(0), n);
-    if (approach.shape(0) != 0) need_rows("approach", approach.shape(0), n);
-    const Bodies bodies = bodies_of(arms, segment, radius, obstacles);
+    if (!rules.start.empty()) need_rows("start", rules.start.size(), n);
+    if (!rules.goal.empty()) need_rows("goal", rules.goal.size(), n);
+    if (!rules.approach_rad.empty()) need_rows("approach", rules.approach_rad.size(), n);
     std::vector<Motion> all;
     for (const Points &rows : motions) all.push_back(motion_from(rows));
-    const double *t = travel.data();
-    const Rules rules{speed,
-                      acceleration,
-                      {t[0], t[1], t[2], t[3]},
-                      rounding,
-                      angles_of(start),
-                      angles_of(goal),
-                      {arrives.data(), arrives.data() + arrives.shape(0)},
-                      {approach.data(), approach.data() + approach.shape(0)}};
     Verification result;
     {
         nb::gil_scoped_release release;
@@ -181,34 +231,59 @@ nb::dict verify_all(Arms arms, std::array<double, 2> segment, double radius, Cap
     return dict_of(result);
 }
 
-nb::object find_conflicts(Arms arms, std::array<double, 2> segment, double radius, Pairs goals,
-                          double approach) {
+void bind_verify(nb::module_ &m) {
+    nb::class_<Rules>(m, "Rules", "What a plan is held to.")
+        .def("__init__", &rules_init, nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
+             nb::arg("rounding"), nb::arg("travel"),
+             "rad/s, rad/s2, by how many rad angles may be off, and [[alpha_min, alpha_max], [beta_min, "
+             "beta_max]] in rad.")
+        .def("expect", &rules_expect, nb::arg("start"), nb::arg("goal"), nb::arg("arrives"),
+             nb::arg("approach"),
+             "Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the "
+             "approach, rad (N,). Empty: not checked.");
+    m.def("verify", &verify_all, nb::arg("bodies"), nb::arg("motions"), nb::arg("rules"),
+          "Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad. Violations are (fault, "
+          "robot, other, time_s, depth in mm, rad, rad/s or rad/s2).");
+}
+
+// --- goals alone -------------------------------------------------------------------------------
+
+Output<int, -1, 2> find_conflicts(Arms arms, std::array<double, 2> segment, double radius, Pairs goals,
+                                  double approach) {
     need_rows("goals", goals.shape(0), arms.shape(0));
     const Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
     const auto found = conflicts(bodies, angles_of(goals), approach);
-    auto out = new_array<int>({found.size(), 2});
+    auto out = new_array<int, -1, 2>({found.size(), 2});
     for (size_t k = 0; k < found.size(); ++k) std::copy(found[k].begin(), found[k].end(), out.data() + 2 * k);
-    return out.cast();
+    return out;
 }
 
-nb::object flags_of(const std::vector<std::uint8_t> &flags) {
-    auto out = new_array<bool>({flags.size()});
-    for (size_t k = 0; k < flags.size(); ++k) out.data()[k] = flags[k] != 0;
-    return out.cast();
-}
-
-nb::object clear_of_obstacles(Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles,
-                              Pairs goals, double approach) {
+Output<bool, -1> clear_of_obstacles(Arms arms, std::array<double, 2> segment, double radius,
+                                    Capsules obstacles, Pairs goals, double approach) {
     need_rows("goals", goals.shape(0), arms.shape(0));
-    return flags_of(static_ok(bodies_of(arms, segment, radius, obstacles), angles_of(goals), approach));
+    return array_of(static_ok(bodies_of(arms, segment, radius, obstacles), angles_of(goals), approach));
 }
 
-nb::object clear_pairs(Arms arms, Pairs goals, Arms others, Pairs other_goals, std::array<double, 2> segment,
-                       double radius, double approach) {
+Output<bool, -1> clear_pairs(Arms arms, Pairs goals, Arms others, Pairs other_goals,
+                             std::array<double, 3> body, double approach) {
     for (size_t n : {goals.shape(0), others.shape(0), other_goals.shape(0)})
         need_rows("pairs_clear", n, arms.shape(0));
-    const Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
-    return flags_of(pairs_clear(bodies, arms_of(others), angles_of(goals), angles_of(other_goals), approach));
+    const Bodies bodies{arms_of(arms), body[0], body[1], body[2], {}};
+    return array_of(pairs_clear(bodies, arms_of(others), angles_of(goals), angles_of(other_goals), approach));
+}
+
+void bind_goals(nb::module_ &m) {
+    m.def("conflicts", &find_conflicts, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
+          nb::arg("goals_rad"), nb::arg("approach_rad"),
+          "Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.");
+    m.def("static_ok", &clear_of_obstacles, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
+          nb::arg("obstacles"), nb::arg("goals_rad"), nb::arg("approach_rad"),
+          "Whether goal and approach of each positioner are clear of obstacles (K, 5): x0, y0, x1, y1, "
+          "radius in mm.");
+    m.def("pairs_clear", &clear_pairs, nb::arg("arms"), nb::arg("goals_rad"), nb::arg("others"),
+          nb::arg("other_goals_rad"), nb::arg("body_mm"), nb::arg("approach_rad"),
+          "Row by row: whether two positioners stay apart at their goals and on the approach. body_mm: the "
+          "beta arm's centre line from x0 to x1, and its radius.");
 }
 
 } // namespace
@@ -219,30 +294,8 @@ void bind_planning(nb::module_ &m) {
     p.def("clock", &clock_of, nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
           nb::arg("highest_approach"),
           "The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many "
-          "quarters "
-          "each third of the approach lasts.");
-    p.def("plan", &plan_all, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("obstacles"), nb::arg("start"), nb::arg("goal"), nb::arg("approach"), nb::arg("fixed"),
-          nb::arg("travel"), nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
-          nb::arg("clearance_mm"), nb::arg("first_deadline"), nb::arg("last_deadline"), nb::arg("effort"),
-          nb::arg("seed"),
-          "Motions (list of (n, 3): time_s, alpha_rad, beta_rad), who does not arrive (index, why, other), "
-          "statistics.");
-    p.def("verify", &verify_all, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("obstacles"), nb::arg("motions"), nb::arg("travel"), nb::arg("start"), nb::arg("goal"),
-          nb::arg("arrives"), nb::arg("approach"), nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
-          nb::arg("rounding"),
-          "Proof in continuous time; start, goal and approach may be empty (not checked). Violations are "
-          "(fault, "
-          "robot, other, time_s, depth in mm, rad, rad/s or rad/s2).");
-    p.def("conflicts", &find_conflicts, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("goals_rad"), nb::arg("approach_rad"),
-          "Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.");
-    p.def("static_ok", &clear_of_obstacles, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("obstacles"), nb::arg("goals_rad"), nb::arg("approach_rad"),
-          "Whether goal and approach of each positioner are clear of obstacles (K, 5): x0, y0, x1, y1, "
-          "radius in mm.");
-    p.def("pairs_clear", &clear_pairs, nb::arg("arms"), nb::arg("goals_rad"), nb::arg("others"),
-          nb::arg("other_goals_rad"), nb::arg("segment_mm"), nb::arg("radius_mm"), nb::arg("approach_rad"),
-          "Row by row: whether two positioners stay apart at their goals and on the approach.");
+          "quarters each third of the approach lasts.");
+    bind_plan(p);
+    bind_verify(p);
+    bind_goals(p);
 }

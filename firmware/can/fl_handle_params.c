@@ -49,7 +49,7 @@ static uint32_t crc_of(const fl_axis_params_t params[FL_AXES]) {
 
 static float *value_of(fl_axis_params_t *params, uint8_t index) { return (float *)params + index; }
 
-static int axis_of(const fl_request_t *rq) { return rq->axes == FL_AXIS_ALPHA_BIT ? FL_ALPHA : FL_BETA; }
+static int axis_of(const fl_request_t *rq) { return rq->axes == FL_ON_ALPHA ? FL_ALPHA : FL_BETA; }
 
 /* CRC-32 of the table (names, units, ranges), and of the values in force: 2 KB to go through, so at rest
  * only, as a save. */

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fiberloom.cli.app import app
+from fiberloom.cli.steps import runs_step
 from fiberloom.errors import InputError
 from fiberloom.instruments import presets
 from fiberloom.tables import read_table
@@ -47,6 +48,8 @@ def test_each_identification_leaves_its_files(tmp_path, words, quantities):
     assert set(table.strings("quantity")) == unit["estimates"].keys()
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert "s.e." in found.output
+    (row,) = runs_step(str(tmp_path))
+    assert row["calibrations"] == f"{name} 1"
 
 
 def test_the_same_seed_gives_the_same_numbers(tmp_path):

@@ -280,10 +280,19 @@ def test_a_profile_keeps_its_limits_and_ends_exactly(start, target, rpm, acceler
     assert np.abs(np.diff(step)).max() <= a + 2
     assert np.abs(step[[0, -1]]).max() <= a / 2 + 2
     assert (np.sign(step[step != 0]) == np.sign(target - start)).all()
-    # no slower than a trapezoid must be, but for whole ticks
+    # no slower than a trapezoid must be, but for two ticks that are not whole and rounding of float32
     d = abs(target - start)
     ideal = d / speed + speed / a if d > speed**2 / a else 2 * np.sqrt(d / a)
-    assert len(track) <= ideal + 4
+    assert len(track) <= ideal * (1 + 1e-6) + 2
+
+
+def test_a_short_profile_ramps_in_as_few_ticks_as_the_acceleration_allows():
+    acceleration, count_rad = 1000.0, 2 * np.pi / 2**20
+    for distance in (50_000, 200_000, 777_777):
+        n_ramp = len(fw.profile(0, distance, 5000.0, acceleration)) // 2
+        # n^2 a T^2 is the way of two ramps of n ticks
+        assert (n_ramp - 1) ** 2 * acceleration * 0.0005**2 < distance * count_rad
+        assert n_ramp**2 * acceleration * 0.0005**2 >= distance * count_rad * (1 - 1e-6)
 
 
 points = st.lists(st.tuples(st.integers(-(2**29), 2**29), st.integers(1, 70_000)), min_size=1, max_size=12)
@@ -343,6 +352,22 @@ def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
 
 
+@pytest.mark.parametrize("channel", [0, 1])
+def test_hall_calibration_refuses_an_amplitude_below_a_hundred_counts(channel):
+    amplitude = np.full(2, 1500.0)
+    # rounding of the converter: 0.3 counts rms over 2000 samples
+    amplitude[channel] = 101.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is not None
+    amplitude[channel] = 99.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is None
+
+
+def test_hall_calibration_refuses_less_than_a_hundred_samples():
+    theta = np.linspace(0, 2 * np.pi, 101)[1:]
+    assert fw.hall_fit(adc(theta)) is not None
+    assert fw.hall_fit(adc(theta[1:])) is None
+
+
 def test_default_parameters_are_good_and_bad_ones_are_named():
     assert fw.params_fault(alpha_params()) == -1
     assert fw.params_fault(alpha_params(k_p=-1.0)) == NAMES.index("k_p")
@@ -355,3 +380,23 @@ def test_parameter_names_are_unique_and_defaults_inside_limits():
     assert len(set(NAMES)) == len(NAMES)
     for name, _unit, low, high, default, _doc in fw.AXIS_PARAMS:
         assert low <= default <= high, name
+
+
+@pytest.mark.parametrize(
+    ("gaps", "n_slots"),
+    [([1] * 1024, 1024), ([70_000] * 512, 1024), ([70_000] * 511 + [1, 1], 1024), ([65_535] * 1024, 1024)],
+)
+def test_a_path_takes_what_its_memory_holds_and_no_more(gaps, n_slots):
+    # a gap above 65535 ticks takes two slots of 1024; time begins at -1
+    points = np.stack([np.arange(len(gaps)), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    assert fw.path(points, 0, 1)[1] == n_slots
+    one_more = np.vstack([points, points[-1:] + 1]).astype(np.int32)
+    with pytest.raises(ValueError, match=f"point {len(gaps)} was not taken"):
+        fw.path(one_more, 0, 1)
+
+
+def test_half_a_long_gap_does_not_fit():
+    gaps = [70_000] * 511 + [1, 65_536]
+    points = np.stack([np.arange(513), np.cumsum(gaps)], axis=1).astype(np.int32)
+    with pytest.raises(ValueError, match="point 512 was not taken"):
+        fw.path(points, 0, 1)

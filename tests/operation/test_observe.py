@@ -30,6 +30,7 @@ def field(tmp_path_factory):
 def observe(field, name, **asked):
     plane, folder = field
     out = folder / name
+    asked.setdefault("moves", 3)
     request = ObserveRequest(targets=folder / "targets.csv", out=out, seed=SEED, quiet=True, **asked)
     return run_observe(plane, request), out
 

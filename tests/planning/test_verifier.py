@@ -211,11 +211,9 @@ def test_a_turned_or_mirrored_field_has_the_same_gaps(first, second, angle_deg, 
     def gap(arms, sign):
         motions = [table(m) * [1, np.radians(sign), np.radians(sign)] for m in (first, second)]
         wide = np.array([[-10.0, 10.0], [-10.0, 10.0]])
-        none = np.zeros((0, 2))
-        found = core.verify(
-            arms, (0.0, 14.7276), 2.0, np.zeros((0, 5)), motions, wide, none, none,
-            np.ones(2, bool), np.zeros(0), speed=1e9, acceleration=1e12, rounding=1e-8,
-        )  # fmt: skip
+        bodies = core.Bodies(arms, (0.0, 14.7276), 2.0, np.zeros((0, 5)))
+        rules = core.Rules(speed=1e9, acceleration=1e12, rounding=1e-8, travel=wide)
+        found = core.verify(bodies, motions, rules)
         return found["robots"]["gap_mm"]
 
     # the smallest gap is true to 1e-4 mm each time

@@ -9,7 +9,7 @@ from fiberloom.bus.identifier import encode
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, Twin, draw_units
 
-PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)  # a squad and a quarter
+PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)  # a lane group and a quarter
 UNITS = draw_units(PLANE, seed=11)
 IDS = [int(i) for i in PLANE.positioner_id]
 HOME, STOP, OPEN_LOOP_BETA = 20, 15, 125

@@ -38,18 +38,18 @@ class Visited {
     std::vector<std::uint64_t> bits_;
 };
 
-// Level and noise of the background where a hill stands: looked up once for all its pixels.
+// Level and noise of the background under a peak: looked up once for all its pixels.
 struct Ground {
     float level;
     float noise;
 };
 
-template <class P> class Hills {
+template <class P> class PeakFinder {
   public:
-    Hills(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box)
-        : box_(box), pixels_(pixels), background_(background),
-          saturation_(static_cast<float>(settings.saturation_adu)),
-          threshold_(static_cast<float>(settings.threshold)) {}
+    PeakFinder(const Pixels<P> &pixels, const Scene &scene, int box)
+        : box_(box), pixels_(pixels), background_(scene.background),
+          saturation_(static_cast<float>(scene.settings.saturation_adu)),
+          threshold_(static_cast<float>(scene.settings.threshold)) {}
 
     Ground ground(int x, int y) const { return {background_.level_at(x, y), background_.noise_at(x, y)}; }
 
@@ -65,7 +65,7 @@ template <class P> class Hills {
                above(3.0f * g.noise) >= 5;
     }
 
-    // Uphill on the sum of the clipped pixels of the box. False: this hill was climbed before.
+    // Uphill on the sum of the clipped pixels of the box. False: this peak was climbed before.
     bool climb(int x, int y, Visited *visited, Seed &seed) const {
         const Ground g = ground(x, y);
         std::array<std::pair<int, int>, longest_climb_px> path;
@@ -189,66 +189,62 @@ template <class P> class Hills {
 };
 
 // What a pixel must exceed, in ADU; sixteen bits cannot exceed more than they hold.
-float threshold_at(const ImageView &image, const Background &b, double threshold, double x, double y) {
-    const float bar = b.level_at(x, y) + static_cast<float>(threshold) * b.noise_at(x, y);
-    const bool sixteen_bits = image.type == PixelType::U16 || image.type == PixelType::U16Fits;
+float threshold_at(const Scene &scene, double x, double y) {
+    const Background &b = scene.background;
+    const float bar = b.level_at(x, y) + static_cast<float>(scene.settings.threshold) * b.noise_at(x, y);
+    const PixelType type = scene.image.type;
+    const bool sixteen_bits = type == PixelType::U16 || type == PixelType::U16Fits;
     return sixteen_bits ? std::clamp(bar, 0.0f, 65535.0f) : bar;
 }
 
-std::vector<float> chunk_thresholds(const ImageView &image, const Background &b, double threshold, int y) {
+std::vector<float> chunk_thresholds(const Scene &scene, int y) {
     std::vector<float> out;
-    for (int x = chunk_px / 2; x < image.width + chunk_px / 2; x += chunk_px)
-        out.push_back(threshold_at(image, b, threshold, x, y));
+    for (int x = chunk_px / 2; x < scene.image.width + chunk_px / 2; x += chunk_px)
+        out.push_back(threshold_at(scene, x, y));
     return out;
 }
 
-template <class P>
-std::vector<Seed> detect_in(const Pixels<P> &pixels, const Background &background, const Settings &settings,
-                            int box) {
+template <class P> std::vector<Seed> detect_in(const Pixels<P> &pixels, const Scene &scene, int box) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings, box);
+    const PeakFinder<P> finder(pixels, scene, box);
     Visited visited(image.width, image.height);
     std::vector<float> thresholds;
     std::vector<int> peaks;
     std::vector<Seed> seeds;
     // a spot on the outermost row or column is half a spot: its top is looked for from the next one inwards
     for (int y = 1; y + 1 < image.height; ++y) {
-        if (y % 16 == 1) thresholds = chunk_thresholds(image, background, settings.threshold, y + 8);
-        const std::byte *row = image.data + y * image.row_bytes;
-        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, image.width,
-                  thresholds.data(), peaks);
+        if (y % 16 == 1) thresholds = chunk_thresholds(scene, y + 8);
+        row_peaks(image, {0, y, image.width}, thresholds.data(), peaks);
         for (const int x : peaks)
-            if (Seed seed; hills.lit(x, y) && hills.climb(x, y, &visited, seed) && hills.significant(seed))
+            if (Seed seed; finder.lit(x, y) && finder.climb(x, y, &visited, seed) && finder.significant(seed))
                 seeds.push_back(seed);
     }
     return seeds;
 }
 
 template <class P>
-bool near_in(const Pixels<P> &pixels, const Background &background, const Settings &settings, int box,
-             double x_px, double y_px, double radius_px, Seed &best) {
+bool near_in(const Pixels<P> &pixels, const Scene &scene, int box, const Circle &where, Seed &best) {
     const ImageView &image = pixels.image;
-    const Hills<P> hills(pixels, background, settings, box);
+    const PeakFinder<P> finder(pixels, scene, box);
     // one pixel more on the left and right, which the scan leaves alone
-    const int x0 = std::max(static_cast<int>(std::floor(x_px - radius_px)) - 1, 0);
-    const int x1 = std::min(static_cast<int>(std::ceil(x_px + radius_px)) + 1, image.width - 1);
-    const int y0 = std::max(static_cast<int>(std::floor(y_px - radius_px)), 1);
-    const int y1 = std::min(static_cast<int>(std::ceil(y_px + radius_px)), image.height - 2);
+    const int x0 = std::max(static_cast<int>(std::floor(where.x - where.radius)) - 1, 0);
+    const int x1 = std::min(static_cast<int>(std::ceil(where.x + where.radius)) + 1, image.width - 1);
+    const int y0 = std::max(static_cast<int>(std::floor(where.y - where.radius)), 1);
+    const int y1 = std::min(static_cast<int>(std::ceil(where.y + where.radius)), image.height - 2);
     if (x1 - x0 < 2) return false;
     const std::vector<float> thresholds(static_cast<std::size_t>((x1 - x0) / chunk_px + 1),
-                                        threshold_at(image, background, settings.threshold, x_px, y_px));
+                                        threshold_at(scene, where.x, where.y));
     std::vector<int> peaks;
-    double nearest = radius_px;
+    double nearest = where.radius;
     bool found = false;
     for (int y = y0; y <= y1; ++y) {
-        const auto *row = reinterpret_cast<const std::byte *>(pixels.row(y) + x0);
-        row_peaks(image.type, row - image.row_bytes, row, row + image.row_bytes, x1 - x0 + 1,
-                  thresholds.data(), peaks);
+        row_peaks(image, {x0, y, x1 - x0 + 1}, thresholds.data(), peaks);
         for (const int x : peaks) {
             Seed seed;
-            if (!hills.lit(x0 + x, y) || !hills.climb(x0 + x, y, nullptr, seed)) continue;
-            const double distance = std::hypot(seed.x - x_px, seed.y - y_px);
-            if (distance <= nearest && hills.significant(seed)) nearest = distance, best = seed, found = true;
+            if (!finder.lit(x0 + x, y) || !finder.climb(x0 + x, y, nullptr, seed)) continue;
+            const double distance = std::hypot(seed.x - where.x, seed.y - where.y);
+            if (distance <= nearest && finder.significant(seed))
+                nearest = distance, best = seed, found = true;
         }
     }
     return found;
@@ -256,16 +252,12 @@ bool near_in(const Pixels<P> &pixels, const Background &background, const Settin
 
 } // namespace
 
-std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings,
-                         int box) {
-    return with_pixels(image, [&](const auto &p) { return detect_in(p, background, settings, box); });
+std::vector<Seed> detect(const Scene &scene, int box) {
+    return with_pixels(scene.image, [&](const auto &p) { return detect_in(p, scene, box); });
 }
 
-bool detect_near(const ImageView &image, const Background &background, const Settings &settings, int box,
-                 double x_px, double y_px, double radius_px, Seed &seed) {
-    return with_pixels(image, [&](const auto &p) {
-        return near_in(p, background, settings, box, x_px, y_px, radius_px, seed);
-    });
+bool detect_near(const Scene &scene, int box, const Circle &where, Seed &seed) {
+    return with_pixels(scene.image, [&](const auto &p) { return near_in(p, scene, box, where, seed); });
 }
 
 } // namespace fl::metrology

@@ -1,8 +1,7 @@
-// Where a spot may be: local maxima above the background, each led to the top of its own hill.
+// Where a spot may be: local maxima above the background, each led to the top of its own peak.
 #pragma once
 
-#include "background.hpp"
-#include "fiberloom/spots.hpp"
+#include "scene.hpp"
 
 #include <vector>
 
@@ -16,12 +15,10 @@ struct Seed {
     bool saturated = false;
 };
 
-// `box` 1 or 2: hills are climbed on sums of 3 x 3 or 5 x 5 pixels.
-std::vector<Seed> detect(const ImageView &image, const Background &background, const Settings &settings,
-                         int box);
+// `box` 1 or 2: peaks are climbed on sums of 3 x 3 or 5 x 5 pixels.
+std::vector<Seed> detect(const Scene &scene, int box);
 
-// The nearest seed within `radius_px` of a position, if any.
-bool detect_near(const ImageView &image, const Background &background, const Settings &settings, int box,
-                 double x_px, double y_px, double radius_px, Seed &seed);
+// The nearest seed in a circle; false if there is none.
+bool detect_near(const Scene &scene, int box, const Circle &where, Seed &seed);
 
 } // namespace fl::metrology

@@ -81,11 +81,13 @@ double electrons(double mean, double read_variance, Random &random) {
 }
 
 // One row: its own random numbers, so that rows may be made in any order.
-void expose_row(std::span<const float> light_e, std::size_t j, const Sky &sky, const Detector &detector,
-                std::uint64_t seed, std::span<std::uint16_t> adu) {
+void expose_row(std::span<const float> light_e, std::size_t j, const Exposure &exposure,
+                std::span<std::uint16_t> adu) {
+    const Sky &sky = exposure.sky;
+    const Detector &detector = exposure.detector;
     const double read_variance = detector.read_noise_e * detector.read_noise_e;
     const double ground = sky.level_e + sky.slope_y_e * static_cast<double>(j);
-    Random random(seed + 0x632BE59BD9B4E019u * (j + 1));
+    Random random(exposure.seed + 0x632BE59BD9B4E019u * (j + 1));
     for (std::size_t i = 0; i < light_e.size(); ++i) {
         const double mean = light_e[i] + ground + sky.slope_x_e * static_cast<double>(i);
         const double e = std::min(electrons(mean, read_variance, random), detector.full_well_e);
@@ -96,13 +98,13 @@ void expose_row(std::span<const float> light_e, std::size_t j, const Sky &sky, c
 
 } // namespace
 
-void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
-            std::uint64_t seed, std::span<std::uint16_t> adu, int threads) {
+void expose(std::span<const float> light_e, int width, const Exposure &exposure,
+            std::span<std::uint16_t> adu) {
     const std::size_t w = static_cast<std::size_t>(width), rows = light_e.size() / w;
-    const std::size_t bands = static_cast<std::size_t>(std::max(threads, 1));
+    const std::size_t bands = static_cast<std::size_t>(std::max(exposure.threads, 1));
     const auto band = [&](std::size_t b) {
         for (std::size_t j = b * rows / bands; j < (b + 1) * rows / bands; ++j)
-            expose_row(light_e.subspan(j * w, w), j, sky, detector, seed, adu.subspan(j * w, w));
+            expose_row(light_e.subspan(j * w, w), j, exposure, adu.subspan(j * w, w));
     };
     std::vector<std::thread> others;
     for (std::size_t b = 1; b < bands; ++b) others.emplace_back(band, b);

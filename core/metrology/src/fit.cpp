@@ -167,9 +167,14 @@ double Reach::operator()(double contrast) const {
 
 namespace {
 
+// A level that rises along a row.
+struct Slope {
+    float left, rise;
+};
+
 // One row: pixels less a sloping background, 1 where they may be used; returns whether one is saturated.
 template <class P>
-bool copy_row(const typename P::Raw *row, int width, float left, float slope, float saturation, float *value,
+bool copy_row(const typename P::Raw *row, int width, Slope background, float saturation, float *value,
               float *usable) {
     unsigned any = 0;
     for (int i = 0; i < width; ++i) {
@@ -177,15 +182,14 @@ bool copy_row(const typename P::Raw *row, int width, float left, float slope, fl
         const bool good = v < saturation && v > -std::numeric_limits<float>::infinity(); // false for NaN
         any |= static_cast<unsigned>(v >= saturation);
         usable[i] = good ? 1.0f : 0.0f;
-        value[i] = good ? v - left - slope * static_cast<float>(i) : 0.0f;
+        value[i] = good ? v - background.left - background.rise * static_cast<float>(i) : 0.0f;
     }
     return any != 0;
 }
 
 // The background of the stamp is a plane: its tiles are far wider.
-template <class P>
-Cut copy_pixels(const Pixels<P> &pixels, const Background &background, const Settings &settings, Stamp &stamp,
-                int width) {
+template <class P> Cut copy_pixels(const Pixels<P> &pixels, const Scene &scene, Stamp &stamp, int width) {
+    const Background &background = scene.background;
     Cut cut;
     const double x1 = stamp.x0 + width - 1, y1 = stamp.y0 + stamp.height - 1;
     const float corner = background.level_at(stamp.x0, stamp.y0);
@@ -193,46 +197,45 @@ Cut copy_pixels(const Pixels<P> &pixels, const Background &background, const Set
         (background.level_at(x1, stamp.y0) - corner) / static_cast<float>(std::max(width - 1, 1));
     const float down =
         (background.level_at(stamp.x0, y1) - corner) / static_cast<float>(std::max(stamp.height - 1, 1));
-    const auto saturation = static_cast<float>(settings.saturation_adu);
+    const auto saturation = static_cast<float>(scene.settings.saturation_adu);
     for (int j = 0; j < stamp.height; ++j) {
         const std::size_t at = static_cast<std::size_t>(j * stamp.width);
-        cut.saturated |=
-            copy_row<P>(pixels.row(stamp.y0 + j) + stamp.x0, width, corner + down * static_cast<float>(j),
-                        across, saturation, &stamp.value[at], &stamp.usable[at]);
+        const Slope slope{corner + down * static_cast<float>(j), across};
+        cut.saturated |= copy_row<P>(pixels.row(stamp.y0 + j) + stamp.x0, width, slope, saturation,
+                                     &stamp.value[at], &stamp.usable[at]);
     }
     return cut;
 }
 
 } // namespace
 
-Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x,
-            double y, double half_width, double half_height, Stamp &stamp) {
-    const int x0 = static_cast<int>(std::floor(x - half_width)),
-              x1 = static_cast<int>(std::ceil(x + half_width));
-    const int y0 = static_cast<int>(std::floor(y - half_height)),
-              y1 = static_cast<int>(std::ceil(y + half_height));
+Cut cut_out(const Scene &scene, const Box &box, Stamp &stamp) {
+    const ImageView &image = scene.image;
+    const int x0 = static_cast<int>(std::floor(box.x - box.half_width)),
+              x1 = static_cast<int>(std::ceil(box.x + box.half_width));
+    const int y0 = static_cast<int>(std::floor(box.y - box.half_height)),
+              y1 = static_cast<int>(std::ceil(box.y + box.half_height));
     const int left = std::clamp(x0, 0, image.width - 1), right = std::clamp(x1, left, image.width - 1);
     const int top = std::clamp(y0, 0, image.height - 1), bottom = std::clamp(y1, top, image.height - 1);
     stamp.resize(left, top, right - left + 1, bottom - top + 1);
-    const float noise = background.noise_at(x, y);
+    const float noise = scene.background.noise_at(box.x, box.y);
     std::fill(stamp.variance.begin(), stamp.variance.end(), noise * noise);
-    Cut cut = with_pixels(image, [&](const auto &pixels) {
-        return copy_pixels(pixels, background, settings, stamp, right - left + 1);
-    });
+    Cut cut = with_pixels(
+        image, [&](const auto &pixels) { return copy_pixels(pixels, scene, stamp, right - left + 1); });
     cut.truncated = left != x0 || right != x1 || top != y0 || bottom != y1;
     return cut;
 }
 
-void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height) {
+void fetch_ahead(const ImageView &image, const Box &box) {
     constexpr int line_bytes = 64;
     const auto pixel_bytes = [&] {
         if (image.type == PixelType::F64) return 8;
         return image.type == PixelType::U16 || image.type == PixelType::U16Fits ? 2 : 4;
     }();
-    const int x0 = std::clamp(static_cast<int>(x - half_width), 0, image.width - 1);
-    const int x1 = std::clamp(static_cast<int>(x + half_width) + 1, 0, image.width - 1);
-    const int y0 = std::clamp(static_cast<int>(y - half_height), 0, image.height - 1);
-    const int y1 = std::clamp(static_cast<int>(y + half_height) + 1, 0, image.height - 1);
+    const int x0 = std::clamp(static_cast<int>(box.x - box.half_width), 0, image.width - 1);
+    const int x1 = std::clamp(static_cast<int>(box.x + box.half_width) + 1, 0, image.width - 1);
+    const int y0 = std::clamp(static_cast<int>(box.y - box.half_height), 0, image.height - 1);
+    const int y1 = std::clamp(static_cast<int>(box.y + box.half_height) + 1, 0, image.height - 1);
     for (int j = y0; j <= y1; ++j) {
         const std::byte *row = image.data + j * image.row_bytes;
         for (int b = x0 * pixel_bytes; b <= x1 * pixel_bytes; b += line_bytes) __builtin_prefetch(row + b);
@@ -246,7 +249,7 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
     const Shape shape = shape_of(profile, ellipse);
     const double peak_share = profile_value(profile, 0) / ellipse.area();
     const double longest = 0.7 * std::sqrt(ellipse.area()), x0 = fit.x, y0 = fit.y;
-    State state{fit.flux, fit.x - stamp.x0, fit.y - stamp.y0, free_background ? fit.background : 0.0};
+    FitState state{fit.flux, fit.x - stamp.x0, fit.y - stamp.y0, free_background ? fit.background : 0.0};
     fit.converged = false;
     for (int k = 0; k < most_iterations && !fit.converged; ++k) {
         const Judge judge = judge_at(k, profile, settings, std::max(state.flux, 0.0) * peak_share, fit.q_max);

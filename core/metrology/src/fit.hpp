@@ -1,9 +1,8 @@
 // One spot: cut out of the image, and fitted with the frame's profile.
 #pragma once
 
-#include "background.hpp"
-#include "fiberloom/spots.hpp"
 #include "kernels.hpp"
+#include "scene.hpp"
 
 namespace fl::metrology {
 
@@ -58,16 +57,16 @@ struct Fit {
     float height = 0;      // ADU, of the seed
 };
 
-// Cuts the box of q <= q_max out; true when the box leaves the image.
+// What was found on cutting a box out: whether it leaves the image, whether a pixel is saturated.
 struct Cut {
     bool truncated = false;
     bool saturated = false;
 };
-Cut cut_out(const ImageView &image, const Background &background, const Settings &settings, double x,
-            double y, double half_width, double half_height, Stamp &stamp);
+// Fills the stamp with the pixels of the box that lie in the image.
+Cut cut_out(const Scene &scene, const Box &box, Stamp &stamp);
 
 // Asks the memory for the pixels of the next spot while this one is fitted: spots lie far apart.
-void fetch_ahead(const ImageView &image, double x, double y, double half_width, double half_height);
+void fetch_ahead(const ImageView &image, const Box &box);
 
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background,

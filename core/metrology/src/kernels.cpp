@@ -131,9 +131,11 @@ FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::ve
     }
 }
 
-template <class P> Rows<P> rows_of(const std::byte *above, const std::byte *row, const std::byte *below) {
-    const auto as = [](const std::byte *p) { return reinterpret_cast<const typename P::Raw *>(p); };
-    return {as(above), as(row), as(below)};
+template <class P> Rows<P> rows_of(const ImageView &image, const RowPart &part) {
+    const auto at = [&](int y) {
+        return reinterpret_cast<const typename P::Raw *>(image.data + y * image.row_bytes) + part.x0;
+    };
+    return {at(part.y - 1), at(part.y), at(part.y + 1)};
 }
 
 FL_CLONES void scan_u16(Rows<PixelU16> r, int w, const float *t, std::vector<int> &o) { scan(r, w, t, o); }
@@ -172,7 +174,7 @@ FL_INLINE void widen(const Judge &judge, WideJudge &wide) {
     wide.q_max = all(judge.q_max), wide.steepness = all(5.0f / judge.q_max);
 }
 
-FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const State &state,
+FL_CLONES void accumulate(const Stamp &stamp, const Shape &narrow, const FitState &state,
                           const Judge &narrow_judge, Float8 *sum) {
     using N = Normal;
     WideShape shape;
@@ -240,7 +242,7 @@ FL_INLINE void rungs_at(const WideShape &shape, Float8 q, Float8 scale, Float8 *
     for (int k = 5; k >= 0; --k, e = e * e) rung[k] = e * scale;
 }
 
-FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, const State &state,
+FL_CLONES void ladder_sums(const Stamp &stamp, const Shape &narrow, float norm, const FitState &state,
                            const Judge &narrow_judge, Float8 *sum) {
     WideShape shape;
     WideJudge judge;
@@ -302,20 +304,19 @@ FL_CLONES void subtract(Stamp &stamp, const Shape &narrow, float flux, float x, 
 
 } // namespace
 
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
-               int width, const float *threshold, std::vector<int> &peaks) {
+void row_peaks(const ImageView &image, const RowPart &part, const float *threshold, std::vector<int> &peaks) {
     peaks.clear();
-    switch (type) {
+    switch (image.type) {
     case PixelType::U16:
-        return scan_u16(rows_of<PixelU16>(above, row, below), width, threshold, peaks);
+        return scan_u16(rows_of<PixelU16>(image, part), part.width, threshold, peaks);
     case PixelType::U16Fits:
-        return scan_u16_fits(rows_of<PixelU16Fits>(above, row, below), width, threshold, peaks);
+        return scan_u16_fits(rows_of<PixelU16Fits>(image, part), part.width, threshold, peaks);
     case PixelType::F32:
-        return scan_f32(rows_of<PixelF32>(above, row, below), width, threshold, peaks);
+        return scan_f32(rows_of<PixelF32>(image, part), part.width, threshold, peaks);
     case PixelType::F32Fits:
-        return scan_f32_fits(rows_of<PixelF32Fits>(above, row, below), width, threshold, peaks);
+        return scan_f32_fits(rows_of<PixelF32Fits>(image, part), part.width, threshold, peaks);
     case PixelType::F64:
-        return scan_f64(rows_of<PixelF64>(above, row, below), width, threshold, peaks);
+        return scan_f64(rows_of<PixelF64>(image, part), part.width, threshold, peaks);
     }
 }
 
@@ -329,7 +330,7 @@ void Stamp::resize(int x, int y, int w, int h) {
     if (width > w) std::fill(value.begin(), value.end(), 0.0f); // the padding must hold numbers
 }
 
-Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &state, const Judge &judge) {
+Normal normal_equations(const Stamp &stamp, const Shape &shape, const FitState &state, const Judge &judge) {
     Float8 lanes[Normal::size] = {};
     accumulate(stamp, shape, state, judge, lanes);
     Normal normal;
@@ -352,7 +353,7 @@ std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, d
     return sum;
 }
 
-void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const State &state, const Judge &judge,
+void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const FitState &state, const Judge &judge,
                 LadderSums &sums) {
     Float8 lanes[29] = {};
     ladder_sums(stamp, shape, norm, state, judge, lanes);

@@ -11,11 +11,16 @@ namespace fl::metrology {
 
 constexpr int chunk_px = 64;
 
-// Columns of a row where a pixel is above its chunk's threshold, not below its four neighbours before it in
-// reading order and above the four after it (so of equal neighbours exactly one is the top). `above` and
-// `below` are the neighbouring rows; the first and last columns are left to the caller.
-void row_peaks(PixelType type, const std::byte *above, const std::byte *row, const std::byte *below,
-               int width, const float *threshold, std::vector<int> &peaks);
+// A part of a row of an image.
+struct RowPart {
+    int x0, y, width;
+};
+
+// Columns of a part of a row, from its first, where a pixel is above its chunk's threshold, not below its
+// four neighbours before it in reading order and above the four after it (so of equal neighbours exactly one
+// is the top). The rows above and below are read; the first and last columns of the part are left to the
+// caller. threshold: one for each chunk of the part.
+void row_peaks(const ImageView &image, const RowPart &part, const float *threshold, std::vector<int> &peaks);
 
 // A rectangle cut out around one spot: what it shows less background and neighbours, the variance of those,
 // and 1 for a pixel that may be used. Rows are padded with unusable pixels to a multiple of `lanes`.
@@ -41,7 +46,7 @@ struct Shape {
     float square = 0;
 };
 
-struct State {
+struct FitState {
     double flux, x, y, background; // x, y relative to the stamp's first pixel
 };
 
@@ -82,7 +87,7 @@ struct Normal {
     std::array<double, size> sum{};
 };
 
-Normal normal_equations(const Stamp &stamp, const Shape &shape, const State &state, const Judge &judge);
+Normal normal_equations(const Stamp &stamp, const Shape &shape, const FitState &state, const Judge &judge);
 
 // stamp.value -= flux * profile, stamp.variance += the same / gain, for a neighbour at (x, y) of the stamp.
 void subtract_profile(Stamp &stamp, const Shape &shape, double flux, double x, double y, float inverse_gain);
@@ -94,7 +99,7 @@ std::array<double, 6> weighted_moments(const Stamp &stamp, const Shape &shape, d
 // side, then what the misfit needs: sum of (r^2 - variance) / variance^2, sum of model^2 / variance^2 for q
 // < 8.
 using LadderSums = std::array<double, 29>;
-void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const State &state, const Judge &judge,
+void add_ladder(const Stamp &stamp, const Shape &shape, float norm, const FitState &state, const Judge &judge,
                 LadderSums &sums);
 
 } // namespace fl::metrology

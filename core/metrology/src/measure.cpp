@@ -27,12 +27,12 @@ constexpr double least_share = 0.04; // of the peak
 constexpr double narrow_fwhm_px = 4.5;
 constexpr int neighbour_rounds = 5;
 
-// Spots of one image and who stands near whom.
+// The spots of one image, and which are near each other.
 class Frame {
   public:
-    Frame(const ImageView &image, const Background &background, const Settings &settings,
-          const Profile &profile)
-        : image_(image), background_(background), settings_(settings), profile_(profile), reach_(profile),
+    Frame(const Scene &scene, const Profile &profile)
+        : scene_(scene), image_(scene.image), background_(scene.background), settings_(scene.settings),
+          profile_(profile), reach_(profile),
           typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
 
     void add(const Seed &seed) {
@@ -119,17 +119,20 @@ class Frame {
         return light > 0.1 * noise;
     }
 
+    static Box box_of(const Fit &fit, const Ellipse &e, double q_max) {
+        return {fit.x, fit.y, e.half_width(q_max), e.half_height(q_max)};
+    }
+
     void fetch(const Fit &fit) const {
         const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
-        fetch_ahead(image_, fit.x, fit.y, e.half_width(fit.q_max), e.half_height(fit.q_max));
+        fetch_ahead(image_, box_of(fit, e, fit.q_max));
     }
 
     // The stamp of spot i without its neighbours.
     Cut prepare(std::size_t i, double q_max) {
         const Fit &fit = fits_[i];
         const Ellipse e = ellipse_at(profile_, fit.x, fit.y);
-        const Cut cut = cut_out(image_, background_, settings_, fit.x, fit.y, e.half_width(q_max),
-                                e.half_height(q_max), stamp_);
+        const Cut cut = cut_out(scene_, box_of(fit, e, q_max), stamp_);
         const float noise = background_.noise_at(fit.x, fit.y);
         for (const std::size_t j : near_[i]) {
             const Fit &n = fits_[j];
@@ -263,6 +266,7 @@ class Frame {
         return s;
     }
 
+    const Scene &scene_;
     const ImageView &image_;
     const Background &background_;
     const Settings &settings_;
@@ -290,16 +294,16 @@ namespace {
 // Half the side of the box that detection climbs on: narrow spots near each other need a small one.
 int climb_box(double fwhm_px) { return fwhm_px > 0 && fwhm_px < narrow_fwhm_px ? 1 : 2; }
 
-Result measure(const ImageView &image, const Background &background, const Settings &settings,
-               const std::vector<Seed> &found, const Profile &known, std::vector<std::ptrdiff_t> *of_seeds) {
+Result measure(const Scene &scene, const std::vector<Seed> &found, const Profile &known,
+               std::vector<std::ptrdiff_t> *of_seeds) {
     Result result;
     const double fwhm = known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px)
-                                         : first_look_px(image, background, settings, found);
-    const std::vector<Seed> seeds =
-        of_seeds == nullptr ? gather_wide(image, background, settings, found, fwhm) : found;
-    result.background_adu = background.median_level(), result.noise_adu = background.median_noise();
-    result.profile = known.measured() ? known : measure_profile(image, background, settings, seeds);
-    Frame frame(image, background, settings, result.profile);
+                                         : first_look_px(scene, found);
+    const std::vector<Seed> seeds = of_seeds == nullptr ? gather_wide(scene, found, fwhm) : found;
+    result.background_adu = scene.background.median_level(),
+    result.noise_adu = scene.background.median_noise();
+    result.profile = known.measured() ? known : measure_profile(scene, seeds);
+    Frame frame(scene, result.profile);
     for (const Seed &s : seeds) frame.add(s);
     frame.drop_doubles();
     frame.fit_all();
@@ -312,19 +316,21 @@ Result measure(const ImageView &image, const Background &background, const Setti
 
 Result find_spots(const ImageView &image, const Settings &settings, const Profile &known) {
     const Background background = measure_background(image);
+    const Scene scene{image, background, settings};
     const double fwhm = known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px) : 0.0;
-    std::vector<Seed> seeds = detect(image, background, settings, climb_box(fwhm));
+    std::vector<Seed> seeds = detect(scene, climb_box(fwhm));
     if (!known.measured()) {
         // once more, now that the size of the spots is known
-        const int box = climb_box(first_look_px(image, background, settings, seeds));
-        if (box != climb_box(0)) seeds = detect(image, background, settings, box);
+        const int box = climb_box(first_look_px(scene, seeds));
+        if (box != climb_box(0)) seeds = detect(scene, box);
     }
-    return measure(image, background, settings, seeds, known, nullptr);
+    return measure(scene, seeds, known, nullptr);
 }
 
 Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
                      double radius_px, const Profile &known) {
     const Background background = measure_background(image);
+    const Scene scene{image, background, settings};
     const std::size_t n = expected_xy_px.size() / 2;
     const int box =
         climb_box(known.measured() ? known.fwhm_px(known.half_width_px, known.half_height_px) : 0.0);
@@ -332,11 +338,11 @@ Result find_expected(const ImageView &image, const Settings &settings, std::span
     std::vector<std::size_t> owner;
     for (std::size_t i = 0; i < n; ++i) {
         const double x = expected_xy_px[2 * i], y = expected_xy_px[2 * i + 1];
-        if (Seed seed; detect_near(image, background, settings, box, x, y, radius_px, seed))
+        if (Seed seed; detect_near(scene, box, {x, y, radius_px}, seed))
             seeds.push_back(seed), owner.push_back(i);
     }
     std::vector<std::ptrdiff_t> of_seeds;
-    Result result = measure(image, background, settings, seeds, known, &of_seeds);
+    Result result = measure(scene, seeds, known, &of_seeds);
     std::vector<int> claims(result.spots.size(), 0);
     for (const std::ptrdiff_t j : of_seeds)
         if (j >= 0) ++claims[static_cast<std::size_t>(j)];

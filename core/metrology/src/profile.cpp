@@ -71,7 +71,7 @@ std::vector<const Seed *> bright_seeds(const ImageView &image, const std::vector
     return out;
 }
 
-// Seeds by column strip, to ask who is near.
+// Seeds by column strip, to ask which are near.
 class Neighbours {
   public:
     explicit Neighbours(const std::vector<Seed> &seeds) {
@@ -230,7 +230,7 @@ void add_spots(const Profile &profile, const Settings &settings, const std::vect
         const auto norm = static_cast<float>(1 / (2 * pi * e.area()));
         const Judge judge{6.0f, round < 2 ? 0.3f : 0.05f, 0.0f, static_cast<float>(1 / settings.gain_e_adu),
                           120.0f};
-        const State state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
+        const FitState state{s.fit.flux, s.fit.x - s.stamp.x0, s.fit.y - s.stamp.y0, 0};
         add_ladder(s.stamp, shape_of(profile, e), norm, state, judge, sums);
     }
 }
@@ -289,14 +289,13 @@ Profile round_profile(const ImageView &image, double fwhm_px) {
     return p;
 }
 
-// Centre of light under a round Gaussian weight, moved along until it stands still.
-void centre_on_light(const ImageView &image, const Background &background, const Settings &settings,
-                     double fwhm_px, Seed &seed) {
+// Centre of light under a round Gaussian weight, moved along until it no longer moves.
+void centre_on_light(const Scene &scene, double fwhm_px, Seed &seed) {
     const float s = static_cast<float>(fwhm_per_sigma * fwhm_per_sigma / (fwhm_px * fwhm_px));
     const Shape weight{s, 0, s, {}};
     Stamp stamp;
     for (int k = 0; k < 5; ++k) {
-        cut_out(image, background, settings, seed.x, seed.y, 1.5 * fwhm_px, 1.5 * fwhm_px, stamp);
+        cut_out(scene, {seed.x, seed.y, 1.5 * fwhm_px, 1.5 * fwhm_px}, stamp);
         const auto m = weighted_moments(stamp, weight, seed.x - stamp.x0, seed.y - stamp.y0);
         if (!(m[0] > 0)) return;
         seed.x += 2 * m[1] / m[0], seed.y += 2 * m[2] / m[0];
@@ -316,31 +315,27 @@ std::vector<const Seed *> lonely_seeds(const std::vector<Seed> &seeds, std::vect
     return bright;
 }
 
-std::vector<Sample> sample_shapes(const ImageView &image, const Background &background,
-                                  const Settings &settings, const std::vector<const Seed *> &bright,
-                                  double fwhm) {
+std::vector<Sample> sample_shapes(const Scene &scene, const std::vector<const Seed *> &bright, double fwhm) {
     const double s = fwhm * fwhm / (fwhm_per_sigma * fwhm_per_sigma);
     std::vector<Sample> samples;
     Stamp stamp;
     for (const Seed *seed : bright) {
         Sample sample{seed->x, seed->y, {s, 0, s}};
-        cut_out(image, background, settings, seed->x, seed->y, 2 * fwhm, 2 * fwhm, stamp);
+        cut_out(scene, {seed->x, seed->y, 2 * fwhm, 2 * fwhm}, stamp);
         drop_spikes(stamp);
         if (adaptive_moments(stamp, sample)) samples.push_back(sample);
     }
     return samples;
 }
 
-std::vector<ProfileSpot> cut_wide(const ImageView &image, const Background &background,
-                                  const Settings &settings, const Profile &profile,
+std::vector<ProfileSpot> cut_wide(const Scene &scene, const Profile &profile,
                                   const std::vector<Sample> &samples) {
     std::vector<ProfileSpot> spots;
     for (const Sample &s : samples) {
         if (!s.good) continue;
         ProfileSpot &spot = spots.emplace_back();
         const Ellipse e = ellipse_at(profile, s.x, s.y);
-        cut_out(image, background, settings, s.x, s.y, e.half_width(wing_q), e.half_height(wing_q),
-                spot.stamp);
+        cut_out(scene, {s.x, s.y, e.half_width(wing_q), e.half_height(wing_q)}, spot.stamp);
         spot.fit.x = s.x, spot.fit.y = s.y, spot.fit.q_max = core_q;
         // a Gaussian under its own weight gives half its flux
         spot.fit.flux = 2 * weighted_moments(spot.stamp, shape_of(profile, e), s.x - spot.stamp.x0,
@@ -351,21 +346,19 @@ std::vector<ProfileSpot> cut_wide(const ImageView &image, const Background &back
 
 } // namespace
 
-double first_look_px(const ImageView &image, const Background &background, const Settings &settings,
-                     const std::vector<Seed> &seeds) {
+double first_look_px(const Scene &scene, const std::vector<Seed> &seeds) {
     std::vector<double> widths;
-    for (const Seed *s : bright_seeds(image, seeds, settings.max_profile_spots))
-        widths.push_back(half_maximum_width(image, background, *s));
+    for (const Seed *s : bright_seeds(scene.image, seeds, scene.settings.max_profile_spots))
+        widths.push_back(half_maximum_width(scene.image, scene.background, *s));
     return widths.empty() ? 0.0 : std::clamp(median_of(widths), 1.0, 100.0);
 }
 
-std::vector<Seed> gather_wide(const ImageView &image, const Background &background, const Settings &settings,
-                              const std::vector<Seed> &seeds, double fwhm_px) {
+std::vector<Seed> gather_wide(const Scene &scene, const std::vector<Seed> &seeds, double fwhm_px) {
     if (fwhm_px < wide_fwhm_px) return seeds;
     std::vector<Seed> order = seeds, out;
     std::sort(order.begin(), order.end(), [](const Seed &a, const Seed &b) { return a.height > b.height; });
     for (Seed &s : order) {
-        if (!s.saturated) centre_on_light(image, background, settings, fwhm_px, s);
+        if (!s.saturated) centre_on_light(scene, fwhm_px, s);
         const bool known = std::any_of(out.begin(), out.end(), [&](const Seed &o) {
             return std::hypot(o.x - s.x, o.y - s.y) < 0.5 * fwhm_px;
         });
@@ -374,18 +367,18 @@ std::vector<Seed> gather_wide(const ImageView &image, const Background &backgrou
     return out;
 }
 
-Profile measure_profile(const ImageView &image, const Background &background, const Settings &settings,
-                        const std::vector<Seed> &seeds) {
-    const double look = first_look_px(image, background, settings, seeds);
-    const double hint = settings.fwhm_px > 0 ? settings.fwhm_px : fallback_fwhm_px;
-    Profile profile = round_profile(image, look > 0 ? look : hint);
+Profile measure_profile(const Scene &scene, const std::vector<Seed> &seeds) {
+    const double look = first_look_px(scene, seeds);
+    const double hint = scene.settings.fwhm_px > 0 ? scene.settings.fwhm_px : fallback_fwhm_px;
+    Profile profile = round_profile(scene.image, look > 0 ? look : hint);
     if (!(look > 0)) return profile;
-    const auto bright = lonely_seeds(seeds, bright_seeds(image, seeds, settings.max_profile_spots), look);
-    std::vector<Sample> samples = sample_shapes(image, background, settings, bright, look);
+    const auto bright =
+        lonely_seeds(seeds, bright_seeds(scene.image, seeds, scene.settings.max_profile_spots), look);
+    std::vector<Sample> samples = sample_shapes(scene, bright, look);
     if (samples.empty()) return profile;
     fit_shapes(profile, samples);
-    std::vector<ProfileSpot> spots = cut_wide(image, background, settings, profile, samples);
-    fit_profile(profile, settings, spots);
+    std::vector<ProfileSpot> spots = cut_wide(scene, profile, samples);
+    fit_profile(profile, scene.settings, spots);
     profile.n_spots = static_cast<int>(spots.size());
     return profile;
 }

@@ -1,7 +1,7 @@
-#include "cast.hpp"
 #include "fiberloom/planning.hpp"
-#include "motion.hpp"
-#include "repair.hpp"
+#include "goals/goal_feasibility.hpp"
+#include "motion/motion.hpp"
+#include "search/repair.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -12,124 +12,125 @@ namespace {
 
 constexpr int give_up_rounds = 20;
 
-// The facade's work: settle who goes where, find ways for all, give up whoever finds none.
+// The facade's work: settle the goals, find paths for all, give up those for which there is none.
 class Planner {
   public:
     Planner(const Bodies &bodies, const Task &task, const Settings &settings)
-        : bodies_(bodies), settings_(settings), task_(task), clock_(settings, task),
-          cast_(bodies, task, settings, clock_) {}
+        : settings_(settings), task_(task), clock_(settings, task), goals_(bodies, task, settings, clock_) {}
 
-    Outcome run() {
-        cast_.settle();
+    PlanResult run() {
+        goals_.settle();
         for (int round = 0; round < give_up_rounds; ++round)
-            if (find_ways()) return outcome();
-        return nobody_moves();
+            if (find_paths()) return {motions_, goals_.refused(), statistics_};
+        return none_moves();
     }
 
   private:
-    Team assemble();
-    bool find_ways();
-    void give_up_some(const Team &team);
-    void keep(const Team &team);
-    Outcome outcome();
-    Outcome nobody_moves();
+    PathSet assemble();
+    bool find_paths();
+    void give_up_some(const PathSet &paths);
+    void keep(const PathSet &paths);
+    int last_step(const PathSet &paths) const;
+    PlanResult none_moves();
 
-    const Bodies &bodies_;
     const Settings &settings_;
     const Task &task_;
     Clock clock_;
-    Cast cast_;
-    std::vector<int> robot_of_; // of each member of the team
+    GoalFeasibility goals_;
+    List<PositionerIndex, PathIndex> positioner_of_;
     std::vector<Motion> motions_;
     Statistics statistics_;
 };
 
-Team Planner::assemble() {
-    robot_of_.clear();
+PathSet Planner::assemble() {
+    positioner_of_.clear();
     int bound = 0, alone = 0;
-    std::vector<Robot> robots;
-    for (int i = 0; i < cast_.size(); ++i) {
-        if (!cast_.acts(i)) continue;
-        robot_of_.push_back(i);
-        robots.push_back(cast_.make_robot(i));
-        if (cast_.still(i)) continue;
+    List<Robot> robots;
+    for (const PositionerIndex i : goals_.places()) {
+        if (!goals_.moves(i)) continue;
+        positioner_of_.push_back(i);
+        robots.push_back(goals_.make_robot(i));
+        if (goals_.still(i)) continue;
         bound = std::max(bound, robots.back().travel_steps());
-        alone = std::max(alone, cast_.steps_alone(i));
+        alone = std::max(alone, goals_.steps_alone(i));
     }
     const int steps = std::max(static_cast<int>(std::ceil(bound * settings_.first_deadline)), alone);
     statistics_.bound_steps = bound;
-    Team team(cast_.need_mm(), steps);
-    for (Robot &robot : robots) team.add(std::move(robot));
-    for (size_t m = 0; m < robot_of_.size(); ++m)
-        team.at(static_cast<int>(m)).still = cast_.still(robot_of_[m]);
-    team.find_neighbours();
-    return team;
+    PathSet paths(goals_.need_mm(), steps);
+    for (Robot &robot : robots) paths.add(std::move(robot));
+    for (const PathIndex m : paths.places()) paths.at(m).still = goals_.still(positioner_of_[m]);
+    paths.find_neighbours();
+    return paths;
 }
 
-bool Planner::find_ways() {
-    Team team = assemble();
-    Repair repair(team, settings_, statistics_);
-    repair.first_ways();
-    const int last = static_cast<int>(settings_.last_deadline * team.steps()) + 20;
-    const int wanted = team.steps();
+bool Planner::find_paths() {
+    PathSet paths = assemble();
+    Repair repair(paths, settings_, statistics_);
+    repair.first_paths();
+    const int last = static_cast<int>(settings_.last_deadline * paths.steps()) + 20;
+    const int wanted = paths.steps();
     const bool free = repair.run(last);
     if (free) repair.hurry(wanted);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
     if (free)
-        keep(team);
+        keep(paths);
     else
-        give_up_some(team);
+        give_up_some(paths);
     return free;
 }
 
-// One of each pair that still meets; those with more meetings first.
-void Planner::give_up_some(const Team &team) {
-    std::vector<std::pair<int, int>> order; // fewer meetings come last
-    for (int m = 0; m < team.size(); ++m)
-        if (!team.at(m).meetings.empty())
-            order.emplace_back(-static_cast<int>(team.at(m).meetings.size()), m);
+// One of each pair that still conflicts; those with more conflicts first.
+void Planner::give_up_some(const PathSet &paths) {
+    List<std::pair<int, PathIndex>> order; // fewer conflicts come last
+    for (const PathIndex m : paths.places())
+        if (!paths.at(m).conflicts.empty()) order.emplace_back(-paths.at(m).conflicts.size(), m);
     std::sort(order.begin(), order.end());
-    std::vector<int> gone;
-    for (const auto &[meetings, m] : order) {
-        const auto &theirs = team.at(m).meetings;
-        const auto open = std::find_if(theirs.begin(), theirs.end(), [&](const Meeting &meeting) {
-            return std::find(gone.begin(), gone.end(), meeting.other) == gone.end();
+    List<PathIndex> gone;
+    for (const auto &[conflicts, m] : order) {
+        const auto &theirs = paths.at(m).conflicts;
+        const auto open = std::find_if(theirs.begin(), theirs.end(), [&](const PathConflict &conflict) {
+            return !gone.contains(conflict.other);
         });
         if (open == theirs.end()) continue;
         gone.push_back(m);
-        const auto robot = robot_of_[static_cast<size_t>(m)],
-                   other = robot_of_[static_cast<size_t>(open->other)];
-        cast_.send_to_safe_place(robot, Refusal::no_way, other);
+        goals_.send_to_safe_place(positioner_of_[m], Refusal::no_way, positioner_of_[open->other]);
     }
-    cast_.settle();
+    goals_.settle();
 }
 
-void Planner::keep(const Team &team) {
-    int last = 0; // the last step in which somebody moves
-    for (const Member &m : team.members())
-        for (int step = last + 1; step <= team.steps(); ++step)
-            if (!(m.way[static_cast<size_t>(step)] == m.way[static_cast<size_t>(step - 1)])) last = step;
+// The last step in which any positioner moves.
+int Planner::last_step(const PathSet &paths) const {
+    int last = 0;
+    for (const PathIndex m : paths.places())
+        for (int step = last + 1; step <= paths.steps(); ++step)
+            if (!(paths.at(m).path[step] == paths.at(m).path[step - 1])) last = step;
+    return last;
+}
+
+void Planner::keep(const PathSet &paths) {
+    const int last = last_step(paths);
     statistics_.steps = last;
     statistics_.step_s = clock_.step_s();
-    for (const Angles &start : task_.start) motions_.push_back({{0.0}, {start}});
-    for (int m = 0; m < team.size(); ++m)
-        if (!team.at(m).still)
-            motions_[static_cast<size_t>(robot_of_[static_cast<size_t>(m)])] =
-                motion_of(team.at(m).robot, team.at(m).way, last, clock_,
-                          cast_.approach(robot_of_[static_cast<size_t>(m)]));
+    List<Motion, PositionerIndex> motions;
+    for (const Angles &start : task_.start) motions.push_back({{0.0}, {start}});
+    for (const PathIndex m : paths.places()) {
+        const PositionerIndex i = positioner_of_[m];
+        if (!paths.at(m).still)
+            motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, goals_.approach(i));
+    }
+    motions_.assign(motions.begin(), motions.end());
 }
 
-Outcome Planner::outcome() { return {motions_, cast_.refused(), statistics_}; }
-
 // The last resort: everything that should have moved is named, nothing moves.
-Outcome Planner::nobody_moves() {
-    Outcome out{{}, cast_.refused(), statistics_};
-    for (int i = 0; i < cast_.size(); ++i) {
-        out.motions.push_back({{0.0}, {task_.start[static_cast<size_t>(i)]}});
+PlanResult Planner::none_moves() {
+    PlanResult out{{}, goals_.refused(), statistics_};
+    for (const PositionerIndex i : goals_.places()) {
+        out.motions.push_back({{0.0}, {row(task_.start, i)}});
         const bool named = std::any_of(out.refused.begin(), out.refused.end(),
-                                       [&](const Refused &r) { return r.robot == i; });
-        if (cast_.acts(i) && !cast_.still(i) && !named) out.refused.push_back({i, Refusal::no_way, -1});
+                                       [&](const Refused &r) { return r.robot == i.value(); });
+        if (goals_.moves(i) && !goals_.still(i) && !named)
+            out.refused.push_back({i.value(), Refusal::no_way, -1});
     }
     return out;
 }
@@ -154,7 +155,7 @@ const char *to_string(Refusal reason) {
     return "";
 }
 
-Outcome plan(const Bodies &bodies, const Task &task, const Settings &settings) {
+PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings) {
     return Planner(bodies, task, settings).run();
 }
 

@@ -76,20 +76,20 @@ size_t Neighbours::bytes_per_positioner() const {
 }
 
 Segment Neighbours::segment(size_t i, const Pose &pose) const {
-    return beta_segment(arms_[i], body_.from_mm, body_.to_mm, pose.bent);
+    return beta_segment(arms_[i], body_.from_mm, body_.to_mm, pose.deflected);
 }
 
 // How far an arm springs at most when it is let go.
-double Neighbours::bend_mm(size_t i, const Pose &pose) const {
-    return std::abs(pose.bent.alpha_rad - pose.rigid.alpha_rad) * (arms_[i].l_alpha_mm + body_.to_mm) +
-           std::abs(pose.bent.beta_rad - pose.rigid.beta_rad) * body_.to_mm;
+double Neighbours::deflection_mm(size_t i, const Pose &pose) const {
+    return std::abs(pose.deflected.alpha_rad - pose.rigid.alpha_rad) * (arms_[i].l_alpha_mm + body_.to_mm) +
+           std::abs(pose.deflected.beta_rad - pose.rigid.beta_rad) * body_.to_mm;
 }
 
 // How far the arm gives way along the normal for one newton: levers squared times compliances, Eq. 5a.
-double Neighbours::softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const {
+double Neighbours::softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const {
     const double lever_a_m = metres * cross(minus(m.point_mm, arms_[i].centre_mm), m.normal);
     const double lever_b_m =
-        metres * cross(minus(m.point_mm, elbow(arms_[i], pose.bent.alpha_rad)), m.normal);
+        metres * cross(minus(m.point_mm, elbow(arms_[i], pose.deflected.alpha_rad)), m.normal);
     const double *give = gives_[i].compliance_rad_per_Nm;
     return (lever_a_m * lever_a_m * give[0] + lever_b_m * lever_b_m * give[1]) / metres;
 }
@@ -116,7 +116,7 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
     if (aim_N == 0.0 && std::hypot(force_N.x, force_N.y) < let_go_N) return;
 
     look.now.push_back({body.number, at.number, force_N});
-    const Vec2 axis_b = elbow(arms_[look.i], pose.bent.alpha_rad);
+    const Vec2 axis_b = elbow(arms_[look.i], pose.deflected.alpha_rad);
     look.push.torque_Nm[0] += metres * cross(minus(c.on_first, arms_[look.i].centre_mm), force_N);
     look.push.torque_Nm[1] += metres * cross(minus(c.on_first, axis_b), force_N);
 }
@@ -127,7 +127,7 @@ double Neighbours::touch(Look &look, const Touched &body) const {
     const double distance_mm = segment_distance(look.mine, body.line);
     const double gap_mm = distance_mm - body.apart_mm;
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
-        const double still_mm = gap_mm - body.spring_mm - bend_mm(look.i, look.poses[look.i]);
+        const double still_mm = gap_mm - body.spring_mm - deflection_mm(look.i, look.poses[look.i]);
         return std::max(still_mm, 0.0) / (approach_speed_mm_s(look.i) + body.speed_mm_s);
     }
     const Closest places[] = {closest_point(look.mine.a, body.line), closest_point(look.mine.b, body.line),
@@ -148,7 +148,7 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
         return {number,
                 segment(number, pose),
                 2.0 * body_.radius_mm,
-                bend_mm(number, pose),
+                deflection_mm(number, pose),
                 approach_speed_mm_s(number),
                 &pose};
     }

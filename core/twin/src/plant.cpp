@@ -57,7 +57,7 @@ uint32_t noise_key(uint64_t seed, uint64_t axis) {
 }
 
 size_t axis_at(size_t group, size_t lane) {
-    return 2 * (group * squad_size + lane % squad_size) + lane / squad_size;
+    return 2 * (group * lane_group_size + lane % lane_group_size) + lane / lane_group_size;
 }
 
 // Standard normal, nearly: twelve bytes of scrambled counter (Irwin-Hall, ends at six).
@@ -152,11 +152,11 @@ double Plant::output_at_rest_rad(size_t axis) const {
     return output_of_gear(a.cell, gear_rad) + seat_rad + a.slip_rad;
 }
 
-double Plant::bend_rad(size_t axis) const {
+double Plant::deflection_rad(size_t axis) const {
     return (axes_[axis].torque_Nm + stop_torque_Nm(axis)) * compliance_rad_per_Nm(axis);
 }
 
-double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + bend_rad(axis); }
+double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + deflection_rad(axis); }
 
 double Plant::backlash_rad(size_t axis) const {
     const Cell &cell = axes_[axis].cell;
@@ -181,7 +181,7 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
 void Plant::set_faults(size_t axis, AxisFaults faults) {
     Axis &a = axes_[axis];
     if (faults.lying && !a.faults.lying) a.held_rad = output_at_rest_rad(axis);
-    const bool caught = a.faults.lying && !faults.lying; // the coupling closes where the arm stands
+    const bool caught = a.faults.lying && !faults.lying; // the coupling closes where the arm is
     a.faults = faults;
     if (caught) a.slip_rad += a.held_rad - output_at_rest_rad(axis);
     a.geared_rad = geared_rad(axis);

@@ -5,6 +5,8 @@
 #include <numbers>
 #include <utility>
 
+#include "fl_dispatch.h"
+
 namespace fl::twin {
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
@@ -85,7 +87,7 @@ void Positioner::record_axes(const Plant &plant, uint64_t tick) {
 
 ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) const {
     const size_t number = 2 * index_ + static_cast<size_t>(axis);
-    const int lane = lane_ + axis * squad_size;
+    const int lane = lane_ + axis * lane_group_size;
     const AxisState state = plant.state(number);
     const fl_axis_telemetry_t t = fl_positioner_telemetry(&firmware_, axis);
     ScopeSample s{};
@@ -96,8 +98,11 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
     s.speed_rad_s =
         state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
     s.torque_out_Nm = plant.external_torque_Nm(number);
-    for (size_t k = 0; k < 3; ++k) s.duty[k] = static_cast<double>(group_->duty[k][lane]);
-    for (size_t k = 0; k < 2; ++k) s.hall_cnt[k] = group_->hall_cnt[k][lane];
+    s.duty_a = static_cast<double>(group_->duty[0][lane]);
+    s.duty_b = static_cast<double>(group_->duty[1][lane]);
+    s.duty_c = static_cast<double>(group_->duty[2][lane]);
+    s.hall_a_cnt = group_->hall_cnt[0][lane];
+    s.hall_b_cnt = group_->hall_cnt[1][lane];
     s.command_deg = static_cast<double>(t.command_deg);
     s.tracking_deg = static_cast<double>(t.tracking_deg);
     s.command_speed_rad_s = static_cast<double>(t.speed_rad_s);
@@ -111,7 +116,7 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
 
 void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
     uint16_t *last = last_hall_[axis];
-    const int lane = lane_ + axis * squad_size;
+    const int lane = lane_ + axis * lane_group_size;
     if (!faults.stuck_hall[axis])
         for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->hall_cnt[k][lane]);
     adc_cnt[0] = last[0];
@@ -124,7 +129,7 @@ void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
 
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
-    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * squad_size] = duty[k];
+    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * lane_group_size] = duty[k];
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {

@@ -85,7 +85,7 @@ class Positioner {
     fl_positioner_t firmware_{};
     fl_axis_params_t factory_[FL_AXES] = {};
     AxisGroup *group_ = nullptr;
-    int lane_ = 0; // of alpha; beta's is squad_size further
+    int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;
     Outbox *outbox_ = nullptr;
     std::vector<uint8_t> storage_;

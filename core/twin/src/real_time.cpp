@@ -11,7 +11,7 @@ namespace fl::twin {
 namespace {
 
 constexpr double patience_s = 1.0;                // further behind than this, time is given up
-constexpr std::chrono::milliseconds nap_time{50}; // while everybody rests
+constexpr std::chrono::milliseconds nap_time{50}; // while every positioner rests
 constexpr uint64_t most_ticks = std::max<uint64_t>(4, sync_ticks); // of one go, when behind
 
 } // namespace
@@ -71,17 +71,17 @@ uint64_t RealTime::ticks_due() const {
 uint64_t RealTime::idle_ticks(uint64_t ticks) const {
     if (!twin_.resting()) return 0;
     if (agenda_.empty()) return ticks;
-    const uint64_t first = agenda_.top().errand.tick;
+    const uint64_t first = agenda_.top().queued.tick;
     return first > twin_.tick() ? std::min(ticks, first - twin_.tick()) : 0;
 }
 
-void RealTime::post(const std::vector<Errand> &errands) {
+void RealTime::post(const std::vector<QueuedFrame> &frames) {
     {
         const std::lock_guard lock(mutex_);
         const uint64_t next = ticks_begun();
-        for (Errand errand : errands) {
-            errand.tick = std::max(errand.tick, next);
-            inbox_.push_back({errand, posted_++});
+        for (QueuedFrame queued : frames) {
+            queued.tick = std::max(queued.tick, next);
+            inbox_.push_back({queued, posted_++});
         }
     }
     change_.notify_all();
@@ -135,13 +135,13 @@ void RealTime::exchange(std::unique_lock<std::mutex> lock) {
 }
 
 void RealTime::deliver() {
-    while (!agenda_.empty() && agenda_.top().errand.tick <= twin_.tick()) {
-        twin_.send(agenda_.top().errand.frame, agenda_.top().errand.bus);
+    while (!agenda_.empty() && agenda_.top().queued.tick <= twin_.tick()) {
+        twin_.send(agenda_.top().queued.frame, agenda_.top().queued.bus);
         agenda_.pop();
     }
 }
 
-// A machine that slept or was taken away for long: nobody wants that time played fast forward.
+// A machine that slept or was taken away for long: that time is not made up for.
 void RealTime::give_up() {
     const std::chrono::duration<double> behind = Clock::now() - due(twin_.tick());
     if (behind.count() <= patience_s) return;

@@ -9,7 +9,7 @@
 #include <unordered_map>
 #include <utility>
 
-#include "squad.hpp"
+#include "lane_group.hpp"
 #include "workers.hpp"
 
 namespace fl::twin {
@@ -63,14 +63,14 @@ struct Twin::State {
     void apply_torque(size_t i, const Push &push);
     void publish(size_t i);
     void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
-    bool anybody_awake() const;
-    // Forces between arms that touch follow every tick; who might touch is looked at every 2 ms.
+    bool any_awake() const;
+    // Forces between arms that touch follow every tick; which arms might touch is looked at every 2 ms.
     bool at_sync() const { return touching || now % sync_ticks == 0; }
     uint64_t ticks_to_sync() const {
         if (!feel) return lone_ticks;
         return touching ? 1 : sync_ticks - now % sync_ticks;
     }
-    bool anybody_touches() const;
+    bool any_touching() const;
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -80,26 +80,27 @@ struct Twin::State {
     Plant plant;
     size_t count;
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
-    std::vector<Squad> squads;                 // one per group of the plant
+    std::vector<LaneGroup> lane_groups;        // one per group of the plant
     std::vector<Outbox> outboxes;
     std::unordered_map<uint32_t, size_t> index_of_id;
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
-    bool touching = false; // somebody, at the last sync point
+    bool touching = false; // some arms, at the last sync point
     uint64_t now = 0;
     uint64_t slice = 0; // ticks of the slice that runs
-    bool quiet = false; // a sync point has passed with everybody asleep: time alone goes on
-    // where everybody's arms are: as of the last sync point (read), and of the next (written)
+    bool quiet = false; // a sync point has passed with every positioner asleep: time alone goes on
+    // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
     Workers workers;
 };
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
-      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)), squads(plant.group_count()),
-      outboxes(plant.group_count()), neighbours(s.arms, s.obstacles, s.body, gives_of(plant)),
-      feel(s.neighbours), skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
+      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)),
+      lane_groups(plant.group_count()), outboxes(plant.group_count()),
+      neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
+      skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
       workers(s.threads, plant.group_count(), [this](size_t group) { run_group(group, slice); }) {
     boot(s);
     for (size_t i = 0; i < count; ++i) publish(i);
@@ -111,13 +112,13 @@ void Twin::State::boot(const TwinSetup &s) {
         if (!index_of_id.emplace(s.ids[i], i).second)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
         Positioner &p = positioners[i];
-        p.attach(plant, i, outboxes[i / squad_size]);
+        p.attach(plant, i, outboxes[i / lane_group_size]);
         p.boot(s.ids[i], &s.params[2 * i]);
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
-        const size_t first = g * squad_size;
-        squads[g].attach(plant, g, &positioners[first], std::min<size_t>(squad_size, count - first),
-                         s.side_by_side);
+        const size_t first = g * lane_group_size;
+        lane_groups[g].attach(plant, g, &positioners[first], std::min<size_t>(lane_group_size, count - first),
+                              s.side_by_side);
         plant.sense(g, 0); // the first hall reading is real
     }
     for (size_t i = 0; i < s.ids.size(); ++i) {
@@ -130,28 +131,28 @@ void Twin::State::boot(const TwinSetup &s) {
 
 // One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
-    const size_t first = group * squad_size, last = std::min(first + squad_size, count);
+    const size_t first = group * lane_group_size, last = std::min(first + lane_group_size, count);
     if (feel && at_sync())
         for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
-    Squad &squad = squads[group];
-    if (!squad.muster()) return;
+    LaneGroup &lane_group = lane_groups[group];
+    if (!lane_group.gather()) return;
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
         plant.sense(group, static_cast<uint32_t>(tick));
-        squad.tick(tick);
+        lane_group.tick(tick);
         plant.step(group);
         for (size_t i = first; i < last; ++i) positioners[i].record(plant, tick);
     }
-    squad.rest(now + ticks, skip_resting);
+    lane_group.rest(now + ticks, skip_resting);
     for (size_t i = first; feel && i < last; ++i) publish(i);
 }
 
 void Twin::State::publish(size_t i) {
     Pose &pose = next[i];
-    double *bent[] = {&pose.bent.alpha_rad, &pose.bent.beta_rad};
+    double *deflected[] = {&pose.deflected.alpha_rad, &pose.deflected.beta_rad};
     double *rigid[] = {&pose.rigid.alpha_rad, &pose.rigid.beta_rad};
     for (size_t axis = 0; axis < FL_AXES; ++axis) {
         *rigid[axis] = plant.output_at_rest_rad(2 * i + axis);
-        *bent[axis] = *rigid[axis] + plant.bend_rad(2 * i + axis);
+        *deflected[axis] = *rigid[axis] + plant.deflection_rad(2 * i + axis);
     }
 }
 
@@ -182,12 +183,12 @@ void Twin::State::apply_torque(size_t i, const Push &push) {
         plant.set_external_torque(2 * i + axis, push.torque_Nm[axis] + p.user_push.torque_Nm[axis]);
 }
 
-bool Twin::State::anybody_awake() const {
+bool Twin::State::any_awake() const {
     return std::any_of(&positioners[0], &positioners[0] + count,
                        [](const Positioner &p) { return !p.asleep(); });
 }
 
-bool Twin::State::anybody_touches() const {
+bool Twin::State::any_touching() const {
     return std::any_of(&positioners[0], &positioners[0] + count,
                        [](const Positioner &p) { return !p.contacts.empty(); });
 }
@@ -196,7 +197,7 @@ void Twin::State::run_slice(uint64_t ticks) {
     slice = ticks;
     workers.run();
     now += ticks;
-    touching = feel && anybody_touches();
+    touching = feel && any_touching();
     if (at_sync()) seen = next;
 }
 
@@ -241,13 +242,13 @@ void Twin::connect(size_t i, int bus) { s_->at(i).bus = bus; }
 std::vector<Reply> Twin::run(uint64_t ticks) {
     const uint64_t end = s_->now + ticks;
     while (s_->now < end) {
-        const bool resting = !s_->anybody_awake(), at_sync = !s_->feel || s_->at_sync();
+        const bool resting = !s_->any_awake(), at_sync = !s_->feel || s_->at_sync();
         if (resting && s_->quiet) {
             s_->now = end;
             break;
         }
         s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
-        s_->quiet = resting && at_sync && !s_->anybody_awake();
+        s_->quiet = resting && at_sync && !s_->any_awake();
     }
     return s_->collect();
 }
@@ -259,7 +260,7 @@ Angles Twin::output(size_t i) const {
 
 const fl_positioner_t &Twin::firmware(size_t i) const { return s_->at(i).firmware(); }
 bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
-bool Twin::resting() const { return s_->quiet && !s_->anybody_awake(); }
+bool Twin::resting() const { return s_->quiet && !s_->any_awake(); }
 
 uint64_t Twin::ticks_skipped() const {
     uint64_t sum = 0;
@@ -277,7 +278,7 @@ uint64_t Twin::ticks_run() const {
 size_t Twin::bytes_per_positioner() const {
     return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
            FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose) +
-           sizeof(Squad) / squad_size;
+           sizeof(LaneGroup) / lane_group_size;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {

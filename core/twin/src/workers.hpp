@@ -9,8 +9,8 @@
 
 namespace fl::twin {
 
-// Every batch has the same tasks, 0 to count - 1. A helper that sleeps through a batch keeps nobody
-// waiting: whoever is awake takes the tasks, and the batch ends with the last task.
+// Every batch has the same tasks, 0 to count - 1. A helper that sleeps through a batch delays
+// none: the threads that are awake take the tasks, and the batch ends with the last task.
 class Workers {
   public:
     // threads: in all, the calling one included.

@@ -40,7 +40,7 @@ def dip_mm(plane: FocalPlane, approach_deg: float, bodies: int = 2) -> float:
     """
     step = float(deg_to_rad(approach_deg)) / (POSES - 1)
     arm = max(map(abs, plane.beta_segment_mm))
-    l_alpha = float(plane.arms[:, 2].max(initial=0.0))
+    l_alpha = float(plane.l_alpha_mm.max(initial=0.0))
     # alpha turns the whole arm, beta its second part: twice the angle there
     travel = step * (l_alpha + 2 * arm)
     arc = (l_alpha * step**2 + arm * (2 * step) ** 2) / 8

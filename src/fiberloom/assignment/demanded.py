@@ -20,7 +20,7 @@ OVER_BACKLASH = 1.2
 
 def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
     """The shortest overshoot that closes every backlash; never more than the usual one."""
-    backlash = max(plane.instrument.alpha.backlash_deg, plane.instrument.beta.backlash_deg)
+    backlash = max(axis.backlash_deg for axis in plane.instrument.axes)
     return min(approach_deg, OVER_BACKLASH * backlash) if backlash else approach_deg
 
 

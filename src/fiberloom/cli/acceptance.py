@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from typing import Any
 
@@ -24,6 +25,7 @@ from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
 from fiberloom.report.acceptance import acceptance_html, found_text
 from fiberloom.report.outputs import marks, prepare_folder
+from fiberloom.store.calibrations import record_calibration
 
 
 def run_acceptance(
@@ -70,7 +72,10 @@ def write_acceptance(
     verdicts = judge(data, plane)
     content = marks(plane, request.seed) | {"bench": "twin", "settings": asdict(settings)}
     content |= {"units": [_unit(v, serial) for v in verdicts]}
-    (request.out / "acceptance.json").write_text(json.dumps(content, indent=2) + "\n")
+    file = request.out / "acceptance.json"
+    file.write_text(json.dumps(content, indent=2) + "\n")
+    judged = [v.positioner_id for v in verdicts if not v.reason]
+    record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
     data.maps.save(request.out / "transmission.npz")
     for verdict in verdicts:
         page = acceptance_html(verdict, data, _head(request, verdict, settings, firmware, serial, engineer))

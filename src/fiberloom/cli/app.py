@@ -78,11 +78,13 @@ def observe(
     instrument: InstrumentOption = "sdssv",
     layout: LayoutOption = None,
     moves: Annotated[
-        int | None, typer.Option(min=1, help="Blind move + corrections; default: the instrument's.")
+        int | None,
+        typer.Option(min=1, help="Exactly so many, blind move counted; default: the instrument's stop rule."),
     ] = None,
     correction: Annotated[
-        Correction, typer.Option(help="Kalman filter, or Eq. 25 as printed.")
-    ] = Correction.filtered,
+        Correction | None,
+        typer.Option(help="Kalman filter, or Eq. 25 as printed; default: the instrument's."),
+    ] = None,
     camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image,
     pages: Annotated[
         Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")
@@ -117,7 +119,7 @@ def observe(
     request = ObserveRequest(
         targets=targets,
         moves=moves,
-        correction=correction.value,
+        correction=None if correction is None else correction.value,
         camera=camera.value,
         pages=pages.value,
         save_images=save_images,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -47,6 +49,7 @@ from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
 from fiberloom.report.commissioning import commissioning_html, limits_text, number_text
 from fiberloom.report.outputs import marks, prepare_folder
+from fiberloom.store.calibrations import record_calibration
 
 TRANSMISSION = "transmission"
 FIRMWARE_QUANTITIES = ("torque at full voltage", "inertia", "drag", "drag of the pushes", "Coulomb friction",
@@ -188,6 +191,9 @@ async def _part(
         raise Refused(str(error)) from None
     content = results(request, rig, found.estimates)
     (request.out / file).write_text(json.dumps(content, indent=2) + "\n")
+    whole = np.all([e.ok for e in found.estimates], axis=0)
+    ids = request.plane.positioner_id[whole]
+    record_calibration(request.out / file, name, ids, content, " ".join(sys.argv))
     found.draw(request)
     return of_file(request.out / file, content)
 
@@ -231,7 +237,10 @@ def _write(request: BenchRequest, settings: CommissionSettings, whole: _Whole) -
     for unit in content["units"]:
         page = commissioning_html(unit, _head(request, unit, content))
         (request.out / unit["report"]).write_text(page, encoding="utf-8")
-    (request.out / "commissioning.json").write_text(json.dumps(content, indent=2) + "\n")
+    path = request.out / "commissioning.json"
+    path.write_text(json.dumps(content, indent=2) + "\n")
+    good = [u["positioner_id"] for u in content["units"] if u["commissioned"]]
+    record_calibration(path, "commission", good, content, " ".join(sys.argv))
     return content
 
 

@@ -29,6 +29,7 @@ from fiberloom.operation.survey import SurveySettings, survey, survey_of_store
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
+from fiberloom.store.calibrations import record_calibration
 from fiberloom.twin import Units, draw_units, field_hardware
 from fiberloom.twin.mounting import misplaced
 
@@ -117,6 +118,10 @@ def _write(
 ) -> dict[str, Any]:
     stamp = marks(plane, request.seed)
     save_arms(out / "arms.ecsv", fit, stamp)
+    measured_now = request.measured is None
+    made = fit.positioner_id[fit.ok]
+    command = " ".join(sys.argv)
+    record_calibration(out / "arms.ecsv", "focal-plane", made, stamp, command, same_run=measured_now)
     write_layout(fit.plane(guess), out / "layout")
     plot_convergence(out / "convergence.png", rows, plane.n, plane.instrument.metrology.noise_rms_um)
     refused = {int(p): r for p, r in zip(fit.positioner_id, fit.reason, strict=True) if r}

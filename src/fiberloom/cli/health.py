@@ -70,7 +70,11 @@ def _runs(where: str, plane: FocalPlane) -> Iterator[tuple[str, int]]:
     found = []
     for store in stores_below(where):
         with Store.open(store, create=False) as opened:
-            found += [(run.utc_start, store, run.id) for run in opened.runs() if run.config_hash in hashes]
+            found += [
+                (run.utc_start, store, run.id)
+                for run in opened.runs()
+                if run.n_moves and run.config_hash in hashes
+            ]
     yield from ((store, run_id) for _, store, run_id in sorted(found))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
@@ -47,6 +48,7 @@ from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 from fiberloom.report import identification as figures
 from fiberloom.report.outputs import prepare_folder
+from fiberloom.store.calibrations import record_calibration
 from fiberloom.tables import write_ecsv
 
 
@@ -74,7 +76,10 @@ def run_identification(name: str, request: BenchRequest, work: Work) -> tuple[di
             ids = ", ".join(map(str, request.plane.positioner_id[:3]))
             raise InputError(f"calibrate {name}, positioner {ids}: {error}") from None
     content = results(request, rig, found.estimates)
-    (request.out / f"{name}.json").write_text(json.dumps(content, indent=2) + "\n")
+    file = request.out / f"{name}.json"
+    file.write_text(json.dumps(content, indent=2) + "\n")
+    whole = np.all([e.ok for e in found.estimates], axis=0)
+    record_calibration(file, name, request.plane.positioner_id[whole], content, " ".join(sys.argv))
     head = {key: value for key, value in content.items() if key != "positioners"}
     write_ecsv(request.out / f"{name}.ecsv", table_rows(content), head)
     found.draw(request)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.learning import LearningRecorder
 from fiberloom.operation.loop import Recorder
-from fiberloom.store import Store
+from fiberloom.store import Run, Store
+from fiberloom.store.calibrations import note_calibration
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 from fiberloom.typing import Floats, Ints
 
@@ -32,6 +34,19 @@ class Known:
     """How far the maps may be off at wire positions (N, 2), where operation has taught them."""
     keeper: Keeper | None = None
     recorder: LearningRecorder | None = None
+    files: dict[str, Path] = field(default_factory=dict)
+    """What was read, by kind of calibration."""
+
+    def record_used(self, run: Run) -> None:
+        """Which calibrations this run uses."""
+        for kind, file in self.files.items():
+            if file.exists():  # a cache that cannot be written has no file
+                note_calibration(run, kind, file, self.plane.positioner_id)
+
+    def record_learnt(self, run: Run) -> None:
+        """What this run has taught, where learning was asked for."""
+        if self.keeper is not None:
+            self.keeper.record(run)
 
     def learning(self, recorder: Recorder) -> Recorder:
         """The recorder that learns, where that was asked for."""
@@ -62,6 +77,7 @@ class Keeper:
         self.generation: int | None = None
         self._history, self._seed = history, seed
         self._begun_deg = learner.output_deg.copy()
+        self._kept: dict[int, bytes] = {}
 
     def keep(self, learner: AdaptiveCalibration, rows: Ints) -> None:
         """The states of these rows as they are now."""
@@ -78,6 +94,12 @@ class Keeper:
             for k, (positioner, data) in enumerate(packets.items())
         }
         self._history.put(self.generation, states)
+        self._kept |= packets
+
+    def record(self, run: Run) -> None:
+        """The learnt states of these positioners as they are at the end of the run."""
+        digest = hashlib.sha256(b"".join(self._kept[p] for p in sorted(self._kept))).hexdigest()[:16]
+        note_calibration(run, "learnt", Path(self.store.name), self._kept, digest)
 
 
 def known_so_far(
@@ -91,8 +113,9 @@ def known_so_far(
 ) -> Known:
     """Layout and maps, then the arms of a file, then what was learnt since."""
     host = plane if arms is None else load_arms(arms, plane)
+    files = {"transmission": maps_file} | ({} if arms is None else {"focal-plane": arms})
     if not (adapt or learnt):
-        return Known(host, maps)
+        return Known(host, maps, files=files)
     covariance = None if arms is None else load_arms_covariance(arms, plane)
     learner = AdaptiveCalibration(host, maps, arms_covariance_mm2=covariance)
     store = Store.open(learnt or maps_file.with_suffix(".learnt.sqlite"), create=adapt)
@@ -103,7 +126,7 @@ def known_so_far(
     keeper = Keeper(store, history, learner, seed) if adapt else None
     # as it is now: what this observation teaches is not used in it
     begun = learner.copy()
-    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper)
+    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper, files=files)
 
 
 def history_step(learnt: str, positioner: int | None) -> list[dict[str, Any]]:

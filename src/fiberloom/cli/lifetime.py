@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fiberloom.cli.terminal import waiting
 from fiberloom.instruments import load_instrument
+from fiberloom.instruments.model import AXES
 from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime, rms
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.studies import campaign
@@ -155,7 +156,7 @@ def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any
             "and pace assumed",
         },
         "arms": {
-            "columns": ["alpha", "beta"],
+            "columns": list(AXES),
             "calibrated_mm": rows["arms_mm"][few].round(6).tolist(),
             "true_mm": rows["true_arms_mm"][few].round(6).tolist(),
         },

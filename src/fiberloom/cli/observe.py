@@ -36,6 +36,7 @@ class ObserveRequest:
     out: Path
     seed: int = 0
     moves: int | None = None
+    """Exactly so many, the blind one counted; None: the instrument's stop rule."""
     correction: str | None = None
     camera: str = "noise"
     pages: str = "last"
@@ -89,8 +90,9 @@ def _observe(
     wait: Waiting,
 ) -> Observed:
     operation = plane.instrument.operation
-    settings = LoopSettings(
-        moves=request.moves or 1 + operation.corrections_max,
+    settings = LoopSettings.of(
+        operation,
+        request.moves,
         filtered=(request.correction or operation.correction) == "filtered",
         compare_linear=request.compare_linear,
         seed=request.seed,
@@ -106,8 +108,10 @@ def _observe(
         loop = Loop(
             plane, assignment, known.maps, hardware, settings, recorder, wait.say, known.map_sigma_deg
         )
+        known.record_used(run)
         asyncio.run(_whole(loop))
-    return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified)
+        known.record_learnt(run)
+    return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified, loop.stopped)
 
 
 async def _whole(loop: Loop) -> None:
@@ -130,6 +134,7 @@ def _reasons(assignment: Assignment) -> dict[str, int]:
 def _close(summary: dict[str, Any], out: Path) -> None:
     console = Console()
     console.print(observation_table(summary))
+    console.print(f"corrections ended: {summary['stopped']}")
     console.print(
         f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, "
         f"{summary['collisions_verified']} collisions in verified trajectories; "

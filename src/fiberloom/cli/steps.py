@@ -116,6 +116,7 @@ def _runs_of(path: str | Path) -> list[dict[str, Any]]:
                 "status": run.status,
                 "moves": run.n_moves,
                 "measurements": run.n_measurements,
+                "calibrations": ", ".join(f"{k} {n}" for k, n in store.calibrated(run.id).items()),
                 "seed": run.seed,
                 "instrument": run.instrument,
                 "note": run.note,

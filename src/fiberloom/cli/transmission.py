@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.report.transmission import plot_transmission
+from fiberloom.store.calibrations import record_calibration
 from fiberloom.twin import Units, bench_hardware, draw_units
 
 POINTS = 200
@@ -48,6 +50,8 @@ def run_calibrate_transmission(
     calibration.maps.save(out / "transmission.npz")
     summary = marks(plane, seed) | _summary(calibration)
     (out / "transmission.json").write_text(json.dumps(summary, indent=2) + "\n")
+    made = plane.positioner_id[calibration.report.ok]
+    record_calibration(out / "transmission.npz", "transmission", made, summary, " ".join(sys.argv))
     plot_transmission(out / "transmission.png", calibration.maps, row=0)
     return summary | {"maps": str(out / "transmission.npz")}
 

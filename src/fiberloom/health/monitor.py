@@ -21,11 +21,10 @@ import numpy as np
 from fiberloom.health.charts import Chart, Rows, of_event, of_shift, of_spread
 from fiberloom.health.habits import ArmFit, Habit, WayShare
 from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, UM_PER_MM, deg_to_rad, rad_to_deg
-
-AXES = ("alpha", "beta")
 
 
 class State(StrEnum):
@@ -336,9 +335,7 @@ class HealthMonitor:
 
     def _along(self, at_deg: Floats, fibre_mm: Floats, rows: Rows) -> Floats:
         """(n, 2) unit vectors from the beta axis to the fibre: where it goes if the beta arm grows."""
-        arms = self.plane.arms[rows]
-        angle = deg_to_rad(at_deg[:, 0]) + arms[:, 3]
-        elbow = self.plane.centres_mm[rows] + arms[:, 2:3] * np.column_stack([np.cos(angle), np.sin(angle)])
+        elbow = self.plane.elbows_mm(at_deg[:, 0], rows)
         return (fibre_mm - elbow) / np.hypot(*(fibre_mm - elbow).T)[:, None]
 
     def _image_variance(self, angles: Floats, rows: Rows) -> Floats:
@@ -376,8 +373,8 @@ class HealthMonitor:
 
     def _levers(self) -> Floats:
         """(N, 2) mm from the axes to the fibre, arms stretched halfway."""
-        l_beta = np.hypot(*self.plane.points[METROLOGY].T)
-        return np.stack([np.hypot(self.plane.arms[:, 2], l_beta), l_beta], axis=1)
+        l_beta = self.plane.l_beta_mm
+        return np.stack([np.hypot(self.plane.l_alpha_mm, l_beta), l_beta], axis=1)
 
     # what it comes to
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.acquisition import (
     Acquisition,
     AcquisitionError,
@@ -147,7 +147,7 @@ def reduce_image(
 
 def metrology_reach_mm(plane: FocalPlane) -> Floats:
     """(N, 2) inner and outer radius that the metrology fibres reach."""
-    alpha, beta = plane.arms[:, 2], np.hypot(*plane.points[METROLOGY].T)
+    alpha, beta = plane.l_alpha_mm, plane.l_beta_mm
     return np.column_stack([np.abs(alpha - beta), alpha + beta])
 
 

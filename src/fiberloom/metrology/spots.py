@@ -155,10 +155,7 @@ def find_spots(
     measurement. `fits_bytes`: see `CameraImage.fits_bytes`.
     """
     s = settings or SpotSettings()
-    result = _core.find_spots(
-        _pixels(image), fits_bytes, s.gain_e_adu, s.saturation_adu, s.threshold, s.fwhm_px,
-        (profile or Profile()).packed,
-    )  # fmt: skip
+    result = _core.find_spots(_pixels(image), fits_bytes, _settings(s), (profile or Profile()).packed)
     return _found(result, s)
 
 
@@ -178,11 +175,13 @@ def find_expected(
         raise InputError("expected positions: an array (n, 2) of finite pixel coordinates")
     if not radius_px > 0:
         raise InputError(f"search radius {radius_px} px: must be above 0")
-    result = _core.find_expected(
-        _pixels(image), fits_bytes, s.gain_e_adu, s.saturation_adu, s.threshold, s.fwhm_px,
-        (profile or Profile()).packed, expected, radius_px,
-    )  # fmt: skip
+    packed = (profile or Profile()).packed
+    result = _core.find_expected(_pixels(image), fits_bytes, _settings(s), packed, expected, radius_px)
     return _found(result, s)
+
+
+def _settings(s: SpotSettings) -> _core.Settings:
+    return _core.Settings(s.gain_e_adu, s.saturation_adu, s.threshold, s.fwhm_px)
 
 
 def _pixels(image: NDArray) -> NDArray:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
@@ -37,6 +37,16 @@ _INSIDE_MM = 1e-6
 def plain_update(commanded_mm: Floats, target_mm: Floats, measured_mm: Floats) -> Floats:
     """Eq. 25: the next command (N, 2) in the focal plane."""
     return commanded_mm + (target_mm - measured_mm)
+
+
+def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Floats:
+    """Angles (N, 2) in reach of drives that make steps: a whole number of them from here (N, 2).
+
+    `step_deg` (2,) at the output, 0: continuous. Less than half a step is not sent at all.
+    """
+    size_deg = np.where(step_deg > 0.0, step_deg, 1.0)
+    stepped = here_deg + size_deg * np.rint((wanted_deg - here_deg) / size_deg)
+    return np.where(step_deg > 0.0, stepped, wanted_deg)
 
 
 @dataclass(frozen=True)
@@ -187,7 +197,7 @@ class CorrectionLoop:
 
     def _levers(self) -> Floats:
         """(2, N) mm: alpha arm, and beta axis to the metrology fibre."""
-        return np.stack([self.plane.arms[:, 2], np.hypot(*self.plane.points[METROLOGY].T)])
+        return np.stack([self.plane.l_alpha_mm, self.plane.l_beta_mm])
 
     def _spread(self, rms_um: float) -> Floats:
         """(N, 2, 2) deg^2 of angles that scatter the fibre by this much, half by each axis."""
@@ -198,6 +208,5 @@ class CorrectionLoop:
 
     def _inside(self, angles_deg: Floats) -> Floats:
         """Short of the hard stops, with room for the approach from above."""
-        axes = (self.plane.instrument.alpha, self.plane.instrument.beta)
         low, high = self.plane.hard_stops_deg.T
-        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in axes])
+        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in self.plane.instrument.axes])

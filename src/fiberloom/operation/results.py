@@ -32,6 +32,8 @@ class Observed:
     assignment: Assignment
     moves: list[Move]
     collisions_verified: int
+    stopped: str = ""
+    """Why the loop made no further correction."""
 
     @property
     def requirement_um(self) -> float:
@@ -77,6 +79,7 @@ def summarise(observed: Observed) -> dict[str, Any]:
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
         "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
+        "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
     }

@@ -77,7 +77,7 @@ async def survey(
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
     """What the last run of a store has measured: also one that was interrupted or killed."""
-    runs = store.runs()
+    runs = [run for run in store.runs() if run.n_moves]
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)
@@ -117,13 +117,13 @@ async def _visit(loop: Loop, goal_deg: Floats) -> None:
 
 def _goals(plane: FocalPlane, goal_deg: Floats) -> Assignment:
     """Goals without targets."""
-    n, axes = plane.n, (plane.instrument.alpha, plane.instrument.beta)
+    n = plane.n
     return Assignment(
         target=np.full(n, -1),
         fibre=np.full(n, ""),
         alpha_deg=goal_deg[:, 0],
         beta_deg=goal_deg[:, 1],
-        approach_deg=np.full(n, max(axis.approach_deg for axis in axes)),
+        approach_deg=np.full(n, max(axis.approach_deg for axis in plane.instrument.axes)),
         clearance_mm=np.full(n, np.inf),
         unassigned={},
         notes=[],

@@ -50,7 +50,7 @@ def travel_rad(plane: FocalPlane) -> Floats:
     """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
     stops, range_deg = plane.hard_stops_deg, plane.limits_deg
     wanted = range_deg + BEYOND_RANGE_DEG
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     approach_deg = np.array([axis.approach_deg for axis in axes])
     low = np.maximum(stops[:, 0] + STOP_ROOM_DEG, wanted[:, 0])
     high = np.minimum(stops[:, 1] - STOP_ROOM_DEG, wanted[:, 1])
@@ -77,7 +77,7 @@ def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:
 def approach_rad(plane: FocalPlane, approach_deg: ArrayLike | None) -> Floats:
     """(N,) rad: the instrument's approach when left out."""
     if approach_deg is None:
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         approach_deg = max(axis.approach_deg for axis in axes)
     approach = np.broadcast_to(np.asarray(approach_deg, dtype=np.float64), (plane.n,))
     if not (np.isfinite(approach) & (approach >= 0.0)).all():

@@ -96,7 +96,7 @@ class _Drawing:
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
         lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
         gaps = geometry.segment_distance(points, lines).reshape(n, k) - self.bodies.obstacles[:, 4]
-        return (self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0)
+        return np.asarray((self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0), dtype=np.bool_)
 
     def all(self) -> Floats:
         """Everybody, in random order; who finds no room displaces a neighbour, which is drawn anew."""
@@ -141,8 +141,8 @@ class _Drawing:
         return chosen
 
     def _anywhere(self, row: int) -> Floats:
-        l_alpha = self.plane.arms[row, 2]
-        l_beta = float(np.hypot(*self.plane.points["metrology"][row]))
+        l_alpha = self.plane.l_alpha_mm[row]
+        l_beta = float(self.plane.l_beta_mm[row])
         low, high = deg_to_rad(self.plane.limits_deg).T
         inner, outer = abs(l_alpha - l_beta), l_alpha + l_beta
         while True:
@@ -159,7 +159,6 @@ class _Drawing:
             return False
         arms, places = np.repeat(arm, len(near), axis=0), np.repeat(here, len(near), axis=0)
         others = self.plane.arms[near]
-        clear = core.pairs_clear(
-            arms, places, others, self.angles[near], segment, self.pair_mm, self.approach
-        )
+        body = (*segment, self.pair_mm)
+        clear = core.pairs_clear(arms, places, others, self.angles[near], body, self.approach)
         return bool(clear.all())

@@ -86,6 +86,6 @@ class _Placing:
         places = np.repeat(goals, len(near), axis=0)
         others = np.tile(self.plane.arms[near], (count, 1))
         there = np.tile(self.angles[near], (count, 1))
-        segment = self.bodies.segment_mm
-        clear = core.pairs_clear(arms, places, others, there, segment, self.pair_mm, self.approach)
+        body = (*self.bodies.segment_mm, self.pair_mm)
+        clear = core.pairs_clear(arms, places, others, there, body, self.approach)
         return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)

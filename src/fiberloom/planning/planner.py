@@ -46,7 +46,7 @@ class PlanSettings:
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
@@ -152,19 +152,16 @@ def _plan(task: _Task, seed: int) -> Plan:
 
 def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
     chosen = task.settings
+    settings = core.Settings(**chosen.dynamics)
+    settings.clearance_mm = chosen.clearance_mm
+    settings.first_deadline = chosen.first_deadline
+    settings.last_deadline = chosen.last_deadline
+    settings.effort = chosen.effort
+    settings.seed = seed
     motions, refused, statistics = core.plan(
-        *task.bodies.arguments,
-        task.start,
-        task.goal,
-        task.approach,
-        fixed,
-        travel_rad(task.plane),
-        **chosen.dynamics,
-        clearance_mm=chosen.clearance_mm,
-        first_deadline=chosen.first_deadline,
-        last_deadline=chosen.last_deadline,
-        effort=chosen.effort,
-        seed=seed,
+        core.Bodies(*task.bodies.arguments),
+        core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane)),
+        settings,
     )
     names = task.plane.positioner_id
     why = {int(names[i]): _reason(names, i, text, other) for i, text, other in refused}

@@ -111,20 +111,21 @@ def verify(
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
-    found = core.verify(
-        *bodies.arguments,
-        _motions(plane, plan),
-        travel_rad(plane),
+    rules = core.Rules(
+        speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
+        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
+        rounding=ROUNDING_RAD,
+        travel=travel_rad(plane),
+    )
+    rules.expect(
         nothing if start_deg is None else angles_rad("start_deg", start_deg, plane),
         nothing if goal_deg is None else angles_rad("goal_deg", goal_deg, plane),
         _arrives(plane, plan),
         np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
-        speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
-        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
-        rounding=ROUNDING_RAD,
     )
+    found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, plan), rules)
     return Verification(
         violations=tuple(_violation(plane, *entry) for entry in found["violations"]),
         min_robot_clearance_mm=_gap(found["robots"]),

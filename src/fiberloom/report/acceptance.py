@@ -16,8 +16,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.calibration.bench.acceptance import AcceptanceData, Check, UnitVerdict
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE
+from fiberloom.instruments.model import AXES
 from fiberloom.report.identification import turned_um
 
 _STYLE = """

@@ -27,8 +27,8 @@ from fiberloom.calibration import (
     break_away,
 )
 from fiberloom.calibration.bench.stiffness import turned_deg
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 

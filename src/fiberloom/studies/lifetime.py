@@ -277,7 +277,7 @@ def _rms_um(off_mm: Floats) -> Floats:
 
 
 def _lengths_mm(plane: FocalPlane) -> tuple[Floats, Floats]:
-    return plane.arms[:, L_ALPHA], np.hypot(*plane.points[METROLOGY].T)
+    return plane.l_alpha_mm, plane.l_beta_mm
 
 
 def angles_deg(plane: FocalPlane, xy_mm: Floats) -> Floats:
@@ -326,6 +326,6 @@ def measured_plane(plane: FocalPlane, report: CalibrationReport) -> FocalPlane:
     """The layout with centres and lengths as a calibration measured them."""
     arms = plane.arms.copy()
     arms[:, CENTRE], arms[:, L_ALPHA] = report.centre_mm, report.l_alpha_mm
-    scale = report.l_beta_mm / np.hypot(*plane.points[METROLOGY].T)
+    scale = report.l_beta_mm / plane.l_beta_mm
     longer = plane.points[METROLOGY] * (scale - 1.0)[:, None]
     return replace(plane, arms=arms, points={name: xy + longer for name, xy in plane.points.items()})

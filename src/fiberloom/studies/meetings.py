@@ -71,7 +71,7 @@ class Meeting:
 
 def isolated_pairs(plane: FocalPlane) -> NDArray[np.int64]:
     """(P, 2) rows of neighbours, no two pairs within reach of each other."""
-    apart_mm = 2.0 * (plane.arms[:, 2].max() + plane.beta_segment_mm[1] + plane.collision_buffer_mm)
+    apart_mm = 2.0 * (plane.l_alpha_mm.max() + plane.beta_segment_mm[1] + plane.collision_buffer_mm)
     distance = np.linalg.norm(plane.centres_mm[:, None] - plane.centres_mm[None], axis=2)
     pitch = np.min(distance[distance > 0.0])
     pairs: list[tuple[int, int]] = []

@@ -43,8 +43,8 @@ class Gears:
 
     def __init__(self, units: Units) -> None:
         n, gear = len(units), units.gear
-        theta = NODE_RAD * np.arange(*_SPAN)
-        delta = gear["delta_rad"].reshape(n, 2, -1) @ _waves() + _worn_rad(gear["wear"], theta)
+        theta: Floats = np.asarray(NODE_RAD * np.arange(*_SPAN), dtype=np.float64)
+        delta: Floats = gear["delta_rad"].reshape(n, 2, -1) @ _waves() + _worn_rad(gear["wear"], theta)
         backlash = gear["backlash_rad"].reshape(n, 2, -1) @ _waves()
         self.output_rad = np.broadcast_to(theta, delta.shape).copy()
         self.gear_rad = GEAR * (theta + delta)

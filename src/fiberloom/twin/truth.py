@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiberloom.calibration.bench.torque import AXES
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.model import AXES
 from fiberloom.twin.draw import firmware_truth
 from fiberloom.twin.units import GEAR, Units
 from fiberloom.typing import Floats
@@ -19,10 +20,10 @@ between, where the scatter is smaller: 0.94 to 1, this on average."""
 def true_values(plane: FocalPlane, units: Units) -> dict[str, Floats]:
     """(N,) true values by the names of Estimates, in their units."""
     out = {
-        "centre x": units.arms[:, 0],
-        "centre y": units.arms[:, 1],
-        "l_alpha": units.arms[:, 2],
-        "l_beta": np.hypot(*plane.points[METROLOGY].T),
+        "centre x": units.arms[:, CENTRE][:, 0],
+        "centre y": units.arms[:, CENTRE][:, 1],
+        "l_alpha": units.arms[:, L_ALPHA],
+        "l_beta": plane.l_beta_mm,
     }
     for axis, name in enumerate(AXES):
         out |= {f"{name} {key}": value for key, value in _axis(units, axis).items()}

@@ -13,7 +13,7 @@ from fiberloom._core import geometry
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.units import Units, plain
 from fiberloom.typing import Floats
@@ -71,23 +71,23 @@ class Twin:
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
         try:
-            self._core = _core.Twin(
+            setup = _core.TwinSetup(
                 ids=np.ascontiguousarray(plane.positioner_id, dtype=np.uint16),
                 plant=plain(units.plant),
                 transmission=plain(units.gear),
                 firmware=plain(units.firmware, np.float32),
                 start_rad=deg_to_rad(_start(plane, start_deg)),
-                arms=units.arms,
-                obstacles=_obstacles(plane),
-                body_mm=(*plane.beta_segment_mm, BODY_SHARE * plane.collision_buffer_mm),
-                seed=seed,
-                threads=threads or os.cpu_count() or 1,
-                neighbours=neighbours,
-                skip_resting=skip_resting,
-                side_by_side=side_by_side,
-                substeps=substeps,
-                kernel=kernel,
             )
+            body_mm = (*plane.beta_segment_mm, BODY_SHARE * plane.collision_buffer_mm)
+            setup.place(units.arms, _obstacles(plane), body_mm)
+            setup.seed = seed
+            setup.threads = threads or os.cpu_count() or 1
+            setup.neighbours = neighbours
+            setup.skip_resting = skip_resting
+            setup.side_by_side = side_by_side
+            setup.substeps = substeps
+            setup.kernel = kernel
+            self._core = _core.Twin(setup)
         except ValueError as error:
             raise InputError(f"twin: {error}") from None
         for number in plane.positioner_id[plane.offline]:
@@ -149,7 +149,7 @@ class Twin:
         firmware counts its motor and reports arrival.
         """
         row = int(self.plane.index_of(positioner_id))
-        self._core.slip(row, ("alpha", "beta").index(axis), up, down)
+        self._core.slip(row, AXES.index(axis), up, down)
 
     def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
         """Power off and on: the firmware starts anew with what it has stored.

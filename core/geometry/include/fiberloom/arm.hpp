@@ -34,7 +34,7 @@ struct Limits {
 
 // All arm angles that put a point on a target, right-handed elbow (beta in [0, pi]) first, then by
 // rising alpha. gap_mm tells how far the target lies outside the annulus of the arms (0 inside);
-// count = 0 with gap_mm = 0 means that only the axis limits stand in the way.
+// count = 0 with gap_mm = 0 means that only the axis limits exclude it.
 struct Solutions {
     static constexpr int max_count = 4; // two elbows, and alpha ranges up to two turns
     std::array<Angles, max_count> angles{};

@@ -20,10 +20,21 @@ struct Sky {
     double slope_y_e = 0;
 };
 
+// What turns light into an image, beside the light.
+struct Exposure {
+    Sky sky;
+    Detector detector;
+    std::uint64_t seed = 0; // of the noise
+    int threads = 1;        // the image does not depend on it
+};
+
 // Poisson and read noise on `light` plus sky, then full well, gain, bias, rounding and the sixteen bits.
 // The noise of a row depends on seed and row alone, not on the number of threads. From 40 electrons on, one
-// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) stands for both noises.
-void expose(std::span<const float> light_e, int width, const Sky &sky, const Detector &detector,
-            std::uint64_t seed, std::span<std::uint16_t> adu, int threads = 1);
+// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) serves for both noises.
+//
+// light_e: electrons per pixel, row by row, `width` to a row. adu: gets the image.
+// @pre width > 0; the size of light_e is a multiple of it; adu has the size of light_e; gain > 0.
+void expose(std::span<const float> light_e, int width, const Exposure &exposure,
+            std::span<std::uint16_t> adu);
 
 } // namespace fl::metrology

@@ -1,4 +1,4 @@
-// An image that somebody else owns, read in place: rows of pixels with any distance between rows.
+// An image in memory of the caller, read in place: rows of pixels with any distance between rows.
 //
 // The centre of the first pixel is (0, 0); x runs along a row. Pixels are digital units (ADU).
 #pragma once

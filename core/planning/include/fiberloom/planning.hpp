@@ -90,7 +90,7 @@ struct Statistics {
     double step_s = 0.0;
 };
 
-struct Outcome {
+struct PlanResult {
     std::vector<Motion> motions;
     std::vector<Refused> refused;
     Statistics statistics;
@@ -98,6 +98,6 @@ struct Outcome {
 
 // Plans for all positioners at once. Whoever cannot arrive is named in `refused` and gets a place where
 // he is in nobody's way. The caller verifies what comes back (verify.hpp).
-Outcome plan(const Bodies &bodies, const Task &task, const Settings &settings);
+PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings);
 
 } // namespace fl::planning

@@ -420,9 +420,8 @@ class AdaptiveCalibration:
 
 def _longer(plane: FocalPlane, by_mm: Floats) -> dict[str, Floats]:
     """Points with the metrology fibre farther out by (N,); the others keep their place from it."""
-    metrology = plane.points[METROLOGY]
-    length = np.maximum(np.hypot(*metrology.T), 1e-12)
-    out = metrology * (by_mm / length)[:, None]
+    length = np.maximum(plane.l_beta_mm, 1e-12)
+    out = plane.points[METROLOGY] * (by_mm / length)[:, None]
     return {name: xy + out for name, xy in plane.points.items()}
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, L_ALPHA
+from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM, RAD_PER_DEG, UM_PER_MM, deg_to_rad
 
@@ -34,15 +33,14 @@ class CommandSigmas:
 
 def levers(plane: FocalPlane, index: Ints) -> tuple[Floats, Floats, Floats]:
     """(n,) lengths of both arms in mm, and the angle of the metrology fibre in the arm's frame."""
-    x, y = plane.points[METROLOGY][index].T
-    return plane.arms[index, L_ALPHA], np.hypot(x, y), np.arctan2(y, x)
+    return plane.l_alpha_mm[index], plane.l_beta_mm[index], plane.metrology_phi_rad[index]
 
 
 def directions(plane: FocalPlane, angles_deg: Floats, index: Ints) -> tuple[Floats, Floats]:
     """(n, 2) unit vectors along the alpha arm, and from the beta axis to the metrology fibre."""
     alpha, beta = deg_to_rad(angles_deg).T
-    first = alpha + plane.arms[index, ALPHA_OFF]
-    second = first + beta + plane.arms[index, BETA_OFF] + levers(plane, index)[2]
+    first = alpha + plane.alpha_off_rad[index]
+    second = first + beta + plane.beta_off_rad[index] + levers(plane, index)[2]
     return _unit(first), _unit(second)
 
 

@@ -21,13 +21,13 @@ from fiberloom.calibration.bench.repeatability import (
     identify_repeatability,
     measure_repeatability,
 )
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.transmission.evaluate import CalibrationReport, evaluate
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps, polyline
 from fiberloom.calibration.transmission.sweep import SweepData, SweepSettings, measure_sweeps
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.model import Acceptance
+from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.model import AXES, Acceptance
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -123,9 +123,8 @@ def own_geometry(plane: FocalPlane, report: CalibrationReport) -> FocalPlane:
     """The plane with the arms and centres that the sweep's circles gave; refused units keep theirs."""
     ok = report.ok
     arms = plane.arms.copy()
-    arms[ok, :2], arms[ok, 2] = report.centre_mm[ok], report.l_alpha_mm[ok]
-    length = np.hypot(*plane.points[METROLOGY].T)
-    stretch = np.where(ok, report.l_beta_mm / length, 1.0)[:, None]
+    arms[ok, CENTRE], arms[ok, L_ALPHA] = report.centre_mm[ok], report.l_alpha_mm[ok]
+    stretch = np.where(ok, report.l_beta_mm / plane.l_beta_mm, 1.0)[:, None]
     points = {**plane.points, METROLOGY: plane.points[METROLOGY] * stretch}
     return replace(plane, arms=arms, points=points)
 
@@ -238,8 +237,8 @@ def non_linearity_slope(data: AcceptanceData, row: int, axis: int) -> float:
 
 def stretched_repeatability(data: AcceptanceData, row: int) -> tuple[float, float]:
     """Both axes' own scatter at the longest lever each can have: um rms and standard error."""
-    reach = data.plane.arms[row, 2] + float(np.hypot(*data.plane.points[METROLOGY][row]))
-    levers = (reach, float(np.hypot(*data.plane.points[METROLOGY][row])))
+    l_beta = float(data.plane.l_beta_mm[row])
+    levers = (data.plane.l_alpha_mm[row] + l_beta, l_beta)
     square, error = 0.0, 0.0
     for axis, lever in enumerate(levers):
         mdeg, mdeg_error = data.repeatability[axis].angle.of(row)

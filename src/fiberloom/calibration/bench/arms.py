@@ -14,10 +14,10 @@ import numpy as np
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
 from fiberloom.calibration.bench.estimate import Estimate, estimate
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM

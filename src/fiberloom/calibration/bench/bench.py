@@ -163,12 +163,6 @@ def _all_rows(trace: Trace, rows: NDArray[np.int64], plane: FocalPlane) -> Trace
     return Trace(plane.positioner_id, motor, voltage, trace.period_s, zero)
 
 
-def elbow_mm(plane: FocalPlane, alpha_deg: float) -> Floats:
-    """Where the beta axis is, to the non-linearity of the gear: good enough for a direction."""
-    turn = plane.arms[:, 3] + np.deg2rad(alpha_deg)
-    return plane.centres_mm + plane.arms[:, 2:3] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-
-
 def joined(trouble: list[str], *reasons: list[str]) -> list[str]:
     """Row by row the first that says something."""
     return [next((r for r in each if r), "") for each in zip(trouble, *reasons, strict=True)]

@@ -24,17 +24,10 @@ from numpy.typing import NDArray
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, BENCH_MARGIN_DEG, Operator, Progress, joined
 from fiberloom.calibration.bench.estimate import Estimate, Fit, estimate, least_squares, standard_errors
-from fiberloom.calibration.bench.torque import (
-    AT_SPEED,
-    AXES,
-    TorqueScale,
-    Windows,
-    mean_wave,
-    together,
-    windows_of,
-)
+from fiberloom.calibration.bench.torque import AT_SPEED, TorqueScale, Windows, mean_wave, together, windows_of
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
 

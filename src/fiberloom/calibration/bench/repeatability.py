@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, elbow_mm, joined
+from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
 from fiberloom.calibration.bench.estimate import Estimate, estimate
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM, UM_PER_MM
@@ -177,7 +177,7 @@ async def _visits(operator: Operator, axis: int, settings: RepeatabilitySettings
             await _from_above(operator, axis, wire)
             xy[:, target, visit] = operator.look(settings.images)
             operator.step()
-    pivot = elbow_mm(plane, settings.alpha_deg) if axis else plane.centres_mm
+    pivot = plane.elbows_mm(settings.alpha_deg) if axis else plane.centres_mm
     return RepeatabilityData(axis, xy, pivot, lever, list(operator.trouble))
 
 
@@ -190,10 +190,10 @@ async def _from_above(operator: Operator, axis: int, wire: Floats) -> None:
 
 def _lever_mm(plane: FocalPlane, axis: int, beta_deg: float) -> Floats:
     """(N,) from the axis to the fibre that the camera sees."""
-    x, y = plane.points[METROLOGY].T
     if axis == 1:
-        return np.hypot(x, y)
-    turn = plane.arms[:, 4] + np.deg2rad(beta_deg)
+        return plane.l_beta_mm
+    x, y = plane.points[METROLOGY].T
+    turn = plane.beta_off_rad + np.deg2rad(beta_deg)
     return np.hypot(
-        plane.arms[:, 2] + x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
+        plane.l_alpha_mm + x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
     )

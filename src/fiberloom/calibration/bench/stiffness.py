@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench.bench import Bench, Operator, Progress, elbow_mm, joined
+from fiberloom.calibration.bench.bench import Bench, Operator, Progress, joined
 from fiberloom.calibration.bench.estimate import Estimate, estimate
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.errors import InputError
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
 
@@ -119,10 +119,10 @@ async def measure_stiffness(
     alpha_deg = float(np.mean(plane.limits_deg[0]))
     await operator.approach(alpha_deg, _stretched_deg(plane))
     xy = [await _pairs(operator, bench, axis, settings) for axis in range(2)]
-    length = np.hypot(*plane.points[METROLOGY].T)
+    length = plane.l_beta_mm
     centre = plane.centres_mm
     levers = np.linalg.norm(_mean(xy[0]) - centre, axis=1), length
-    pivots = centre, elbow_mm(plane, alpha_deg)
+    pivots = centre, plane.elbows_mm(alpha_deg)
     data = [
         StiffnessData(axis, xy[axis], pivots[axis], levers[axis], settings.torque_mNm[axis], bench.tolerance,
                       list(operator.trouble))

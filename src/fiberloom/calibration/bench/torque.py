@@ -9,9 +9,9 @@ import numpy as np
 from fiberloom.bus.trace import Trace
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Flags, Floats
 
-AXES = ("alpha", "beta")
 AT_SPEED = 0.995
 """Share of the speed asked for from which a motor counts as running at it."""
 
@@ -28,7 +28,7 @@ class TorqueScale:
 
 def data_sheet_scale(plane: FocalPlane, axis: int) -> TorqueScale:
     """The instrument's nominal motor; units differ from it by its tolerance."""
-    motor = (plane.instrument.alpha, plane.instrument.beta)[axis]
+    motor = plane.instrument.axes[axis]
     if motor.motor_torque_uNm is None:
         raise InputError(
             f"{plane.instrument.name}: {AXES[axis]}.motor_torque_uNm is missing; torques need it "

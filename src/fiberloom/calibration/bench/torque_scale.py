@@ -25,8 +25,9 @@ from fiberloom.calibration.bench.bench import (
     joined,
 )
 from fiberloom.calibration.bench.estimate import Estimate, estimate, least_squares, standard_errors
-from fiberloom.calibration.bench.torque import AT_SPEED, AXES, TorqueScale, Windows, together, windows_of
+from fiberloom.calibration.bench.torque import AT_SPEED, TorqueScale, Windows, together, windows_of
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 
 SKIP_DEG = 400.0

@@ -15,7 +15,7 @@ from fiberloom.calibration.focal_plane.fit import (
     measurement_covariance,
     model,
 )
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats
 
 _FIRST_GUESS = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01])
@@ -35,7 +35,7 @@ class Design:
     def __init__(self, plane: FocalPlane, settings: FitSettings | None = None) -> None:
         self._settings = settings or FitSettings()
         self._p = layout_parameters(plane)
-        self._phi = np.arctan2(plane.points[METROLOGY][:, 1], plane.points[METROLOGY][:, 0])
+        self._phi = plane.metrology_phi_rad
         self.information = np.tile(np.diag(_FIRST_GUESS**-2.0), (plane.n, 1, 1))
         """(N, 6, 6)"""
 

@@ -99,8 +99,8 @@ class FocalPlaneFit:
         arms[good, CENTRE] = p[good, _CX : _CY + 1]
         arms[good, L_ALPHA] = p[good, _LA]
         arms[good, ALPHA_OFF], arms[good, BETA_OFF] = p[good, _A0], p[good, _B0]
-        longer = (p[:, _LB] - np.hypot(*layout.points[METROLOGY].T))[good, None]
-        unit = points[METROLOGY][good] / np.hypot(*points[METROLOGY][good].T)[:, None]
+        longer = (p[:, _LB] - layout.l_beta_mm)[good, None]
+        unit = points[METROLOGY][good] / layout.l_beta_mm[good, None]
         # all fibres sit in one head: what the arm is longer by moves them all
         points = {k: _moved(xy, good, longer * unit) for k, xy in points.items()}
         return replace(layout, arms=arms, points=points)
@@ -121,9 +121,8 @@ def layout_parameters(plane: FocalPlane, harmonics: int = 0) -> Floats:
     """(N, P) as the layout has them."""
     p = np.zeros((plane.n, N_GEOMETRY + 4 * harmonics))
     p[:, _CX : _CY + 1] = plane.centres_mm
-    p[:, _LA] = plane.arms[:, L_ALPHA]
-    p[:, _LB] = np.hypot(*plane.points[METROLOGY].T)
-    p[:, _A0], p[:, _B0] = plane.arms[:, ALPHA_OFF], plane.arms[:, BETA_OFF]
+    p[:, _LA], p[:, _LB] = plane.l_alpha_mm, plane.l_beta_mm
+    p[:, _A0], p[:, _B0] = plane.alpha_off_rad, plane.beta_off_rad
     return p
 
 
@@ -192,7 +191,7 @@ class _Fit:
         self.plane, self.settings, self.angles_deg = plane, settings, settings.angles_deg
         self.seen = np.asarray(np.isfinite(xy_mm + theta_deg).all(axis=-1), dtype=np.bool_)
         self.theta, self.xy = np.nan_to_num(theta_deg), np.nan_to_num(xy_mm)
-        self.phi = np.arctan2(plane.points[METROLOGY][:, 1], plane.points[METROLOGY][:, 0])
+        self.phi = plane.metrology_phi_rad
         self.p = layout_parameters(plane, settings.harmonics)
         self.used: Flags = self.seen.copy()
         # a column of unit size for each parameter, so that the rank is one of numbers alike

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
-from fiberloom.calibration.transmission.maps import AXES, Provenance, TransmissionMaps
+from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.calibration.transmission.sweep_data import SweepData
-from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM, rad_to_deg, wrap_deg
 
@@ -127,8 +127,7 @@ def _rest_deg(plane: FocalPlane, circles: list[Circles]) -> Floats:
 
 def _zeros_rad(plane: FocalPlane) -> Floats:
     """(N, 2) the layout's zeros: directions of the alpha arm, and of the fibre from it."""
-    x, y = plane.points[METROLOGY].T
-    return np.column_stack([plane.arms[:, ALPHA_OFF], plane.arms[:, BETA_OFF] + np.arctan2(y, x)])
+    return np.column_stack([plane.alpha_off_rad, plane.beta_off_rad + plane.metrology_phi_rad])
 
 
 def _output_deg(

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.version import __version__
 
-AXES = ("alpha", "beta")
 NEGATIVE, POSITIVE = -1, 1
 """Directions of contact: the side from which the last move came."""
 N_BAR = 1024.0

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import elbows_mm
 from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
@@ -207,11 +208,7 @@ def excess_torque_Nm(units: Units, motor_rpm: float = 2000.0) -> Floats:
 
 def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) -> Floats:
     """Metrology fibres (N, 2, M) with beta arms longer by (N, M) than the units': along the arm."""
-    angle = np.deg2rad(theta_deg[:, 0]) + units.arms[:, 3:4]
-    elbow = units.arms[:, :2, None] + units.arms[:, 2, None, None] * np.stack(
-        [np.cos(angle), np.sin(angle)], 1
-    )
-    along = xy_mm - elbow
+    along = xy_mm - elbows_mm(units.arms, theta_deg[:, 0])
     return xy_mm + along * (longer_mm / np.hypot(along[:, 0], along[:, 1]))[:, None]
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from fiberloom.instruments.model import AXES
+
 
 class FaultKind(StrEnum):
     """Kinds of faults, and what acts."""
@@ -35,4 +37,4 @@ class Fault:
         """0 alpha, 1 beta; one entry where axes make no difference."""
         if FaultKind(self.kind) in PER_POSITIONER:
             return (0,)
-        return (0, 1) if self.axis is None else (("alpha", "beta").index(self.axis),)
+        return (0, 1) if self.axis is None else (AXES.index(self.axis),)

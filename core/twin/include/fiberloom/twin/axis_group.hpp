@@ -12,11 +12,11 @@
 
 namespace fl::twin {
 
-#ifndef FL_SQUAD_SIZE
-#define FL_SQUAD_SIZE 16
+#ifndef FL_LANE_GROUP_SIZE
+#define FL_LANE_GROUP_SIZE 16
 #endif
-inline constexpr int squad_size = FL_SQUAD_SIZE; // positioners of a group
-inline constexpr int lane_count = 2 * squad_size;
+inline constexpr int lane_group_size = FL_LANE_GROUP_SIZE; // positioners of a group
+inline constexpr int lane_count = 2 * lane_group_size;
 // lanes that are left out together when nothing moves in them
 inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
 inline constexpr double tick_s = 0.0005; // 2 kHz control
@@ -82,7 +82,7 @@ struct Kernel {
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, int substeps);
-    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a squad, law_batch.hpp
+    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane_group, law_batch.hpp
     void (*drive_law)(LawBatch &batch);
 };
 

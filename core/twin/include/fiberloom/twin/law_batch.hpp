@@ -36,10 +36,10 @@
 namespace fl::twin {
 
 struct alignas(64) LawBatch {
-    using Floats = float[squad_size];
-    using Ints = int32_t[squad_size];
+    using Floats = float[lane_group_size];
+    using Ints = int32_t[lane_group_size];
 
-#define X(type, name) type name[squad_size];
+#define X(type, name) type name[lane_group_size];
     // configuration, loaded when an axis sets out
     struct {
         FL_LAW_HALL(X)

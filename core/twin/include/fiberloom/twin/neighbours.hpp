@@ -1,5 +1,5 @@
 // Arms that touch push each other: contact forces between beta arms, and between beta arms and what
-// stands fast (fiducials, guide cameras).
+// does not move (fiducials, guide cameras).
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@
 
 namespace fl::twin {
 
-struct Obstacle { // a capsule that stands fast; a disc when both ends coincide
+struct Obstacle { // a capsule that does not move; a disc when both ends coincide
     Segment centre_line_mm;
     double radius_mm = 0.0;
 };
@@ -36,9 +36,9 @@ struct Push {
     bool operator==(const Push &) const = default;
 };
 
-// Where an arm is: bent by what pushes it, and where it would spring to.
+// Where an arm is: deflected by what pushes it, and where it would spring to.
 struct Pose {
-    Angles bent, rigid;
+    Angles deflected, rigid;
 };
 
 // A contact as one of the two feels it; kept from one sync point to the next.
@@ -62,7 +62,7 @@ class Neighbours {
     size_t positioner_count() const { return arms_.size(); }
 
   private:
-    struct Meeting {
+    struct ContactPoint {
         Vec2 point_mm, normal; // on the arm; unit vector that pushes it away
         double depth_mm;
     };
@@ -95,8 +95,8 @@ class Neighbours {
     double approach_speed_mm_s(size_t i) const;
     void find_neighbours();
     Segment segment(size_t i, const Pose &pose) const;
-    double bend_mm(size_t i, const Pose &pose) const;
-    double softness_mm_per_N(size_t i, const Pose &pose, const Meeting &m) const;
+    double deflection_mm(size_t i, const Pose &pose) const;
+    double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
     double touch(Look &look, const Touched &body) const;
     void press(Look &look, const Touched &body, const Place &at) const;

@@ -34,7 +34,7 @@ struct AxisState {
 
 class Plant {
   public:
-    // Axes stand still at output_rad in negative contact. Throws std::invalid_argument that names the axis
+    // Axes rest at output_rad in negative contact. Throws std::invalid_argument that names the axis
     // and what is wrong with it. kernel: a name, or "" for the best of this machine.
     Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
           const char *kernel = "", int substeps = 10);
@@ -57,7 +57,8 @@ class Plant {
     };
     static Place place(size_t axis) {
         const size_t positioner = axis / 2;
-        return {positioner / squad_size, static_cast<int>(axis % 2 * squad_size + positioner % squad_size)};
+        return {positioner / lane_group_size,
+                static_cast<int>(axis % 2 * lane_group_size + positioner % lane_group_size)};
     }
     const Kernel &kernel() const { return *kernel_; }
     AxisGroup &group(size_t index) { return groups_[index]; }
@@ -76,7 +77,7 @@ class Plant {
     void set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad);
     double output_rad(size_t axis) const;         // where the arm is, deflected by outside torque, Eq. 5a
     double output_at_rest_rad(size_t axis) const; // the same without the deflection
-    double bend_rad(size_t axis) const;           // the deflection
+    double deflection_rad(size_t axis) const;     // the deflection
     double backlash_rad(size_t axis) const;       // B where the gear is
     double speed_limit_rad_s(size_t axis) const;  // of the rotor: nothing drives it faster
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }
@@ -105,7 +106,7 @@ class Plant {
         AxisFaults faults;
         double torque_Nm = 0.0;
         double slip_rad = 0.0;   // arm against gear, left by an open coupling
-        double held_rad = 0.0;   // where the arm stands while the coupling is open
+        double held_rad = 0.0;   // where the arm is while the coupling is open
         double geared_rad = 0.0; // where the gear had the arm of a slipping coupling
     };
     template <class T> using Field = T (AxisGroup::*)[lane_count];

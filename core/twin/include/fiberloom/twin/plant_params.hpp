@@ -28,7 +28,7 @@ namespace fl::twin {
     X(spring_rate, "Nm/rad", 0, 100, 9.44e-4, "torsion spring at the output, Eq. 3a divided by n")            \
     X(spring_free, "rad", -100, 100, 8.68, "theta_ref: output angle at which the spring is relaxed")          \
     X(stiffness, "Nm/rad", 1e-6, 1e6, 19.31, "k of Eq. 5a: 337 mNm/deg")                                      \
-    X(seat_rms, "rad", 0, 1e-2, 0, "how far the arm stands from where it stood last time, output angle")      \
+    X(seat_rms, "rad", 0, 1e-2, 0, "how far the arm comes to rest from where it rested last time, output angle")      \
     X(stop_min, "rad", -100, 100, -0.0873, "lower hard stop, output angle")                                   \
     X(stop_max, "rad", -100, 100, 6.3705, "upper hard stop, output angle")                                    \
     X(stop_stiffness, "Nm/rad", 1e-6, 1e6, 200, "of the stop itself, in series with the gear")                \

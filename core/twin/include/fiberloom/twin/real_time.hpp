@@ -1,5 +1,5 @@
 // The twin against the wall clock: a thread of its own computes every control tick when it is due, and
-// counts how late. Frames go in and out between ticks; nobody waits for anybody.
+// counts how late. Frames go in and out between ticks; neither side waits for the other.
 #pragma once
 
 #include <array>
@@ -37,13 +37,13 @@ class Lateness {
 };
 
 struct Pace {
-    Lateness busy;         // ticks in which somebody was awake
-    uint64_t resting = 0;  // ticks that needed no computation: everybody rested
+    Lateness busy;         // ticks in which a positioner was awake
+    uint64_t resting = 0;  // ticks that needed no computation: every positioner rested
     double given_up_s = 0; // wall time by which the clock was set back, because it was too far behind
 };
 
 // A frame that a bus is to carry, and the tick at which it arrives.
-struct Errand {
+struct QueuedFrame {
     fl_can_frame_t frame;
     int bus;
     uint64_t tick;
@@ -59,7 +59,7 @@ class RealTime {
 
     // Frames for the buses, none before its tick nor in one that has begun; those of one tick in the order of
     // their posting.
-    void post(const std::vector<Errand> &errands);
+    void post(const std::vector<QueuedFrame> &frames);
     // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
     bool go_first();
     // What the positioners sent since the last call.
@@ -67,7 +67,7 @@ class RealTime {
     // The tick that the wall clock shows now.
     double tick_now() const;
     Pace pace() const;
-    // Ends the thread; the twin stands from here on.
+    // Ends the thread; the clock of the twin stops.
     void stop();
     // Between hold and release, on one thread, no tick is computed: the twin may be touched.
     void hold();
@@ -76,10 +76,10 @@ class RealTime {
   private:
     using Clock = std::chrono::steady_clock;
     struct Posted {
-        Errand errand;
+        QueuedFrame queued;
         uint64_t order;
         bool operator>(const Posted &b) const {
-            return errand.tick != b.errand.tick ? errand.tick > b.errand.tick : order > b.order;
+            return queued.tick != b.queued.tick ? queued.tick > b.queued.tick : order > b.order;
         }
     };
     void loop();
@@ -102,12 +102,12 @@ class RealTime {
     std::atomic<bool> stop_{false};
     std::atomic<int> holders_{0};
 
-    // the thread's own: whoever else has been stopped by the system on the way never keeps it waiting
+    // the thread's own: another thread that the system has stopped never keeps it waiting
     std::priority_queue<Posted, std::vector<Posted>, std::greater<>> agenda_;
     std::vector<Reply> sent_;
     Pace pace_;
 
-    // what it shares, and looks at only when nobody else does
+    // what it shares, and looks at only when no other thread does
     mutable std::mutex mutex_;
     std::condition_variable change_;
     bool parked_ = false;

@@ -5,7 +5,7 @@
 //
 // delta and B are harmonic series over the output turn plus a few local marks of wear. The truth is
 // what lies between `nodes_per_turn` nodes by straight lines: a node's value depends on its number
-// alone, so the truth is the same whatever way the axis took, and inverting it is exact.
+// alone, so the truth does not depend on the way the axis took, and inverting it is exact.
 #pragma once
 
 #include <array>

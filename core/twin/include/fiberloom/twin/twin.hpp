@@ -48,15 +48,28 @@ struct Reply {
     fl_can_frame_t frame;
 };
 
-// What one axis did in one tick.
+// What one axis did in one tick, each column listed once; torque_out is from outside, at the output.
+// clang-format off
+#define FL_SCOPE_FIELDS(X) \
+    X(time_s) X(motor_rad) X(gear_rad) X(output_rad) X(speed_rad_s) X(torque_out_Nm) \
+    X(duty_a) X(duty_b) X(duty_c) X(hall_a_cnt) X(hall_b_cnt) \
+    X(command_deg) X(tracking_deg) X(command_speed_rad_s) X(feedback_Nm) X(feedforward_Nm) X(voltage) \
+    X(load_Nm) X(touch_Nm)
+// clang-format on
+
 struct ScopeSample {
-    double time_s, motor_rad, gear_rad, output_rad, speed_rad_s;
-    double torque_out_Nm; // external, at the output
-    double duty[3];
-    double hall_cnt[2];
-    double command_deg, tracking_deg, command_speed_rad_s, feedback_Nm, feedforward_Nm, voltage;
-    double load_Nm, touch_Nm;
+#define X(name) double name = 0.0;
+    FL_SCOPE_FIELDS(X)
+#undef X
 };
+
+inline constexpr const char *scope_fields[] = {
+#define X(name) #name,
+    FL_SCOPE_FIELDS(X)
+#undef X
+};
+inline constexpr size_t scope_field_count = sizeof scope_fields / sizeof *scope_fields;
+static_assert(sizeof(ScopeSample) == scope_field_count * sizeof(double), "a sample is a row of columns");
 
 struct PositionerFaults {
     AxisFaults axes[FL_AXES];
@@ -78,7 +91,7 @@ class Twin {
     const Neighbours &neighbours() const;
     const char *kernel_name() const;
 
-    // A frame now, on one bus or on all: for one positioner, or for everybody there (identifier bits 28..18
+    // A frame now, on one bus or on all: for one positioner, or for all there (identifier bits 28..18
     // zero).
     void send(const fl_can_frame_t &frame, int bus = every_bus);
     // Which bus a positioner hangs on; 0 unless told.
@@ -89,7 +102,7 @@ class Twin {
     Angles output(size_t positioner) const;
     const fl_positioner_t &firmware(size_t positioner) const;
     bool asleep(size_t positioner) const;
-    // Nothing moves and nobody's firmware has anything to do: time alone goes on.
+    // Nothing moves and no firmware has anything to do: time alone goes on.
     bool resting() const;
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import Bench, finish, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
@@ -19,7 +20,6 @@ SPEED_RPM = 2000
 START_DEG = 60.0
 PAPER_MS = 16.0
 THRESHOLD_DEG = 120.0
-AXES = ("alpha", "beta")
 
 
 def paper_law(units: Units) -> None:

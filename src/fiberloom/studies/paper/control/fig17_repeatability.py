@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import CLOSE_UP_UM, Bench, Mover, finish, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
@@ -19,7 +20,6 @@ VISITS = 300
 TARGETS = 3
 GEAR = 1024.0
 BACK_AND_FORTH_DEG = motor_to_output_deg(840.0, GEAR)
-NAMES = ("alpha", "beta")
 LEVER_MM = (7.6, 15.0)
 PAPER_NM = (160.0, 130.0)
 PAPER_STEP_DEG = (7.7, 3.9)
@@ -77,7 +77,7 @@ def run(settings: Settings) -> Outcome:
     exact: dict[int, list[Visits]] = {0: [], 1: []}
     for seed in settings.seeds:
         for axis in (0, 1):
-            settings.say(f"Figure 17: seed {seed}, {NAMES[axis]}")
+            settings.say(f"Figure 17: seed {seed}, {AXES[axis]}")
             bench = make_bench(seed, UNITS, noise_um=CLOSE_UP_UM, start_deg=START_DEG)
             found[axis].append(visit(bench, axis, VISITS))
             perfect = make_bench(seed, UNITS, noise_um=0.0, change=_exact_gears, start_deg=START_DEG)
@@ -98,7 +98,7 @@ def _exact_gears(units: Units) -> None:
 
 
 def _quantities(axis: int, found: list[Visits], exact: list[Visits]) -> list[Quantity]:
-    name = NAMES[axis]
+    name = AXES[axis]
     return [
         quantity(
             f"fig17.{name}.rms_nm",
@@ -145,7 +145,7 @@ def _scatter(alpha: Visits, beta: Visits) -> Drawing:
             axes.plot(*xy[:, target].T, ".", markersize=4, label=f"target {target + 1}")
         axes.set(aspect="equal", xlabel="x [µm]", ylabel="y [µm]", xlim=(-1.8, 1.8), ylim=(-1.8, 1.8))
         rms = seen.rms_nm()[0]
-        axes.set_title(f"{NAMES[seen.axis]}: {rms:.0f} nm rms (paper: {PAPER_NM[seen.axis]:.0f})")
+        axes.set_title(f"{AXES[seen.axis]}: {rms:.0f} nm rms (paper: {PAPER_NM[seen.axis]:.0f})")
         axes.grid(True, alpha=0.3)
     panels[0].legend()
     return drawing(

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.calibration import NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import calibrated, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
@@ -17,7 +18,6 @@ from fiberloom.typing import Floats
 UNITS = 8
 POINTS, MORE_POINTS = 200, 400
 PAPER_PEAKS, PAPER_BACKLASH_DEG = 36.0, (40.0, 250.0)
-AXES = ("alpha", "beta")
 _TEETH = (12, 100)
 """Orders among which the tooth pairings are looked for: above eccentricities, below what 200 points see."""
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 
 PAPER_MNM_PER_DEG = (337.0, 25.0)
 TORQUE_MNM = (11.8, 1.4)
-AXES = ("alpha", "beta")
 
 
 def run(settings: Settings) -> Outcome:

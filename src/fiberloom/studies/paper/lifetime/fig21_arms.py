@@ -5,6 +5,7 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
@@ -54,7 +55,7 @@ def _quantities(found: list[Study]) -> list[Quantity]:
 def _draw(study: Study) -> Drawing:
     canvas, axes = plt.subplots(figsize=(7.5, 4), layout="constrained")
     for row in range(2):
-        for arm, name in enumerate(("alpha", "beta")):
+        for arm, name in enumerate(AXES):
             true, seen = study.rows["true_arms_mm"][row, :, arm], study.rows["arms_mm"][row, :, arm]
             (line,) = axes.plot(study.cycles, UM_PER_MM * (true - true[0]), linewidth=0.9)
             label = f"unit {row + 1}, {name} arm"

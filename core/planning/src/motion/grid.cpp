@@ -1,0 +1,74 @@
+#include "motion/grid.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace fl::planning {
+namespace {
+
+// A remainder of the travel narrower than this part of a step gets no line of its own.
+constexpr double narrow = 0.25;
+
+void add_outside(List<double> &lines, double from, double step, double end) {
+    const double room = std::abs(end - from), side = end < from ? -1.0 : 1.0;
+    if (side * (end - from) <= 0.0) return;
+    const int n = static_cast<int>(std::floor(room / step));
+    for (int i = 1; i <= n; ++i) lines.push_back(from + side * i * step);
+    if (room - n * step > narrow * step) lines.push_back(end);
+}
+
+int find(const List<double> &lines, double value) {
+    return static_cast<int>(std::lower_bound(lines.begin(), lines.end(), value) - lines.begin());
+}
+
+} // namespace
+
+AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
+    const double way = span.goal_rad - span.start_rad;
+    const int between = static_cast<int>(std::ceil(std::abs(way) / step_rad - 1e-9));
+    lines_.push_back(span.start_rad);
+    for (int i = 1; i < between; ++i) lines_.push_back(span.start_rad + way * i / between);
+    if (way != 0.0) lines_.push_back(span.goal_rad);
+    const double lower = std::min(span.start_rad, span.goal_rad);
+    const double upper = std::max(span.start_rad, span.goal_rad);
+    add_outside(lines_, lower, step_rad, std::min(span.low_rad, lower));
+    add_outside(lines_, upper, step_rad, std::max(span.high_rad, upper));
+    std::sort(lines_.begin(), lines_.end());
+    start_ = find(lines_, span.start_rad);
+    goal_ = find(lines_, span.goal_rad);
+
+    turns_.resize(lines_.size() * slots);
+    for (int line = 0; line < size(); ++line)
+        for (int s = 0; s < slots; ++s)
+            turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
+}
+
+double AxisGrid::slot_angle(int line, int slot) const {
+    const double here = angle(line);
+    const double below = angle(std::max(line - 1, 0)) - here,
+                 above = angle(std::min(line + 1, size() - 1)) - here;
+    switch (slot) {
+    case 1:
+        return here + 0.5 * below;
+    case 2:
+        return here + 0.5 * above;
+    case 3:
+        return here + 0.25 * below;
+    case 4:
+        return here + 0.25 * above;
+    case 5:
+        return here + below / 16.0;
+    case 6:
+        return here + above / 16.0;
+    case 7:
+        return here + (below + above) / 16.0;
+    default:
+        return here;
+    }
+}
+
+double AxisGrid::angle(int line, VelocityChange change, int k) const {
+    return slot_angle(line, slot(change, k));
+}
+
+} // namespace fl::planning

@@ -1,0 +1,73 @@
+// The search grid of one axis, and what the motion along it looks like in time.
+//
+// Lines are anchored at the start and at the place before the approach, and go on to the ends of the travel.
+// In one step an axis stays on its line or goes to a neighbouring one. The plan's raw motion is straight
+// between lines; what is sent (and tested) has its corners cut over half a step:
+// a moving average over a window of half a step, kept at quarter steps.
+#pragma once
+
+#include "motion/index.hpp"
+#include "motion/trig.hpp"
+
+namespace fl::planning {
+
+// Where the axis comes from and goes to around a line: the neighbouring lines below, this one, above.
+struct VelocityChange {
+    int from = 0; // -1, 0, 1: the line it was on a step before, seen from here
+    int to = 0;   // -1, 0, 1: the line it will be on a step later
+    bool reverses() const { return from != 0 && from == to; } // more than the acceleration allows
+};
+
+// What the lines of a grid are made from, rad.
+struct GridSpan {
+    double start_rad, goal_rad; // goal: the place before the approach
+    double low_rad, high_rad;   // ends of the travel
+    double zero_rad;            // added to the angles before their sine and cosine are taken
+};
+
+class AxisGrid {
+  public:
+    AxisGrid() = default;
+    // Lines at most step_rad apart.
+    AxisGrid(const GridSpan &span, double step_rad);
+
+    int size() const { return lines_.size(); }
+    int start() const { return start_; }
+    int goal() const { return goal_; }
+    double angle(int line) const { return lines_[line]; }
+
+    // The angle k quarters after mid-step minus two: k = 2 is the moment the raw motion is on the line.
+    double angle(int line, VelocityChange change, int k) const;
+    const Turn &turn(int line, VelocityChange change, int k) const {
+        return turns_[line * slots + slot(change, k)];
+    }
+    const Turn &turn(int line) const { return turns_[line * slots]; }
+
+  private:
+    // on the line; half and a quarter of the way to the line below, above; the three cut corners
+    static constexpr int slots = 8;
+    static int slot(VelocityChange change, int k) {
+        constexpr int half[] = {1, 0, 2}, quarter[] = {3, 0, 4}, cut[] = {5, 5, 7, 5, 0, 6, 7, 6, 6};
+        const int from = change.from + 1, to = change.to + 1;
+        switch (k) {
+        case 0:
+            return half[from];
+        case 1:
+            return quarter[from];
+        case 2:
+            return cut[3 * from + to];
+        case 3:
+            return quarter[to];
+        default:
+            return half[to];
+        }
+    }
+    double slot_angle(int line, int slot) const;
+
+    List<double> lines_;
+    List<Turn> turns_;
+    int start_ = 0;
+    int goal_ = 0;
+};
+
+} // namespace fl::planning

@@ -1,0 +1,96 @@
+#include "motion/robot.hpp"
+
+#include <utility>
+
+namespace fl::planning {
+namespace {
+
+// How far an axis turns, in steps at most, from mid-step (with the corner cut) to the end of the step towards
+// one line, when it is on the other line at the other end.
+double way_from_middle(int towards, int other) {
+    return std::abs(3 * towards - other) / 16.0 + std::abs(towards) / 4.0;
+}
+
+double longest_way(VelocityChange change) {
+    return std::max(way_from_middle(change.from, change.to), way_from_middle(change.to, change.from));
+}
+
+} // namespace
+
+Robot::Robot(const ArmBody &body, AxisGrid alpha, AxisGrid beta, double step_rad)
+    : body_(body), alpha_(std::move(alpha)), beta_(std::move(beta)) {
+    const double far = body.far_mm(), l_a = std::abs(body.arm.l_alpha_mm);
+    const double quarter = step_rad / quarters;
+    // second derivative of the end's position over a quarter, at most: both axes at full speed
+    bulge_mm_ = (l_a * quarter * quarter + far * 4.0 * quarter * quarter) / 8.0;
+    for (int code = 0; code < 81; ++code) {
+        const VelocityChanges c{{code / 27 - 1, code / 9 % 3 - 1}, {code / 3 % 3 - 1, code % 3 - 1}};
+        const double turn_alpha = longest_way(c.alpha), turn_beta = longest_way(c.beta);
+        displacement_bounds_[c.code()] =
+            c.rests() ? 0.0 : (l_a * turn_alpha + far * (turn_alpha + turn_beta)) * step_rad + bulge_mm_;
+    }
+    widest_displacement_mm_ = (l_a + 2.0 * far) * 0.5 * step_rad + bulge_mm_;
+}
+
+SweptArm Robot::swept(Cell c, VelocityChanges changes) const {
+    if (changes.rests()) return resting_arm(line(c));
+    SweptArm swept;
+    for (int k = 0; k <= quarters; ++k)
+        swept.at[k] = body_.line(alpha_.turn(c.alpha, changes.alpha, k), beta_.turn(c.beta, changes.beta, k));
+    swept.bulge_mm = bulge_mm_;
+    swept.displacement_bound_mm = displacement_bound_mm(changes);
+    return swept;
+}
+
+void Robot::add_obstacle(const Segment &line, double need_mm) {
+    if (distance({centre(), centre()}, line) > reach_mm() + need_mm) return;
+    obstacles_.push_back({resting_arm(line), need_mm});
+    clearances_.assign(cells(), unknown);
+}
+
+Robot::Clearance Robot::look(Cell c) const {
+    const Segment here = line(c);
+    Clearance clearance = all_clear;
+    for (const Obstacle &o : obstacles_) {
+        const double d = distance(here, o.swept.at[0]);
+        if (d < o.need_mm - widest_displacement_mm_) return none_clear;
+        if (d < o.need_mm + widest_displacement_mm_) clearance = some_clear;
+    }
+    return clearance;
+}
+
+bool Robot::clear(const SweptArm &swept) const {
+    return std::all_of(obstacles_.begin(), obstacles_.end(),
+                       [&](const Obstacle &o) { return stay_apart(swept, o.swept, o.need_mm); });
+}
+
+bool Robot::clear(Cell c, VelocityChanges changes) {
+    if (obstacles_.empty()) return true;
+    Clearance &clearance = clearances_[index(c)];
+    if (clearance == unknown) clearance = look(c);
+    return clearance == some_clear ? clear(swept(c, changes)) : clearance == all_clear;
+}
+
+int Robot::steps_alone() {
+    if (obstacles_.empty()) return travel_steps();
+    if (!clear(start(), {}) || !clear(goal(), {})) return -1;
+    List<int> steps(cells(), -1);
+    List<Cell> queue{start()};
+    steps[index(start())] = 0;
+    for (int k = 0; k < queue.size(); ++k) {
+        const Cell here = queue[k];
+        const int now = steps[index(here)];
+        if (here == goal()) return now;
+        for (int move = 0; move < 9; ++move) {
+            const int a = move % 3 - 1, b = move / 3 - 1;
+            const Cell next{here.alpha + a, here.beta + b};
+            if (!inside(next) || steps[index(next)] >= 0) continue;
+            if (!clear(here, {{0, a}, {0, b}}) || !clear(next, {{-a, 0}, {-b, 0}})) continue;
+            steps[index(next)] = now + 1;
+            queue.push_back(next);
+        }
+    }
+    return -1;
+}
+
+} // namespace fl::planning

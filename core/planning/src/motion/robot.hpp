@@ -1,0 +1,107 @@
+// One positioner as the search sees it: its two axis grids, its arm at each of their crossings, and the
+// bodies at rest around it.
+#pragma once
+
+#include "fiberloom/planning.hpp"
+#include "motion/grid.hpp"
+#include "motion/swept_arm.hpp"
+
+#include <cstdint>
+
+namespace fl::planning {
+
+// A crossing of the two grids: line numbers of alpha and beta.
+struct Cell {
+    int alpha = 0;
+    int beta = 0;
+    friend bool operator==(Cell p, Cell q) { return p.alpha == q.alpha && p.beta == q.beta; }
+};
+
+struct VelocityChanges {
+    VelocityChange alpha;
+    VelocityChange beta;
+    // 0 .. 80
+    int code() const { return ((alpha.from + 1) * 3 + alpha.to + 1) * 9 + (beta.from + 1) * 3 + beta.to + 1; }
+    bool rests() const { return alpha.from == 0 && alpha.to == 0 && beta.from == 0 && beta.to == 0; }
+};
+
+// The part of the beta arm that is a body: from x = from_mm to x = to_mm of its frame.
+struct ArmBody {
+    Arm arm;
+    double from_mm = 0.0;
+    double to_mm = 0.0;
+    double far_mm() const { return std::max(std::abs(from_mm), std::abs(to_mm)); }
+    double reach_mm() const { return std::abs(arm.l_alpha_mm) + far_mm(); }
+    // The centre line for the turns of the alpha axis and of the beta axis against it.
+    Segment line(Turn alpha, Turn beta) const {
+        const Turn u = alpha * beta;
+        const Vec2 e{arm.centre_mm.x + arm.l_alpha_mm * alpha.c, arm.centre_mm.y + arm.l_alpha_mm * alpha.s};
+        return {{e.x + from_mm * u.c, e.y + from_mm * u.s}, {e.x + to_mm * u.c, e.y + to_mm * u.s}};
+    }
+};
+
+inline ArmBody arm_body(const Bodies &bodies, const Arm &arm) { return {arm, bodies.from_mm, bodies.to_mm}; }
+
+class Robot {
+  public:
+    // step_rad: widest step of the grids.
+    Robot(const ArmBody &body, AxisGrid alpha, AxisGrid beta, double step_rad);
+
+    const AxisGrid &alpha() const { return alpha_; }
+    const AxisGrid &beta() const { return beta_; }
+    Cell start() const { return {alpha_.start(), beta_.start()}; }
+    Cell goal() const { return {alpha_.goal(), beta_.goal()}; }
+    int cells() const { return alpha_.size() * beta_.size(); }
+    int index(Cell c) const { return c.beta * alpha_.size() + c.alpha; }
+    // Steps from a cell to the goal if nothing is between.
+    int steps_to_goal(Cell c) const {
+        const int a = c.alpha - alpha_.goal(), b = c.beta - beta_.goal();
+        return std::max(a < 0 ? -a : a, b < 0 ? -b : b);
+    }
+    int travel_steps() const { return steps_to_goal(start()); }
+    bool inside(Cell c) const {
+        return c.alpha >= 0 && c.beta >= 0 && c.alpha < alpha_.size() && c.beta < beta_.size();
+    }
+
+    Segment line(Cell c) const { return body_.line(alpha_.turn(c.alpha), beta_.turn(c.beta)); }
+    // Where the arm is at mid-step.
+    Segment middle_line(Cell c, VelocityChanges changes) const {
+        return body_.line(alpha_.turn(c.alpha, changes.alpha, 2), beta_.turn(c.beta, changes.beta, 2));
+    }
+    // How far its points get from there during the step, at most.
+    double displacement_bound_mm(VelocityChanges changes) const {
+        return displacement_bounds_[changes.code()];
+    }
+    SweptArm swept(Cell c, VelocityChanges changes) const;
+    // No step around a cell takes a point of the arm farther than this from its place at the cell.
+    double widest_displacement_mm() const { return widest_displacement_mm_; }
+    double bulge_mm() const { return bulge_mm_; }
+    double reach_mm() const { return body_.reach_mm(); }
+    Vec2 centre() const { return body_.arm.centre_mm; }
+
+    // A body at rest, whose centre line must be kept need_mm away.
+    void add_obstacle(const Segment &line, double need_mm);
+    // Whether a step stays clear of every body at rest.
+    bool clear(Cell c, VelocityChanges changes);
+    bool clear(const SweptArm &swept) const;
+    // Steps to the goal past the bodies at rest, with a stop at each cell; -1 if there is no path.
+    int steps_alone();
+
+  private:
+    struct Obstacle {
+        SweptArm swept; // the same at every moment
+        double need_mm = 0.0;
+    };
+    // What is known of the steps around a cell.
+    enum Clearance : std::uint8_t { unknown, all_clear, some_clear, none_clear };
+    Clearance look(Cell c) const;
+
+    ArmBody body_;
+    AxisGrid alpha_, beta_;
+    double bulge_mm_ = 0.0, widest_displacement_mm_ = 0.0;
+    double displacement_bounds_[81] = {};
+    List<Obstacle> obstacles_;
+    List<Clearance> clearances_; // per cell, once looked at
+};
+
+} // namespace fl::planning

@@ -1,0 +1,66 @@
+#include "motion/swept_arm.hpp"
+
+#include <algorithm>
+
+namespace fl::planning {
+namespace {
+
+constexpr int most_halvings = 5;
+
+TwoLines two_lines(const Segment &p, const Segment &q) { return {p, q, distance(p, q)}; }
+
+// Whether two segments whose ends run on straight lines stay apart between two moments. Halves the interval
+// until the answer is sure.
+bool chords_apart(const TwoLines &from, const TwoLines &to, double need, int halvings) {
+    const double d0 = from.distance_mm, d1 = to.distance_mm;
+    if (d0 < need || d1 < need) return false;
+    if (d0 + d1 - relative_displacement(from, to) >= 2.0 * need) return true;
+    if (halvings == 0) return false;
+    const TwoLines half = two_lines(middle(from.p, to.p), middle(from.q, to.q));
+    return chords_apart(from, half, need, halvings - 1) && chords_apart(half, to, need, halvings - 1);
+}
+
+} // namespace
+
+double relative_displacement(const TwoLines &from, const TwoLines &to) {
+    const Vec2 pa = to.p.a - from.p.a, pb = to.p.b - from.p.b;
+    const Vec2 qa = to.q.a - from.q.a, qb = to.q.b - from.q.b;
+    const Vec2 aa = pa - qa, ab = pa - qb, ba = pb - qa, bb = pb - qb;
+    return std::sqrt(std::max(std::max(dot(aa, aa), dot(ab, ab)), std::max(dot(ba, ba), dot(bb, bb))));
+}
+
+bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    const double need = need_mm + p.bulge_mm + q.bulge_mm;
+    const double mid = distance(p.at[2], q.at[2]);
+    if (mid < need) return false;
+    if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
+    TwoLines before = two_lines(p.at[0], q.at[0]);
+    for (int k = 0; k < quarters; ++k) {
+        const TwoLines after = two_lines(p.at[k + 1], q.at[k + 1]);
+        if (!chords_apart(before, after, need, most_halvings)) return false;
+        before = after;
+    }
+    return true;
+}
+
+SweptArm resting_arm(const Segment &line) {
+    SweptArm rest;
+    std::fill(std::begin(rest.at), std::end(rest.at), line);
+    return rest;
+}
+
+void measure_displacement_bound(SweptArm &swept) {
+    double bound = 0.0;
+    for (int side : {-1, 1}) {
+        double a = 0.0, b = 0.0; // how far the two ends move from mid-step outwards
+        for (int k = 0; k < quarters / 2; ++k) {
+            const Segment &from = swept.at[2 + side * k], &to = swept.at[2 + side * (k + 1)];
+            a += length(to.a - from.a);
+            b += length(to.b - from.b);
+        }
+        bound = std::max({bound, a, b});
+    }
+    swept.displacement_bound_mm = bound + swept.bulge_mm;
+}
+
+} // namespace fl::planning

@@ -1,0 +1,77 @@
+// What a beta arm sweeps in one time step, and the test whether two of them stay apart during all of it.
+//
+// A step is cut into four quarters; within a quarter both angles run straight in time. The ends of the arm's
+// centre line are kept at the five borders. Between borders an end follows an arc, which leaves its
+// chord by at most `bulge_mm`; the test treats ends as moving on chords and adds the bulges.
+#pragma once
+
+#include "fiberloom/distance.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace fl::planning {
+
+inline constexpr int quarters = 4;
+
+struct SweptArm {
+    Segment at[quarters + 1] = {};      // the centre line at the borders of the quarters
+    double displacement_bound_mm = 0.0; // no point of the arm gets farther from its place at mid-step
+    double bulge_mm = 0.0;              // arc against chord, within a quarter
+};
+
+inline Vec2 operator-(Vec2 p, Vec2 q) { return {p.x - q.x, p.y - q.y}; }
+inline double dot(Vec2 p, Vec2 q) { return p.x * q.x + p.y * q.y; }
+inline double cross(Vec2 p, Vec2 q) { return p.x * q.y - p.y * q.x; }
+inline double length(Vec2 p) { return std::sqrt(dot(p, p)); }
+inline Vec2 middle(Vec2 p, Vec2 q) { return {0.5 * (p.x + q.x), 0.5 * (p.y + q.y)}; }
+inline Segment middle(const Segment &p, const Segment &q) { return {middle(p.a, q.a), middle(p.b, q.b)}; }
+
+inline double clamp01(double t) { return t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t); }
+
+// Squared distance of the point r (seen from the segment's first end) from a segment d.
+inline double squared_to(Vec2 r, Vec2 d, double inverse) {
+    const double t = clamp01(dot(r, d) * inverse);
+    const double x = r.x - t * d.x, y = r.y - t * d.y;
+    return x * x + y * y;
+}
+
+// Squared distance of two segments, 0 where they cross.
+inline double squared_distance(const Segment &p, const Segment &q) {
+    const Vec2 dp = p.b - p.a, dq = q.b - q.a, r = p.a - q.a;
+    const Vec2 r1{r.x + dp.x, r.y + dp.y}; // p.b from q.a
+    const double side0 = cross(dq, r), side1 = cross(dq, r1);
+    if ((side0 < 0.0) != (side1 < 0.0)) {
+        // the ends of p lie on both sides of q's line; now those of q
+        const double other0 = cross(r, dp), other1 = cross({r.x - dq.x, r.y - dq.y}, dp);
+        if ((other0 < 0.0) != (other1 < 0.0)) return 0.0;
+    }
+    const double lp = dot(dp, dp), lq = dot(dq, dq);
+    const double ip = lp > 0.0 ? 1.0 / lp : 0.0, iq = lq > 0.0 ? 1.0 / lq : 0.0;
+    const double a = squared_to(r, dq, iq), b = squared_to(r1, dq, iq);
+    const double c = squared_to({-r.x, -r.y}, dp, ip), d = squared_to({dq.x - r.x, dq.y - r.y}, dp, ip);
+    return std::min(std::min(a, b), std::min(c, d));
+}
+
+inline double distance(const Segment &p, const Segment &q) { return std::sqrt(squared_distance(p, q)); }
+
+// Two centre lines at one moment, and their distance.
+struct TwoLines {
+    Segment p, q;
+    double distance_mm = 0.0;
+};
+
+// How far apart the ends of two segments move between two moments, at most: by so much, and no more, can
+// the distance of any two of their points change.
+double relative_displacement(const TwoLines &from, const TwoLines &to);
+
+// True only if the centre lines stay at least `need_mm` apart during the whole step.
+bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+
+// A body that does not move, as a step.
+SweptArm resting_arm(const Segment &line);
+
+// Fills in displacement_bound_mm from the centre lines at the borders and the bulge.
+void measure_displacement_bound(SweptArm &swept);
+
+} // namespace fl::planning

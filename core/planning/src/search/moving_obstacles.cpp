@@ -1,0 +1,43 @@
+#include "search/moving_obstacles.hpp"
+
+namespace fl::planning {
+namespace {
+
+bool rests(const SweptArm &swept) { return swept.displacement_bound_mm == 0.0; }
+
+bool same_place(const Segment &p, const Segment &q) {
+    return p.a.x == q.a.x && p.a.y == q.a.y && p.b.x == q.b.x && p.b.y == q.b.y;
+}
+
+} // namespace
+
+// A positioner that rests goes on resting where it was in the step before.
+bool MovingObstacles::extends_last(PathIndex path, int step, const SweptArm &swept) const {
+    if (!rests(swept) || visits_.empty()) return false;
+    const Visit &before = visits_.back();
+    return before.path == path && before.last == step - 1 && rests(*before.swept) &&
+           same_place(before.swept->at[2], swept.at[2]);
+}
+
+void MovingObstacles::add(PathIndex path, int step, const SweptArm &swept, int cost) {
+    if (extends_last(path, step, swept)) {
+        visits_.back().last = step;
+        return;
+    }
+    const Segment &mid = swept.at[2];
+    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
+    visits_.push_back({middle(mid.a, mid.b), radius, &swept, path, cost, step, step});
+}
+
+void MovingObstacles::sort(int steps) {
+    ends_.assign(steps + 2, 0);
+    for (const Visit &v : visits_)
+        for (int k = v.first; k <= v.last; ++k) ++ends_[k + 1];
+    for (int k = 1; k < ends_.size(); ++k) ends_[k] += ends_[k - 1];
+    by_step_.resize(ends_.back());
+    List<int> next = ends_;
+    for (int i = 0; i < visits_.size(); ++i)
+        for (int k = visits_[i].first; k <= visits_[i].last; ++k) by_step_[next[k]++] = i;
+}
+
+} // namespace fl::planning

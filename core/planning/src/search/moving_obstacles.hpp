@@ -1,0 +1,47 @@
+// The other positioners near one positioner, step by step.
+#pragma once
+
+#include "motion/swept_arm.hpp"
+
+#include "motion/index.hpp"
+
+namespace fl::planning {
+
+class MovingObstacles {
+  public:
+    // Another positioner during one step, or during all steps from first to last if it rests.
+    struct Visit {
+        Vec2 centre;
+        double radius_mm = 0.0; // of the circle around the centre line, during the whole step
+        const SweptArm *swept = nullptr;
+        PathIndex path;
+        int cost = 0;
+        int first = 0;
+        int last = 0;
+    };
+
+    void clear() { visits_.clear(); }
+    // In the order of steps for each positioner. cost: of touching it in this step.
+    void add(PathIndex path, int step, const SweptArm &swept, int cost);
+    // After the last add: makes the lists by step.
+    void sort(int steps);
+
+    // Indices of the visits at a step.
+    struct View {
+        const int *first;
+        const int *last;
+        const int *begin() const { return first; }
+        const int *end() const { return last; }
+    };
+    View at(int step) const { return {by_step_.data() + ends_[step], by_step_.data() + ends_[step + 1]}; }
+    const Visit &visit(int index) const { return visits_[index]; }
+
+  private:
+    bool extends_last(PathIndex path, int step, const SweptArm &swept) const;
+
+    List<Visit> visits_;
+    List<int> by_step_;
+    List<int> ends_; // in by_step_, of each step; the first is 0
+};
+
+} // namespace fl::planning

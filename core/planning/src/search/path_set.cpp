@@ -1,0 +1,185 @@
+#include "search/path_set.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace fl::planning {
+namespace {
+
+// For so many steps a positioner without a path is taken to rest at its start, and at its goal. Longer makes
+// the others wait for nothing, shorter lets them plan through one that cannot leave in time.
+constexpr int waiting_steps = 8;
+
+VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
+
+VelocityChanges changes_at(const List<Cell> &path, int step) {
+    const Cell here = path[step], before = path[std::max(step - 1, 0)],
+               after = path[std::min(step + 1, path.size() - 1)];
+    return {change(before.alpha, here.alpha, after.alpha), change(before.beta, here.beta, after.beta)};
+}
+
+} // namespace
+
+void PathSet::add(Robot robot) {
+    Member m(std::move(robot));
+    m.at_start = resting_arm(m.robot.line(m.robot.start()));
+    m.at_goal = resting_arm(m.robot.line(m.robot.goal()));
+    m.deadline = steps_;
+    members_.push_back(std::move(m));
+}
+
+void PathSet::find_neighbours() {
+    for (const PathIndex i : places()) {
+        List<std::pair<double, PathIndex>> near;
+        for (const PathIndex j : places()) {
+            const double gap = length(at(i).robot.centre() - at(j).robot.centre());
+            if (j != i && gap < at(i).robot.reach_mm() + at(j).robot.reach_mm() + need_mm_)
+                near.emplace_back(gap, j);
+        }
+        std::sort(near.begin(), near.end());
+        at(i).neighbours.clear();
+        for (const auto &[gap, j] : near) at(i).neighbours.push_back(j);
+    }
+}
+
+void PathSet::allow(PathIndex i, int deadline) {
+    at(i).deadline = deadline;
+    if (deadline > steps_) extend(deadline - steps_);
+}
+
+int PathSet::arrival(PathIndex i) const {
+    const auto &path = at(i).path;
+    int step = path.size() - 1;
+    while (step > 0 && path[step - 1] == path.back()) --step;
+    return step;
+}
+
+void PathSet::extend(int steps) {
+    steps_ += steps;
+    for (Member &m : members_) {
+        if (m.path.empty()) continue;
+        // the last step becomes one of many at rest: its second half was at rest already
+        m.path.resize(steps_ + 1, m.path.back());
+        m.swept.resize(steps_ + 1, resting_arm(m.robot.line(m.path.back())));
+    }
+}
+
+void PathSet::set_path(PathIndex i, const List<Cell> &path) {
+    Member &m = at(i);
+    m.path = path;
+    m.swept.resize(path.size());
+    for (int k = 0; k < path.size(); ++k) {
+        m.swept[k] = m.robot.swept(path[k], changes_at(path, k));
+        measure_displacement_bound(m.swept[k]);
+    }
+    m.presence = Presence::path;
+}
+
+void PathSet::keep_still(PathIndex i) {
+    set_path(i, List<Cell>(steps_ + 1, at(i).robot.start()));
+    at(i).still = true;
+}
+
+const SweptArm *PathSet::swept_at(const Member &m, int step) const {
+    if (m.presence == Presence::path) return &m.swept[step];
+    if (m.presence == Presence::absent) return nullptr;
+    const int wait = std::clamp(m.deadline - m.robot.travel_steps(), 1, waiting_steps);
+    if (step < wait) return &m.at_start;
+    return step > m.deadline - wait ? &m.at_goal : nullptr;
+}
+
+void PathSet::gather_one(const Member &me, PathIndex other, MovingObstacles &moving) const {
+    const Segment centre{me.robot.centre(), me.robot.centre()};
+    const Member &them = at(other);
+    if (them.presence == Presence::absent) return;
+    for (int step = 0; step <= steps_; ++step) {
+        const SweptArm *swept = swept_at(them, step);
+        if (swept == nullptr) continue;
+        const double reach = me.robot.reach_mm() + need_mm_ + swept->displacement_bound_mm;
+        if (squared_distance(centre, swept->at[2]) < reach * reach)
+            moving.add(other, step, *swept, them.cost);
+    }
+}
+
+void PathSet::gather(PathIndex i, MovingObstacles &moving) const {
+    moving.clear();
+    for (const PathIndex j : at(i).neighbours) gather_one(at(i), j, moving);
+    moving.sort(steps_);
+}
+
+bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search) {
+    List<Presence> before; // they do not see each other but in the search
+    for (const PathIndex i : group) before.push_back(std::exchange(at(i).presence, Presence::absent));
+    JointRequest request;
+    for (int k = 0; k < group.size(); ++k) {
+        gather(group[k], joint_moving_[k]);
+        request.robots.push_back(&at(group[k]).robot);
+        request.moving.push_back(&joint_moving_[k]);
+        request.deadlines.push_back(at(group[k]).deadline);
+    }
+    for (int k = 0; k < group.size(); ++k) at(group[k]).presence = before[k];
+    request.steps = steps_;
+    request.need_mm = need_mm_;
+    request.backward = backward;
+    request.most_nodes = most_nodes;
+    return search.run(request);
+}
+
+bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search) {
+    gather(i, moving_);
+    Member &m = at(i);
+    const auto &path = search.run(
+        {&m.robot, &moving_, &costs, steps_, m.deadline, give_up, need_mm_, mode.backward, mode.hold});
+    if (path.empty()) return false;
+    m.still = false;
+    set_path(i, path);
+    return true;
+}
+
+int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
+    int count = 0;
+    for (int k = 0; k < p.swept.size(); ++k) {
+        const SweptArm &a = p.swept[k], &b = q.swept[k];
+        const Vec2 gap = middle(a.at[2].a, a.at[2].b) - middle(b.at[2].a, b.at[2].b);
+        const double touch = 0.5 * (length(a.at[2].b - a.at[2].a) + length(b.at[2].b - b.at[2].a)) +
+                             a.displacement_bound_mm + b.displacement_bound_mm + need_mm_;
+        if (dot(gap, gap) < touch * touch && !stay_apart(a, b, need_mm_)) ++count;
+    }
+    return count;
+}
+
+void PathSet::forget_conflicts(PathIndex i) {
+    for (const PathConflict &conflict : at(i).conflicts)
+        at(conflict.other).conflicts.erase_if([i](const PathConflict &c) { return c.other == i; });
+    at(i).conflicts.clear();
+}
+
+void PathSet::count_conflicts(PathIndex i) {
+    forget_conflicts(i);
+    if (at(i).presence != Presence::path) return;
+    for (const PathIndex j : at(i).neighbours) {
+        if (at(j).presence != Presence::path) continue;
+        const int steps = steps_in_conflict(at(i), at(j));
+        if (steps == 0) continue;
+        at(i).conflicts.push_back({j, steps});
+        at(j).conflicts.push_back({i, steps});
+    }
+}
+
+int PathSet::conflicts() const {
+    int sum = 0;
+    for (const Member &m : members_) sum += m.conflicts.size();
+    return sum / 2;
+}
+
+SavedPath PathSet::save(PathIndex i) const { return {i, at(i).path, at(i).swept, at(i).still}; }
+
+void PathSet::restore(SavedPath saved) {
+    Member &m = at(saved.index);
+    m.path = std::move(saved.path);
+    m.swept = std::move(saved.swept);
+    m.still = saved.still;
+    m.presence = Presence::path;
+}
+
+} // namespace fl::planning

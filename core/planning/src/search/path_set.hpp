@@ -1,0 +1,102 @@
+// All positioners that may move, their paths so far, and which of the paths conflict.
+#pragma once
+
+#include "search/joint.hpp"
+#include "search/random.hpp"
+#include "search/search.hpp"
+
+#include <utility>
+
+namespace fl::planning {
+
+// How others see a positioner whose path is being sought anew.
+enum class Presence {
+    path,    // as its present path says
+    absent,  // not at all
+    waiting, // at its start for a while, absent, at its goal for a while: so that none plans through one
+             // that cannot leave in time
+};
+
+// Two paths on which positioners touch, and in how many steps.
+struct PathConflict {
+    PathIndex other;
+    int steps = 0;
+};
+
+// One positioner of a path set.
+struct Member {
+    explicit Member(Robot r) : robot(std::move(r)) {}
+
+    Robot robot;
+    List<PathIndex> neighbours; // nearest first
+    List<Cell> path;            // the cell at each step
+    List<SweptArm> swept;       // the motion of each step
+    List<PathConflict> conflicts;
+    SweptArm at_start, at_goal;
+    Presence presence = Presence::waiting;
+    int cost = 1000;    // of touching it, per step
+    bool still = false; // rests at its goal from the beginning to the end, without an approach
+    int deadline = 0;   // the step by which it must have arrived
+    int tries = 0;      // repairs around it since the last one that helped
+};
+
+// In which direction of time a path is sought, and for how many steps it rests first.
+struct Mode {
+    bool backward = false;
+    int hold = 0;
+};
+
+// What a repair may have to take back.
+struct SavedPath {
+    PathIndex index;
+    List<Cell> path;
+    List<SweptArm> swept;
+    bool still;
+};
+
+class PathSet {
+  public:
+    PathSet(double need_mm, int steps) : need_mm_(need_mm), steps_(steps) {}
+    // The last step in which a positioner moves.
+    int arrival(PathIndex i) const;
+
+    Member &at(PathIndex i) { return members_[i]; }
+    const Member &at(PathIndex i) const { return members_[i]; }
+    int size() const { return members_.size(); }
+    Places<PathIndex> places() const { return members_.places(); }
+    int steps() const { return steps_; }
+
+    void add(Robot robot);
+    void find_neighbours();
+    // Gives a positioner more time; those that have arrived rest at the goal during steps added.
+    void allow(PathIndex i, int deadline);
+
+    // Seeks a path of one positioner among the others as they are now; false if there is none below give_up.
+    bool seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search);
+    // Seeks paths of two or three at once; sets none of them.
+    bool seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search);
+    void set_path(PathIndex i, const List<Cell> &path);
+    void keep_still(PathIndex i);
+    // Counts anew with which paths this one conflicts.
+    void count_conflicts(PathIndex i);
+    int conflicts() const; // pairs
+
+    SavedPath save(PathIndex i) const;
+    void restore(SavedPath saved);
+
+  private:
+    void gather(PathIndex i, MovingObstacles &moving) const;
+    void gather_one(const Member &me, PathIndex other, MovingObstacles &moving) const;
+    void extend(int steps);
+    const SweptArm *swept_at(const Member &member, int step) const;
+    void forget_conflicts(PathIndex i);
+    int steps_in_conflict(const Member &p, const Member &q) const;
+
+    double need_mm_;
+    int steps_;
+    List<Member, PathIndex> members_;
+    MovingObstacles moving_;
+    MovingObstacles joint_moving_[JointSearch::most];
+};
+
+} // namespace fl::planning

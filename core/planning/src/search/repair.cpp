@@ -1,0 +1,345 @@
+#include "search/repair.hpp"
+
+#include <algorithm>
+
+namespace fl::planning {
+namespace {
+
+constexpr int any_cost = 1 << 25;   // more than any path costs
+constexpr int conflict_cost = 1000; // per step
+constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
+constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
+constexpr int longest_hold = 24;    // steps
+constexpr int most_joint_nodes = 60000;
+constexpr int tidy_excess = 60; // cost above the least
+constexpr int joint_every = 6;  // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;    // a deadline grows by the first one over this
+constexpr int hurry_rounds = 32;
+constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
+constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
+constexpr int least_rounds = 2000;
+constexpr int near_by = 8; // neighbours that may join a group, or get more time with it
+
+} // namespace
+
+// All positioners by the steps they travel, the longest first.
+List<PathIndex> Repair::longest_first() const {
+    List<PathIndex> order;
+    for (const PathIndex i : paths_.places()) order.push_back(i);
+    std::stable_sort(order.begin(), order.end(), [&](PathIndex i, PathIndex j) {
+        return paths_.at(i).robot.travel_steps() > paths_.at(j).robot.travel_steps();
+    });
+    return order;
+}
+
+void Repair::first_paths() {
+    const List<PathIndex> order = longest_first();
+    for (const PathIndex i : order)
+        if (paths_.at(i).still) paths_.keep_still(i);
+    for (const PathIndex i : order)
+        while (!paths_.at(i).still && !paths_.seek(i, {}, any_cost, {}, search_))
+            paths_.allow(i, paths_.at(i).deadline + 1);
+    for (const PathIndex i : order) paths_.count_conflicts(i);
+    statistics_.first_conflicts = paths_.conflicts();
+}
+
+List<Repair::Pair> Repair::pairs() const {
+    List<Pair> out;
+    for (const PathIndex i : paths_.places())
+        for (const PathConflict &c : paths_.at(i).conflicts)
+            if (c.other > i) out.push_back({i, c.other});
+    return out;
+}
+
+bool Repair::run(int last_steps) {
+    const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * paths_.size());
+    last_steps_ = last_steps;
+    first_steps_ = paths_.steps();
+    return rounds(static_cast<int>(most));
+}
+
+bool Repair::rounds(int most) {
+    for (int k = 0; k < most; ++k) {
+        const auto all = pairs();
+        if (all.empty()) return true;
+        round(all[random_.below(all.size())]);
+        ++statistics_.repairs;
+    }
+    return paths_.conflicts() == 0;
+}
+
+// One of the nearest neighbours of one of the two.
+PathIndex Repair::near_one_of(Pair pair, int among) {
+    const auto &near = paths_.at(random_.chance(50) ? pair.first : pair.second).neighbours;
+    return near[random_.below(std::min(near.size(), among))];
+}
+
+Repair::Group Repair::choose(Pair pair) {
+    Group group{{pair.first, pair.second}, {}, 0};
+    for (int more = random_.below(7); more > 0; --more) {
+        const PathIndex pick = near_one_of(pair, near_by);
+        if (!group.members.contains(pick)) group.members.push_back(pick);
+    }
+    save(group);
+    if (random_.chance(50))
+        random_.shuffle(group.members);
+    else
+        std::stable_sort(group.members.begin(), group.members.end(), [&](PathIndex i, PathIndex j) {
+            return paths_.at(i).robot.travel_steps() > paths_.at(j).robot.travel_steps();
+        });
+    return group;
+}
+
+void Repair::save(Group &group) const {
+    group.conflicts = touching(group);
+    group.before.clear();
+    for (const PathIndex i : group.members) group.before.push_back(paths_.save(i));
+}
+
+// Pairs in conflict with at least one of them in the group.
+int Repair::touching(const Group &group) const {
+    int sum = 0;
+    for (const PathIndex i : group.members)
+        for (const PathConflict &c : paths_.at(i).conflicts) sum += group.members.contains(c.other) ? 1 : 2;
+    return sum / 2;
+}
+
+void Repair::forget_paths(const List<PathIndex> &members) {
+    const int choice = random_.below(4);
+    for (const PathIndex i : members) {
+        Member &m = paths_.at(i);
+        m.presence = choice == 0 ? Presence::absent : choice == 1 ? Presence::waiting : Presence::path;
+        m.cost = choice == 2 ? conflict_cost / 10 : conflict_cost;
+    }
+}
+
+// Half of the members now and then find it dear to stretch their arms: that leads to other paths.
+Costs Repair::random_costs(const Robot &robot) {
+    Costs costs;
+    const int dear = 1 + random_.below(20);
+    for (int line = 0; line < robot.beta().size(); ++line)
+        costs.beta.push_back(static_cast<int>(dear * (1.0 + robot.beta().turn(line).c)));
+    return costs;
+}
+
+// Early or late, and now and then with a wait at one end: those that interlock need the right order in time.
+Mode Repair::random_mode(const Robot &robot, int deadline) {
+    Mode mode{random_.chance(50), 0};
+    const int slack = std::min(deadline - robot.travel_steps(), longest_hold);
+    if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
+    return mode;
+}
+
+bool Repair::replan(const List<PathIndex> &members, int most) {
+    const bool dice = random_.chance(60);
+    for (const PathIndex i : members) {
+        Member &m = paths_.at(i);
+        const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
+        ++statistics_.searches;
+        if (!paths_.seek(i, costs, most, random_mode(m.robot, m.deadline), search_)) return false;
+        m.cost = conflict_cost;
+    }
+    return true;
+}
+
+void Repair::take_back(Group &group) {
+    for (SavedPath &saved : group.before) {
+        paths_.at(saved.index).cost = conflict_cost;
+        paths_.restore(std::move(saved));
+    }
+    for (const PathIndex i : group.members) paths_.count_conflicts(i);
+}
+
+int Repair::tries(Pair pair) const {
+    return std::min(paths_.at(pair.first).tries, paths_.at(pair.second).tries);
+}
+
+void Repair::judge(Pair pair, const Group &group, int conflicts_now) {
+    if (conflicts_now < group.conflicts) {
+        for (const PathIndex i : group.members) paths_.at(i).tries = 0;
+        return;
+    }
+    for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).tries;
+    if (tries(pair) < patience) return;
+    for (const PathIndex i : {pair.first, pair.second}) paths_.at(i).tries = 0;
+    give_time(pair);
+}
+
+// To a pair that resists, and to those around it: arms that interlock need time, and with plenty of it they
+// come apart at once.
+void Repair::give_time(Pair pair) {
+    const int deadline = std::max(8, first_steps_ / more_time) +
+                         std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline);
+    if (deadline > last_steps_) return;
+    for (const PathIndex i : {pair.first, pair.second}) {
+        const auto &near = paths_.at(i).neighbours;
+        paths_.allow(i, deadline);
+        for (int k = 0; k < std::min(near.size(), near_by); ++k)
+            paths_.allow(near[k], std::max(deadline, paths_.at(near[k]).deadline));
+    }
+}
+
+// A path with more conflicts than the whole group had is not worth looking for.
+int Repair::affordable(const Group &group) const {
+    int steps = 1;
+    for (const PathIndex i : group.members)
+        for (const PathConflict &c : paths_.at(i).conflicts) steps += c.steps;
+    return steps * conflict_cost + path_itself;
+}
+
+void Repair::round(Pair pair) {
+    if (tries(pair) % joint_every == joint_every - 1) return joint_round(pair);
+    Group group = choose(pair);
+    const int most = affordable(group);
+    forget_paths(group.members);
+    if (!replan(group.members, most)) {
+        take_back(group);
+        return judge(pair, group, group.conflicts);
+    }
+    for (const PathIndex i : group.members) paths_.count_conflicts(i);
+    const int now = touching(group);
+    if (now > group.conflicts) take_back(group);
+    judge(pair, group, now);
+}
+
+// The pair, and now and then a third: three arms can lock each other in a ring.
+List<PathIndex> Repair::choose_joint(Pair pair) {
+    List<PathIndex> joint{pair.first, pair.second};
+    if (tries(pair) < 2 * joint_every || random_.chance(40)) return joint;
+    const PathIndex third = near_one_of(pair, 6);
+    if (third != pair.first && third != pair.second) joint.push_back(third);
+    return joint;
+}
+
+// Gives the positioners of a joint search the paths that it found, and adds to the group those with which
+// these conflict.
+void Repair::set_joint(const List<PathIndex> &joint, Group &group) {
+    for (int k = 0; k < joint.size(); ++k) {
+        paths_.set_path(joint[k], joint_.path(k));
+        paths_.at(joint[k]).still = false;
+    }
+    for (const PathIndex i : joint) paths_.count_conflicts(i);
+    for (const PathIndex i : joint)
+        for (const PathConflict &c : paths_.at(i).conflicts)
+            if (!group.members.contains(c.other)) group.members.push_back(c.other);
+}
+
+// The group without the joint positioners, and with all that conflict with their new paths, which are taken
+// back again.
+List<PathIndex> Repair::drawn_in(const List<PathIndex> &joint, Group &group) {
+    List<SavedPath> before;
+    for (const PathIndex i : joint) before.push_back(paths_.save(i));
+    const auto in_joint = [&](PathIndex i) { return joint.contains(i); };
+    group.members.erase_if(in_joint);
+    set_joint(joint, group);
+    group.members.erase_if(in_joint);
+    for (SavedPath &saved : before) paths_.restore(std::move(saved));
+    for (const PathIndex i : joint) paths_.count_conflicts(i);
+    return group.members;
+}
+
+// A pair that resists: all at once, as if some neighbours were not there, and then those that are in their
+// way.
+void Repair::joint_round(Pair pair) {
+    const List<PathIndex> joint = choose_joint(pair);
+    Group group = choose(pair);
+    forget_paths(group.members);
+    const int most_nodes = joint.size() == 2 ? most_joint_nodes : 2 * most_joint_nodes;
+    const bool found = paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    take_back(group);
+    if (!found) return judge(pair, group, group.conflicts);
+    const List<PathIndex> others = drawn_in(joint, group);
+    group.members.insert(group.members.end(), joint.begin(), joint.end());
+    save(group);
+    set_joint(joint, group);
+    forget_paths(others);
+    const bool all = replan(others, any_cost);
+    for (const PathIndex i : group.members) paths_.count_conflicts(i);
+    const int now = touching(group);
+    if (!all || now > group.conflicts) take_back(group);
+    judge(pair, group, all ? now : group.conflicts);
+}
+
+int Repair::arrival() const {
+    int last = 0;
+    for (const PathIndex i : paths_.places()) last = std::max(last, paths_.arrival(i));
+    return last;
+}
+
+// Those that were given more time in need may do with less of it: halves what is above the wish.
+void Repair::hurry(int wanted_steps) {
+    last_steps_ = 0; // none gets more time now
+    for (int low = wanted_steps; arrival() > low;) {
+        List<SavedPath> before;
+        List<int, PathIndex> deadlines;
+        for (const PathIndex i : paths_.places()) {
+            before.push_back(paths_.save(i));
+            deadlines.push_back(paths_.at(i).deadline);
+        }
+        const int deadline = (low + arrival()) / 2;
+        if (squeeze(deadline)) continue;
+        for (SavedPath &saved : before) paths_.restore(std::move(saved));
+        for (const PathIndex i : paths_.places()) {
+            paths_.at(i).deadline = deadlines[i];
+            paths_.count_conflicts(i);
+        }
+        low = deadline + 1;
+    }
+}
+
+bool Repair::squeeze(int deadline) {
+    for (const PathIndex i : paths_.places()) {
+        paths_.at(i).deadline = std::min(paths_.at(i).deadline, deadline);
+        paths_.at(i).tries = 0;
+        if (paths_.arrival(i) <= deadline) continue;
+        ++statistics_.searches;
+        if (!paths_.seek(i, {}, any_cost, {}, search_)) return false;
+        paths_.count_conflicts(i);
+    }
+    return rounds(static_cast<int>(settings_.effort * hurry_rounds));
+}
+
+int Repair::path_cost(const Member &member, const Costs &costs) const {
+    int cost = 0;
+    Cell last{};
+    const List<Cell> &path = member.path;
+    for (int k = 0; k < path.size(); ++k) {
+        const Cell here = path[k], next = path[std::min(k + 1, path.size() - 1)];
+        const Cell v{next.alpha - here.alpha, next.beta - here.beta};
+        cost += costs.move * (std::abs(v.alpha) + std::abs(v.beta));
+        cost += costs.velocity_change * ((v.alpha != last.alpha) + (v.beta != last.beta));
+        if (v == Cell{} && !(here == path.back())) cost += costs.wait;
+        last = v;
+    }
+    return cost;
+}
+
+// No path is cheaper than both axes straight from start to goal.
+int Repair::least_cost(const Robot &robot, const Costs &costs) {
+    const Cell from = robot.start(), to = robot.goal();
+    const int alpha = std::abs(to.alpha - from.alpha), beta = std::abs(to.beta - from.beta);
+    return costs.move * (alpha + beta) + 2 * costs.velocity_change * ((alpha > 0) + (beta > 0));
+}
+
+void Repair::tidy_one(PathIndex i, const Costs &costs) {
+    const Member &member = paths_.at(i);
+    if (member.still) return;
+    const int cost = path_cost(member, costs);
+    if (cost <= least_cost(member.robot, costs)) return;
+    ++statistics_.searches;
+    paths_.seek(i, costs, cost, {}, search_);
+}
+
+void Repair::tidy() {
+    const Costs costs{2, 4, 1, {}}; // few corners: each costs three points on the bus
+    for (const PathIndex i : paths_.places()) paths_.at(i).cost = tidy_cost;
+    for (const PathIndex i : paths_.places()) tidy_one(i, costs);
+    // those that still take a detour may have room now that the others are tidy
+    for (int k = paths_.size() - 1; k >= 0; --k) {
+        const Member &member = paths_.at(PathIndex(k));
+        if (path_cost(member, costs) > least_cost(member.robot, costs) + tidy_excess)
+            tidy_one(PathIndex(k), costs);
+    }
+}
+
+} // namespace fl::planning

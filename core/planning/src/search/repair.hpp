@@ -1,0 +1,70 @@
+// From paths that conflict to paths that do not: large-neighbourhood search over small groups of positioners.
+#pragma once
+
+#include "search/path_set.hpp"
+
+namespace fl::planning {
+
+class Repair {
+  public:
+    Repair(PathSet &paths, const Settings &settings, Statistics &statistics)
+        : paths_(paths), settings_(settings), statistics_(statistics), random_(settings.seed) {}
+
+    // A path for every positioner, longest first, conflicts allowed where they cannot be avoided.
+    void first_paths();
+    // Replans groups until no two paths conflict (true), or until effort or deadline are used up.
+    bool run(int last_steps);
+    // Looks for paths that end earlier, down to this many steps.
+    void hurry(int wanted_steps);
+    // Replans each positioner alone for a shorter, straighter path without conflicts.
+    void tidy();
+    std::int64_t expansions() const { return search_.expansions() + joint_.expansions(); }
+
+  private:
+    struct Pair {
+        PathIndex first, second;
+    };
+    struct Group {
+        List<PathIndex> members;
+        List<SavedPath> before;
+        int conflicts = 0;
+    };
+
+    List<PathIndex> longest_first() const;
+    List<Pair> pairs() const;
+    int tries(Pair pair) const;
+    void round(Pair pair);
+    void joint_round(Pair pair);
+    List<PathIndex> choose_joint(Pair pair);
+    List<PathIndex> drawn_in(const List<PathIndex> &joint, Group &group);
+    void set_joint(const List<PathIndex> &joint, Group &group);
+    PathIndex near_one_of(Pair pair, int among);
+    Group choose(Pair pair);
+    void save(Group &group) const;
+    int affordable(const Group &group) const;
+    int touching(const Group &group) const;
+    void forget_paths(const List<PathIndex> &members);
+    Costs random_costs(const Robot &robot);
+    Mode random_mode(const Robot &robot, int deadline);
+    bool replan(const List<PathIndex> &members, int most);
+    void take_back(Group &group);
+    void judge(Pair pair, const Group &group, int conflicts_now);
+    bool squeeze(int deadline);
+    int arrival() const;
+    bool rounds(int most);
+    void give_time(Pair pair);
+    static int least_cost(const Robot &robot, const Costs &costs);
+    void tidy_one(PathIndex i, const Costs &costs);
+    int path_cost(const Member &member, const Costs &costs) const;
+
+    PathSet &paths_;
+    const Settings &settings_;
+    Statistics &statistics_;
+    Random random_;
+    Search search_;
+    JointSearch joint_;
+    int first_steps_ = 0;
+    int last_steps_ = 0; // beyond which no deadline is set
+};
+
+} // namespace fl::planning

@@ -1,0 +1,114 @@
+// The path of one positioner through (alpha, beta, time), with the others' motion given.
+//
+// A* with a fixed deadline: coming close to a moving neighbour costs much (so that a path is found even
+// where none is free), moves and waits little, and bodies at rest may not be touched at all.
+#pragma once
+
+#include "motion/robot.hpp"
+#include "search/moving_obstacles.hpp"
+
+#include <cstdint>
+
+namespace fl::planning {
+
+// A move of one step is a number 0 .. 8: alpha and beta by one line down, none, or up.
+using Move = std::uint8_t;
+inline constexpr Move stay = 4;
+inline int alpha_of(int move) { return move % 3 - 1; }
+inline int beta_of(int move) { return move / 3 - 1; }
+inline Cell moved(Cell c, int move) { return {c.alpha + alpha_of(move), c.beta + beta_of(move)}; }
+// Steps between two cells if nothing is between.
+inline int steps_between(Cell p, Cell q) {
+    return std::max(std::abs(p.alpha - q.alpha), std::abs(p.beta - q.beta));
+}
+// To arrive at a cell by one move and to leave it by another; backward: in reversed time.
+VelocityChanges changes_of(int move_in, int move_out, bool backward);
+
+// What a path costs beside the encounters on it. Units are arbitrary; encounters cost about 1000 a step.
+struct Costs {
+    int move = 2;            // an axis moves by one line
+    int velocity_change = 1; // of an axis
+    int wait = 2;            // a step on a cell that is not the goal: without it, floods are twice as wide
+    List<int> beta;          // per step on a line of the beta grid; empty: nothing
+};
+
+struct Request {
+    Robot *robot = nullptr;
+    const MovingObstacles *moving = nullptr;
+    const Costs *costs = nullptr;
+    int steps = 0;        // how long the moving obstacles are known
+    int deadline = 0;     // by this step it must rest at its goal, for good
+    int give_up = 0;      // a path that costs so much or more is not wanted
+    double need_mm = 0.0; // between centre lines
+    // From the goal back in time: the same paths, but of equals it finds the one that moves last, not first.
+    // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
+    bool backward = false;
+    int hold = 0; // for so many steps it rests at the end where the search begins
+};
+
+class Search {
+  public:
+    // The cells at steps 0 .. steps of the cheapest path; empty if there is none below `give_up`. Valid until
+    // the next run.
+    const List<Cell> &run(const Request &request);
+    std::int64_t expansions() const { return expansions_; }
+
+  private:
+    using NodeId = Index<struct NodeKind>; // of a cell at a step
+
+    struct Node {
+        std::uint32_t round = 0; // of which search the rest is
+        int cost = 0;
+        Move move = 0; // by which it was reached
+        bool closed = false;
+    };
+    struct Place {
+        Cell cell;
+        int step; // counted in the direction of the search
+    };
+    // What it means to arrive at a cell by one move and to leave it by another.
+    struct Turning {
+        VelocityChanges changes;
+        bool possible = true;
+        int cost = 0;
+    };
+
+    void begin();
+    void list_turnings();
+    void prepare_end();
+    int hold_cost();
+    Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
+    int steps_to_go(Cell c) const { return steps_between(c, last_cell_); }
+    int heuristic(Cell c) const;
+    int beta_cost(Cell c) const;
+    void expand(NodeId id);
+    void finish(NodeId id, Place at);
+    void relax(Place at, const Node &here, int move);
+    void gather_near(Place at);
+    int encounters(const SweptArm &step) const;
+    int encounters(Place at, VelocityChanges turn);
+    void push(NodeId id, int total);
+    bool pop(NodeId &id);
+    NodeId id(Place at) const;
+    Place place(NodeId id) const;
+    Node &node(NodeId id);
+    void trace();
+
+    Request ask_;
+    Cell last_cell_;
+    int last_step_ = 0; // by which the path must be done, in the direction of the search
+    Turning turnings_[9][9];
+    List<Node, NodeId> nodes_;
+    List<List<NodeId>> buckets_; // open nodes by total cost; the last come first
+    int lowest_ = 0, highest_ = 0;
+    int open_ = 0;
+    List<const MovingObstacles::Visit *> near_, doubtful_;
+    List<int> end_cost_; // of resting at the last cell from a step to the end
+    List<Cell> path_;
+    std::uint32_t round_ = 0;
+    NodeId last_;
+    int best_ = 0;
+    std::int64_t expansions_ = 0;
+};
+
+} // namespace fl::planning

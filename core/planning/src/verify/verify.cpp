@@ -1,0 +1,293 @@
+#include "fiberloom/verify.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace fl::planning {
+namespace {
+
+constexpr double touching_mm = 1e-6; // gaps are proven to be above minus this
+constexpr double gap_true_mm = 1e-4; // the smallest gap is found to within this
+constexpr int deepest = 60;          // halvings; the bound settles long before
+
+int count(const auto &list) { return static_cast<int>(list.size()); }
+
+// One positioner over time: where its arm is, and how far it has travelled.
+class Track {
+  public:
+    Track(const Arm &arm, double from_mm, double to_mm, const Motion &motion)
+        : arm_(arm), from_mm_(from_mm), to_mm_(to_mm), motion_(motion),
+          travelled_(motion.time_s.size(), 0.0) {
+        const double far = std::max(std::abs(from_mm), std::abs(to_mm));
+        for (int k = 1; k < count(travelled_); ++k) {
+            const double a = motion.angles[k].alpha_rad - motion.angles[k - 1].alpha_rad;
+            const double b = motion.angles[k].beta_rad - motion.angles[k - 1].beta_rad;
+            travelled_[k] = travelled_[k - 1] + std::abs(arm.l_alpha_mm * a) + far * std::abs(a + b);
+        }
+    }
+
+    double end_s() const { return motion_.time_s.back(); }
+    bool moves() const { return travelled_.back() > 0.0; }
+    double reach_mm() const {
+        return std::abs(arm_.l_alpha_mm) + std::max(std::abs(from_mm_), std::abs(to_mm_));
+    }
+    Vec2 centre_mm() const { return arm_.centre_mm; }
+
+    Segment line(double time_s) const {
+        const auto [k, part] = locate(time_s);
+        if (part == 0.0) return beta_segment(arm_, from_mm_, to_mm_, motion_.angles[k]);
+        const Angles p = motion_.angles[k], q = motion_.angles[k + 1];
+        return beta_segment(arm_, from_mm_, to_mm_,
+                            {p.alpha_rad + part * (q.alpha_rad - p.alpha_rad),
+                             p.beta_rad + part * (q.beta_rad - p.beta_rad)});
+    }
+
+    double travelled_mm(double time_s) const {
+        const auto [k, part] = locate(time_s);
+        return part == 0.0 ? travelled_[k] : travelled_[k] + part * (travelled_[k + 1] - travelled_[k]);
+    }
+
+  private:
+    // The point before a moment, and which part of the way to the next one is done.
+    std::pair<int, double> locate(double time_s) const {
+        const auto &t = motion_.time_s;
+        if (time_s <= t.front()) return {0, 0.0};
+        if (time_s >= t.back()) return {count(t) - 1, 0.0};
+        const int k = static_cast<int>(std::upper_bound(t.begin(), t.end(), time_s) - t.begin()) - 1;
+        return {k, (time_s - t[k]) / (t[k + 1] - t[k])};
+    }
+
+    const Arm &arm_;
+    double from_mm_, to_mm_;
+    const Motion &motion_;
+    std::vector<double> travelled_;
+};
+
+// The gap of two bodies over time: a positioner and either another one or a fixed segment.
+class Encounter {
+  public:
+    Encounter(const Track &p, const Track *q, const Segment &fixed, double radii_mm, double wanted_mm)
+        : p_(p), q_(q), fixed_(fixed), radii_mm_(radii_mm), wanted_mm_(wanted_mm) {}
+
+    // The smallest gap, if it is below `wanted_mm` or negative; otherwise some gap above both.
+    Gap closest() {
+        const double end = q_ ? std::max(p_.end_s(), q_->end_s()) : p_.end_s();
+        const Moment first = look(0.0), last = look(end);
+        descend(first, last, 0);
+        return best_;
+    }
+
+  private:
+    struct Moment {
+        double time_s, gap_mm, travelled_mm;
+    };
+
+    Moment look(double time_s) {
+        const double gap = segment_distance(p_.line(time_s), q_ ? q_->line(time_s) : fixed_) - radii_mm_;
+        if (gap < best_.gap_mm) best_ = {gap, time_s, -1, -1};
+        return {time_s, gap, p_.travelled_mm(time_s) + (q_ ? q_->travelled_mm(time_s) : 0.0)};
+    }
+
+    // Above this a bound needs no closer look.
+    double enough_mm() const {
+        if (best_.gap_mm < -touching_mm) return best_.gap_mm - gap_true_mm; // a collision: only how deep
+        return std::max(-touching_mm, std::min(wanted_mm_, best_.gap_mm) - gap_true_mm);
+    }
+
+    void descend(const Moment &from, const Moment &to, int depth) {
+        const double bound = 0.5 * (from.gap_mm + to.gap_mm - (to.travelled_mm - from.travelled_mm));
+        if (bound >= enough_mm()) return;
+        if (depth == deepest) { // cannot be shown to be free: it is not
+            if (bound < best_.gap_mm) best_ = {bound, from.time_s, -1, -1};
+            return;
+        }
+        const Moment middle = look(0.5 * (from.time_s + to.time_s));
+        descend(from, middle, depth + 1);
+        descend(middle, to, depth + 1);
+    }
+
+    const Track &p_;
+    const Track *q_;
+    const Segment &fixed_;
+    double radii_mm_, wanted_mm_;
+    Gap best_;
+};
+
+Fault at_rest(Fault fault) { return fault == Fault::robots ? Fault::contact : Fault::obstacle_contact; }
+
+class Verifier {
+  public:
+    Verifier(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules)
+        : bodies_(bodies), motions_(motions), rules_(rules) {}
+
+    Verification run() {
+        for (int i = 0; i < count(motions_); ++i)
+            if (!check_points(i)) return out_; // nothing else has a meaning
+        for (int i = 0; i < count(motions_); ++i) {
+            tracks_.emplace_back(bodies_.arms[i], bodies_.from_mm, bodies_.to_mm, motions_[i]);
+            check_axes(i);
+            check_ends(i);
+        }
+        check_pairs();
+        check_obstacles();
+        return out_;
+    }
+
+  private:
+    void report(Fault fault, int robot, int other, double time_s, double depth) {
+        out_.violations.push_back({fault, robot, other, time_s, depth});
+    }
+
+    bool check_points(int i);
+    void check_axes(int i);
+    void check_axis(int i, double Angles::*axis, double low, double high);
+    void check_speeds(int i, const std::vector<double> &speeds);
+    void check_ends(int i);
+    void check_end(Fault fault, int i, Angles is, Angles should, double time_s);
+    void check_approach(int i);
+    void check_pairs();
+    void check_pair(int i, int j);
+    void check_obstacles();
+    void note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest);
+
+    const Bodies &bodies_;
+    const std::vector<Motion> &motions_;
+    const Rules &rules_;
+    std::vector<Track> tracks_;
+    Verification out_;
+};
+
+bool Verifier::check_points(int i) {
+    const auto &[t, angles] = motions_[i];
+    bool good = !t.empty() && t.size() == angles.size() && t.front() == 0.0 && std::isfinite(t.back());
+    for (int k = 0; good && k < count(t); ++k)
+        good = std::isfinite(angles[k].alpha_rad) && std::isfinite(angles[k].beta_rad) &&
+               (k == 0 || t[k - 1] < t[k]);
+    if (!good) report(Fault::points, i, -1, 0.0, 0.0);
+    return good;
+}
+
+// The largest breach of each kind only: one line per positioner and rule.
+void Verifier::check_speeds(int i, const std::vector<double> &speeds) {
+    const auto &t = motions_[i].time_s;
+    Violation fast{Fault::speed, i}, sharp{Fault::acceleration, i};
+    const int last = count(speeds);
+    for (int k = 0; k <= last; ++k) {
+        // before the first and after the last point the axis rests, for as long as its neighbour segment
+        const double before = k == 0 ? 0.0 : speeds[k - 1], after = k == last ? 0.0 : speeds[k];
+        const double d0 = k == 0 ? t[1] - t[0] : t[k] - t[k - 1], d1 = k == last ? d0 : t[k + 1] - t[k];
+        const double jump = std::abs(after - before), acceleration = jump / (0.5 * (d0 + d1));
+        out_.top_jump_rad_s = std::max(out_.top_jump_rad_s, jump);
+        out_.top_speed_rad_s = std::max(out_.top_speed_rad_s, std::abs(after));
+        out_.top_acceleration_rad_s2 = std::max(out_.top_acceleration_rad_s2, acceleration);
+        if (std::abs(after) - rules_.speed_rad_s > fast.depth)
+            fast = {Fault::speed, i, -1, t[k], std::abs(after) - rules_.speed_rad_s};
+        if (acceleration - rules_.acceleration_rad_s2 > sharp.depth)
+            sharp = {Fault::acceleration, i, -1, t[k], acceleration - rules_.acceleration_rad_s2};
+    }
+    for (const Violation &v : {fast, sharp})
+        if (v.depth > 0.0) out_.violations.push_back(v);
+}
+
+void Verifier::check_axis(int i, double Angles::*axis, double low, double high) {
+    const Motion &m = motions_[i];
+    // one that is beyond a limit may come back, but not go farther out
+    low = std::min(low, m.angles.front().*axis) - rules_.rounding_rad;
+    high = std::max(high, m.angles.front().*axis) + rules_.rounding_rad;
+    std::vector<double> speeds;
+    for (int k = 0; k < count(m.angles); ++k) {
+        const double here = m.angles[k].*axis, beyond = std::max(low - here, here - high);
+        if (beyond > 0.0) report(Fault::travel, i, -1, m.time_s[k], beyond);
+        if (k > 0) speeds.push_back((here - m.angles[k - 1].*axis) / (m.time_s[k] - m.time_s[k - 1]));
+    }
+    if (!speeds.empty()) check_speeds(i, speeds);
+}
+
+void Verifier::check_axes(int i) {
+    const Limits &t = rules_.travel;
+    check_axis(i, &Angles::alpha_rad, t.alpha_min_rad, t.alpha_max_rad);
+    check_axis(i, &Angles::beta_rad, t.beta_min_rad, t.beta_max_rad);
+}
+
+void Verifier::check_end(Fault fault, int i, Angles is, Angles should, double time_s) {
+    const double off =
+        std::max(std::abs(is.alpha_rad - should.alpha_rad), std::abs(is.beta_rad - should.beta_rad));
+    if (off > rules_.rounding_rad) report(fault, i, -1, time_s, off);
+}
+
+void Verifier::check_ends(int i) {
+    const Motion &m = motions_[i];
+    if (!rules_.start.empty()) check_end(Fault::start, i, m.angles.front(), rules_.start[i], 0.0);
+    if (!rules_.goal.empty() && rules_.arrives[i] != 0)
+        check_end(Fault::goal, i, m.angles.back(), rules_.goal[i], m.time_s.back());
+    if (!rules_.approach_rad.empty() && tracks_[i].moves()) check_approach(i);
+}
+
+// From the end back: as long as both axes fall, they must have come from approach_rad above.
+void Verifier::check_approach(int i) {
+    const auto &p = motions_[i].angles;
+    int k = count(p) - 1;
+    while (k > 0 && p[k - 1].alpha_rad >= p[k].alpha_rad && p[k - 1].beta_rad >= p[k].beta_rad) --k;
+    const double height = std::min(p[k].alpha_rad - p.back().alpha_rad, p[k].beta_rad - p.back().beta_rad);
+    const double missing = rules_.approach_rad[i] - height;
+    if (missing > 2.0 * rules_.rounding_rad)
+        report(Fault::approach, i, -1, motions_[i].time_s.back(), missing);
+}
+
+void Verifier::note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest) {
+    gap.robot = i;
+    gap.other = other;
+    if (gap.gap_mm < smallest.gap_mm) smallest = gap;
+    if (gap.gap_mm < -touching_mm) report(moving ? fault : at_rest(fault), i, other, gap.time_s, -gap.gap_mm);
+}
+
+void Verifier::check_pair(int i, int j) {
+    const Track &p = tracks_[i], &q = tracks_[j];
+    const Vec2 c = p.centre_mm(), d = q.centre_mm();
+    const double radii = 2.0 * bodies_.radius_mm;
+    if (std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - radii > 0.0) return;
+    const Gap gap = Encounter(p, &q, {}, radii, out_.robots.gap_mm).closest();
+    note(gap, i, j, Fault::robots, p.moves() || q.moves(), out_.robots);
+}
+
+// Only positioners whose x differ by less than two reaches can meet.
+void Verifier::check_pairs() {
+    std::vector<std::pair<double, int>> by_x;
+    double reach = 0.0;
+    for (int i = 0; i < count(tracks_); ++i) {
+        by_x.emplace_back(tracks_[i].centre_mm().x, i);
+        reach = std::max(reach, tracks_[i].reach_mm() + bodies_.radius_mm);
+    }
+    std::sort(by_x.begin(), by_x.end());
+    for (int a = 0; a < count(by_x); ++a)
+        for (int b = a + 1; b < count(by_x) && by_x[b].first - by_x[a].first <= 2.0 * reach; ++b)
+            check_pair(std::min(by_x[a].second, by_x[b].second), std::max(by_x[a].second, by_x[b].second));
+}
+
+void Verifier::check_obstacles() {
+    for (int i = 0; i < count(tracks_); ++i)
+        for (int k = 0; k < count(bodies_.obstacles); ++k) {
+            const Capsule &o = bodies_.obstacles[k];
+            const double radii = bodies_.radius_mm + o.radius_mm;
+            if (point_segment_distance(tracks_[i].centre_mm(), o.line) > tracks_[i].reach_mm() + radii)
+                continue;
+            const Gap gap = Encounter(tracks_[i], nullptr, o.line, radii, out_.obstacles.gap_mm).closest();
+            note(gap, i, k, Fault::obstacle, tracks_[i].moves(), out_.obstacles);
+        }
+}
+
+} // namespace
+
+const char *to_string(Fault fault) {
+    static constexpr const char *names[] = {"robots", "obstacle", "contact", "obstacle_contact",
+                                            "points", "travel",   "speed",   "acceleration",
+                                            "start",  "goal",     "approach"};
+    return names[static_cast<int>(fault)];
+}
+
+Verification verify(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules) {
+    return Verifier(bodies, motions, rules).run();
+}
+
+} // namespace fl::planning

@@ -1,0 +1,301 @@
+// The inner loops, compiled once for every instruction set: included by kernel_*.cpp after these are set
+//   FL_KERNEL_NAME   a string
+//   FL_KERNEL_SYMBOL the Kernel to define
+//   FL_KERNEL_WIDTH  floats in a vector
+// Nothing here may call an inline function of another header: the linker would keep one copy of it,
+// perhaps the one that only runs on newer machines.
+#include "fiberloom/twin/axis_group.hpp"
+#include "law_body.hpp"
+
+namespace fl::twin {
+namespace {
+
+constexpr int width = FL_KERNEL_WIDTH;
+typedef float V __attribute__((vector_size(4 * width), may_alias));
+typedef int32_t Mask __attribute__((vector_size(4 * width), may_alias));
+
+inline V load(const float *p) { return *reinterpret_cast<const V *>(p); }
+inline void store(float *p, V v) { *reinterpret_cast<V *>(p) = v; }
+inline V larger(V a, V b) { return a > b ? a : b; }
+inline V smaller(V a, V b) { return a < b ? a : b; }
+inline V both(Mask m, V v) { return reinterpret_cast<V>(reinterpret_cast<Mask>(v) & m); }
+
+inline float held(float x, float lo, float hi) { return x > lo ? (x < hi ? x : hi) : lo; }
+inline double larger(double a, double b) { return a > b ? a : b; }
+inline double smaller(double a, double b) { return a < b ? a : b; }
+
+// -- loops over lanes, which the compiler turns into vectors -------------------------------------
+
+// The rest of an angle to the nearest quarter turn, and which it is. |angle| below 10^5 rad: pi/2 in two
+// parts, the first with 33 bits, leaves an error below 1e-15 rad.
+struct Quarters {
+    float rest_rad[lane_count];
+    int32_t quarter[lane_count];
+};
+
+inline void reduce(const AxisGroup &g, Quarters &q) {
+    // adding 1.5 * 2^52 shifts the fraction out: rounding that every instruction set can do
+    constexpr double round_magic = 6755399441055744.0;
+    for (int i = 0; i < lane_count; ++i) {
+        const double turns = (g.theta_rad[i] * 0.63661977236758134308 + round_magic) - round_magic;
+        const double rest = g.theta_rad[i] - turns * 1.57079632673412561417;
+        q.rest_rad[i] = static_cast<float>(rest - turns * 6.07710050650619224932e-11);
+        q.quarter[i] = static_cast<int32_t>(turns);
+    }
+}
+
+// Minimax polynomials of Cephes (sinf.c): below 1e-7 on [-pi/4, pi/4].
+inline void sincos(AxisGroup &g, const Quarters &q) {
+    for (int i = 0; i < lane_count; ++i) {
+        const float r = q.rest_rad[i], z = r * r;
+        const float s = r + r * z * (-1.6666654611e-1f + z * (8.3321608736e-3f + z * -1.9515295891e-4f));
+        const float c =
+            1.0f - 0.5f * z +
+            z * z * (4.166664568298827e-2f + z * (-1.388731625493765e-3f + z * 2.443315711809948e-5f));
+        const bool odd = (q.quarter[i] & 1) != 0;
+        const float s0 = odd ? c : s, c0 = odd ? s : c;
+        g.sine[i] = (q.quarter[i] & 2) != 0 ? -s0 : s0;
+        g.cosine[i] = ((q.quarter[i] + 1) & 2) != 0 ? -c0 : c0;
+    }
+}
+
+// Good bits out of a counter (a 32-bit finaliser with two multiplications).
+inline uint32_t scramble(uint32_t x) {
+    x = (x ^ (x >> 16)) * 0x21f0aaadU;
+    x = (x ^ (x >> 15)) * 0xd35a2d97U;
+    return x ^ (x >> 15);
+}
+
+inline int32_t adc(float level) { return static_cast<int32_t>(held(level, 0.0f, 4095.0f) + 0.5f); }
+
+// Noise: sums and differences of the four bytes of a word, so the channels are uncorrelated, and Gaussian
+// enough for an ADC (it ends at 3.5 sigma).
+inline void sense_hall(AxisGroup &g, uint32_t tick) {
+    constexpr float unit = 1.0f / 147.80054f; // rms of four bytes
+    for (int i = 0; i < lane_count; ++i) {
+        const uint32_t bits = scramble(g.noise_key[i] + tick * 0x9E3779B9U);
+        const int32_t even = static_cast<int32_t>(bits & 255U) - static_cast<int32_t>(bits >> 16 & 255U);
+        const int32_t odd = static_cast<int32_t>(bits >> 8 & 255U) - static_cast<int32_t>(bits >> 24);
+        const float rms = g.hall_noise[i] * unit;
+        const float a = g.hall_offset_a[i] + g.hall_sin_a[i] * g.sine[i];
+        const float b = g.hall_offset_b[i] + (g.hall_cos_b[i] * g.cosine[i] + g.hall_sin_b[i] * g.sine[i]);
+        g.hall_cnt[0][i] = adc(a + rms * static_cast<float>(even + odd));
+        g.hall_cnt[1][i] = adc(b + rms * static_cast<float>(even - odd));
+    }
+}
+
+void sense(AxisGroup &g, uint32_t tick) {
+    Quarters q;
+    reduce(g, q);
+    sincos(g, q);
+    sense_hall(g, tick);
+}
+
+// A bridge gives 0 to 1 of the supply, in whole steps of its PWM (below 2^22); here in steps.
+inline float bridge(float duty, float steps) {
+    constexpr float round_magic = 12582912.0f;
+    return (held(duty, 0.0f, 1.0f) * steps + round_magic) - round_magic;
+}
+
+// Torque of three delta coils at standstill, Eq. 16 with 17: (lambda/R) sum u_k cos(theta + k 120 deg).
+// Returns whether the field of the chunk has changed.
+inline bool drive_chunk(AxisGroup &g, int chunk) {
+    int32_t changed = 0;
+    for (int i = chunk; i < chunk + chunk_size; ++i) {
+        const float a = bridge(g.duty[0][i], g.pwm_steps[i]), b = bridge(g.duty[1][i], g.pwm_steps[i]);
+        const float c = bridge(g.duty[2][i], g.pwm_steps[i]);
+        const float ab = b - a, bc = c - b, ca = a - c; // u_AB = u_B - u_A and cyclic
+        const float along = g.drive_scale_Nms[i] * (ab - 0.5f * (bc + ca));
+        const float across = g.drive_scale_Nms[i] * (0.8660254f * (ca - bc));
+        changed |= static_cast<int32_t>(along != g.drive_cos_Nms[i]) |
+                   static_cast<int32_t>(across != g.drive_sin_Nms[i]);
+        g.drive_cos_Nms[i] = along;
+        g.drive_sin_Nms[i] = across;
+    }
+    return changed != 0;
+}
+
+void drive(AxisGroup &g) {
+    for (int c = 0; c < lane_count; c += chunk_size)
+        if (drive_chunk(g, c)) g.still &= ~(1U << (c / chunk_size));
+}
+
+// Spring, outside torque and hard stops change by less than 1e-9 of the friction inside a tick. The gear
+// takes from the rotor its friction and this load, and never gives: not below zero.
+inline void load_gear(AxisGroup &g, int chunk) {
+    for (int i = chunk; i < chunk + chunk_size; ++i) {
+        const double gear = g.gear_rad[i];
+        const double over = larger(gear - g.stop_hi_rad[i], 0.0) + smaller(gear - g.stop_lo_rad[i], 0.0);
+        const double push = g.load_0_Nms[i] + g.load_1_Nms[i] * gear - g.stop_Nms[i] * over;
+        const double friction = static_cast<double>(g.coulomb_gear_Nms[i]);
+        g.resist_up_Nms[i] = static_cast<float>(larger(friction - push, 0.0));
+        g.resist_down_Nms[i] = static_cast<float>(larger(friction + push, 0.0));
+    }
+}
+
+// From angles to ways since the start of the tick.
+inline void begin_ways(AxisGroup &g, int chunk) {
+    for (int i = chunk; i < chunk + chunk_size; ++i) {
+        const double theta = g.theta_rad[i], closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
+        g.closed_rad[i] = static_cast<float>(closed - theta);
+        g.closed_scale[i] = static_cast<float>(g.backlash_scale[i]);
+        g.gear_ahead_rad[i] = g.gear_start_rad[i] = static_cast<float>(g.gear_rad[i] - theta);
+        g.turned_rad[i] = 0.0f;
+    }
+}
+
+// And back. In contact the gear is where the rotor puts it, to the last bit of a double: rounded ways would
+// open the contact again.
+inline uint32_t end_ways(AxisGroup &g, int chunk) {
+    uint32_t changed = 0;
+    for (int i = chunk; i < chunk + chunk_size; ++i) {
+        const float turned = g.turned_rad[i], from_below = g.closed_rad[i] + turned * g.closed_scale[i];
+        const float pushed = g.gear_ahead_rad[i] > from_below ? g.gear_ahead_rad[i] : from_below;
+        const float gear = pushed < turned ? pushed : turned;
+        const double start = g.theta_rad[i], theta = start + static_cast<double>(turned);
+        const double closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
+        const double alone = gear == g.gear_start_rad[i] ? g.gear_rad[i] : start + static_cast<double>(gear);
+        g.gear_rad[i] = from_below >= gear ? closed : (turned <= gear ? theta : alone);
+        g.theta_rad[i] = theta;
+        changed |= static_cast<uint32_t>(turned != 0.0f) | static_cast<uint32_t>(g.p_Nms[i] != 0.0f);
+    }
+    return changed;
+}
+
+inline uint32_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
+    uint32_t any = 0;
+    for (int i = chunk; i < chunk + chunk_size; ++i)
+        any |= static_cast<uint32_t>(g.gear_rad[i] < g.cell_lo_rad[i]) |
+               static_cast<uint32_t>(g.gear_rad[i] >= g.cell_hi_rad[i]);
+    if (any == 0) return 0;
+    uint32_t out = 0;
+    for (int i = chunk; i < chunk + chunk_size; ++i)
+        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= 1U << i;
+    return out;
+}
+
+// -- inside a tick, in registers -----------------------------------------------------------------
+
+struct Motion {
+    V turned, p, gear, sine, cosine;
+};
+
+inline Motion load_motion(const AxisGroup &g, int i) {
+    return {load(g.turned_rad + i), load(g.p_Nms + i), load(g.gear_ahead_rad + i), load(g.sine + i),
+            load(g.cosine + i)};
+}
+
+inline void store_motion(AxisGroup &g, int i, const Motion &m) {
+    store(g.turned_rad + i, m.turned);
+    store(g.p_Nms + i, m.p);
+    store(g.gear_ahead_rad + i, m.gear);
+    store(g.sine + i, m.sine);
+    store(g.cosine + i, m.cosine);
+}
+
+// The series are cut where, at 600 rad/s and 50 us, they err by 5e-8 a step: the torque feels it in the
+// seventh digit, and each tick starts from exact values again.
+inline void drift(Motion &m, V by) {
+    const V z = by * by;
+    const V s = by - by * (z * (1.0f / 6.0f)), c = 1.0f - 0.5f * z;
+    const V turned = m.sine * c + m.cosine * s;
+    m.cosine = m.cosine * c - m.sine * s;
+    m.sine = turned;
+    m.turned += by;
+}
+
+// Magnet and coils, and cogging of two and four cycles: cos 2t = 1 - 2 sin^2 t, cos 4t = 1 - 2 sin^2 2t.
+inline V torque_impulse(const AxisGroup &g, int i, V s, V c) {
+    const V twice = s + s, s2 = twice * c, c2 = 1.0f - twice * s;
+    const V even = load(g.cog_2c_Nms + i) * c2 + load(g.cog_4c_Nms + i);
+    const V odd = load(g.cog_2s_Nms + i) + (load(g.cog_4s_Nms + i) * c2 - load(g.cog_4c_Nms + i) * (s2 + s2));
+    return load(g.drive_sin_Nms + i) * s + load(g.drive_cos_Nms + i) * c - even - odd * s2;
+}
+
+struct Contact {
+    Mask positive, negative;
+};
+
+// The gear gives way to the side that closes the gap, and stays where it is otherwise: it cannot be driven
+// back. In contact both sides are the same number, not nearly so.
+inline Contact close_gap(const AxisGroup &g, int i, V turned, V &gear) {
+    const V from_below = load(g.closed_rad + i) + turned * load(g.closed_scale + i);
+    gear = smaller(larger(gear, from_below), turned);
+    return {from_below >= gear, turned <= gear};
+}
+
+inline V step_per_p(const AxisGroup &g, int i, Mask pushing) {
+    return pushing ? load(g.step_per_p_push + i) : load(g.step_per_p_free + i);
+}
+
+// A rotor that slides towards the angle where friction holds it would take for ever. What friction leaves
+// of a momentum is taken as nothing below this share of an impulse of the rotor's own friction: 1e-7 rad/s.
+constexpr float stick_share = 1e-5f;
+
+// One kick at the middle of a step: contact, set-valued friction, trapezoidal drag. Returns the drift
+// of a whole step with the new momentum. Eq. 3, 4 and 8; docs/twin.md.
+inline V kick(const AxisGroup &g, int i, Motion &m) {
+    const Contact contact = close_gap(g, i, m.turned, m.gear);
+    const V motor = load(g.coulomb_motor_Nms + i);
+    const V up = motor + both(contact.positive, load(g.resist_up_Nms + i));
+    const V down = motor + both(contact.negative, load(g.resist_down_Nms + i));
+
+    const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
+    const Mask pushing = (contact.positive & (free > V{})) | (contact.negative & (free < V{}));
+    const V slowed = free - (pushing ? load(g.drag_push + i) : load(g.drag_free + i)) * m.p;
+    const V rise = slowed - up, fall = slowed + down, least = motor * stick_share;
+    const V moved = both(rise > least, rise) + both(fall < -least, fall);
+    m.p = moved * (pushing ? load(g.drag_push_inverse + i) : load(g.drag_free_inverse + i));
+    return m.p * step_per_p(g, i, pushing);
+}
+
+// The half drift at the start of a tick needs the mode in which the last one ended.
+inline V drift_now(const AxisGroup &g, int i, const Motion &m) {
+    V gear = m.gear;
+    const Contact contact = close_gap(g, i, m.turned, gear);
+    return m.p * step_per_p(g, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
+}
+
+inline void begin_chunk(AxisGroup &g, int chunk) {
+    load_gear(g, chunk);
+    begin_ways(g, chunk);
+    for (int i = chunk; i < chunk + chunk_size; i += width) {
+        Motion m = load_motion(g, i);
+        drift(m, 0.5f * drift_now(g, i, m));
+        store_motion(g, i, m);
+    }
+}
+
+inline void substep_chunk(AxisGroup &g, int chunk, float share) {
+    for (int i = chunk; i < chunk + chunk_size; i += width) {
+        Motion m = load_motion(g, i);
+        drift(m, share * kick(g, i, m));
+        store_motion(g, i, m);
+    }
+}
+
+// Half drift, kick, half drift; two half drifts between kicks are one. Chunks in turn inside a substep,
+// so that the processor always has several independent ones to work on.
+TickEvents step(AxisGroup &g, int substeps) {
+    int chunks[lane_count / chunk_size], count = 0;
+    for (int c = 0; c < lane_count; c += chunk_size)
+        if ((g.still >> (c / chunk_size) & 1U) == 0) chunks[count++] = c;
+    for (int k = 0; k < count; ++k) begin_chunk(g, chunks[k]);
+    for (int n = 1; n < substeps; ++n)
+        for (int k = 0; k < count; ++k) substep_chunk(g, chunks[k], 1.0f);
+    TickEvents events;
+    for (int k = 0; k < count; ++k) {
+        substep_chunk(g, chunks[k], 0.5f);
+        // at rest now, and where it was: then at rest all the time, for the field does not turn in a tick
+        if (end_ways(g, chunks[k]) == 0) g.still |= 1U << (chunks[k] / chunk_size);
+        events.left_cell |= lanes_out_of_cell(g, chunks[k]);
+    }
+    return events;
+}
+
+} // namespace
+
+extern const Kernel FL_KERNEL_SYMBOL;
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, drive_law};
+
+} // namespace fl::twin

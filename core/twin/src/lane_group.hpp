@@ -1,0 +1,51 @@
+// Sixteen positioners with axes in one group of the plant: runs their firmware, the laws side by side.
+#pragma once
+
+#include <array>
+
+#include "fiberloom/twin/law_batch.hpp"
+#include "positioner.hpp"
+
+namespace fl::twin {
+
+class LaneGroup {
+  public:
+    // positioners: count of them, at most lane_group_size, the group's of the plant.
+    // side_by_side: laws of several axes at once where they track; false: every positioner's own tick, the
+    // same bits.
+    void attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side);
+
+    // Between slices: notes which positioners are awake. False when none is.
+    bool gather();
+    void tick(uint64_t tick);
+    // After a slice: positioners that have come to rest fall asleep.
+    void rest(uint64_t tick, bool may_sleep);
+
+    const Positioner *begin() const { return positioners_; }
+    const Positioner *end() const { return positioners_ + count_; }
+
+  private:
+    // An axis that tracks, and what its firmware asked of the law.
+    struct Tracker {
+        Positioner *positioner;
+        int lane;
+        fl_axis_demand_t demand;
+    };
+    void tick_axis(int axis);
+    bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
+    void advance(int axis, Tracker &t, LawBatch &batch);
+    void conclude(int axis, const Tracker &t, const LawBatch &batch);
+
+    Plant *plant_ = nullptr;
+    AxisGroup *group_ = nullptr;
+    Positioner *positioners_ = nullptr;
+    size_t count_ = 0;
+    bool side_by_side_ = true;
+    std::array<bool, lane_group_size> awake_{}, runs_{};
+    // axes whose configuration lies in the batch, by lane
+    std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};
+    std::array<LawBatch, FL_AXES> batches_{};
+    std::array<Tracker, lane_group_size> trackers_{};
+};
+
+} // namespace fl::twin

@@ -1,0 +1,107 @@
+"""Collision-free motion of all positioners, and its verification."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy
+from numpy.typing import NDArray
+
+
+def clock(speed: float, acceleration: float, grid: float, highest_approach: float) -> tuple[float, float, int]:
+    """
+    The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many quarters each third of the approach lasts.
+    """
+
+class Bodies:
+    """Bodies of a focal plane: the beta arms' capsules and what is fixed."""
+
+    def __init__(self, arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, obstacles: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)]) -> None:
+        """
+        arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. segment_mm: the centre line of a beta arm from x0 to x1 of its frame. radius_mm: the collision buffer. obstacles (K, 5): x0, y0, x1, y1, radius in mm.
+        """
+
+class Task:
+    """What a plan must do."""
+
+    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], fixed: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu', writable=False)], travel: Annotated[NDArray[numpy.float64], dict(shape=(2, 2), order='C', device='cpu', writable=False)]) -> None:
+        """
+        start, goal (N, 2) in rad; approach (N,): rad above the goal, on both axes, from which the last leg starts; fixed (N,): cannot move; travel [[alpha_min, alpha_max], [beta_min, beta_max]] in rad. ValueError where the numbers of rows differ.
+        """
+
+class Settings:
+    """Speeds, and how hard the planner tries."""
+
+    def __init__(self, *, speed: float, acceleration: float, grid: float) -> None:
+        """rad/s, rad/s2, and the widest step of the search grid in rad."""
+
+    @property
+    def clearance_mm(self) -> float:
+        """kept beyond touching"""
+
+    @clearance_mm.setter
+    def clearance_mm(self, arg: float, /) -> None: ...
+
+    @property
+    def first_deadline(self) -> float:
+        """over the time that the longest path needs"""
+
+    @first_deadline.setter
+    def first_deadline(self, arg: float, /) -> None: ...
+
+    @property
+    def last_deadline(self) -> float:
+        """beyond this a positioner is given up"""
+
+    @last_deadline.setter
+    def last_deadline(self, arg: float, /) -> None: ...
+
+    @property
+    def effort(self) -> float:
+        """scales how long the repair goes on"""
+
+    @effort.setter
+    def effort(self, arg: float, /) -> None: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @seed.setter
+    def seed(self, arg: int, /) -> None: ...
+
+def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int]], dict[str, Any]]:
+    """
+    Motions (list of (n, 3): time_s, alpha_rad, beta_rad), positioners that do not arrive (index, why, other or -1), statistics.
+    """
+
+class Rules:
+    """What a plan is held to."""
+
+    def __init__(self, *, speed: float, acceleration: float, rounding: float, travel: Annotated[NDArray[numpy.float64], dict(shape=(2, 2), order='C', device='cpu', writable=False)]) -> None:
+        """
+        rad/s, rad/s2, by how many rad angles may be off, and [[alpha_min, alpha_max], [beta_min, beta_max]] in rad.
+        """
+
+    def expect(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], arrives: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu', writable=False)], approach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the approach, rad (N,). Empty: not checked.
+        """
+
+def verify(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]], rules: Rules) -> dict[str, Any]:
+    """
+    Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad. Violations are (fault, robot, other, time_s, depth in mm, rad, rad/s or rad/s2).
+    """
+
+def conflicts(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
+    """
+    Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.
+    """
+
+def static_ok(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, obstacles: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+    """
+    Whether goal and approach of each positioner are clear of obstacles (K, 5): x0, y0, x1, y1, radius in mm.
+    """
+
+def pairs_clear(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], others: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], body_mm: Sequence[float], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+    """
+    Row by row: whether two positioners stay apart at their goals and on the approach. body_mm: the beta arm's centre line from x0 to x1, and its radius.
+    """
