@@ -31,7 +31,7 @@ _TIMEOUT_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A line of the firmware's table (firmware/positioner/fl_params.h)."""
+    """A line of the firmware's table (firmware/positioner/axis/fl_params.h)."""
 
     index: int
     name: str
