@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import MOTOR_DEG, NAMES, alpha_params
 
 from fiberloom._core import firmware as fw
+from rig import MOTOR_DEG, NAMES, alpha_params
 
 TURN = 2**20
 CNT_PER_RAD = TURN / (2 * np.pi)
@@ -322,6 +322,25 @@ def test_a_thousand_points_fit_and_cost_six_bytes():
     assert len(got) == 10
 
 
+@pytest.mark.parametrize(
+    ("short", "long", "taken"),
+    [(1024, 0, True), (1025, 0, False), (1022, 1, True), (1023, 1, False), (0, 512, True), (0, 513, False)],
+)
+def test_a_path_holds_1024_slots_of_which_a_long_gap_takes_two(short, long, taken):
+    gaps = np.concatenate([np.full(short, 2), np.full(long, 2**16)])
+    points = np.stack([np.arange(gaps.size), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    if taken:
+        assert fw.path(points, 0, 1)[1] == short + 2 * long
+    else:
+        with pytest.raises(ValueError, match=f"point {gaps.size - 1} "):
+            fw.path(points, 0, 1)
+
+
+def test_a_gap_of_65535_ticks_is_short_and_one_more_is_long():
+    slots = [fw.path(np.array([[5, gap - 1]], np.int32), 0, 1)[1] for gap in (2**16 - 1, 2**16)]
+    assert slots == [1, 2]
+
+
 def test_a_path_whose_time_does_not_grow_is_refused():
     with pytest.raises(ValueError, match="point 1"):
         fw.path(np.array([[0, 5], [9, 5]], np.int32), 0, 10)
@@ -366,6 +385,44 @@ def test_hall_calibration_refuses_less_than_a_hundred_samples():
     theta = np.linspace(0, 2 * np.pi, 101)[1:]
     assert fw.hall_fit(adc(theta)) is not None
     assert fw.hall_fit(adc(theta[1:])) is None
+
+
+def sweep(samples, coulomb=2e-5, spring=5e-6, cogging=1e-5, phase=0.7, back=None):
+    """Rows of a sweep of four turns each way, torque as Eq. 11 and Fig. 11 have it."""
+    rows = []
+    for direction, count in ((1.0, samples), (-1.0, samples if back is None else back)):
+        rotor = np.round(np.arange(count) * (4 * TURN / max(count, 1)))
+        angle = 2 * rotor / CNT_PER_RAD + phase
+        torque = coulomb * direction - spring + cogging * np.sin(angle)
+        rows.append(np.stack([np.full(count, direction), rotor, torque], axis=1))
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize(("coulomb", "spring", "cogging", "phase"), [(2e-5, 5e-6, 1e-5, 0.7),
+                                                                     (2e-6, -3e-6, 4e-6, -2.5)])  # fmt: skip
+def test_friction_fit_tells_friction_spring_and_cogging_apart(coulomb, spring, cogging, phase):
+    found = fw.friction_fit(sweep(1000, coulomb, spring, cogging, phase))
+    # float32 sums of 2000 terms
+    assert found[:3] == pytest.approx((coulomb, spring, cogging), rel=1e-3)
+    assert found[3] == pytest.approx(phase, abs=1e-3)
+
+
+@pytest.mark.parametrize(("forth", "back", "good"), [(100, 100, True), (99, 100, False), (100, 99, False)])
+def test_friction_fit_needs_a_hundred_samples_each_way(forth, back, good):
+    assert (fw.friction_fit(sweep(forth, back=back)) is not None) == good
+
+
+def test_friction_fit_refuses_friction_that_drives_and_a_rotor_that_did_not_turn():
+    assert fw.friction_fit(sweep(500, coulomb=-1e-6)) is None
+    held = sweep(500)
+    held[:, 1] = 1000
+    assert fw.friction_fit(held) is None
+
+
+@pytest.mark.parametrize(("x", "nearest"), [(0.0, 0), (0.49, 0), (0.5, 1), (1.49, 1), (-0.49, 0), (-0.5, -1),
+                                            (-1.49, -1), (-1.51, -2), (2.0e9, 2_000_000_000)])  # fmt: skip
+def test_rounding_is_to_the_nearest_halves_away_from_zero(x, nearest):
+    assert fw.round_i32(x) == nearest
 
 
 def test_default_parameters_are_good_and_bad_ones_are_named():

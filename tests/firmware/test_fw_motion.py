@@ -4,12 +4,12 @@ import struct
 
 import numpy as np
 import pytest
-import rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import ACCEPTED, COUNTS_PER_DEG, MOTOR_DEG, NAMES, Rig, pair
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED, COUNTS_PER_DEG, MOTOR_DEG, NAMES, Rig, pair
 
 ERROR_MOTOR_DEG = 0.5  # settle_tolerance
 COLUMNS = ("command_deg", "tracking_deg", "speed", "feedback", "feedforward", "voltage", "theta", "omega")
