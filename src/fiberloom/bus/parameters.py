@@ -72,7 +72,10 @@ def values_crc(values: AxisParameters) -> int:
 
 
 def out_of_range(values: AxisParameters) -> list[tuple[int, Parameter, float]]:
-    """(axis, parameter, value) of each of the (2,) records' values that the firmware would refuse."""
+    """(axis, parameter, value in the parameter's SI unit) of each value that the firmware would refuse.
+
+    `values`: (2,) records, alpha and beta.
+    """
     return [
         (axis, p, float(values[axis][p.name]))
         for axis in range(2)

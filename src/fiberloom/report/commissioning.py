@@ -55,7 +55,7 @@ def found_text(record: Mapping[str, Any]) -> str:
 
 
 def limits_text(low: float | None, high: float | None) -> str:
-    """A range, or the one limit there is."""
+    """A range, or the one limit there is, in the unit (SI) of what it limits."""
     if low is None or high is None:
         return f"≤ {high:g}" if high is not None else f"≥ {low:g}" if low is not None else ""
     return f"{low:g} … {high:g}"

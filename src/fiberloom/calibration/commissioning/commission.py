@@ -117,7 +117,7 @@ async def write_units(
 
 
 def parameter_file(values: AxisParameters) -> dict[str, dict[str, float]]:
-    """(2,) records as a parameter file for flashing has them: by axis and name."""
+    """(2,) records as a parameter file for flashing has them: by axis and name, SI units."""
     return {
         axis: {name: float(np.float32(row[name])) for name in PARAMETERS_DTYPE.names or ()}
         for axis, row in zip(("alpha", "beta"), values, strict=True)

@@ -172,10 +172,11 @@ class Derivation:
 def derive(
     positioner_id: int, found: Quantities, factory: AxisParameters, own: AxisParameters | None = None
 ) -> Derivation:
-    """Parameters of both axes from what the bench found and what the positioner holds, (2,) records.
+    """Parameters of both axes from what the bench found and what the positioner holds.
 
-    own: what it held after its own calibrations; None: it has done none. Cross-checks are not in it:
-    `checks.checked` adds them.
+    `positioner_id`: its number on the bus. `found`: quantities by name, in the units of their Estimates.
+    `factory`: (2,) records of PARAMETERS_DTYPE, SI. `own`: the same after its own calibrations; None: it has
+    done none. Cross-checks are not in it: `checks.checked` adds them.
     """
     now = factory if own is None else own
     findings = [f for axis in range(2) for f in _of_axis(axis, found, factory[axis], now[axis])]

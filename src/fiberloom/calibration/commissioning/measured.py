@@ -56,7 +56,11 @@ def _is_pushed(measurement: str, quantity: str) -> bool:
 
 
 def of_maps(maps: TransmissionMaps, row: int, source: str, reason: str = "") -> Quantities:
-    """The largest backlash of each axis of a positioner; `reason`: why its maps are none."""
+    """The largest backlash of each axis of a positioner, motor deg.
+
+    `maps`: of all positioners, `row` the one meant. `source`: where and when they were measured.
+    `reason`: why its maps are none; empty where they are good.
+    """
     if reason:
         return {(key := BACKLASH.format(name)): refused_quantity(key, reason, source) for name in AXES}
     out = {}
