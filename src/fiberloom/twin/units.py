@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
+from fiberloom.bus.parameters import PARAMETERS_DTYPE
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats
 from fiberloom.units import GEAR
@@ -21,7 +21,7 @@ MARKS = _core.WEAR_COUNT
 """Local marks that a gear can have."""
 
 PLANT_DTYPE = np.dtype([(p[0], np.float64) for p in _core.PLANT_PARAMS])
-FIRMWARE_DTYPE = np.dtype([(p[0], np.float32) for p in _firmware.AXIS_PARAMS])
+FIRMWARE_DTYPE = PARAMETERS_DTYPE
 GEAR_DTYPE = np.dtype(
     [
         ("delta_rad", np.float64, (len(ORDERS), 2)),  # output angle: cosine, sine
