@@ -5,11 +5,11 @@ import zlib
 
 import numpy as np
 import pytest
-import rig
-from rig import ACCEPTED, NAMES, Rig
 
+import rig
 from fiberloom._core import firmware as fw
 from fiberloom.bus.parameters import table_crc
+from rig import ACCEPTED, NAMES, Rig
 
 TABLE, BEGIN, SET_ALPHA, SET_BETA, COMMIT, GET_ALPHA, GET_BETA = range(230, 237)
 SAVE = 53
