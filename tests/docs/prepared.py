@@ -6,6 +6,7 @@ Each is a function of a folder and of pytest's monkeypatch, and returns the name
 import importlib.util
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 
 from fiberloom.bus import CanNetTransport
@@ -97,4 +98,13 @@ def gateways(folder, monkeypatch):
         return TwinTransport(twin)
 
     monkeypatch.setattr(CanNetTransport, "open", opened)
+    return {}
+
+
+def first_field(folder, monkeypatch):
+    """targets.csv in the current folder, and a field of seven positioners where more are asked for."""
+    matplotlib.use("Agg")
+    (folder / "targets.csv").write_bytes((TESTS.parent / "examples" / "targets_sdssv.csv").read_bytes())
+    of = FocalPlane.of
+    monkeypatch.setattr(FocalPlane, "of", lambda name, seed=0, n=None: of(name, seed, 7))
     return {}
