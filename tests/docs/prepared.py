@@ -3,13 +3,14 @@
 Each is a function of a folder and of pytest's monkeypatch, and returns the names that the block may use.
 """
 
+import asyncio
 import importlib.util
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 
-from fiberloom.bus import CanNetTransport
+from fiberloom.bus import CanNetTransport, Client
 from fiberloom.calibration import TransmissionMaps, identity
 from fiberloom.instruments import METROLOGY, FocalPlane, generate, load_instrument
 from fiberloom.store import Store
@@ -69,6 +70,14 @@ def bench(folder, monkeypatch):
     plane = small_plane()
     both = module.Bench(plane)
     return {"client": both, "camera": both, "plane": plane, "theta_deg": np.full((N, 2), 90.0)}
+
+
+def parameters(folder, monkeypatch):
+    """`client` of the bus of three positioners on the twin's bench, already found."""
+    plane = small_plane()
+    client = Client(TwinTransport(Twin(plane, draw_units(plane, 0), seed=0, neighbours=False)))
+    asyncio.run(client.discover())
+    return {"client": client}
 
 
 def survey(folder, monkeypatch):

@@ -21,7 +21,7 @@ from fiberloom.calibration.bench.acceptance import (
     measure_acceptance,
 )
 from fiberloom.cli.bench import CLOSE_UP_UM, BenchRequest, BenchRig, counting, on_bench
-from fiberloom.cli.terminal import waiting
+from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
 from fiberloom.report.acceptance import acceptance_html, found_text
 from fiberloom.report.outputs import marks, prepare_folder
@@ -42,31 +42,45 @@ def run_acceptance(
     prepare_folder(request.out)
     with waiting(request.quiet) as wait:
         wait.say("acceptance")
-
-        async def work(rig: BenchRig) -> tuple[AcceptanceData, dict[int, str]]:
-            data = await measure_acceptance(
-                rig.client, rig.camera, rig.close_up, CLOSE_UP_UM, plane, settings,
-                seed=request.seed, progress=counting(wait.count),
-            )  # fmt: skip
-            return data, await rig.client.firmware_versions()
-
-        _, (data, firmware) = on_bench(request, work)
-        verdicts = judge(data, plane)
-        content = marks(plane, request.seed) | {"bench": "twin", "settings": asdict(settings)}
-        content |= {"units": [_unit(v, serial) for v in verdicts]}
-        file = request.out / "acceptance.json"
-        file.write_text(json.dumps(content, indent=2) + "\n")
-        judged = [v.positioner_id for v in verdicts if not v.reason]
-        record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
-        data.maps.save(request.out / "transmission.npz")
-        for verdict in verdicts:
-            page = acceptance_html(
-                verdict, data, _head(request, verdict, settings, firmware, serial, engineer)
-            )
-            (request.out / page_name(verdict)).write_text(page, encoding="utf-8")
+        _, found = on_bench(request, lambda rig: acceptance_of(rig, request, settings, wait))
+    content, verdicts = write_acceptance(request, settings, found, serial, engineer)
     if not request.quiet:
         _print(verdicts, request)
     return content
+
+
+AcceptanceFound = tuple[AcceptanceData, dict[int, str]]
+"""What was measured, and the firmware's versions by positioner."""
+
+
+async def acceptance_of(
+    rig: BenchRig, request: BenchRequest, settings: AcceptanceSettings, wait: Waiting
+) -> AcceptanceFound:
+    """Measures all units of a bench that is set up."""
+    data = await measure_acceptance(
+        rig.client, rig.camera, rig.close_up, CLOSE_UP_UM, request.plane, settings,
+        seed=request.seed, progress=counting(wait.count),
+    )  # fmt: skip
+    return data, await rig.client.firmware_versions()
+
+
+def write_acceptance(
+    request: BenchRequest, settings: AcceptanceSettings, found: AcceptanceFound, serial: str, engineer: str
+) -> tuple[dict[str, Any], list[UnitVerdict]]:
+    """acceptance.json, the maps and a page for each unit."""
+    plane, (data, firmware) = request.plane, found
+    verdicts = judge(data, plane)
+    content = marks(plane, request.seed) | {"bench": "twin", "settings": asdict(settings)}
+    content |= {"units": [_unit(v, serial) for v in verdicts]}
+    file = request.out / "acceptance.json"
+    file.write_text(json.dumps(content, indent=2) + "\n")
+    judged = [v.positioner_id for v in verdicts if not v.reason]
+    record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
+    data.maps.save(request.out / "transmission.npz")
+    for verdict in verdicts:
+        page = acceptance_html(verdict, data, _head(request, verdict, settings, firmware, serial, engineer))
+        (request.out / page_name(verdict)).write_text(page, encoding="utf-8")
+    return content, verdicts
 
 
 def page_name(verdict: UnitVerdict) -> str:

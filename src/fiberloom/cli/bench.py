@@ -17,6 +17,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
 from fiberloom.report.outputs import marks
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, TwinWeights, Units, draw_units
+from fiberloom.twin.draw import Knowledge
 from fiberloom.twin.hardware import draw_faults
 from fiberloom.twin.truth import true_values
 
@@ -37,6 +38,8 @@ class BenchRequest:
     truth: bool = False
     """Compare with what the twin knows of itself."""
     quiet: bool = False
+    firmware: Knowledge = "identified"
+    """What the twin's firmware knows of its unit."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class BenchRig:
 def on_bench(request: BenchRequest, whole: Callable[[BenchRig], Awaitable[Found]]) -> tuple[BenchRig, Found]:
     """Sets up the twin, finds who is there, and lets `whole` work."""
     plane, seed = request.plane, request.seed
-    units = draw_units(plane, seed)
+    units = draw_units(plane, seed, firmware=request.firmware)
     twin = Twin(plane, units, seed=seed, neighbours=False)
     for fault in draw_faults(plane, request.faults, seed):
         twin.inject(fault)

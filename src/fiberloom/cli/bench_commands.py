@@ -16,6 +16,7 @@ def register(app: typer.Typer, calibrate: typer.Typer) -> None:
     for command in (friction, inertia, stiffness, arms, repeatability):
         calibrate.command()(command)
     app.command()(acceptance)
+    app.command()(commission)
 
 
 BenchPositioners = Annotated[
@@ -187,3 +188,57 @@ def acceptance(
     if as_json:
         typer.echo(json.dumps(content, indent=2))
     raise typer.Exit(0 if all(unit["accepted"] for unit in content["units"]) else 1)
+
+
+def commission(
+    instrument: InstrumentOption = "sdssv",
+    layout: LayoutOption = None,
+    seed: SeedOption = 0,
+    positioners: BenchPositioners = None,
+    earlier: Annotated[
+        Path | None, typer.Option("--from", help="Results of `calibrate ...`; what is missing is measured.")
+    ] = None,
+    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5,
+    span: Annotated[
+        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+    ] = None,
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200,
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30,
+    targets: Annotated[int, typer.Option(min=1, help="Random targets of the acceptance.")] = 20,
+    weights: WeightsOption = True,
+    file: Annotated[
+        bool, typer.Option("--file", help="Parameter files for flashing only; nothing over the bus.")
+    ] = False,
+    accept: Annotated[
+        bool, typer.Option("--acceptance/--no-acceptance", help="Hand over to the acceptance.")
+    ] = True,
+    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = "",
+    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = "",
+    faults: BenchFaults = "",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/commission"),
+    as_json: JsonOption = False,
+) -> None:
+    """Measure units, derive their firmware parameters, write them over the bus, accept."""
+    from dataclasses import replace
+
+    from fiberloom.calibration import FrictionSettings, RepeatabilitySettings
+    from fiberloom.calibration.bench.acceptance import AcceptanceSettings
+    from fiberloom.cli.commission import CommissionSettings, run_commission
+
+    request = _bench((instrument, layout, positioners), seed, out, faults, False, as_json)
+    settings = CommissionSettings(
+        friction=FrictionSettings(n_angles=places, run_span_deg=span),
+        repeatability=RepeatabilitySettings(visits=visits),
+        n_points=min(points, 60),
+        weights=weights,
+        acceptance=AcceptanceSettings(n_points=points, n_targets=targets, visits=visits) if accept else None,
+        earlier=earlier,
+        file_only=file,
+        serial=serial,
+        engineer=engineer,
+    )
+    content = run_commission(replace(request, firmware="nominal"), settings)
+    if as_json:
+        typer.echo(json.dumps(content, indent=2))
+    good = all(u["commissioned"] and u["accepted"] is not False for u in content["units"])
+    raise typer.Exit(0 if good else 1)

@@ -416,6 +416,11 @@ class Instrument(Table):
         return self.alpha, self.beta
 
     @property
+    def approach_deg(self) -> float:
+        """From how far above both axes come to their goals: the larger approach of the two."""
+        return max(axis.approach_deg for axis in self.axes)
+
+    @property
     def science_fibres(self) -> tuple[str, ...]:
         """Names of the fibres that targets can ask for, in the order of the file."""
         return tuple(k for k, p in self.positioner.points.items() if p.role == "science")
