@@ -7,6 +7,8 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
+# everything that a checkout builds stays below it, calibrations too
+export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
 .PHONY: firmware-report docs lint format inplace stubs clean figures coverage mutate

@@ -9,6 +9,9 @@ from fiberloom.instruments import generate, load_instrument
 # no deadlines: machines differ; in continuous integration always the same examples
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
+# what tests calibrate is kept below the checkout, also by the processes that they start
+os.environ.setdefault("FIBERLOOM_CACHE", str(Path(__file__).resolve().parents[1] / ".cache"))
+
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 

@@ -172,6 +172,14 @@ def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
         some_maps().save(tmp_path / "file" / "maps.npz")
 
 
+def test_the_cache_is_the_users_unless_the_environment_names_one(monkeypatch, tmp_path):
+    monkeypatch.setenv("FIBERLOOM_CACHE", str(tmp_path / "here"))
+    assert cache_path("a", 0, SweepSettings()).parent == tmp_path / "here" / "calibration"
+    monkeypatch.delenv("FIBERLOOM_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    assert cache_path("a", 0, SweepSettings()).is_relative_to(tmp_path / "home" / "fiberloom")
+
+
 def test_the_cache_key_changes_with_every_input(tmp_path):
     paths = {
         cache_path("a", 0, SweepSettings(), tmp_path),
@@ -181,4 +189,3 @@ def test_the_cache_key_changes_with_every_input(tmp_path):
     }
     assert len(paths) == 4
     assert cache_path("a", 0, SweepSettings(), tmp_path) in paths
-    assert cache_path("a", 0, SweepSettings()).parent.parent.name == ".cache"

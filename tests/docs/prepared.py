@@ -7,6 +7,7 @@ import asyncio
 import importlib.util
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 
 from fiberloom.bus import CanNetTransport, Client
@@ -106,4 +107,13 @@ def gateways(folder, monkeypatch):
         return TwinTransport(twin)
 
     monkeypatch.setattr(CanNetTransport, "open", opened)
+    return {}
+
+
+def first_field(folder, monkeypatch):
+    """targets.csv in the current folder, and a field of seven positioners where more are asked for."""
+    matplotlib.use("Agg")
+    (folder / "targets.csv").write_bytes((TESTS.parent / "examples" / "targets_sdssv.csv").read_bytes())
+    of = FocalPlane.of
+    monkeypatch.setattr(FocalPlane, "of", lambda name, seed=0, n=None: of(name, seed, 7))
     return {}

@@ -12,6 +12,7 @@ from fiberloom.calibration.transmission.sweep import calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.correction import whole_steps
 from fiberloom.operation.loop import Loop, LoopSettings
+from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.stopping import StopRule
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.targets import random_targets
@@ -86,10 +87,11 @@ def observed(field, moves=None, step_deg=0.0, **operation):
     targets = random_targets(plane, 40 * N, SEED)
     hardware = field_hardware(plane, units, SEED)
     settings = LoopSettings.of(rules, moves, seed=SEED)
-    loop = Loop(host, assign(host, targets, seed=SEED), maps, hardware, settings, NoRecord())
+    motion = FieldMotion(host, maps, hardware, NoRecord())
+    loop = Loop(motion, assign(host, targets, seed=SEED), settings)
 
     async def whole():
-        await loop.connect()
+        await motion.connect()
         await loop.run()
 
     asyncio.run(whole())

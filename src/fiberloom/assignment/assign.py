@@ -39,6 +39,12 @@ class Assignment:
     notes: list[str]
     """What the operator should know: shorter approaches, targets given up, best not proven."""
 
+    def __repr__(self) -> str:
+        return (
+            f"Assignment({len(self.target)} positioners, {self.n_assigned} with a target, "
+            f"{len(self.unassigned)} targets left out)"
+        )
+
     @property
     def goal_deg(self) -> Floats:
         """(N, 2) goals."""
@@ -60,15 +66,45 @@ def assign(
 ) -> Assignment:
     """Give targets to positioners: most and highest-priority ones, no collision at rest.
 
-    `plane` has N positioners, `targets` M rows in focal-plane mm. One target of a priority level
-    outweighs nine of the next lower level. Every goal, goal + `approach_deg` on both axes, and the
-    straight way between are free of collisions with every pose of the neighbours on their ways, for
-    arms thicker by `margin_mm` / 2; and the positioner, alone, can get from there to its folded place.
-    `approach_deg`: the instrument's when left out. The same input and seed give the same assignment;
-    `seed` decides between equally good ones.
+    One target of a priority level outweighs nine of the next lower level. Every goal, goal +
+    approach_deg on both axes, and the straight way between are free of collisions with every pose
+    of the neighbours on their ways, for arms thicker by margin_mm / 2; and the positioner, alone,
+    can get from there to its folded place. Targets that demand a positioner get it before all others,
+    without margin and, where needed, with an approach that only just closes the backlash; never below
+    the collision buffer.
 
-    Targets that demand a positioner get it before all others, without margin and, where needed, with an
-    approach that only just closes the backlash; never below the collision buffer.
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners.
+    targets : TargetList
+        n targets, mm.
+    seed : int
+        Decides between equally good assignments; the same input and seed give the same one.
+    approach_deg : float, optional
+        Overshoot of the approach on both axes, deg; the instrument's when left out.
+    margin_mm : float
+        Between two arms, beyond touching, mm.
+
+    Returns
+    -------
+    Assignment
+        For every positioner its target (-1: none), fibre and goal in deg; why targets were left out.
+
+    Raises
+    ------
+    InputError
+        A target demands a fibre or a positioner that there is not.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> assigned = fl.assign(plane, fl.read_targets("targets.csv"))
+    >>> assigned
+    Assignment(7 positioners, 7 with a target, 53 targets left out)
+    >>> assigned.goal_deg.shape
+    (7, 2)
     """
     check_targets(plane, targets)
     if approach_deg is None:

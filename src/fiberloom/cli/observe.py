@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from fiberloom.assignment import Assignment, assign_relaxed
-from fiberloom.cli.learnt import Known, known_so_far
-from fiberloom.cli.terminal import Waiting, waiting
-from fiberloom.cli.transmission import calibrated_maps, maps_path
-from fiberloom.hardware import Hardware
+from fiberloom.cli.terminal import waiting
+from fiberloom.field import Field, ObserveOptions
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.exposures import ExposureLog
-from fiberloom.operation.loop import Loop, LoopSettings
-from fiberloom.operation.recording import StoreRecorder
-from fiberloom.operation.results import Observed, summarise, write_results
-from fiberloom.report.outputs import marks, prepare_folder
+from fiberloom.report.outputs import prepare_folder
 from fiberloom.report.tables import observation_table
-from fiberloom.store import Store
-from fiberloom.targets import TargetList, read_targets
-from fiberloom.twin import draw_units, field_hardware, put_in
+from fiberloom.targets import read_targets
 
 
 @dataclass(frozen=True)
@@ -52,83 +42,39 @@ class ObserveRequest:
     """Store of what was learnt; default with `adapt`: beside the maps."""
     quiet: bool = False
 
+    @property
+    def corrections(self) -> int | None:
+        """Moves after the blind one."""
+        return None if self.moves is None else self.moves - 1
+
+    def options(self) -> ObserveOptions:
+        """What `Field.observe` takes by name."""
+        return {
+            "correction": self.correction,
+            "compare_linear": self.compare_linear,
+            "arms": self.arms,
+            "learnt": self.learnt,
+            "adapt": self.adapt,
+            "pages": self.pages,
+            "save_images": self.save_images,
+        }
+
 
 def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
     """Observe on the twin; returns summary.json's content and prints the closing table."""
     started_s = time.monotonic()
     targets = read_targets(request.targets)
     out = prepare_folder(request.out)
-    with waiting(request.quiet) as wait:
-        units = draw_units(plane, request.seed)
-        maps = calibrated_maps(plane, units, request.seed, wait, path=request.calibration)
-        file = maps_path(plane, units, request.seed, request.calibration)
-        known = known_so_far(plane, maps, file, request.arms, request.learnt, request.adapt, request.seed)
-        wait.say("assigning targets")
-        kept, assignment = assign_relaxed(known.plane, targets, seed=request.seed)
-        hardware = field_hardware(plane, units, request.seed, faults=request.faults, camera=request.camera)
-        log = ExposureLog(plane, out, request.pages, request.save_images)
-        log.watch(hardware.camera)
-        observed = _observe(kept, targets, assignment, known, hardware, request, wait)
-        log.close()
-    summary = summarise(observed) | marks(plane, request.seed)
-    summary |= {"wall_s": time.monotonic() - started_s, "not_assigned": _reasons(assignment)}
-    summary |= {"notes": assignment.notes, "put_in": put_in(plane, request.camera)}
-    summary |= known.summary()
-    write_results(observed, summary, out)
+    field = Field.twin(plane, request.seed, request.camera, request.faults, request.calibration)
+    field.command_line = " ".join(sys.argv)
+    with waiting(request.quiet) as field.watcher:
+        seen = field.run.observe(targets, request.corrections, out=out, **request.options())
+    seen = replace(seen, wall_s=time.monotonic() - started_s)
+    seen.save(out)
+    summary = seen.summary()
     if not request.quiet:
         _close(summary, out)
     return summary
-
-
-def _observe(
-    plane: FocalPlane,
-    targets: TargetList,
-    assignment: Assignment,
-    known: Known,
-    hardware: Hardware,
-    request: ObserveRequest,
-    wait: Waiting,
-) -> Observed:
-    operation = plane.instrument.operation
-    settings = LoopSettings.of(
-        operation,
-        request.moves,
-        filtered=(request.correction or operation.correction) == "filtered",
-        compare_linear=request.compare_linear,
-        seed=request.seed,
-    )
-    store = Store.open(request.out / "store.sqlite")
-    with store.start_run(
-        command_line=" ".join(sys.argv),
-        instrument=plane.instrument.name,
-        config_hash=plane.config_hash(),
-        seed=request.seed,
-    ) as run:
-        recorder = known.learning(StoreRecorder(run, plane, targets, assignment))
-        loop = Loop(
-            plane, assignment, known.maps, hardware, settings, recorder, wait.say, known.map_sigma_deg
-        )
-        known.record_used(run)
-        asyncio.run(_whole(loop))
-        known.record_learnt(run)
-    return Observed(plane, targets, assignment, loop.moves, loop.collisions_verified, loop.stopped)
-
-
-async def _whole(loop: Loop) -> None:
-    try:
-        await loop.connect()
-        await loop.run()
-    finally:
-        await loop.client.close()
-
-
-def _reasons(assignment: Assignment) -> dict[str, int]:
-    """How many targets were left out, by the first words of the reason."""
-    counts: dict[str, int] = {}
-    for reason in assignment.unassigned.values():
-        short = reason.split(":")[0].split("(")[0].strip()
-        counts[short] = counts.get(short, 0) + 1
-    return counts
 
 
 def _close(summary: dict[str, Any], out: Path) -> None:

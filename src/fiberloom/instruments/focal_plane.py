@@ -1,55 +1,55 @@
-"""A focal plane: every positioner with its own geometry, and everything that it can hit.
+"""A focal plane: every positioner with its own geometry, and everything that it can hit."""
 
-Angles in deg, lengths in mm, in the frames of docs/conventions.md. All calls take and return
-arrays over positioners; `index` selects some of them (all when left out).
-"""
-
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
+from fiberloom.instruments.arms import (
+    ALPHA_OFF,
+    BETA_OFF,
+    CENTRE,
+    L_ALPHA,
+    Inverse,
+    arm_rows,
+    columns_of,
+    elbows_mm,
+    pairs_within,
+    rows_of,
+)
+from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
-
-CENTRE = slice(0, 2)
-L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
-"""Columns of FocalPlane.arms."""
-
-
-def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
-    """(n, 2, ...) mm: the beta axes of arms (n, 5) at alpha (n, ...) deg."""
-    alpha = deg_to_rad(alpha_deg)
-    more = (None,) * (alpha.ndim - 1)
-    turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
-
-
-class Inverse(NamedTuple):
-    """Arm angles that put a fibre on its target."""
-
-    alpha_deg: Floats
-    beta_deg: Floats
-    reachable: Flags
-    gap_mm: Floats
-    """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
-    axis limits prevent it; inf: the positioner lacks the fibre."""
 
 
 @dataclass(frozen=True, eq=False)
 class FocalPlane:
-    """N positioners, M fiducials, G guide cameras. Read-only."""
+    """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
+
+    All calls take and return arrays over positioners; frames and signs: docs/conventions.md.
+
+    Raises
+    ------
+    InputError
+        A positioner_id that appears twice, or an array of another length.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", seed=0, n=50)
+    >>> plane
+    FocalPlane('sdssv', 50 positioners, 61 fiducials, 6 guide cameras)
+    """
 
     instrument: Instrument
+    """What all positioners have in common."""
     positioner_id: Ints
     """(N,) number on the bus, unique."""
     hole: NDArray[np.str_]
@@ -80,8 +80,85 @@ class FocalPlane:
         if METROLOGY not in self.points:
             self.points[METROLOGY] = self.points[self.instrument.seen_point]
 
+    @classmethod
+    def of(cls, name_or_toml: str | Path, seed: int = 0, n: int | None = None) -> "FocalPlane":
+        """A focal plane of an instrument, with units drawn from its scatter.
+
+        Parameters
+        ----------
+        name_or_toml : str or Path
+            A preset (`fiberloom instruments` lists them), or a TOML file of your own.
+        seed : int
+            The same seed gives the same units.
+        n : int, optional
+            Only so many positioners, from the centre; all when left out. With more the hexagon grows.
+
+        Returns
+        -------
+        FocalPlane
+            In the order of the holes.
+
+        Raises
+        ------
+        InputError
+            Neither a preset nor a file, a file that does not hold an instrument, or n below 1.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> len(fl.FocalPlane.of("pfs", n=19))
+        19
+        """
+        from fiberloom import instruments  # built on this class
+
+        return instruments.generate(instruments.load_instrument(name_or_toml), seed, n)
+
+    @classmethod
+    def read(cls, folder: str | Path, instrument: str | Path = "sdssv") -> "FocalPlane":
+        """The focal plane as built, from a folder of tables.
+
+        Parameters
+        ----------
+        folder : str or Path
+            A layout that fiberloom wrote (layout.toml), or calibration tables of SDSS-V.
+        instrument : str or Path
+            The preset or TOML file that the layout belongs to.
+
+        Returns
+        -------
+        FocalPlane
+            As in the tables: arms in mm, offsets in deg.
+
+        Raises
+        ------
+        InputError
+            No such folder, neither kind of layout in it, or a table that cannot be read.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> from fiberloom.instruments import write_layout
+        >>> write_layout(fl.FocalPlane.of("sdssv", n=7), "layout")
+        >>> fl.FocalPlane.read("layout")
+        FocalPlane('sdssv', 7 positioners, 61 fiducials, 6 guide cameras)
+        """
+        from fiberloom import instruments  # built on this class
+
+        return instruments.read_layout(folder, instruments.load_instrument(instrument))
+
     def __len__(self) -> int:
         return len(self.positioner_id)
+
+    def __repr__(self) -> str:
+        still = f", {int(self.offline.sum())} offline" if self.offline.any() else ""
+        return (
+            f"FocalPlane({self.instrument.name!r}, {self.n} positioners{still}, "
+            f"{len(self.fiducials)} fiducials, {len(self.guide_cameras)} guide cameras)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = arm_rows(self.positioner_id, self.hole, self.arms)
+        return html_rows(repr(self), rows)
 
     @property
     def n(self) -> int:
@@ -129,6 +206,11 @@ class FocalPlane:
         return self.instrument.bodies.beta_segment_mm
 
     @property
+    def park_deg(self) -> Floats:
+        """(N, 2) folded: where positioners wait."""
+        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+
+    @property
     def limits_deg(self) -> Floats:
         """[[alpha_min, alpha_max], [beta_min, beta_max]] for targets."""
         return np.array([axis.target_range_deg for axis in self.instrument.axes])
@@ -144,7 +226,28 @@ class FocalPlane:
         return self.instrument.science_fibres
 
     def carries(self, fibre: str) -> Flags:
-        """(N,) which positioners have this fibre."""
+        """Which positioners have a fibre.
+
+        Parameters
+        ----------
+        fibre : str
+            By its name in the instrument, e.g. ``"BOSS"``; ``"metrology"`` is the one the camera sees.
+
+        Returns
+        -------
+        (N,) bool
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> int(fl.FocalPlane.of("sdssv").carries("APOGEE").sum())
+        300
+        """
         return ~np.isnan(self._point(fibre)[:, 0])
 
     def forward(
@@ -154,13 +257,37 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2) mm: position of a fibre. Kronig 2020, Eq. 1. NaN where a positioner lacks it.
+        """Where a fibre is. Kronig 2020, Eq. 1.
 
-        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
-        when left out.
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2) float
+            x and y in the focal plane, mm; NaN where a positioner lacks the fibre.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> reach = plane.forward(0.0, 0.0) - plane.centres_mm
+        >>> bool((abs((reach**2).sum(axis=1) ** 0.5 - 21.7) < 0.1).all())
+        True
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
 
     def jacobian(
@@ -170,20 +297,69 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta) of a fibre.
+        """How a fibre moves with the arm angles.
 
-        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
-        when left out.
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2, 2) float
+            d(x, y)/d(alpha, beta), mm/deg; NaN where a positioner lacks the fibre.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).jacobian(10.0, 90.0).shape
+        (7, 2, 2)
         """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
         return per_rad * RAD_PER_DEG
 
     def inverse(self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None) -> Inverse:
-        """Angles inside the limits that put a fibre on (n, 2) targets. Kronig 2020, Eq. 2.
+        """Angles inside the limits that put a fibre on its target. Kronig 2020, Eq. 2.
 
-        The right-handed elbow (beta in [0, 180]) first, then the lowest alpha; 0 where none.
+        Parameters
+        ----------
+        xy_mm : array_like
+            (n, 2) targets, or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        Inverse
+            alpha_deg, beta_deg (0 where out of reach), reachable, gap_mm. Of two solutions the
+            right-handed elbow (beta in [0, 180]) comes first, then the lowest alpha.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> found = plane.inverse(plane.forward(20.0, 100.0))
+        >>> bool(np.allclose(found.alpha_deg, 20.0)), bool(np.allclose(found.beta_deg, 100.0))
+        (True, True)
         """
         rows = self._rows(index)
         xy = np.broadcast_to(np.asarray(xy_mm, dtype=np.float64), (len(rows), 2))
@@ -203,16 +379,54 @@ class FocalPlane:
         return Inverse(alpha, beta, reachable, gap)
 
     def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """(n, 2) mm: where the beta axes are at these angles, (n,) or one for all."""
+        """Where the beta axes are.
+
+        Parameters
+        ----------
+        alpha_deg : array_like
+            One for each positioner or one for all.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 2) float
+            mm.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).elbows_mm(90.0).shape
+        (7, 2)
+        """
         rows = self._rows(index)
         return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
 
     def beta_segments(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, index: ArrayLike | None = None
     ) -> Floats:
-        """(n, 4) mm: x0, y0, x1, y1 of the centre lines of the beta arms' capsules."""
+        """Centre lines of the beta arms' capsules: what collides.
+
+        Parameters
+        ----------
+        alpha_deg, beta_deg : array_like
+            Arm angles, one for each positioner or one for all.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        (n, 4) float
+            x0, y0, x1, y1 in mm; the radius is `collision_buffer_mm`.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).beta_segments(0.0, 180.0).shape
+        (7, 4)
+        """
         rows = self._rows(index)
-        angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         ends = [np.broadcast_to([x, 0.0], (len(rows), 2)).copy() for x in self.beta_segment_mm]
         return np.hstack([geometry.forward(self.arms[rows], e, angles) for e in ends])
 
@@ -223,33 +437,71 @@ class FocalPlane:
         return self.l_alpha_mm + arm
 
     def neighbour_pairs(self, extra_mm: float = 0.0) -> Ints:
-        """(P, 2) indices i < j, in order, of positioners whose arms can come within `extra_mm`."""
-        reach = self.body_reach_mm
-        tree = cKDTree(self.centres_mm)
-        pairs = tree.query_pairs(2 * reach.max(initial=0.0) + extra_mm, output_type="ndarray")
-        i, j = pairs[:, 0], pairs[:, 1]
-        gap = np.linalg.norm(self.centres_mm[i] - self.centres_mm[j], axis=1)
-        near = pairs[gap < reach[i] + reach[j] + extra_mm].astype(np.int64)
-        return near[np.lexsort((near[:, 1], near[:, 0]))]
+        """Positioners whose arms can meet.
+
+        Parameters
+        ----------
+        extra_mm : float
+            Count those too that can come so near, mm.
+
+        Returns
+        -------
+        (P, 2) int
+            Rows i < j, in order.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=3).neighbour_pairs().tolist()
+        [[0, 1], [0, 2], [1, 2]]
+        """
+        return pairs_within(self.centres_mm, self.body_reach_mm, extra_mm)
 
     def index_of(self, positioner_id: ArrayLike) -> Ints:
-        """Rows of these positioners (an array for an array, one number for one)."""
-        wanted = np.asarray(positioner_id, dtype=np.int64)
-        if self.n == 0:
-            raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
-        order = np.argsort(self.positioner_id)
-        place = np.searchsorted(self.positioner_id, wanted, sorter=order).clip(max=self.n - 1)
-        rows = order[place]
-        wrong = self.positioner_id[rows] != wanted
-        if np.any(wrong):
-            raise InputError(
-                f"positioner {np.atleast_1d(wanted)[np.atleast_1d(wrong)][0]}: not in "
-                f"this focal plane of {self.n} positioners"
-            )
-        return rows
+        """Rows of positioners by their number on the bus.
+
+        Parameters
+        ----------
+        positioner_id : array_like
+            Numbers, or one.
+
+        Returns
+        -------
+        int
+            An array for an array, one number for one.
+
+        Raises
+        ------
+        InputError
+            A number that is not in this focal plane.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> int(plane.index_of(plane.positioner_id[3]))
+        3
+        """
+        return rows_of(self.positioner_id, positioner_id)
 
     def select(self, index: ArrayLike) -> "FocalPlane":
-        """The same plane with only some positioners; fiducials and cameras stay."""
+        """The same plane with only some positioners; fiducials and cameras stay.
+
+        Parameters
+        ----------
+        index : array_like
+            Rows, in the order that is wanted, or a mask.
+
+        Returns
+        -------
+        FocalPlane
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> len(fl.FocalPlane.of("sdssv", n=7).select([0, 3]))
+        2
+        """
         rows = self._rows(index)
         return replace(
             self,
@@ -260,7 +512,31 @@ class FocalPlane:
     def with_offline(
         self, positioner_id: Iterable[int], position_deg: ArrayLike | None = None
     ) -> "FocalPlane":
-        """The same plane with these positioners standing still, where told or folded."""
+        """The same plane with positioners that do not move.
+
+        Parameters
+        ----------
+        positioner_id : iterable of int
+            Their numbers on the bus.
+        position_deg : array_like, optional
+            (k, 2) where they are, alpha and beta; folded when left out.
+
+        Returns
+        -------
+        FocalPlane
+
+        Raises
+        ------
+        InputError
+            A number that is not in this focal plane.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> plane.with_offline(plane.positioner_id[:2], [[0.0, 180.0], [90.0, 170.0]])
+        FocalPlane('sdssv', 7 positioners, 2 offline, 61 fiducials, 6 guide cameras)
+        """
         rows = self.index_of(np.fromiter(positioner_id, dtype=np.int64))
         offline, position = self.offline.copy(), self.offline_position_deg.copy()
         offline[rows] = True
@@ -269,20 +545,42 @@ class FocalPlane:
         return replace(self, offline=offline, offline_position_deg=position)
 
     def with_collision_buffer(self, collision_buffer_mm: float) -> "FocalPlane":
-        """The same plane with another radius of the beta arms' capsules."""
+        """The same plane with another radius of the beta arms' capsules.
+
+        Parameters
+        ----------
+        collision_buffer_mm : float
+            The radius, mm.
+
+        Returns
+        -------
+        FocalPlane
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.FocalPlane.of("sdssv", n=7).with_collision_buffer(2.5).collision_buffer_mm
+        2.5
+        """
         bodies = self.instrument.bodies.model_copy(update={"collision_buffer_mm": collision_buffer_mm})
         return replace(self, instrument=self.instrument.model_copy(update={"bodies": bodies}))
 
     def config_hash(self) -> str:
-        """16 hex digits that change with any number of the instrument or the layout."""
-        digest = hashlib.sha256(self.instrument.model_dump_json().encode())
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                _feed(digest, field.name, value)
-        for name in sorted(self.points):
-            _feed(digest, name, self.points[name])
-        return digest.hexdigest()[:16]
+        """A mark of the instrument and the layout, for result files and caches.
+
+        Returns
+        -------
+        str
+            16 hex digits that change with any number of either.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> len(fl.FocalPlane.of("sdssv", n=7).config_hash())
+        16
+        """
+        arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
+        return mark_of(self.instrument.model_dump_json(), arrays)
 
     def _point(self, fibre: str) -> Floats:
         try:
@@ -300,19 +598,3 @@ class FocalPlane:
 
 
 _PER_POSITIONER = ("positioner_id", "hole", "arms", "offline", "offline_position_deg")
-
-
-def _columns(first: Floats, second: Floats, n: int) -> Floats:
-    pair = np.empty((n, 2))
-    pair[:, 0], pair[:, 1] = first, second
-    return pair
-
-
-def _feed(digest: "hashlib._Hash", name: str, values: NDArray) -> None:
-    # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
-    plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
-    digest.update(name.encode())
-    if plain.dtype.kind == "U":
-        digest.update("\0".join(plain).encode())
-    else:
-        digest.update(plain.astype(plain.dtype.newbyteorder("<")).tobytes())

@@ -5,6 +5,7 @@ are those of docs/conventions.md.
 """
 
 import math
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -303,7 +304,26 @@ class UnitScatter(Table):
 
 
 class Instrument(Table):
-    """A whole instrument. `twin` belongs to the twin, which checks it when it draws units."""
+    """A whole instrument: arms, axes, bodies, metrology, layout, scatter of its units. Read-only.
+
+    Made by `Instrument.of`. `docs/instruments.md` describes each table of the TOML file. `twin` belongs
+    to the twin, which checks it when it draws units.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        A number out of its range, or two that contradict each other; `Instrument.of` makes an InputError
+        of it.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> instrument = fl.Instrument.of("sdssv")
+    >>> instrument
+    Instrument('sdssv', 500 positioners, requirement 5 um)
+    >>> instrument.layout.pitch_mm, instrument.alpha.gear
+    (22.4, 1024.0)
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
     description: str
@@ -321,6 +341,42 @@ class Instrument(Table):
     layout: Layout
     scatter: UnitScatter
     twin: dict[str, Any] = Field(default_factory=dict)
+
+    @classmethod
+    def of(cls, name_or_toml: str | Path) -> "Instrument":
+        """An instrument by name, or from a file of your own.
+
+        Parameters
+        ----------
+        name_or_toml : str or Path
+            A preset (`fiberloom instruments` lists them) or a TOML file.
+
+        Returns
+        -------
+        Instrument
+
+        Raises
+        ------
+        InputError
+            Neither a preset nor a file, or the first rule that the file breaks: key, value, rule.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Instrument.of("pfs").science_fibres
+        ('fibre',)
+        """
+        from fiberloom import instruments  # built on this class
+
+        return instruments.load_instrument(name_or_toml)
+
+    def __repr__(self) -> str:
+        return (
+            f"Instrument({self.name!r}, {self.layout.n_positioners} positioners, "
+            f"requirement {self.operation.requirement_um:g} um)"
+        )
+
+    __str__ = __repr__
 
     @model_validator(mode="after")
     def _seen(self) -> Self:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
+from fiberloom.richtext import html_rows
 from fiberloom.tables import read_table
 from fiberloom.typing import Floats
 
@@ -92,9 +93,23 @@ class SpotSettings:
 
 @dataclass(frozen=True)
 class Spots:
-    """n spots as arrays."""
+    """n spots of light in an image, as arrays over spots. Made by `centroid`.
+
+    Pixel coordinates: the centre of the first pixel is (0, 0), x runs along a row.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fiberloom as fl
+    >>> y, x = np.mgrid[:64, :64]
+    >>> noise = np.random.default_rng(0).normal(100.0, 3.0, (64, 64))
+    >>> spots = fl.centroid(noise + 5000.0 * np.exp(-((x - 30.25) ** 2 + (y - 20.5) ** 2) / 4.0))
+    >>> spots.xy_px.round(1).tolist(), bool(spots.x_err_px[0] < 0.01)
+    ([[30.2, 20.5]], True)
+    """
 
     x_px: Floats
+    """(n,) position."""
     y_px: Floats
     covariance_px2: Floats
     """(n, 2, 2)."""
@@ -107,6 +122,23 @@ class Spots:
 
     def __len__(self) -> int:
         return len(self.x_px)
+
+    def __repr__(self) -> str:
+        n = len(self)
+        return f"Spots({n} spot{'' if n == 1 else 's'}, {int(np.count_nonzero(self.flags))} flagged)"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {
+                "x [px]": float(self.x_px[k]),
+                "y [px]": float(self.y_px[k]),
+                "error [px]": float(np.hypot(self.x_err_px[k], self.y_err_px[k])),
+                "flux [e]": float(self.flux_e[k]),
+                "flags": str(Flag(int(self.flags[k])).name or "-"),
+            }
+            for k in range(min(len(self), 5))
+        ]
+        return html_rows(repr(self), rows)
 
     @property
     def xy_px(self) -> Floats:
@@ -124,11 +156,49 @@ class Spots:
         return np.sqrt(self.covariance_px2[:, 1, 1])
 
     def has(self, flag: Flag) -> NDArray[np.bool_]:
-        """(n,) which spots carry a flag."""
+        """Which spots carry a flag.
+
+        Parameters
+        ----------
+        flag : Flag
+            E.g. ``Flag.SATURATED``, of fiberloom.metrology.
+
+        Returns
+        -------
+        (n,) bool
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fiberloom as fl
+        >>> from fiberloom.metrology import Flag
+        >>> noise = np.random.default_rng(0).normal(100.0, 3.0, (64, 64))
+        >>> fl.centroid(noise).has(Flag.SATURATED)
+        array([], dtype=bool)
+        """
         return (self.flags & np.uint32(flag)) != 0
 
     def select(self, which: ArrayLike) -> Spots:
-        """Some of the spots, by index or mask."""
+        """Some of the spots.
+
+        Parameters
+        ----------
+        which : array_like
+            Rows or a mask.
+
+        Returns
+        -------
+        Spots
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fiberloom as fl
+        >>> noise = np.random.default_rng(0).normal(100.0, 3.0, (64, 64))
+        >>> spots = fl.centroid(noise)
+        >>> spots.select(spots.flags == 0)
+        Spots(0 spots, 0 flagged)
+        """
         return Spots(*(getattr(self, f.name)[which] for f in fields(self)))
 
 

@@ -22,6 +22,7 @@ class ExposureLog:
         self.pages, self.save_images = pages, save_images
         self.taken = 0
         self._last: Reduction | None = None
+        self._watched: ImageCamera | None = None
         for old in self.folder.glob("exposure-*"):  # of an earlier run into the same folder
             old.unlink()
 
@@ -29,6 +30,7 @@ class ExposureLog:
         """From now on; a camera without images has nothing to keep."""
         if isinstance(camera, ImageCamera):
             camera.watchers.append(self.seen)
+            self._watched = camera
         elif self.save_images:
             raise InputError("--save-images goes with --camera image: this camera takes no images")
 
@@ -41,6 +43,12 @@ class ExposureLog:
             write_image(reduction.image, self.folder / f"{self._name()}.fits")
         if self.pages == "all":
             self._plot(reduction)
+
+    def stop(self) -> None:
+        """Watches no longer."""
+        if self._watched is not None:
+            self._watched.watchers.remove(self.seen)
+            self._watched = None
 
     def close(self) -> None:
         """The pages of the last exposure."""

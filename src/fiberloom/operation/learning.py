@@ -13,7 +13,7 @@ import numpy as np
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.health.status import FAULTS, Status
 from fiberloom.metrology import Measurement
-from fiberloom.operation.loop import Move, Recorder
+from fiberloom.operation.move import Move, Recorder
 from fiberloom.typing import Floats, Ints
 
 Keep = Callable[[AdaptiveCalibration, Ints], None]

@@ -10,7 +10,7 @@ import numpy as np
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.operation.loop import Move
+from fiberloom.operation.move import Move
 from fiberloom.planning import Plan
 from fiberloom.store import Run
 from fiberloom.store.run import START
@@ -19,7 +19,7 @@ from fiberloom.typing import Floats
 
 
 class StoreRecorder:
-    """Implements `operation.loop.Recorder` on a run of the store."""
+    """Implements `operation.move.Recorder` on a run of the store."""
 
     def __init__(self, run: Run, plane: FocalPlane, targets: TargetList, assignment: Assignment) -> None:
         self._run, self._plane = run, plane

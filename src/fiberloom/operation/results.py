@@ -4,36 +4,229 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy.table import Table, vstack
+from astropy import units as u
+from astropy.table import QTable, Table, vstack
 
 from fiberloom.assignment import Assignment
+from fiberloom.errors import InputError
 from fiberloom.health.status import FAULTS, Status
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.loop import Move
-from fiberloom.report.focal_plane import plot_errors, plot_focal_plane
+from fiberloom.operation.move import Move
+from fiberloom.report.figures import new_axes
+from fiberloom.report.focal_plane import (
+    FieldPicture,
+    draw_focal_plane,
+    frame_positioners,
+    plot_errors,
+    plot_focal_plane,
+)
+from fiberloom.report.outputs import prepare_folder
+from fiberloom.richtext import html_rows
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MARKS = ("version", "seed", "instrument", "config_hash", "utc")
+"""What every result file carries."""
+
+_UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
 
 NOT_COUNTED = FAULTS | {Status.PARKED, Status.OFFLINE, Status.BLOCKED}
 
 
 @dataclass(frozen=True)
-class Observed:
-    """A finished loop with all that is needed to judge it."""
+class Observation:
+    """A field that was observed: every move, what was seen after it, and how near the fibres came.
+
+    Made by `Field.observe`.
+
+    Attributes
+    ----------
+    plane : FocalPlane
+        The layout by which the field was planned.
+    targets : TargetList
+        What was asked for.
+    assignment : Assignment
+        Which positioner took which target.
+    moves : list of Move
+        Blind move, corrections, and comparisons where they were asked for.
+    collisions_verified : int
+        Collisions that the verifier found in plans that were carried out; 0.
+    stopped : str
+        Why the loop made no further correction.
+    about : dict
+        Marks and remarks that `summary` hands on: version, seed, instrument, configuration hash, UTC.
+    wall_s : float
+        How long it took.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+    >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+    >>> seen
+    Observation('sdssv', 7 positioners, 7 with a target, 2 moves, 7 within 5 um)
+    """
 
     plane: FocalPlane
     targets: TargetList
     assignment: Assignment
     moves: list[Move]
-    collisions_verified: int
+    collisions_verified: int = 0
     stopped: str = ""
-    """Why the loop made no further correction."""
+    about: dict[str, Any] = field(default_factory=dict)
+    wall_s: float = 0.0
+
+    def __repr__(self) -> str:
+        name, n = self.plane.instrument.name, len(self.plane)
+        own = [move for move in self.moves if not move.comparison]
+        made = f"{n} positioners, {self.assignment.n_assigned} with a target, {len(own)} moves"
+        if not own:
+            return f"Observation({name!r}, {made})"
+        within = int((self.error_um(own[-1])[self.counted(own[-1])] <= self.requirement_um).sum())
+        return f"Observation({name!r}, {made}, {within} within {self.requirement_um:g} um)"
+
+    def _repr_html_(self) -> str:
+        if not self.moves:
+            return html_rows(repr(self), [])
+        rows = [
+            {
+                "move": move["label"],
+                "measured rms [um]": move["measured_rms_um"],
+                "true rms [um]": move["true_rms_um"],
+                "95 % below [um]": move["p95_um"],
+                "worst [um]": move["max_um"],
+                f"within {self.requirement_um:g} um": f"{move['n_within_requirement']} of {move['n_fibres']}",
+            }
+            for move in self.summary()["moves"]
+        ]
+        return html_rows(repr(self), rows)
+
+    def summary(self) -> dict[str, Any]:
+        """The figures of the observation, as in summary.json.
+
+        Returns
+        -------
+        dict
+            n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um, a row
+            for each of `moves` (errors in um, motion in s), `faults` by kind, `not_assigned` by reason,
+            and what the observation was: version, seed, instrument, config_hash, utc.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> [move["label"] for move in seen.summary()["moves"]]
+        ['blind', 'correction 1']
+        """
+        about = dict(self.about)
+        learnt = {"learnt": about.pop("learnt")} if "learnt" in about else {}
+        put_in = {"put_in": about.pop("put_in")} if "put_in" in about else {}
+        summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self._reasons()}
+        return summary | {"notes": self.assignment.notes} | put_in | learnt
+
+    def _reasons(self) -> dict[str, int]:
+        """How many targets were left out, by the first words of the reason."""
+        counts: dict[str, int] = {}
+        for reason in self.assignment.unassigned.values():
+            short = reason.split(":")[0].split("(")[0].strip()
+            counts[short] = counts.get(short, 0) + 1
+        return counts
+
+    def table(self) -> QTable:
+        """One row for every positioner and move, with units.
+
+        Returns
+        -------
+        astropy.table.QTable
+            The columns of fibres.ecsv (docs/files.md): angles in deg, positions in mm, errors in um;
+            NaN where a fibre was not seen or has no target.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> table = seen.table()
+        >>> len(table), str(table["x_measured_mm"].unit), str(table["error_um"].unit)
+        (14, 'mm', 'um')
+        """
+        table = QTable(fibres_table(self))
+        for name in table.colnames:
+            unit = _UNITS.get(name.rpartition("_")[2])
+            if unit is not None:
+                table[name] = table[name] * unit
+        table.meta = {key: value for key, value in self.about.items() if key in MARKS}
+        return table
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws the focal plane after the last move, every fibre coloured by its error.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; a new figure when left out.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm of the focal plane.
+
+        Raises
+        ------
+        InputError
+            Nothing has moved yet.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.plot().get_xlabel()
+        'x [mm]'
+        """
+        if not self.moves:
+            raise InputError("nothing to plot: no move was made")
+        axes = new_axes((7.0, 6.4)) if ax is None else ax
+        draw_focal_plane(axes, self.plane, _picture(self))
+        frame_positioners(axes, self.plane)
+        return axes
+
+    def save(self, folder: str | Path) -> None:
+        """Writes summary.json, fibres.ecsv, trajectories.json and two figures.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made where it does not exist; files of an earlier observation are written over.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written, or nothing has moved yet.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> from pathlib import Path
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.save("night")
+        >>> sorted(path.name for path in Path("night").iterdir())
+        ['errors.png', 'fibres.ecsv', 'focal_plane.png', 'summary.json', 'trajectories.json']
+        """
+        if not self.moves:
+            raise InputError("nothing to save: no move was made")
+        write_results(self, self.summary(), prepare_folder(Path(folder)))
 
     @property
     def requirement_um(self) -> float:
@@ -41,7 +234,21 @@ class Observed:
         return self.plane.instrument.operation.requirement_um
 
     def target_mm(self) -> Floats:
-        """Where the science fibre of each positioner should be (N, 2); NaN without a target."""
+        """Where the science fibre of each positioner should be.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.target_mm().shape
+        (7, 2)
+        """
         xy = np.full((len(self.plane), 2), np.nan)
         has = self.assignment.target >= 0
         chosen = self.assignment.target[has]
@@ -49,24 +256,86 @@ class Observed:
         return xy
 
     def true_error_um(self, move: Move) -> Floats | None:
-        """True distance of the science fibre from its target (N,); a twin only."""
+        """True distance of the science fibres from their targets.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
+        True
+        """
         if move.true_mm is None:
             return None
         return UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
 
     def error_um(self, move: Move) -> Floats:
-        """True error where it is known, else the measured one."""
+        """True error where it is known, else the measured one.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float
+            um; NaN without a target, or where nothing was seen.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.error_um(seen.final))
+        7
+        """
         true = self.true_error_um(move)
         return move.measured_error_um if true is None else true
 
+    @property
+    def final(self) -> Move:
+        """The last move of the observation itself."""
+        return next(m for m in reversed(self.moves) if not m.comparison)
+
     def counted(self, move: Move) -> Flags:
-        """Positioners with a target that are healthy."""
+        """Positioners with a target that are healthy.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.counted(seen.final).sum())
+        7
+        """
         return np.array([status not in NOT_COUNTED for status in move.status])
 
 
-def summarise(observed: Observed) -> dict[str, Any]:
+def summarise(observed: Observation) -> dict[str, Any]:
     """Return the figures of summary.json that come from the moves."""
-    final = next(m for m in reversed(observed.moves) if not m.comparison)
+    final = observed.final
     counted = observed.counted(final)
     within = observed.error_um(final)[counted] <= observed.requirement_um
     return {
@@ -85,7 +354,7 @@ def summarise(observed: Observed) -> dict[str, Any]:
     }
 
 
-def _summarise_move(observed: Observed, move: Move) -> dict[str, Any]:
+def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
     counted = observed.counted(move)
     measured = move.measured_error_um[counted]
     true = observed.true_error_um(move)
@@ -115,7 +384,7 @@ def _percentile(values: Floats, share: float) -> float | None:
     return float(np.percentile(good, share)) if len(good) else None
 
 
-def _faults(observed: Observed, move: Move) -> dict[str, list[int]]:
+def _faults(observed: Observation, move: Move) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for positioner, status in zip(observed.plane.positioner_id, move.status, strict=True):
         if status in FAULTS or status is Status.BLOCKED:
@@ -123,12 +392,12 @@ def _faults(observed: Observed, move: Move) -> dict[str, list[int]]:
     return found
 
 
-def fibres_table(observed: Observed) -> Table:
+def fibres_table(observed: Observation) -> Table:
     """Return one row per positioner and move, as docs/files.md tells."""
     return vstack([_fibres_of(observed, move) for move in observed.moves])
 
 
-def _fibres_of(observed: Observed, move: Move) -> Table:
+def _fibres_of(observed: Observation, move: Move) -> Table:
     plane, assignment = observed.plane, observed.assignment
     target = observed.target_mm()
     names = np.append(observed.targets.target_id, "")  # index -1: no target
@@ -155,20 +424,31 @@ def _fibres_of(observed: Observed, move: Move) -> Table:
     )
 
 
-def write_results(observed: Observed, summary: Mapping[str, Any], out: Path) -> None:
+def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
     """Write every result file into `out`, which exists."""
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     table = fibres_table(observed)
-    table.meta = {k: summary[k] for k in ("version", "seed", "instrument", "config_hash", "utc")}
+    table.meta = {k: summary[k] for k in MARKS}
     table.write(out / "fibres.ecsv", overwrite=True)
     plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
-    plans |= {k: summary[k] for k in ("version", "seed", "instrument", "config_hash", "utc")}
+    plans |= {k: summary[k] for k in MARKS}
     (out / "trajectories.json").write_text(json.dumps(plans) + "\n")
     _plot(observed, out)
 
 
-def _plot(observed: Observed, out: Path) -> None:
-    final = next(m for m in reversed(observed.moves) if not m.comparison)
+def _plot(observed: Observation, out: Path) -> None:
+    plot_focal_plane(out / "focal_plane.png", observed.plane, _picture(observed))
+    ended = [move for move in observed.moves if not move.interrupted]
+    plot_errors(
+        out / "errors.png",
+        [observed.error_um(m)[observed.counted(m)] for m in ended],
+        [f"move {m.number} ({m.label})" for m in ended],
+        observed.requirement_um,
+    )
+
+
+def _picture(observed: Observation) -> FieldPicture:
+    final = observed.final
     error = observed.error_um(final)
     counted = observed.counted(final)
     flagged = np.array([s in FAULTS or s is Status.BLOCKED for s in final.status])
@@ -178,19 +458,6 @@ def _plot(observed: Observed, out: Path) -> None:
         f"after move {final.number}"
         + (f"; {int(flagged.sum())} positioners flagged" if flagged.any() else "")
     )
-    plot_focal_plane(
-        out / "focal_plane.png",
-        observed.plane,
-        final.commanded_deg,
-        np.where(counted, error, np.nan),
-        flagged,
-        observed.requirement_um,
-        title,
-    )
-    ended = [move for move in observed.moves if not move.interrupted]
-    plot_errors(
-        out / "errors.png",
-        [observed.error_um(m)[observed.counted(m)] for m in ended],
-        [f"move {m.number} ({m.label})" for m in ended],
-        observed.requirement_um,
+    return FieldPicture(
+        final.commanded_deg, np.where(counted, error, np.nan), flagged, observed.requirement_um, title
     )

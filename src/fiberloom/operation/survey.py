@@ -8,23 +8,35 @@ after those that were measured.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.assignment import Assignment
+from fiberloom.calibration.focal_plane.arms_file import save_arms
+from fiberloom.calibration.focal_plane.convergence import convergence
 from fiberloom.calibration.focal_plane.design import Design, candidates
-from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, FitSettings
+from fiberloom.calibration.focal_plane.fit import (
+    N_GEOMETRY,
+    FitSettings,
+    FocalPlaneFit,
+    fit_focal_plane,
+    layout_parameters,
+)
 from fiberloom.calibration.focal_plane.survey_data import SurveyData
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import Status
-from fiberloom.instruments import FocalPlane
-from fiberloom.operation.loop import ROUND_FAULTS, Loop, LoopSettings, Move, Recorder
+from fiberloom.instruments import FocalPlane, write_layout
+from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion
+from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.planning.placing import place_by_worth
+from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
 from fiberloom.typing import Floats
@@ -52,25 +64,26 @@ async def survey(
     recorder: Recorder,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> SurveyData:
-    """Moves and looks, `configurations` times; then everybody folds."""
+    """Moves and looks, `configurations` times; then every positioner folds."""
     wide = plane.with_collision_buffer(plane.collision_buffer_mm + settings.safety_mm)
-    loop = Loop(wide, _goals(wide, wide.offline_position_deg), maps, hardware, _one_move(settings), recorder)
+    motion = FieldMotion(wide, maps, hardware, recorder)
     design = Design(plane, settings.fit)
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
-        await loop.connect()
+        await motion.connect()
         for number in range(settings.configurations):
             options = candidates(wide, rng)
-            goal = place_by_worth(loop.obstacles(), options, design.worth(options), settings.seed + number)
-            await _visit(loop, goal)
-            theta, xy = _told(loop.moves[-1], maps)
+            worth = design.worth(options)
+            goal = place_by_worth(motion.state.obstacles(), options, worth, settings.seed + number)
+            await motion.go(Goals.without_targets(wide, goal), settings.seed)
+            theta, xy = _told(motion.moves[-1], maps)
             design.add(np.nan_to_num(theta), np.isfinite(xy[:, 0]))
             progress(number + 1, settings.configurations)
         folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
-        await _visit(loop, folded)
+        await motion.go(Goals.without_targets(wide, folded), settings.seed)
     finally:
-        await loop.client.close()
-    told = [_told(move, maps) for move in loop.moves[:-1] if not move.interrupted]
+        await motion.close()
+    told = [_told(move, maps) for move in motion.moves[:-1] if not move.interrupted]
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
     return SurveyData(theta, xy, design.sigma())
 
@@ -106,33 +119,65 @@ def _stored(
     return theta, xy
 
 
-def _one_move(settings: SurveySettings) -> LoopSettings:
-    return LoopSettings(moves=1, seed=settings.seed)
-
-
-async def _visit(loop: Loop, goal_deg: Floats) -> None:
-    loop.assignment = _goals(loop.plane, goal_deg)
-    await loop.blind_move()
-
-
-def _goals(plane: FocalPlane, goal_deg: Floats) -> Assignment:
-    """Goals without targets."""
-    n = plane.n
-    return Assignment(
-        target=np.full(n, -1),
-        fibre=np.full(n, ""),
-        alpha_deg=goal_deg[:, 0],
-        beta_deg=goal_deg[:, 1],
-        approach_deg=np.full(n, plane.instrument.approach_deg),
-        clearance_mm=np.full(n, np.inf),
-        unassigned={},
-        notes=[],
-    )
-
-
 def _told(move: Move, maps: TransmissionMaps) -> tuple[Floats, Floats]:
-    """Angles and positions (N, 2) of a move, NaN for whoever tells nothing."""
+    """Angles and positions (N, 2) of a move, NaN for those that tell nothing."""
     theta_deg = maps.to_output(move.wire_deg)
     untold = np.array([status in _UNTOLD for status in move.status])
     seen = move.measurement.seen & ~untold
     return theta_deg, np.where(seen[:, None], move.measurement.xy_mm, np.nan)
+
+
+@dataclass(frozen=True)
+class FocalPlaneCalibration:
+    """Centre, arms and zeros of all positioners, as measured where they are mounted."""
+
+    guess: FocalPlane
+    """The layout before."""
+    fit: FocalPlaneFit
+    convergence: list[dict[str, Any]]
+    """Errors by number of configurations."""
+    marks: dict[str, Any]
+    camera_um: float
+
+    @classmethod
+    def of(
+        cls,
+        guess: FocalPlane,
+        data: SurveyData,
+        settings: SurveySettings,
+        marks: dict[str, Any],
+        truth: FocalPlane | None = None,
+    ) -> FocalPlaneCalibration:
+        """Fits what a survey has measured; with the true layout, the errors are known too."""
+        fit = fit_focal_plane(guess, data.theta_deg, data.xy_mm, settings.fit)
+        true = None if truth is None else layout_parameters(truth)
+        rows = convergence(guess, data, settings.fit, true)
+        return cls(guess, fit, rows, marks, settings.fit.camera_um)
+
+    @property
+    def plane(self) -> FocalPlane:
+        """The layout as calibrated."""
+        return self.fit.plane(self.guess)
+
+    def summary(self) -> dict[str, Any]:
+        """What focal_plane.json holds."""
+        fit = self.fit
+        refused = {int(p): r for p, r in zip(fit.positioner_id, fit.reason, strict=True) if r}
+        return self.marks | {
+            "positioners": self.guess.n,
+            "calibrated": int(fit.ok.sum()),
+            "refused": refused,
+            "lowest_rank": int(fit.rank.min()),
+            "parameters": fit.parameters.shape[1],
+            "outliers": int(fit.n_outliers.sum()),
+            "residual_rms_um": float(np.sqrt((fit.rms_um[fit.ok] ** 2).mean())) if fit.ok.any() else None,
+            "angles_mdeg": [1e3 * a for a in fit.angles_deg],
+            "convergence": self.convergence,
+        }
+
+    def save(self, out: Path) -> None:
+        """Writes arms, layout, figure and focal_plane.json into a folder that exists."""
+        save_arms(out / "arms.ecsv", self.fit, self.marks)
+        write_layout(self.plane, out / "layout")
+        plot_convergence(out / "convergence.png", self.convergence, self.guess.n, self.camera_um)
+        (out / "focal_plane.json").write_text(json.dumps(self.summary(), indent=2) + "\n")

@@ -120,17 +120,44 @@ def plan(
     approach_deg: ArrayLike | None = None,
     settings: PlanSettings | None = None,
 ) -> Plan:
-    """Trajectories for all positioners at once, direct, free of collisions.
+    """Trajectories of all positioners at once, direct, free of collisions; verified before they leave.
 
-    `start_deg`, `goal_deg` (N, 2): alpha, beta of the N positioners of `plane`; `seed` decides all
-    random choices; `settings`: effort and limits, the instrument's when left out.
+    Each positioner that moves comes to its goal from approach_deg above on both axes, in the negative
+    direction, after all its other motion. One that is at its goal already stays, unless it is in the
+    way. Lengths and speeds are the instrument's.
 
-    Each positioner that moves comes to its goal from `approach_deg` above on both axes, in the negative
-    direction, after all its other motion; `approach_deg` is one number or one per positioner, the
-    instrument's when left out. A positioner at its goal stays, unless it is in the way. A positioner
-    that cannot arrive is named in `Plan.refused`; it stays or goes out of the way, and all others are
-    planned round it. The same input and seed give the same plan on every platform. InputError for
-    angles that are not (N, 2) finite numbers.
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners; offline ones are where the plane says.
+    start_deg, goal_deg : array_like
+        (N, 2) alpha and beta, deg, within the hard stops.
+    seed : int
+        The same input and seed give the same plan on every platform.
+    approach_deg : array_like, optional
+        One number or (N,), deg; the instrument's when left out.
+    settings : PlanSettings, optional
+        How hard to try; speeds and buffer other than the instrument's.
+
+    Returns
+    -------
+    Plan
+        Positioners that cannot arrive are named in `Plan.refused`; they stay or go out of the way, and
+        all others are planned round them.
+
+    Raises
+    ------
+    InputError
+        Angles of another shape, or beyond the hard stops.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> assigned = fl.assign(plane, fl.read_targets("targets.csv"))
+    >>> made = fl.plan(plane, plane.park_deg, assigned.goal_deg)
+    >>> made.refused
+    {}
     """
     return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
 

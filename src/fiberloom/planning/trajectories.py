@@ -49,7 +49,15 @@ class Robot:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Trajectories of all positioners of a focal plane on a common clock."""
+    """Trajectories of all positioners of a focal plane on a common clock. Made by `plan`.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> fl.plan(plane, plane.park_deg, plane.park_deg - [0.0, 30.0])
+    Plan('sdssv', 7 positioners, 7 move, 3.12 s)
+    """
 
     instrument: str
     collision_buffer_mm: float
@@ -60,6 +68,14 @@ class Plan:
     """What it took to plan and verify; not part of the JSON form."""
     statistics: dict[str, Any] = field(default_factory=dict)
     """How hard it was; not part of the JSON form."""
+
+    def __repr__(self) -> str:
+        moving = sum(robot.moves for robot in self.robots)
+        refused = f", {len(self.refused)} refused" if self.refused else ""
+        return (
+            f"Plan({self.instrument!r}, {len(self.robots)} positioners, {moving} move, "
+            f"{self.duration_s:.2f} s{refused})"
+        )
 
     @property
     def duration_s(self) -> float:
@@ -72,7 +88,20 @@ class Plan:
         return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)
 
     def to_dict(self) -> dict[str, Any]:
-        """The object of trajectories.json."""
+        """The object of trajectories.json.
+
+        Returns
+        -------
+        dict
+            instrument, collision_buffer_mm, robots (times in s, angles in deg), not_arrived.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=3)
+        >>> sorted(fl.plan(plane, plane.park_deg, plane.park_deg).to_dict())
+        ['collision_buffer_mm', 'instrument', 'not_arrived', 'robots']
+        """
         return {
             "instrument": self.instrument,
             "collision_buffer_mm": self.collision_buffer_mm,
@@ -81,17 +110,67 @@ class Plan:
         }
 
     def to_json(self) -> str:
-        """One line of JSON: the same plan gives the same bytes."""
+        """One line of JSON: the same plan gives the same bytes.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=3)
+        >>> made = fl.plan(plane, plane.park_deg, plane.park_deg)
+        >>> fl.Plan.from_json(made.to_json()).to_json() == made.to_json()
+        True
+        """
         return json.dumps(self.to_dict(), separators=(",", ":"))
 
     def save(self, path: str | Path, **marks: Any) -> None:
-        """Write the JSON form; `marks` (version, seed, ...) are added to the object."""
+        """Writes the JSON form.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; written over.
+        **marks
+            Added to the object: version, seed, ...
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=3)
+        >>> fl.plan(plane, plane.park_deg, plane.park_deg).save("trajectories.json", seed=0)
+        """
         document = marks | self.to_dict()
         Path(path).write_text(json.dumps(document, separators=(",", ":")) + "\n")
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], where: str = "plan") -> "Plan":
-        """From the object of trajectories.json; keys that it does not know are left out."""
+        """From the object of trajectories.json; keys that it does not know are left out.
+
+        Parameters
+        ----------
+        document : mapping
+            As of `to_dict`.
+        where : str
+            Names the object in errors.
+
+        Returns
+        -------
+        Plan
+
+        Raises
+        ------
+        InputError
+            A key that is missing, a value of the wrong type, a positioner that appears twice.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Plan.from_dict({"instrument": "sdssv", "collision_buffer_mm": 2.0, "robots": []})
+        Plan('sdssv', 0 positioners, 0 move, 0.00 s)
+        """
         robots = tuple(
             _robot(entry, f"{where}, robots[{k}]")
             for k, entry in enumerate(_get(document, "robots", list, where))
@@ -113,7 +192,31 @@ class Plan:
 
     @classmethod
     def from_json(cls, text: str, where: str = "plan") -> "Plan":
-        """From one JSON object."""
+        """From one JSON object.
+
+        Parameters
+        ----------
+        text : str
+            As of `to_json`.
+        where : str
+            Names the text in errors.
+
+        Returns
+        -------
+        Plan
+
+        Raises
+        ------
+        InputError
+            Not JSON (line and column), or as `from_dict`.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Plan.from_json('{"instrument": "sdssv"}')
+        Traceback (most recent call last):
+        fiberloom.errors.InputError: plan: no 'robots'; it has instrument
+        """
         return cls.from_dict(_parse(text, where), where)
 
 

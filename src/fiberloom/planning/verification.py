@@ -103,11 +103,43 @@ def verify(
 ) -> Verification:
     """Prove in continuous time that a plan keeps clear of everything and within all limits.
 
-    Bodies: every pair of beta arms of the `plane`, arms and fiducials, arms and guide cameras; offline
-    positioners are at the angles of the plane. Gaps are proven above -1e-6 mm; the smallest is true to
-    1e-4 mm. `start_deg`, `goal_deg` (N, 2) and `approach_deg` are checked when given; goals not for
-    positioners that the `plan` refuses. Limits: `speed_deg_s`, `acceleration_deg_s2` of the instrument
-    and `collision_buffer_mm` of the plan when left out.
+    Other code and another method than the planner's. Bodies: every pair of beta arms, arms and fiducials,
+    arms and guide cameras; offline positioners are where the plane says. Gaps are proven above -1e-6 mm;
+    the smallest is true to 1e-4 mm.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners.
+    plan : Plan
+        What is to be proven.
+    start_deg, goal_deg : array_like, optional
+        (N, 2) deg; checked where given, goals not for positioners that the plan refuses.
+    approach_deg : array_like, optional
+        One number or (N,), deg; checked where given.
+    speed_deg_s, acceleration_deg_s2 : float, optional
+        Limits, deg/s and deg/s2; the instrument's when left out.
+    collision_buffer_mm : float, optional
+        Radius of the beta arms, mm; the plan's own when left out.
+
+    Returns
+    -------
+    Verification
+        `ok`, every breach with its time and depth, and the smallest clearance in mm.
+
+    Raises
+    ------
+    InputError
+        The plan moves an offline positioner, or does not say where one is.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> plane = fl.FocalPlane.of("sdssv", n=7)
+    >>> assigned = fl.assign(plane, fl.read_targets("targets.csv"))
+    >>> made = fl.plan(plane, plane.park_deg, assigned.goal_deg)
+    >>> fl.verify(plane, made, goal_deg=assigned.goal_deg).ok
+    True
     """
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm

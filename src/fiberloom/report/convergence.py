@@ -6,11 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
+from fiberloom.report.figures import figure_with, save
 
 _MARKS_UM = [m * 10.0**k for k in range(-2, 3) for m in (1, 2, 5)]
 
@@ -23,7 +19,7 @@ def plot_convergence(
     `path`: file to write; `rows`: as `convergence` returns them; `positioners`: their number;
     `camera_um`: noise of the camera, rms.
     """
-    figure, axes = plt.subplots(figsize=(8, 5.5), layout="constrained")
+    figure, axes = figure_with((8, 5.5))
     number = [row["configurations"] for row in rows]
     what = "error_um" if rows[0]["error_um"] else "standard_error_um"
     for name, label in (("centre", "centre"), ("l_alpha", "alpha arm"), ("l_beta", "beta arm")):
@@ -42,5 +38,4 @@ def plot_convergence(
         f"In-focal-plane calibration of {positioners} positioners, camera {camera_um:g} µm: {kind}"
     )
     axes.legend(fontsize=9)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path)

@@ -5,11 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no display is needed at an observatory's console
-
-import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +13,7 @@ from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
+from fiberloom.report.figures import figure_with
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -29,14 +25,13 @@ _COLOURS = {MatchStatus.DARK: "orange", MatchStatus.AMBIGUOUS: "magenta"}
 
 def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     """The image with its spots; flagged ones in red."""
-    figure, axes = plt.subplots(figsize=(11, 10), layout="constrained")
+    figure, axes = figure_with((11, 10))
     _show(axes, image)
     flagged = (spots.flags & ~np.uint32(Flag.COSMIC)) != 0
     _ring(axes, spots.xy_px[~flagged], "deepskyblue")
     _ring(axes, spots.xy_px[flagged], "crimson", size=60)
     axes.set(title=f"{len(spots)} spots, {int(flagged.sum())} flagged", xlabel="x [px]", ylabel="y [px]")
     figure.savefig(path, dpi=120)
-    plt.close(figure)
 
 
 def plot_reduction(folder: Path, name: str, plane: FocalPlane, reduction: Reduction) -> list[Path]:
@@ -76,7 +71,7 @@ def _ring(axes: Any, at: Floats, colour: str, size: float = 30, marker: str = "o
 
 
 def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
-    figure, axes = plt.subplots(figsize=(12, 12), layout="constrained")
+    figure, axes = figure_with((12, 12))
     _show(axes, reduction.image)
     spots, seen = reduction.spots, reduction.seen
     _ring(axes, spots.xy_px[reduction.acquisition.spot], "lime", size=50, marker="s")
@@ -93,7 +88,6 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
     )
     axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
     figure.savefig(path, dpi=110, pil_kwargs={"compress_level": 1})
-    plt.close(figure)
 
 
 def _label(axes: Any, number: int, xy: Floats, colour: str, size: float) -> None:
@@ -124,7 +118,7 @@ def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
 
 
 def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
+    figure, (left, right) = figure_with((16, 8), 1, 2)
     fit = reduction.acquisition.fit
     at = plane.fiducials[reduction.acquisition.fiducial, :2]
     loo_um = UM_PER_MM * fit.leave_one_out_mm
@@ -136,7 +130,6 @@ def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction) -> None
     rms = float(np.sqrt(np.mean(np.sum(off_um**2, axis=1)))) if rows.any() else float("nan")
     right.set_title(f"fibres: measured minus expected, {rms:.1f} µm rms")
     figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def _arrows(axes: Any, at_mm: Floats, vector_um: Floats) -> None:
@@ -160,8 +153,7 @@ def _plot_distortion(path: Path, reduction: Reduction) -> None:
     at = reduction.transform.to_mm(grid)
     inside = np.hypot(*at.T) < 1.05 * reduction.transform.radius_mm
     bend = UM_PER_MM * reduction.transform.distortion_mm(grid[inside])
-    figure, axes = plt.subplots(figsize=(9, 8.5), layout="constrained")
+    figure, axes = figure_with((9, 8.5))
     _arrows(axes, at[inside], bend)
     axes.set_title(f"distortion beyond shift, scale and rotation: {np.hypot(*bend.T).max():.0f} µm at most")
     figure.savefig(path, dpi=110)
-    plt.close(figure)

@@ -2,50 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")  # files only: no display is needed at an observatory's console
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.typing import Floats
+from fiberloom.report.figures import figure_with, save
+from fiberloom.typing import Flags, Floats
 
 
-def plot_focal_plane(
-    path: Path,
-    plane: FocalPlane,
-    angles_deg: Floats,
-    error_um: Floats,
-    flagged: NDArray[np.bool_],
-    requirement_um: float,
-    title: str,
-) -> None:
-    """Draw every arm at `angles_deg` (N, 2), coloured by `error_um` (N,), NaN without a target.
+@dataclass(frozen=True)
+class FieldPicture:
+    """What is drawn of a field: arrays over N positioners."""
 
-    `path`: file to write; `plane`: the N positioners; `flagged` (N,): drawn in red; `requirement_um`:
-    upper end of the colours; `title` above the figure.
+    angles_deg: Floats
+    """(N, 2) where the arms are."""
+    error_um: Floats
+    """(N,) error of each fibre; NaN: no target."""
+    flagged: Flags
+    """(N,) in red."""
+    requirement_um: float
+    title: str
+
+
+def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> None:
+    """Draw every arm, coloured by the error of its fibre, flags in red.
+
+    `path`: file to write; `plane`: the N positioners; `picture`: what is drawn of them.
     """
-    figure, axes = plt.subplots(figsize=(10, 9.2), layout="constrained")
-    base, elbow, tip = _arm_points(plane, angles_deg)
+    figure, axes = figure_with((10, 9.2))
+    draw_focal_plane(axes, plane, picture)
+    save(figure, path)
+
+
+def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Axes:
+    """The same into `axes` that exist, with a colour bar beside them."""
+    base, elbow, tip = _arm_points(plane, picture.angles_deg)
     alpha_arms = np.stack([base, elbow], axis=1)
     beta_arms = np.stack([elbow, tip], axis=1)
     axes.add_collection(LineCollection(list(alpha_arms), colors="0.8", linewidths=1.0))
     axes.add_collection(LineCollection(list(beta_arms), colors="0.55", linewidths=1.6))
     for x, y, radius in plane.fiducials:
-        axes.add_patch(plt.Circle((x, y), radius, color="0.88", zorder=0))
+        axes.add_patch(Circle((x, y), radius, color="0.88", zorder=0))
     for x0, y0, x1, y1, radius in plane.guide_cameras:
         axes.plot([x0, x1], [y0, y1], color="0.88", linewidth=4 * radius / 3, zorder=0)
+    _draw_fibres(axes, plane, picture, tip)
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=picture.title)
+    axes.autoscale_view()
+    return axes
 
+
+def frame_positioners(axes: Axes, plane: FocalPlane) -> None:
+    """Shows the part of the field that the arms reach."""
+    reach_mm = 1.2 * float(plane.body_reach_mm.max(initial=0.0))
+    (left, bottom), (right, top) = plane.centres_mm.min(axis=0), plane.centres_mm.max(axis=0)
+    axes.set(xlim=(left - reach_mm, right + reach_mm), ylim=(bottom - reach_mm, top + reach_mm))
+
+
+def _draw_fibres(axes: Axes, plane: FocalPlane, picture: FieldPicture, tip: Floats) -> None:
+    flagged, error_um = picture.flagged, picture.error_um
     served = np.isfinite(error_um) & ~flagged
     dots = axes.scatter(
         tip[served, 0],
-        tip[served, 1], c=error_um[served], s=14, cmap="viridis_r", vmin=0, vmax=requirement_um,
+        tip[served, 1], c=error_um[served], s=14, cmap="viridis_r", vmin=0, vmax=picture.requirement_um,
         zorder=3,
     )  # fmt: skip
     if flagged.any():
@@ -54,11 +78,9 @@ def plot_focal_plane(
         )
         for index in np.flatnonzero(flagged):
             axes.annotate(str(plane.positioner_id[index]), tip[index], color="crimson", fontsize=7)
-    figure.colorbar(dots, ax=axes, label="error of the fibre [µm]", shrink=0.75, extend="max")
-    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
-    axes.autoscale_view()
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    figure = axes.get_figure()
+    if isinstance(figure, Figure):
+        figure.colorbar(dots, ax=axes, label="error of the fibre [µm]", shrink=0.75, extend="max")
 
 
 def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, Floats]:
@@ -73,7 +95,7 @@ def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirem
     `path`: file to write; `errors_um`: (n,) for each move, with its name in `labels`; `requirement_um`:
     drawn as a line.
     """
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    figure, axes = figure_with((8, 5))
     for error, label in zip(errors_um, labels, strict=True):
         values = np.sort(error[np.isfinite(error)])
         if not len(values):
@@ -86,5 +108,4 @@ def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirem
     axes.set_title("Each correction brings the fibres nearer to their targets")
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(loc="lower right", fontsize=8)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path)

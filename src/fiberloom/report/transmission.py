@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, TransmissionMaps
 from fiberloom.instruments.model import AXES
+from fiberloom.report.figures import figure_with, save
 
 
 def plot_transmission(path: Path, maps: TransmissionMaps, row: int) -> None:
     """Draw delta+ and delta- and the backlash of both axes of one positioner."""
-    figure, panels = plt.subplots(2, 2, figsize=(12, 7), layout="constrained", sharex="row")
+    figure, panels = figure_with((12, 7), 2, 2, sharex="row")
     one = maps.select([row])
     for axis, name in enumerate(AXES):
         low, high = one.output_deg[0, axis, :, [0, -1]].T
@@ -39,5 +35,4 @@ def plot_transmission(path: Path, maps: TransmissionMaps, row: int) -> None:
         f"Positioner {maps.positioner_id[row]}: deviation from a linear gear of "
         f"{maps.provenance.gear:g}, as calibrated"
     )
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path)

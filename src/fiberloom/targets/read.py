@@ -17,9 +17,32 @@ PAR_SUFFIXES = (".par", ".par.gz")
 def read_targets(path: str | Path) -> TargetList:
     """The targets of a file, by the suffix of its name.
 
-    Tables need the columns target_id, x_mm, y_mm and may have priority (higher first, default 0),
-    fibre (default any) and positioner_id (default any, -1). From a confSummary (.par, .par.gz) come
-    the rows with valid = 1 and assigned = 1, each on its own positioner and fibre at xwok, ywok.
+    Parameters
+    ----------
+    path : str or Path
+        CSV, ECSV or FITS with the columns target_id, x_mm, y_mm, and where they are there priority (higher
+        first, default 0), fibre (default any) and positioner_id (default any, -1). From a confSummary of
+        SDSS-V (.par, .par.gz) come the rows with valid = 1 and assigned = 1, each on its own positioner
+        and fibre at xwok, ywok.
+
+    Returns
+    -------
+    TargetList
+        In the order of the file; positions in mm.
+
+    Raises
+    ------
+    InputError
+        No such file, a column that is missing, a cell that is no number: file, line, column, rule.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> fl.read_targets("targets.csv")
+    TargetList(60 targets, x -37.4 to 37 mm, y -37.4 to 36.4 mm)
+    >>> fl.read_targets("none.csv")
+    Traceback (most recent call last):
+    fiberloom.errors.InputError: none.csv: no such file
     """
     path = Path(path)
     if path.name.lower().endswith(PAR_SUFFIXES):

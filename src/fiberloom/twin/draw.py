@@ -9,6 +9,7 @@ derivative 0.15) and with the backlash of Fig. 10. docs/twin.md tells which numb
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +29,7 @@ from fiberloom.twin.units import (
     Units,
     defaults,
 )
-from fiberloom.units import RAD_PER_DEG
+from fiberloom.units import MM_PER_UM, RAD_PER_DEG
 
 Rng = np.random.Generator
 
@@ -301,3 +302,13 @@ def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
     }
+
+
+def misplaced(plane: FocalPlane, by_um: float, by_deg: float, seed: int) -> FocalPlane:
+    """The layout of a `plane` as it is known before anything was measured.
+
+    Centres and alpha arms are wrong by `by_um`, zeros by `by_deg`, rms, drawn from the `seed`.
+    """
+    rng = np.random.default_rng([seed, 0x3015])
+    sigmas = np.array([*[by_um * MM_PER_UM] * 3, *[by_deg * RAD_PER_DEG] * 2])
+    return replace(plane, arms=plane.arms + rng.normal(size=plane.arms.shape) * sigmas)

@@ -31,13 +31,18 @@ def field_hardware(
 
     `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image.
     """
-    if camera not in CAMERAS:
-        raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
+    check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
     for fault in draw_faults(plane, faults, seed):
         twin.inject(fault)
     return _hardware(twin, seed, camera)
+
+
+def check_camera(camera: str) -> None:
+    """Refuses a camera that the twin does not have."""
+    if camera not in CAMERAS:
+        raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
 
 
 def missing_in_twin(instrument: Instrument) -> str:

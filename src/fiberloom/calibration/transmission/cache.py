@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import platformdirs
+
+from fiberloom.calibration.transmission.maps import TransmissionMaps, load
+from fiberloom.instruments import FocalPlane
 from fiberloom.version import __version__
+
+VARIABLE = "FIBERLOOM_CACHE"
+"""Names the cache folder, in place of the user's."""
 
 
 def default_directory() -> Path:
-    """`.cache` of the checkout that this package runs from, else of the current directory."""
-    for parent in Path(__file__).resolve().parents:
-        if (parent / "pyproject.toml").is_file():
-            return parent / ".cache" / "calibration"
-    return Path.cwd() / ".cache" / "calibration"
+    """`calibration` in the folder that FIBERLOOM_CACHE names, else in the user's cache folder."""
+    folder = os.environ.get(VARIABLE) or platformdirs.user_cache_dir("fiberloom")
+    return Path(folder) / "calibration"
 
 
 def cache_path(config_hash: str, seed: int, settings: Any, directory: str | Path | None = None) -> Path:
@@ -32,3 +38,9 @@ def cache_path(config_hash: str, seed: int, settings: Any, directory: str | Path
     key = hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()
     folder = Path(directory) if directory is not None else default_directory()
     return folder / f"transmission-{key[:16]}.npz"
+
+
+def load_for(plane: FocalPlane, path: str | Path) -> TransmissionMaps:
+    """The maps of a file, in the rows of this focal plane."""
+    maps = load(path)
+    return maps.select(maps.rows_of(plane.positioner_id))

@@ -49,15 +49,35 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class TransmissionMaps:
-    """The maps of N positioners; rows in the order of `positioner_id`.
+    """Which motor position puts an arm at an angle, for N positioners. Kronig 2020, Eq. 6 and 7.
 
-    `wire_deg` and `output_deg` are (N, 2 axes, 2 directions, K knots); direction 0 is negative.
+    Made by `Field.calibrate`. Per positioner, axis and direction of contact a map is a polyline through
+    knots (output angle, wire position), both in deg and rising; the wire position is the motor angle over
+    the nominal gear. Read-only.
+
+    Raises
+    ------
+    InputError
+        Arrays of another shape, or knots that do not rise: positioner, axis and contact are named.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+    >>> maps
+    TransmissionMaps(7 positioners, 200 knots, gear 1024)
+    >>> bool((abs(maps.to_output(maps.to_wire(90.0)) - 90.0) < 1e-9).all())
+    True
     """
 
     positioner_id: NDArray[np.int64]
+    """(N,) number on the bus; the order of the rows."""
     wire_deg: Floats
+    """(N, 2 axes, 2 directions, K knots); direction 0 is negative contact."""
     output_deg: Floats
+    """(N, 2 axes, 2 directions, K knots)."""
     provenance: Provenance = field(default_factory=Provenance)
+    """Where the maps come from."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -87,20 +107,128 @@ class TransmissionMaps:
     def __len__(self) -> int:
         return len(self.positioner_id)
 
+    def __repr__(self) -> str:
+        knots, gear = self.wire_deg.shape[-1], self.provenance.gear
+        return f"TransmissionMaps({len(self)} positioners, {knots} knots, gear {gear:g})"
+
+    @classmethod
+    def read(cls, path: str | Path) -> TransmissionMaps:
+        """The maps of a file that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+            An .npz file, also that of `fiberloom calibrate transmission`.
+
+        Returns
+        -------
+        TransmissionMaps
+
+        Raises
+        ------
+        InputError
+            No such file, or not a file of maps that this version reads.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.save("maps.npz")
+        >>> fl.TransmissionMaps.read("maps.npz")
+        TransmissionMaps(7 positioners, 200 knots, gear 1024)
+        """
+        return load(path)
+
     def to_wire(
         self, theta_deg: ArrayLike, index: ArrayLike | None = None, direction: int = NEGATIVE
     ) -> Floats:
-        """Wire positions that bring the arms to output angles (n, 2) or (n, 2, M), in deg."""
+        """Wire positions that bring the arms to output angles.
+
+        Parameters
+        ----------
+        theta_deg : array_like
+            Output angles (n, 2) or (n, 2, M): alpha and beta of n positioners, deg.
+        index : array_like, optional
+            Rows; all when left out.
+        direction : int
+            Contact: -1 negative (the approach from above), +1 positive.
+
+        Returns
+        -------
+        (n, 2) or (n, 2, M) float
+            Motor angle over the nominal gear, deg.
+
+        Raises
+        ------
+        ValueError
+            Another direction.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.to_wire([[10.0, 170.0]] * 7).shape
+        (7, 2)
+        """
         return self._map(self.output_deg, self.wire_deg, theta_deg, index, direction)
 
     def to_output(
         self, wire_deg: ArrayLike, index: ArrayLike | None = None, direction: int = NEGATIVE
     ) -> Floats:
-        """Output angles at wire positions (n, 2) or (n, 2, M), in deg."""
+        """Output angles at wire positions: the inverse of `to_wire`, exact to rounding.
+
+        Parameters
+        ----------
+        wire_deg : array_like
+            Wire positions (n, 2) or (n, 2, M), deg.
+        index : array_like, optional
+            Rows; all when left out.
+        direction : int
+            Contact: -1 negative (the approach from above), +1 positive.
+
+        Returns
+        -------
+        (n, 2) or (n, 2, M) float
+            Angles of alpha and beta, deg.
+
+        Raises
+        ------
+        ValueError
+            Another direction.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> bool((abs(maps.to_output(90.0) - 90.0) < 1.0).all())
+        True
+        """
         return self._map(self.wire_deg, self.output_deg, wire_deg, index, direction)
 
     def path_to_wire(self, row: int, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
-        """A path (M, 2) of one positioner, by row: wire positions in deg, as to_wire, in one call."""
+        """The path of one positioner in wire positions: as `to_wire`, in one go.
+
+        Parameters
+        ----------
+        row : int
+            The positioner.
+        theta_deg : array_like
+            (M, 2) output angles, deg.
+        direction : int
+            Contact: -1 negative, +1 positive.
+
+        Returns
+        -------
+        (M, 2) float
+            Wire positions, deg.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.path_to_wire(0, [[0.0, 180.0], [30.0, 150.0], [60.0, 120.0]]).shape
+        (3, 2)
+        """
         theta = np.asarray(theta_deg, dtype=np.float64).T
         return self.to_wire(theta[None], index=[row], direction=direction)[0].T
 
@@ -123,24 +251,93 @@ class TransmissionMaps:
         return out
 
     def delta_deg(self, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
-        """delta(theta) of Eq. 7 for all positioners: (N, 2, M) at M output angles."""
+        """Deviation from a linear gear, delta(theta) of Eq. 7.
+
+        Parameters
+        ----------
+        theta_deg : array_like
+            (M,) output angles, deg.
+        direction : int
+            Contact: -1 negative, +1 positive.
+
+        Returns
+        -------
+        (N, 2, M) float
+            Of all positioners, alpha and beta, deg.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> bool(abs(maps.delta_deg([30.0, 60.0, 90.0])).max() < 1.0)
+        True
+        """
         theta = np.atleast_1d(np.asarray(theta_deg, dtype=np.float64))
         grid = np.broadcast_to(theta, (len(self), 2, len(theta)))
         return self.to_wire(grid, direction=direction) - theta
 
     def backlash_motor_deg(self, theta_deg: ArrayLike) -> Floats:
-        """B(theta) in motor deg for all positioners, (N, 2, M). Eq. 7."""
+        """Backlash B(theta) of Eq. 7.
+
+        Parameters
+        ----------
+        theta_deg : array_like
+            (M,) output angles, deg.
+
+        Returns
+        -------
+        (N, 2, M) float
+            Of all positioners, alpha and beta, motor deg.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> backlash = maps.backlash_motor_deg([90.0])
+        >>> bool((backlash > 30.0).all() and (backlash < 300.0).all())
+        True
+        """
         delta = [self.delta_deg(theta_deg, direction) for direction in (NEGATIVE, POSITIVE)]
         return self.provenance.gear * (delta[1] - delta[0])
 
     def linear(self) -> TransmissionMaps:
-        """What is left without the maps: the nominal ratio and one offset per axis and contact."""
+        """What is left without the maps: the nominal ratio and one offset per axis and contact.
+
+        Returns
+        -------
+        TransmissionMaps
+            With two knots.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.linear()
+        TransmissionMaps(7 positioners, 2 knots, gear 1024)
+        """
         offset = np.mean(self.wire_deg - self.output_deg, axis=-1, keepdims=True)
         ends = self.output_deg[..., [0, -1]]
         return replace(self, output_deg=ends, wire_deg=ends + offset)
 
     def select(self, index: ArrayLike) -> TransmissionMaps:
-        """The maps of some positioners, by row."""
+        """The maps of some positioners, by row.
+
+        Parameters
+        ----------
+        index : array_like
+            Rows, in the order that is wanted.
+
+        Returns
+        -------
+        TransmissionMaps
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> len(maps.select([0, 3]))
+        2
+        """
         rows = np.atleast_1d(np.asarray(index))
         return replace(
             self,
@@ -150,7 +347,29 @@ class TransmissionMaps:
         )
 
     def rows_of(self, positioner_id: ArrayLike) -> NDArray[np.int64]:
-        """Rows of these positioners; one without a map is an InputError that names it."""
+        """Rows of positioners by their number on the bus.
+
+        Parameters
+        ----------
+        positioner_id : array_like
+            Numbers, or one.
+
+        Returns
+        -------
+        (n,) int
+
+        Raises
+        ------
+        InputError
+            A positioner without a map.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.rows_of(maps.positioner_id[[2, 0]]).tolist()
+        [2, 0]
+        """
         places = {int(p): row for row, p in enumerate(self.positioner_id)}
         wanted = np.atleast_1d(np.asarray(positioner_id)).tolist()
         missing = [p for p in wanted if p not in places]
@@ -162,7 +381,24 @@ class TransmissionMaps:
         return np.array([places[p] for p in wanted], dtype=np.int64)
 
     def save(self, path: str | Path) -> None:
-        """Writes one .npz file, at once or not at all."""
+        """Writes one .npz file, at once or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; its folder is made where it does not exist.
+
+        Raises
+        ------
+        InputError
+            It cannot be written there.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> maps.save("maps.npz")
+        """
         path = Path(path)
         meta = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self.provenance)}
         part = path.with_name(f".{path.name}.{os.getpid()}.part")

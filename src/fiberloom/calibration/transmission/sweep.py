@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,23 @@ class Calibration:
     maps: TransmissionMaps
     report: CalibrationReport
     data: SweepData
+
+    def summary(self) -> dict[str, Any]:
+        """How many positioners have a map, why the others have none, and how good the maps are."""
+        report, maps = self.report, self.maps
+        ok = report.ok
+        # at the knots themselves: between them the interpolation of both directions would come in
+        gap_deg = maps.output_deg[ok, :, 0] - maps.output_deg[ok, :, 1]
+        backlash = maps.provenance.gear * gap_deg
+        return {
+            "positioners": len(maps),
+            "calibrated": int(ok.sum()),
+            "refused": {int(p): r for p, r in zip(report.positioner_id, report.reason, strict=True) if r},
+            "backlash_motor_deg": [float(backlash.min()), float(backlash.max())],
+            "circle_rms_um": [float(np.median(c)) for c in report.circle_rms_um[ok].T],
+            "l_alpha_se_um": units.UM_PER_MM * float(np.median(report.l_alpha_se_mm[ok])),
+            "l_beta_se_um": units.UM_PER_MM * float(np.median(report.l_beta_se_mm[ok])),
+        }
 
 
 async def calibrate_transmission(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom import units as convert
+from fiberloom.blocking import finish
 from fiberloom.bus import Client
 from fiberloom.calibration import Calibration, calibrate_transmission
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
@@ -19,8 +18,6 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Camera
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
 from fiberloom.typing import Floats
-
-Result = TypeVar("Result")
 
 L_BETA_MM = 15.0
 """Kronig 2020, Table 1. The preset's 14.314 is where the telescope's metrology fibre sits; the paper's
@@ -90,11 +87,6 @@ def make_bench(
     bench = Bench(plane, units, twin, client, NoiseCamera(twin, rms_um, seed + 1))
     finish(client.discover())
     return bench
-
-
-def finish(task: Coroutine[Any, Any, Result]) -> Result:
-    """The one place where an experiment meets the event loop."""
-    return asyncio.run(task)
 
 
 @lru_cache(maxsize=16)

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.metrology import Measurement
-from fiberloom.operation.loop import Move
+from fiberloom.operation.move import Move
 
 
 class NoRecord:
-    """Implements `operation.loop.Recorder`; the loop keeps its moves itself."""
+    """Implements `operation.move.Recorder`; the loop keeps its moves itself."""
 
     def start(self, here_deg: NDArray[np.float64], wire_deg: NDArray[np.float64], image: Measurement) -> None:
         """Not a move."""

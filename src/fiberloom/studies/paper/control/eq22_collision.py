@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.blocking import finish
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.bench import Bench, finish, make_bench
+from fiberloom.studies.paper.bench import Bench, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import Fault, Units

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.blocking import finish
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.bench import CLOSE_UP_UM, Bench, Mover, finish, make_bench
+from fiberloom.studies.paper.bench import CLOSE_UP_UM, Bench, Mover, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.twin import Units

@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from fiberloom.blocking import finish
 from fiberloom.calibration import TransmissionMaps
 from fiberloom.operation.correction import CorrectionLoop
-from fiberloom.studies.paper.bench import Bench, Mover, calibrated, finish, make_bench
+from fiberloom.studies.paper.bench import Bench, Mover, calibrated, make_bench
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats

@@ -7,17 +7,18 @@ from dataclasses import dataclass, replace
 import matplotlib.pyplot as plt
 import numpy as np
 
+from fiberloom.blocking import finish
 from fiberloom.bus import Client
 from fiberloom.calibration import TransmissionMaps, calibrate_transmission
 from fiberloom.calibration.focal_plane.fit import FitSettings, fit_focal_plane, layout_parameters
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.survey import SurveySettings, survey
-from fiberloom.studies.paper.bench import Bench, Mover, calibrated, finish, make_bench, paper_plane
+from fiberloom.studies.paper.bench import Bench, Mover, calibrated, make_bench, paper_plane
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import bench_hardware, draw_units, field_hardware
-from fiberloom.twin.mounting import misplaced
+from fiberloom.twin.draw import misplaced
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.assignment import assign
+from fiberloom.blocking import finish
 from fiberloom.bus import Client
 from fiberloom.calibration import TransmissionMaps, calibrate_transmission
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
-from fiberloom.operation.loop import Loop, LoopSettings, Move
-from fiberloom.studies.paper.bench import finish
+from fiberloom.operation.loop import Loop, LoopSettings
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.move import Move
 from fiberloom.studies.paper.focal_plane.fig05_coverage import cover, hexagonal
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
@@ -122,18 +124,18 @@ def observe(row: Row, seed: int, n_units: int) -> Run:
     camera = NoiseCamera(twin, plane.instrument.metrology.noise_rms_um, seed)
     hardware = Hardware(TwinTransport(twin), camera, twin)
     moves = 1 + plane.instrument.operation.corrections_max
-    loop = Loop(plane, assignment, maps, hardware, LoopSettings(moves=moves, seed=seed), NoRecord())
-    finish(_whole(loop))
+    motion = FieldMotion(plane, maps, hardware, NoRecord())
+    finish(_whole(Loop(motion, assignment, LoopSettings(moves=moves, seed=seed))))
     return Run(
-        [_true_error_um(move, targets, assignment.target) for move in loop.moves],
+        [_true_error_um(move, targets, assignment.target) for move in motion.moves],
         assignment.n_assigned,
         n_units,
-        loop.collisions_verified,
+        motion.collisions_verified,
     )
 
 
 async def _whole(loop: Loop) -> None:
-    await loop.connect()
+    await loop.motion.connect()
     await loop.run()
 
 

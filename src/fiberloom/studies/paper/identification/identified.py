@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+from fiberloom.blocking import finish
 from fiberloom.calibration import (
     Estimate,
     Friction,
@@ -24,7 +25,7 @@ from fiberloom.calibration import (
     measure_torque_scale,
     measured_scale,
 )
-from fiberloom.studies.paper.bench import Bench, finish, make_bench
+from fiberloom.studies.paper.bench import Bench, make_bench
 from fiberloom.twin import TwinWeights
 
 UNITS = 6

@@ -1,0 +1,466 @@
+"""The facade: a focal plane that is calibrated and observed, on hardware or on the twin."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any, TypedDict, Unpack
+
+from fiberloom.blocking import finish
+from fiberloom.bus.transport import Transport
+from fiberloom.calibration.transmission.cache import load_for
+from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.calibration.transmission.sweep import Calibration
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.known import Learning, known_so_far
+from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
+from fiberloom.operation.recording import SurveyRecorder
+from fiberloom.operation.results import Observation
+from fiberloom.operation.source import OpenedArray, Source
+from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
+from fiberloom.report.outputs import marks, prepare_folder
+from fiberloom.store import Store
+from fiberloom.targets import TargetList
+
+POINTS = 200
+"""Of a transmission sweep, per axis and direction, as the paper's Fig. 10."""
+
+RUNS = Path("runs")
+"""Where records go that are not told where to go."""
+
+
+class ObserveOptions(TypedDict, total=False):
+    """What `Field.observe` takes beside targets, corrections and a folder."""
+
+    correction: str | None
+    compare_linear: bool
+    arms: Path | str | None
+    learnt: str | None
+    adapt: bool
+    pages: str
+    save_images: bool
+
+
+class Field:
+    """A focal plane with its bus and its camera: calibrate it, then observe target lists.
+
+    Made by `Field.twin`, where no hardware is needed, or by `Field.open`. Both give this class, and all
+    that follows is the same: frames on the bus, positions from the camera.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        The layout.
+    source : Source
+        Where bus and camera come from.
+    seed : int
+        Decides whatever is drawn: between equal assignments and plans, and a twin's units and noise.
+    calibration : str or Path, optional
+        File of transmission maps.
+
+    Attributes
+    ----------
+    run : FieldRun
+        The same methods without `await`, where no event loop runs.
+    watcher : Watcher
+        Is told what is being done; silent unless you set one.
+    command_line : str
+        How the record names its runs.
+    maps : TransmissionMaps or None
+        The maps in use, once there are some.
+    maps_file : Path or None
+        Their file.
+
+    Examples
+    --------
+    >>> import fiberloom as fl
+    >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+    >>> field
+    Field('sdssv', 7 positioners, on the twin, not calibrated)
+    >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+    >>> field.last is seen
+    True
+    """
+
+    def __init__(
+        self, plane: FocalPlane, source: Source, seed: int = 0, calibration: str | Path | None = None
+    ) -> None:
+        self.plane, self.source, self.seed = plane, source, seed
+        self.calibration_file = None if calibration is None else Path(calibration)
+        self.maps: TransmissionMaps | None = None
+        self.maps_file: Path | None = None
+        self.run = FieldRun(self)
+        self.watcher: Watcher = Silent()
+        self.command_line = "fiberloom.Field"
+        self._points = 0
+        self._observer: Observer | None = None
+
+    @classmethod
+    def twin(
+        cls,
+        plane: FocalPlane,
+        seed: int = 0,
+        camera: str = "image",
+        faults: str = "",
+        calibration: str | Path | None = None,
+    ) -> Field:
+        """A field on the twin: true units drawn from the seed, with the real firmware in them.
+
+        Parameters
+        ----------
+        plane : FocalPlane
+            The layout as the host knows it.
+        seed : int
+            The one seed of everything random; the same seed gives the same numbers.
+        camera : str
+            ``"image"``: images are rendered, searched and matched. ``"noise"``: true positions with the
+            camera's noise; quicker.
+        faults : str
+            What goes wrong, e.g. ``"dark=3,dead=1,lying=1"``.
+        calibration : str or Path, optional
+            File of transmission maps; when left out, the twin is swept once and its maps are cached.
+
+        Returns
+        -------
+        Field
+            Folded and at rest.
+
+        Raises
+        ------
+        InputError
+            The twin does not drive this instrument, or does not know the camera or a fault.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), faults="dark=1")
+        Field('sdssv', 7 positioners, on the twin, not calibrated)
+        >>> fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="film")
+        Traceback (most recent call last):
+        fiberloom.errors.InputError: --camera film: known are noise, image
+        """
+        from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
+
+        return cls(plane, TwinSource(plane, seed, camera, faults), seed, calibration)
+
+    @classmethod
+    def open(
+        cls,
+        plane: FocalPlane,
+        bus: str | Transport,
+        camera: Any,
+        calibration: str | Path | None = None,
+        seed: int = 0,
+    ) -> Field:
+        """A field of real positioners. The bus is connected when something moves, not before.
+
+        Parameters
+        ----------
+        plane : FocalPlane
+            The layout as built, e.g. of `FocalPlane.read`.
+        bus : str or Transport
+            ``"cannet://HOST:PORT[,HOST:PORT...]"`` for CAN@net gateways, ``"INTERFACE://CHANNEL"`` with
+            python-can's names, e.g. ``"socketcan://can0"``, or an open transport, which stays open.
+        camera : Camera
+            An object with ``measure(expected_mm) -> Measurement``: positions (N, 2) in mm.
+        calibration : str or Path, optional
+            File of transmission maps, e.g. of `TransmissionMaps.save`. Nothing moves without it.
+        seed : int
+            Decides between equally good assignments and plans.
+
+        Returns
+        -------
+        Field
+            Not connected yet.
+
+        Raises
+        ------
+        InputError
+            The address cannot be read, or the camera is not one.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> fl.Field.open(plane, bus="cannet://10.1.10.31,10.1.10.32:19229", camera="alpaca://sky")
+        Traceback (most recent call last):
+        fiberloom.errors.InputError: camera 'alpaca://sky': cannot be opened by its address; give an object \
+with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.ImageCamera over your exposures
+        """
+        return cls(plane, OpenedArray.of(bus, camera), seed, calibration)
+
+    def __repr__(self) -> str:
+        where = "on hardware" if isinstance(self.source, OpenedArray) else "on the twin"
+        known = "not calibrated" if self.maps is None else "calibrated"
+        return f"Field({self.plane.instrument.name!r}, {len(self.plane)} positioners, {where}, {known})"
+
+    @property
+    def last(self) -> Observation | None:
+        """What the last `observe` has measured, also where it was interrupted; None before the first.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).last is None
+        True
+        """
+        return None if self._observer is None else self._observer.last
+
+    async def calibrate(self, points: int = POINTS) -> TransmissionMaps:
+        """The transmission maps of this field: from its file, from the cache, or swept now.
+
+        Parameters
+        ----------
+        points : int
+            Of a sweep, per axis and direction. 200 points of 500 units take some minutes, once.
+
+        Returns
+        -------
+        TransmissionMaps
+            Rows in the order of the plane; also `maps` from now on.
+
+        Raises
+        ------
+        InputError
+            A file of maps that is broken or lacks a positioner; on hardware, no file was given.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7))
+        >>> field.run.calibrate()
+        TransmissionMaps(7 positioners, 200 knots, gear 1024)
+        """
+        if self.maps is None or points != self._points:
+            self.maps, self.maps_file = await self._find_maps(points)
+            self._points = points
+        return self.maps
+
+    async def _find_maps(self, points: int) -> tuple[TransmissionMaps, Path | None]:
+        if self.calibration_file is not None:
+            return load_for(self.plane, self.calibration_file), self.calibration_file
+        cached = self.source.maps_file(points)
+        if cached is not None and cached.exists():
+            return load_for(self.plane, cached), cached
+        found = await self.sweep(points)
+        if cached is not None:
+            with contextlib.suppress(InputError):  # where nothing can be kept, sweep again next time
+                found.maps.save(cached)
+        return found.maps, cached
+
+    async def sweep(self, points: int = POINTS) -> Calibration:
+        """Sweeps every positioner on a bench, whatever is cached, and reports how good its map is.
+
+        Parameters
+        ----------
+        points : int
+            Per axis and direction, at least 8.
+
+        Returns
+        -------
+        Calibration
+            Maps, report (a reason where a positioner has no map) and what was measured.
+
+        Raises
+        ------
+        InputError
+            Too few points; on hardware, where neighbours are in the way, what to do instead.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=1))
+        >>> found = field.run.sweep(points=16)
+        >>> bool(found.report.ok.all())
+        True
+        """
+        self.watcher.say("calibrating transmissions")
+        return await self.source.sweep(points, self.watcher.count)
+
+    async def observe(
+        self,
+        targets: TargetList,
+        corrections: int | None = None,
+        *,
+        out: str | Path = RUNS / "field",
+        **options: Unpack[ObserveOptions],
+    ) -> Observation:
+        """Puts fibres on targets: assign, plan, verify, blind move, image, corrections.
+
+        Every move is in the record (``store.sqlite`` in `out`) before the next one begins, and in `last`
+        if this is interrupted: nothing that was measured is lost.
+
+        Parameters
+        ----------
+        targets : TargetList
+            What to look at; mm in the focal plane.
+        corrections : int, optional
+            Moves after the blind one, exactly so many; when left out, the instrument's stop rule says when
+            it is enough.
+        out : str or Path
+            Folder of the record, and of pages where they are asked for.
+        **options
+            By name; see below.
+
+        Returns
+        -------
+        Observation
+            How near every fibre came.
+
+        Other Parameters
+        ----------------
+        correction : str, optional
+            ``"filtered"`` (Kalman) or ``"plain"`` (Kronig 2020, Eq. 25); default: the instrument's.
+        compare_linear : bool
+            Measure a blind move by a linear gear ratio too, at the end.
+        arms : str or Path, optional
+            File of `survey`: arms in place of the layout's.
+        adapt : bool
+            Learn the maps from every measured move.
+        learnt : str, optional
+            Store with what was learnt; with `adapt` a file beside the maps when left out.
+        pages : str
+            Exposures that get pages to look at: ``"none"``, ``"last"`` or ``"all"``.
+        save_images : bool
+            Keep every exposure as FITS.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written, a file cannot be read, no positioner answers, the camera is dark.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> field.run.observe(fl.read_targets("targets.csv"), corrections=2)
+        Observation('sdssv', 7 positioners, 7 with a target, 3 moves, 7 within 5 um)
+        """
+        folder = prepare_folder(Path(out))
+        settings, learning = _asked(corrections, options, self.seed)
+        maps = await self.calibrate(self._points or POINTS)
+        known = known_so_far(self.plane, maps, self.maps_file or folder / "maps.npz", learning)
+        self._observer = Observer(
+            self.plane, known, folder, self.command_line, self.source.about(), self.watcher
+        )
+        return await self._observer.observe(targets, settings, self.source.open)
+
+    async def survey(
+        self,
+        settings: SurveySettings | None = None,
+        *,
+        guess: FocalPlane | None = None,
+        measured: str | Path | None = None,
+        out: str | Path = RUNS / "focal-plane",
+    ) -> FocalPlaneCalibration:
+        """Finds centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26).
+
+        Parameters
+        ----------
+        settings : SurveySettings, optional
+            How many configurations, and how wide the berth.
+        guess : FocalPlane, optional
+            The layout to begin with; `plane` when left out.
+        measured : str or Path, optional
+            Store of an earlier survey, also an interrupted one: nothing moves, its images are fitted.
+        out : str or Path
+            Folder of the record.
+
+        Returns
+        -------
+        FocalPlaneCalibration
+            Arms with their errors; its ``plane`` is the calibrated layout.
+
+        Raises
+        ------
+        InputError
+            As `observe`; the store holds nothing that was measured.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> from fiberloom.operation.survey import SurveySettings
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> found = field.run.survey(SurveySettings(configurations=8))
+        >>> found.summary()["calibrated"]
+        7
+        """
+        folder, settings = prepare_folder(Path(out)), settings or SurveySettings(seed=self.seed)
+        maps, begun = await self.calibrate(self._points or POINTS), guess or self.plane
+        if measured is None:
+            self.watcher.say("moving and looking")
+            with Store.open(folder / STORE) as store, self._survey_run(store) as run:
+                recorder, hardware = SurveyRecorder(run, self.plane), await self.source.open()
+                data = await survey(begun, maps, hardware, settings, recorder, self.watcher.count)
+        else:
+            with Store.open(measured, create=False) as store:
+                data = survey_of_store(store, self.plane, maps)
+        self.watcher.say("fitting")
+        stamp = marks(self.plane, self.seed)
+        return FocalPlaneCalibration.of(begun, data, settings, stamp, self.source.true_plane)
+
+    def _survey_run(self, store: Store) -> Any:
+        return store.start_run(
+            command_line=self.command_line,
+            instrument=self.plane.instrument.name,
+            config_hash=self.plane.config_hash(),
+            seed=self.seed,
+        )
+
+
+def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple[ObserveSettings, Learning]:
+    """How to observe, and on what to build."""
+    unknown = sorted(set(options) - set(ObserveOptions.__annotations__))
+    if unknown:
+        raise TypeError(
+            f"observe() has no option '{unknown[0]}': {', '.join(ObserveOptions.__annotations__)}"
+        )
+    settings = ObserveSettings(
+        corrections=corrections,
+        correction=options.get("correction"),
+        compare_linear=options.get("compare_linear", False),
+        pages=options.get("pages", "none"),
+        save_images=options.get("save_images", False),
+        seed=seed,
+    )
+    arms = options.get("arms")
+    adapt = options.get("adapt", False)
+    return settings, Learning(None if arms is None else Path(arms), options.get("learnt"), adapt, seed)
+
+
+class FieldRun:
+    """The methods of a field without `await`, for scripts: `field.run.observe(...)`."""
+
+    def __init__(self, field: Field) -> None:
+        self._field = field
+
+    def calibrate(self, points: int = POINTS) -> TransmissionMaps:
+        """As `Field.calibrate`."""
+        return finish(self._field.calibrate(points))
+
+    def sweep(self, points: int = POINTS) -> Calibration:
+        """As `Field.sweep`."""
+        return finish(self._field.sweep(points))
+
+    def observe(
+        self,
+        targets: TargetList,
+        corrections: int | None = None,
+        *,
+        out: str | Path = RUNS / "field",
+        **options: Unpack[ObserveOptions],
+    ) -> Observation:
+        """As `Field.observe`: `targets`, `corrections`, `out` and its `options`."""
+        return finish(self._field.observe(targets, corrections, out=out, **options))
+
+    def survey(
+        self,
+        settings: SurveySettings | None = None,
+        *,
+        guess: FocalPlane | None = None,
+        measured: str | Path | None = None,
+        out: str | Path = RUNS / "focal-plane",
+    ) -> FocalPlaneCalibration:
+        """As `Field.survey`: `settings`, `guess`, `measured`, `out`."""
+        return finish(self._field.survey(settings, guess=guess, measured=measured, out=out))

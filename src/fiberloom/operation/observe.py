@@ -1,0 +1,159 @@
+"""One observation of a field: assign, move, look, correct; every move recorded before the next one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from fiberloom.assignment import Assignment, assign_relaxed
+from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.exposures import ExposureLog
+from fiberloom.operation.known import Known
+from fiberloom.operation.loop import Loop, LoopSettings
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.recording import StoreRecorder
+from fiberloom.operation.results import Observation
+from fiberloom.report.outputs import marks
+from fiberloom.store import Run, Store
+from fiberloom.targets import TargetList
+
+STORE = "store.sqlite"
+"""The record of an observation, in its folder."""
+
+CORRECTIONS = ("filtered", "plain")
+PAGES = ("none", "last", "all")
+
+
+class Watcher(Protocol):
+    """Is told what is being done, and how much of it is done."""
+
+    def say(self, text: str) -> None:
+        """What is being done now."""
+        ...
+
+    def count(self, done: int, total: int) -> None:
+        """How much of it is done."""
+        ...
+
+
+class Silent:
+    """A watcher that tells nobody."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def count(self, done: int, total: int) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True)
+class ObserveSettings:
+    """How to observe; None: as the instrument says."""
+
+    corrections: int | None = None
+    """Moves after the blind one, exactly so many; None: the instrument's stop rule."""
+    correction: str | None = None
+    """filtered (a Kalman filter) or plain (Eq. 25)."""
+    compare_linear: bool = False
+    """Measure a blind move by a linear gear ratio too, at the end."""
+    pages: str = "none"
+    """Exposures that get pages: none, last or all."""
+    save_images: bool = False
+    """Keep every exposure as FITS."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.corrections is not None and self.corrections < 0:
+            raise InputError(f"corrections = {self.corrections}: must be 0 or more")
+        for name, value, known in (
+            ("correction", self.correction, (None, *CORRECTIONS)),
+            ("pages", self.pages, PAGES),
+        ):
+            if value not in known:
+                raise InputError(f"{name} {value!r}: known are {', '.join(filter(None, known))}")
+
+    def loop(self, plane: FocalPlane) -> LoopSettings:
+        """With the instrument's numbers filled in."""
+        operation = plane.instrument.operation
+        return LoopSettings.of(
+            operation,
+            None if self.corrections is None else 1 + self.corrections,
+            filtered=(self.correction or operation.correction) == "filtered",
+            compare_linear=self.compare_linear,
+            seed=self.seed,
+        )
+
+
+@dataclass
+class Observer:
+    """Observes target lists with what is known of a field; `last` is there even if it is interrupted."""
+
+    plane: FocalPlane
+    """The layout as given: its hash marks the results."""
+    known: Known
+    out: Path
+    """Folder that exists: the record, and pages of exposures."""
+    command_line: str
+    about: dict[str, Any] = field(default_factory=dict)
+    watcher: Watcher = field(default_factory=Silent)
+    last: Observation | None = None
+
+    async def observe(
+        self, targets: TargetList, settings: ObserveSettings, connect: Callable[[], Any]
+    ) -> Observation:
+        """Assigns, then moves and looks; `connect` gives the hardware when it is needed."""
+        begun_s = time.monotonic()
+        self.watcher.say("assigning targets")
+        kept, assignment = assign_relaxed(self.known.plane, targets, seed=settings.seed)
+        hardware = await connect()
+        log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
+        loop: Loop | None = None
+        try:
+            log.watch(hardware.camera)
+            with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
+                motion = self._motion(kept, targets, assignment, hardware, run)
+                loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
+                self.known.record_used(run)
+                await _whole(loop)
+                self.known.record_learnt(run)
+            log.close()
+        finally:
+            log.stop()
+            self.last = Observation(
+                kept,
+                targets,
+                assignment,
+                moves=[] if loop is None else loop.moves,
+                collisions_verified=0 if loop is None else loop.motion.collisions_verified,
+                stopped="" if loop is None else loop.stopped,
+                about=marks(self.plane, settings.seed) | self.about | self.known.summary(),
+                wall_s=time.monotonic() - begun_s,
+            )
+        return self.last
+
+    def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
+        return store.start_run(
+            command_line=self.command_line,
+            instrument=kept.instrument.name,
+            config_hash=kept.config_hash(),
+            seed=seed,
+        )
+
+    def _motion(
+        self, kept: FocalPlane, targets: TargetList, assignment: Assignment, hardware: Hardware, run: Run
+    ) -> FieldMotion:
+        recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
+        return FieldMotion(kept, self.known.maps, hardware, recorder, self.watcher.say)
+
+
+async def _whole(loop: Loop) -> None:
+    try:
+        await loop.motion.connect()
+        await loop.run()
+    finally:
+        await loop.motion.close()

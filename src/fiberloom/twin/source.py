@@ -1,0 +1,78 @@
+"""A twin as the hardware of a field: units drawn from the seed, on a bus, under a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fiberloom.bus.client import Client
+from fiberloom.calibration.transmission.cache import cache_path
+from fiberloom.calibration.transmission.sweep import (
+    Calibration,
+    Progress,
+    SweepSettings,
+    calibrate_transmission,
+)
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.twin.draw import draw_units, put_in
+from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
+from fiberloom.twin.units import Units
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a cached calibration depends on beside the layout and the seed."""
+
+    sweep: SweepSettings
+    units: str
+    """Digest of the true units: on a twin, other units are other hardware."""
+
+
+class TwinSource:
+    """Implements `fiberloom.operation.source.Source`; what is wrong with its arguments is told at once."""
+
+    def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str) -> None:
+        check_motors(plane.instrument)
+        check_camera(camera)
+        draw_faults(plane, faults, seed)
+        self.plane, self.seed, self.camera, self.faults = plane, seed, camera, faults
+
+    @cached_property
+    def units(self) -> Units:
+        """The true units."""
+        return draw_units(self.plane, self.seed)
+
+    @cached_property
+    def hardware(self) -> Hardware:
+        """The field, folded at first; it keeps its state from one observation to the next."""
+        return field_hardware(self.plane, self.units, self.seed, faults=self.faults, camera=self.camera)
+
+    async def open(self) -> Hardware:
+        """The field as it is now."""
+        return self.hardware
+
+    async def sweep(self, points: int, progress: Progress) -> Calibration:
+        """The same units on a bench of their own, where arms do not meet."""
+        bench = bench_hardware(self.plane, self.units, self.seed)
+        client = Client(bench.transport)
+        await client.discover()
+        return await calibrate_transmission(
+            client, bench.camera, self.plane, points, seed=self.seed, progress=progress
+        )
+
+    def maps_file(self, points: int) -> Path | None:
+        """The cache's file of these units."""
+        key = _Key(SweepSettings(points), self.units.digest())
+        return cache_path(self.plane.config_hash(), self.seed, key)
+
+    def about(self) -> dict[str, Any]:
+        """What was put in."""
+        return {"put_in": put_in(self.plane, self.camera)}
+
+    @property
+    def true_plane(self) -> FocalPlane | None:
+        """The layout with the true arms."""
+        return replace(self.plane, arms=self.units.arms)
