@@ -6,13 +6,21 @@ from pathlib import Path
 import pytest
 
 import fiberloom
+from fiberloom import units
+from fiberloom._core import firmware, twin
+from fiberloom.calibration.transmission.sweep import SweepSettings, wire_grid
+from fiberloom.instruments import generate, load_instrument
 
 PACKAGE = Path(fiberloom.__file__).parent
 
 FACTS = {
     "columns of arms": (r"arms\[[^\]]*, ?-?[0-9]", "instruments/focal_plane.py"),
     "length of the beta arm": (r"hypot\(\*?[\w.]*points\[", "instruments/focal_plane.py"),
-    "names of the axes": (r"[(\[]['\"]alpha['\"], ['\"]beta['\"][)\]]", "instruments/model.py"),
+    "names of the axes": (r"[(\[]['\"]alpha['\"], ['\"]beta['\"][)\]]", "units.py"),
+    "gear": (r"(?<!SAMPLES = )\b1024(\.0)?\b(?!, )|\bN_BAR\b", "units.py"),
+    "tick": (r"\b(0\.5e-3|5e-4|0\.0005|0\.25e-3)\b", "units.py"),
+    "run-up": (r"\b840(\.0)?\b(?! motor)|\b0\.82\b", "units.py"),
+    "camera of the workspace": (r"float = 0\.669\b", "metrology/noise.py"),
 }
 """Pattern of the fact written out, and the file that may."""
 
@@ -31,3 +39,24 @@ def written_out(pattern: str, home: str) -> list[str]:
 @pytest.mark.parametrize("fact", FACTS)
 def test_a_fact_is_written_once(fact):
     assert written_out(*FACTS[fact]) == []
+
+
+def test_gear_and_tick_are_those_of_the_compiled_firmware_and_of_the_instrument():
+    assert units.TICK_S == twin.TICK_S
+    assert units.TICKS_PER_S * units.TICK_S == 1.0
+    assert [axis.gear for axis in load_instrument("sdssv").axes] == [units.GEAR, units.GEAR]
+
+
+def test_the_run_up_is_the_firmwares_and_the_presets():
+    default = {name: line for name, *line in firmware.AXIS_PARAMS}["approach"]
+    assert units.RUN_UP_MOTOR_DEG in default
+    for axis in load_instrument("sdssv").axes:
+        # the preset gives two digits
+        assert axis.approach_deg == round(units.RUN_UP_MOTOR_DEG / axis.gear, 2)
+
+
+def test_a_sweep_runs_up_by_the_approach_of_its_instrument():
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=1)
+    there = wire_grid(plane, SweepSettings(run_up_deg=0.82))
+    assert (wire_grid(plane, SweepSettings()) == there).all()
+    assert (wire_grid(plane, SweepSettings(run_up_deg=0.5)) != there).any()

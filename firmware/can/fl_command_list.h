@@ -3,8 +3,8 @@
  * X(name, number, least and most payload bytes, flags, class for the supervisor, axes, argument, handler);
  * ascending. Names are the protocol's. Arguments: loop modes 1 = closed, 2 = collision detection; 15 forgets
  * a collision, 31 is relative, 112 and 113 are of standstill. 26 is both motors, 27 alpha, 28 beta, as three
- * EPFL lists have it (jaeger names 26 alpha and 27 beta). 18 is never a request. From 240 on: for a bench,
- * numbers that no host of an instrument uses. */
+ * EPFL lists have it (jaeger names 26 alpha and 27 beta). 18 is never a request. From 230 on: parameters;
+ * from 240 on: for a bench, numbers that no host of an instrument uses. */
 #ifndef FL_COMMAND_LIST_H
 #define FL_COMMAND_LIST_H
 
@@ -69,6 +69,13 @@
     X(SET_NUMBER_TRAJECTORIES, 140, 4, 4, PLAIN, QUERY, BOTH, 0, fl_handle_set_trajectories)                 \
     X(START_FIRMWARE_UPGRADE, 200, 8, 8, BOOTLOADER, BOOT, BOTH, 0, fl_handle_upgrade)                       \
     X(SEND_FIRMWARE_DATA, 201, 1, 8, BOOTLOADER, BOOT, BOTH, 0, fl_handle_image)                             \
+    X(GET_PARAMETER_TABLE, 230, 0, 0, PLAIN, SETTING, BOTH, 0, fl_handle_params_table)                       \
+    X(BEGIN_PARAMETERS, 231, 4, 4, PLAIN, SETTING, BOTH, 0, fl_handle_params_begin)                          \
+    X(SET_PARAMETER_ALPHA, 232, 5, 5, PLAIN, SETTING, ALPHA, 0, fl_handle_param_set)                         \
+    X(SET_PARAMETER_BETA, 233, 5, 5, PLAIN, SETTING, BETA, 0, fl_handle_param_set)                           \
+    X(COMMIT_PARAMETERS, 234, 4, 4, PLAIN, SETTING, BOTH, 0, fl_handle_params_commit)                        \
+    X(GET_PARAMETER_ALPHA, 235, 1, 1, PLAIN, QUERY, ALPHA, 0, fl_handle_param_get)                           \
+    X(GET_PARAMETER_BETA, 236, 1, 1, PLAIN, QUERY, BETA, 0, fl_handle_param_get)                             \
     X(BENCH_TRACE_START, 240, 2, 2, PLAIN, SETTING, BOTH, 0, fl_handle_trace_start)                          \
     X(BENCH_TRACE_STATE_ALPHA, 241, 0, 0, PLAIN, QUERY, ALPHA, 0, fl_handle_trace_state)                     \
     X(BENCH_TRACE_STATE_BETA, 242, 0, 0, PLAIN, QUERY, BETA, 0, fl_handle_trace_state)                       \

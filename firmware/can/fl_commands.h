@@ -130,6 +130,22 @@ FL_HANDLER(fl_handle_save);
 /* 140: sets what 139 tells. */
 FL_HANDLER(fl_handle_set_trajectories);
 
+/* fl_handle_params.c */
+/* 230: checksums of the table, of the values in force. */
+FL_HANDLER(fl_handle_params_table);
+/* 231: begins a copy, for a host that names the table's checksum. */
+FL_HANDLER(fl_handle_params_begin);
+/* 232, 233: index and value, into the copy. */
+FL_HANDLER(fl_handle_param_set);
+/* 234: the copy takes effect if it has this checksum. */
+FL_HANDLER(fl_handle_params_commit);
+/* 235, 236: a value in force, by its index. */
+FL_HANDLER(fl_handle_param_get);
+
+/* CRC-32 over each parameter's name and unit (with their NULs) and its range and default (float32, little
+ * endian): a host that knows another table must not write to this one. */
+uint32_t fl_params_table_crc(void);
+
 /* fl_handle_bench.c */
 /* 240: ticks per sample, 0 for off. */
 FL_HANDLER(fl_handle_trace_start);

@@ -16,7 +16,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->port = *port;
     p->id = id;
     for (int axis = 0; axis < FL_AXES; ++axis) {
-        p->params[axis] = params[axis];
+        p->params[axis] = p->staged[axis] = params[axis];
         fl_axis_init(&p->axis[axis], &p->params[axis]);
         p->points[axis] = 0;
         fl_path_clear(&p->path[axis]);
@@ -24,7 +24,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->state = FL_STATE_IDLE;
     p->collided = p->datum_known = p->cogging_calibrated = 0;
     p->hall_calibrated = BOTH_AXES; /* the factory parameters describe this unit */
-    p->path_bad = p->settings_changed = p->led = false;
+    p->path_bad = p->settings_changed = p->led = p->staging = false;
     p->chores = 0;
     p->options = 0;
     p->ticks = p->trajectories = 0;

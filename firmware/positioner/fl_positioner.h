@@ -49,7 +49,9 @@ typedef struct fl_positioner {
     uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
-    fl_trace_t trace; /* bench: its samples lie in the paths */
+    fl_axis_params_t staged[FL_AXES]; /* written over the bus, not in force */
+    bool staging;                     /* the copy was begun by a host that knows the table */
+    fl_trace_t trace;                 /* bench: its samples lie in the paths */
     fl_path_t path[FL_AXES];
 } fl_positioner_t;
 

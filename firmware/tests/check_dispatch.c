@@ -6,13 +6,15 @@
  * checked after every frame: one reply for one request, and none for a frame that is not one; a
  * refusal changes nothing; duties are fractions; current flows, and rotors turn, only after a sequence of
  * accepted requests that a model written from the protocol alone (sequence_model.h) lets move; an image is
- * believed only if its bytes are those of its checksum.
+ * believed only if its bytes are those of its checksum; parameters are those that a host which reads the
+ * answers expects, and nothing but a calibration and the commands for it changes them.
  */
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "fl_calibration.h"
 #include "fl_commands.h"
 #include "fl_crc.h"
 #include "fl_dispatch.h"
@@ -22,6 +24,12 @@
 #include "sequence_model.h"
 
 enum { OWN_ID = 77, IMAGE_MOST = 1 << 20, SCRIPT_MOST = 12 };
+
+/* What the copy in the positioner should hold, reckoned from accepted requests alone. */
+typedef struct params_model {
+    fl_axis_params_t now[FL_AXES], copy[FL_AXES];
+    bool begun;
+} params_model_t;
 
 typedef struct bench {
     uint64_t random;
@@ -36,6 +44,8 @@ typedef struct bench {
     sequence_model_t model;
     uint32_t image_crc, image_left, image_expected; /* of the image under way, reckoned here */
     uint64_t images_good, images_bad, drives;
+    params_model_t params; /* of the parameters, as the traffic tells */
+    uint64_t commits_good, commits_bad;
     uint64_t codes[256][16];
 } bench_t;
 
@@ -124,6 +134,8 @@ static void power_up(bench_t *b, fl_positioner_t *p, const fl_axis_params_t para
     const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
     sequence_power_up(&b->model);
     fl_positioner_init(p, &port, OWN_ID, params);
+    memcpy(b->params.now, p->params, sizeof p->params);
+    b->params.begun = false;
     p->boot.image_write = image_write;
 }
 
@@ -231,6 +243,46 @@ static uint32_t move_script(bench_t *b, fl_can_frame_t *out) {
     return 2;
 }
 
+static const float range[][2] = {
+#define X(name, unit, min, max, def, doc) {(float)(min), (float)(max)},
+    FL_AXIS_PARAMS(X)
+#undef X
+};
+enum { PARAMS = sizeof range / sizeof *range };
+
+/* A value of the table: near the one in force, or anywhere in its range. */
+static float param_value(bench_t *b, const fl_positioner_t *p, int axis, uint8_t index) {
+    const float now = ((const float *)&p->params[axis])[index];
+    if (chance(b, 12))
+        return range[index][0] + (range[index][1] - range[index][0]) * (float)(random_u32(b) % 1000) * 1e-3f;
+    return now * (0.95f + 1e-4f * (float)(random_u32(b) % 1000));
+}
+
+/* A copy is begun, some values are set, all take effect. The checksum is of what the script meant to set. */
+static uint32_t params_script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t *out) {
+    fl_axis_params_t meant[FL_AXES] = {p->params[FL_ALPHA], p->params[FL_BETA]};
+    const uint32_t table = fl_params_table_crc();
+    out[0] = request(15, 1);
+    out[1] = request(231, 2);
+    memcpy(out[1].data, &table, sizeof table);
+    const uint32_t sets = 1 + random_u32(b) % 6;
+    for (uint32_t k = 0; k < sets; ++k) {
+        const int axis = (int)(random_u32(b) % FL_AXES);
+        const uint8_t index = (uint8_t)(random_u32(b) % PARAMS);
+        const float value = param_value(b, p, axis, index);
+        out[2 + k] = request((uint8_t)(232 + axis), (uint8_t)(3 + k));
+        out[2 + k].data[0] = index;
+        memcpy(out[2 + k].data + 1, &value, sizeof value);
+        ((float *)&meant[axis])[index] = value;
+    }
+    const uint32_t crc = fl_crc_end(fl_crc_add(FL_CRC_START, meant, sizeof meant));
+    out[2 + sets] = request(234, 20);
+    memcpy(out[2 + sets].data, &crc, sizeof crc);
+    out[3 + sets] = request((uint8_t)(235 + random_u32(b) % 2), 21);
+    out[3 + sets].data[0] = (uint8_t)(random_u32(b) % 50);
+    return 4 + sets;
+}
+
 /* A small trajectory from here. */
 static uint32_t path_script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t *out) {
     static const uint8_t commands[7] = {15, 10, 11, 11, 12, 14, 3};
@@ -252,6 +304,8 @@ static uint32_t script(bench_t *b, const fl_positioner_t *p, fl_can_frame_t out[
     uint32_t count;
     if (p->state == FL_STATE_BOOTLOADER)
         count = image_script(b, whole);
+    else if (chance(b, 12))
+        count = params_script(b, p, whole);
     else if (chance(b, 3))
         count = move_script(b, whole);
     else
@@ -306,6 +360,40 @@ static void follow_image(bench_t *b, const fl_positioner_t *p, const fl_can_fram
     b->images_good += good;
 }
 
+/* Values set one by one, taken together; 41 and 112 set voltages. False: they are not what was asked for. */
+static bool follow_params(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f, uint8_t command) {
+    params_model_t *m = &b->params;
+    const uint8_t index = f->data[0];
+    uint32_t crc;
+    float value;
+    memcpy(&crc, f->data, sizeof crc);
+    memcpy(&value, f->data + 1, sizeof value);
+    switch (command) {
+    case 231:
+        memcpy(m->copy, m->now, sizeof m->copy);
+        m->begun = true;
+        return crc == fl_params_table_crc();
+    case 232:
+    case 233:
+        if (!m->begun || index >= PARAMS) return false;
+        ((float *)&m->copy[command - 232])[index] = value;
+        return value >= range[index][0] && value <= range[index][1];
+    case 234:
+        b->commits_good += 1;
+        memcpy(m->now, m->copy, sizeof m->now);
+        m->begun = false;
+        for (int i = 0; i < FL_AXES; ++i) sequence_hold(&b->model, m->now[i].holding_voltage);
+        return fl_crc_end(fl_crc_add(FL_CRC_START, m->now, sizeof m->now)) == crc &&
+               fl_params_fault(&m->now[0]) < 0 && fl_params_fault(&m->now[1]) < 0;
+    case 41:
+    case 112:
+        memcpy(m->now, p->params, sizeof m->now);
+        return true;
+    default:
+        return true;
+    }
+}
+
 /* The model follows what was carried out, as a host would that reads the answers. */
 static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f,
                      const fl_can_frame_t *answer) {
@@ -315,11 +403,13 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
     if (told.code != 0) {
         sequence_refused(&b->model, told.command, told.code);
         b->images_bad += told.command == 201;
+        b->commits_bad += told.command == 234;
         return;
     }
     const bool current = word[0] != 0 || word[1] != 0;
     REQUIRE(sequence_accepted(&b->model, told.command, (uint64_t)word[0] + word[1], current),
             "%d was accepted out of sequence", told.command);
+    REQUIRE(follow_params(b, p, f, told.command), "parameters by %d", told.command);
     if (told.command == 200 || told.command == 201) follow_image(b, p, f, told.command);
     const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]);
     REQUIRE(rests || b->model.driven || told.command == 13 || told.command == 15 ||
@@ -352,6 +442,8 @@ static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const 
                 told.code, told.command);
         REQUIRE(told.code == 0 || b->last.len == 0, "a refusal with a payload");
     }
+    REQUIRE(memcmp(p->params, b->params.now, sizeof p->params) == 0, "parameters changed by %08x",
+            (unsigned)f->id);
     if (!is_request(p, f)) REQUIRE(!sampled || same(before, p), "a frame for others changed something");
     check_current(b, p);
 }
@@ -376,6 +468,12 @@ static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t par
         memset(b->duty, 0, sizeof b->duty);
         power_up(b, p, params);
     }
+    if (chance(b, 60) &&
+        p->state <= FL_STATE_REFUSED) { /* flashed anew: drifting values would soon move nothing */
+        memset(b->storage, 0xff, sizeof b->storage);
+        for (int axis = 0; axis < FL_AXES; ++axis) fl_positioner_set_params(p, axis, &params[axis]);
+        memcpy(b->params.now, p->params, sizeof p->params);
+    }
     if (chance(b, 200)) {
         const int32_t position[FL_AXES] = {30000000, 60000000};
         if (p->state <= FL_STATE_REFUSED) fl_positioner_set_position(p, position);
@@ -384,7 +482,11 @@ static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t par
 
 /* From the moment that all displacement is said to be completed nothing may drive the motors. */
 static void let_tick(bench_t *b, fl_positioner_t *p) {
+    const uint8_t state = p->state;
     fl_positioner_tick(p);
+    /* their results */
+    if (state == FL_STATE_HALL_CALIBRATION || state == FL_STATE_COGGING_CALIBRATION)
+        memcpy(b->params.now, p->params, sizeof p->params);
     if (p->status & FL_STATUS(DISPLACEMENT_COMPLETED)) sequence_rests(&b->model);
 }
 
@@ -422,6 +524,7 @@ static void check_coverage(const bench_t *b) {
         for (int code = 1; code < 16; ++code) refusals += codes[code] != 0;
     }
     REQUIRE(b->drives != 0 && b->images_good != 0 && b->images_bad != 0, "nothing happened");
+    REQUIRE(b->commits_good != 0 && b->commits_bad != 0, "no parameters were taken, or none refused");
     printf(
         "check_dispatch: all %u commands carried out, %u kinds of refusal seen; %llu phase voltages, all in "
         "sequence; %llu images believed\n",

@@ -55,6 +55,11 @@ static inline bool sequence_moves(uint8_t command) {
            (command >= 47 && command <= 49) || command == 245 || command == 246;
 }
 
+/* A holding voltage as a parameter (234) does what 112 does. */
+static inline void sequence_hold(sequence_model_t *m, float voltage) {
+    m->holds = m->holds || voltage > 0.0f;
+}
+
 /* A request was carried out. points: what command 10 announced, both axes. False: it never should have been.
  */
 static inline bool sequence_accepted(sequence_model_t *m, uint8_t command, uint64_t points, bool current) {

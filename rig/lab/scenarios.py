@@ -328,6 +328,51 @@ def bench_trace(unit: Unit) -> None:
     assert has(unit, COMPLETED)
 
 
+@scenario
+def parameters(unit: Unit) -> None:
+    """230 to 236: read, set in a copy, taken as a whole or not at all, saved, and there after a power cut."""
+    known_unit(unit)
+    table, before = checksums(unit)
+    values = bytearray(read_parameters(unit))
+    assert zlib.crc32(values) == before
+    accepted(unit, 231, u32(table))
+    for axis in (0, 1):
+        at = len(values) // 2 * axis + 4 * 9  # the tenth: Coulomb friction
+        new = struct.pack("<f", 1.1 * struct.unpack_from("<f", values, at)[0])
+        values[at : at + 4] = new
+        accepted(unit, 232 + axis, bytes([9]) + new)
+    assert unit.code(234, u32(zlib.crc32(values) ^ 1)) == INVALID
+    assert checksums(unit) == (table, before)
+    accepted(unit, 234, u32(zlib.crc32(values)))
+    assert checksums(unit) == (table, zlib.crc32(values))
+    accepted(unit, 53)
+    unit.tell("power")
+    assert read_parameters(unit) == bytes(values)
+    accepted(unit, 31, pair(1.0, -1.0))
+    unit.rest()
+    assert has(unit, COMPLETED)
+
+
+def checksums(unit: Unit) -> tuple[int, int]:
+    """Of the table and of the values in force."""
+    code, data = unit.ask(230)
+    assert code == ACCEPTED
+    first, second = struct.unpack("<II", data)
+    return first, second
+
+
+def read_parameters(unit: Unit) -> bytes:
+    """All values in force as they are in memory, alpha's and then beta's."""
+    out = b""
+    for command in (235, 236):
+        for index in range(41):
+            code, data = unit.ask(command, bytes([index]))
+            assert code == ACCEPTED
+            assert data[0] == index
+            out += data[1:]
+    return out
+
+
 # -- frames ------------------------------------------------------------------------------------------
 
 

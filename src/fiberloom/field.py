@@ -451,7 +451,7 @@ class FieldRun:
         out: str | Path = RUNS / "field",
         **options: Unpack[ObserveOptions],
     ) -> Observation:
-        """As `Field.observe`."""
+        """As `Field.observe`: `targets`, `corrections`, `out` and its `options`."""
         return finish(self._field.observe(targets, corrections, out=out, **options))
 
     def survey(
@@ -462,5 +462,5 @@ class FieldRun:
         measured: str | Path | None = None,
         out: str | Path = RUNS / "focal-plane",
     ) -> FocalPlaneCalibration:
-        """As `Field.survey`."""
+        """As `Field.survey`: `settings`, `guess`, `measured`, `out`."""
         return finish(self._field.survey(settings, guess=guess, measured=measured, out=out))

@@ -8,7 +8,7 @@ Wire (SDSS-V positioner protocol): positions are counts of the *motor* angle as 
 """
 
 import math
-from typing import overload
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +23,20 @@ MM_PER_UM = 1e-3
 COUNTS_PER_TURN = 2**30
 """Position counts for one turn of the output (sdss/jaeger: constants of the trajectory)."""
 COUNTS_PER_DEG = COUNTS_PER_TURN / 360.0
+COUNTS_PER_MOTOR_TURN = 2**20
+"""The firmware counts the motor so; a test compares this and TICK_S with `_core`."""
+AXES: tuple[Literal["alpha"], Literal["beta"]] = ("alpha", "beta")
+"""Names of the two axes, in the order of every array over axes."""
+
+GEAR = COUNTS_PER_TURN / COUNTS_PER_MOTOR_TURN
+"""Motor turns per output turn as the wire counts them. The gear of an instrument is that of its axes;
+this is what firmware and twin drive, and they refuse another."""
 TICK_S = 0.5e-3
-"""Unit of time on the wire."""
-TICKS_PER_S = 2000.0
+"""Unit of time on the wire, and period of the firmware's control."""
+TICKS_PER_S = 1.0 / TICK_S
+RUN_UP_MOTOR_DEG = 840.0
+"""Back and forth before a precise arrival, more than any backlash (Kronig 2020, Fig. 17); the
+firmware's default and, rounded at the output, the approach of SDSS-V's preset: a test compares them."""
 
 
 def deg_to_rad(angle_deg: ArrayLike) -> Floats:

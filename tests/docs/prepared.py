@@ -3,12 +3,14 @@
 Each is a function of a folder and of pytest's monkeypatch, and returns the names that the block may use.
 """
 
+import asyncio
 import importlib.util
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 
-from fiberloom.bus import CanNetTransport
+from fiberloom.bus import CanNetTransport, Client
 from fiberloom.calibration import TransmissionMaps, identity
 from fiberloom.instruments import METROLOGY, FocalPlane, generate, load_instrument
 from fiberloom.store import Store
@@ -70,6 +72,14 @@ def bench(folder, monkeypatch):
     return {"client": both, "camera": both, "plane": plane, "theta_deg": np.full((N, 2), 90.0)}
 
 
+def parameters(folder, monkeypatch):
+    """`client` of the bus of three positioners on the twin's bench, already found."""
+    plane = small_plane()
+    client = Client(TwinTransport(Twin(plane, draw_units(plane, 0), seed=0, neighbours=False)))
+    asyncio.run(client.discover())
+    return {"client": client}
+
+
 def survey(folder, monkeypatch):
     """`layout`, and `theta_deg` and `xy_mm` (N, S, 2) of S configurations."""
     layout = small_plane()
@@ -97,4 +107,13 @@ def gateways(folder, monkeypatch):
         return TwinTransport(twin)
 
     monkeypatch.setattr(CanNetTransport, "open", opened)
+    return {}
+
+
+def first_field(folder, monkeypatch):
+    """targets.csv in the current folder, and a field of seven positioners where more are asked for."""
+    matplotlib.use("Agg")
+    (folder / "targets.csv").write_bytes((TESTS.parent / "examples" / "targets_sdssv.csv").read_bytes())
+    of = FocalPlane.of
+    monkeypatch.setattr(FocalPlane, "of", lambda name, seed=0, n=None: of(name, seed, 7))
     return {}

@@ -17,7 +17,8 @@ JAEGER = [
     40, 41, 45, 47, 48, 49, 53, 56, 104, 105, 111, 112, 113, 116, 117, 118, 119, 120, 121, 122, 123,
     124, 125, 126, 127, 128, 129, 130, 131, 132, 139, 140, 200, 201,
 ]  # fmt: skip
-BENCH = [240, 241, 242, 243, 244, 245, 246]  # beyond what jaeger sends
+PARAMS = [230, 231, 232, 233, 234, 235, 236]  # beyond what jaeger sends
+BENCH = [240, 241, 242, 243, 244, 245, 246]
 BROADCAST = {1, 2, 3, 14, 15}
 
 
@@ -26,7 +27,7 @@ def payload(number):
 
 
 def test_the_table_has_every_command_of_the_protocol_in_order():
-    assert NUMBERS == JAEGER + BENCH
+    assert NUMBERS == JAEGER + PARAMS + BENCH
     assert [row["number"] for row in fw.command_table()] == NUMBERS
 
 

@@ -21,17 +21,20 @@ fl_port_t Positioner::port() {
 }
 
 void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
+    std::copy_n(params, FL_AXES, factory_);
+    start(id);
+}
+
+void Positioner::start(uint16_t id) {
     const fl_port_t hardware = port();
-    fl_positioner_init(&firmware_, &hardware, id, params);
+    fl_positioner_init(&firmware_, &hardware, id, factory_);
 }
 
 void Positioner::power_cycle() {
     const uint16_t id = firmware_.id;
-    fl_axis_params_t params[FL_AXES];
-    std::copy(std::begin(firmware_.params), std::end(firmware_.params), params);
     const float off[3] = {0.0f, 0.0f, 0.0f};
     for (int axis = 0; axis < FL_AXES; ++axis) set_phases(this, axis, off);
-    boot(id, params);
+    start(id);
 }
 
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {

@@ -29,7 +29,9 @@ class Positioner {
 
     // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
     void attach(Plant &plant, size_t index, Outbox &outbox);
+    // params: flashed at the factory; what the storage holds goes before them.
     void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
+    // Back to what is flashed or stored: what was only set is gone.
     void power_cycle();
     void set_position(const int32_t position_cnt[FL_AXES]) {
         fl_positioner_set_position(&firmware_, position_cnt);
@@ -75,11 +77,13 @@ class Positioner {
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
     fl_port_t port();
+    void start(uint16_t id);
     bool changed(const Plant &plant);
     void record_axes(const Plant &plant, uint64_t tick);
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};
+    fl_axis_params_t factory_[FL_AXES] = {};
     AxisGroup *group_ = nullptr;
     int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;

@@ -118,12 +118,16 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
     a->law = law;
 }
 
+void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *p) {
+    a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
+    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
+}
+
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->margin_rad = 0.0f;
     a->hall_error_mdeg = 0;
     fl_axis_configure(a, p);
-    a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
-    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
+    fl_axis_unlearn(a, p);
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
     a->closed_loop = a->detect = true;

@@ -108,7 +108,7 @@ def assign(
     """
     check_targets(plane, targets)
     if approach_deg is None:
-        approach_deg = max(axis.approach_deg for axis in plane.instrument.axes)
+        approach_deg = plane.instrument.approach_deg
     rules = Rules.of(plane, approach_deg, margin_mm)
     rng = np.random.default_rng(seed)
     floor = Floor(plane, np.full(plane.n, approach_deg))

@@ -146,7 +146,14 @@ class Command(IntEnum):
     SET_NUMBER_TRAJECTORIES = 140
     START_FIRMWARE_UPGRADE = 200
     SEND_FIRMWARE_DATA = 201
-    # this firmware's own, for a bench (docs/firmware.md)
+    # this firmware's own (docs/firmware.md): parameters, and for a bench
+    GET_PARAMETER_TABLE = 230
+    BEGIN_PARAMETERS = 231
+    SET_PARAMETER_ALPHA = 232
+    SET_PARAMETER_BETA = 233
+    COMMIT_PARAMETERS = 234
+    GET_PARAMETER_ALPHA = 235
+    GET_PARAMETER_BETA = 236
     BENCH_TRACE_START = 240
     BENCH_TRACE_STATE_ALPHA = 241
     BENCH_TRACE_STATE_BETA = 242
@@ -248,6 +255,11 @@ _TABLE = [
     CommandSpec(C.SET_NUMBER_TRAJECTORIES, R, "I"),
     CommandSpec(C.START_FIRMWARE_UPGRADE, S, "II", "", 15.0),
     CommandSpec(C.SEND_FIRMWARE_DATA, S, "", "", 15.0),  # request: 1 to 8 raw bytes
+    CommandSpec(C.GET_PARAMETER_TABLE, S | R, "", "II"),
+    CommandSpec(C.BEGIN_PARAMETERS, R, "I"),
+    *(CommandSpec(c, R, "BI") for c in (C.SET_PARAMETER_ALPHA, C.SET_PARAMETER_BETA)),
+    CommandSpec(C.COMMIT_PARAMETERS, NONE, "I"),
+    *(CommandSpec(c, S | R, "B", "BI") for c in (C.GET_PARAMETER_ALPHA, C.GET_PARAMETER_BETA)),
     CommandSpec(C.BENCH_TRACE_START, R, "H"),
     *(CommandSpec(c, S | R, "", "HHi") for c in (C.BENCH_TRACE_STATE_ALPHA, C.BENCH_TRACE_STATE_BETA)),
     *(CommandSpec(c, S | R, "H", "ih") for c in (C.BENCH_TRACE_READ_ALPHA, C.BENCH_TRACE_READ_BETA)),
@@ -260,9 +272,6 @@ COMMANDS: dict[Command, CommandSpec] = {spec.command: spec for spec in _TABLE}
 _LAYOUTS = {spec.reply: struct.Struct("<" + spec.reply) for spec in _TABLE}
 
 MAX_SPEED_RPM = 5000
-
-GEAR = 1024
-"""Motor turns per output turn of these positioners, as the wire positions count them."""
 
 
 def counts_of_deg(angle_deg: float) -> int:
@@ -278,4 +287,4 @@ def counts_of_deg(angle_deg: float) -> int:
 
 def goto_duration_s(distance_deg: float, speed_rpm: float) -> float:
     """How long a goto takes about: the distance at the motor's speed and 0.25 s for the ramps."""
-    return abs(distance_deg) * GEAR / (6.0 * speed_rpm) + 0.25
+    return abs(distance_deg) * units.GEAR / (6.0 * speed_rpm) + 0.25

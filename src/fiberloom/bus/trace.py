@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fiberloom import units
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Results, result_of
-from fiberloom.bus.protocol import GEAR, Command
+from fiberloom.bus.protocol import Command
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats
 
@@ -22,7 +22,7 @@ TRACE_SAMPLES = 1024
 FULL_VOLTAGE = 32767
 PUSH_TICKS = 400
 """Longest torque step in all."""
-_DEG_PER_COUNT = GEAR / units.COUNTS_PER_DEG
+_DEG_PER_COUNT = units.GEAR / units.COUNTS_PER_DEG
 _STATE = (Command.BENCH_TRACE_STATE_ALPHA, Command.BENCH_TRACE_STATE_BETA)
 _READ = (Command.BENCH_TRACE_READ_ALPHA, Command.BENCH_TRACE_READ_BETA)
 _STEP = (Command.BENCH_TORQUE_STEP_ALPHA, Command.BENCH_TORQUE_STEP_BETA)
@@ -51,7 +51,9 @@ async def start_trace(client: Client, ids: Iterable[int], period_s: float) -> Re
     """Records both axes while they work, a sample every `period_s` (whole ticks of 0.5 ms)."""
     ticks = round(period_s / units.TICK_S)
     if not 1 <= ticks <= 65535:
-        raise InputError(f"trace: a sample every {period_s} s; 0.0005 to 32.7675 s are possible")
+        raise InputError(
+            f"trace: a sample every {period_s} s; {units.TICK_S:g} to {65535 * units.TICK_S:g} s are possible"
+        )
     return await client.command(Command.BENCH_TRACE_START, ids, ticks)
 
 

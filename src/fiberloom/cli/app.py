@@ -15,6 +15,7 @@ from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.identification import arms, friction, inertia, repeatability, stiffness
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
+from fiberloom.cli.commission import commission
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
@@ -49,6 +50,7 @@ add(app, health)
 add(app, centroid)
 add(app, match)
 add(app, acceptance)
+add(app, commission)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

@@ -8,13 +8,16 @@ from fiberloom.health.charts import Rows
 from fiberloom.typing import Flags, Floats
 
 WILD = 10.0
-"""Standard deviations beyond which a miss weighs less."""
+"""[A] Standard deviations beyond which a miss weighs less."""
+LATELY = 0.05
+"""[A] Weight of the newest move in what a positioner needs of late: twenty moves."""
 
 
 class ArmFit:
     """Least squares with forgetting: offsets of alpha and beta in deg, beta arm's length in mm."""
 
     PRIOR = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.02**2])
+    """[A] Offsets of 0.1 deg and 20 um of arm length before anything was seen."""
 
     def __init__(self, n: int, memory: float) -> None:
         self.memory = memory
@@ -88,7 +91,7 @@ class Habit:
         self.count += here
         self.usual += np.where(learning, (np.nan_to_num(value) - self.usual) / np.maximum(self.count, 1), 0.0)
         known = here & ~learning
-        self.lately += np.where(known, 0.05 * (np.nan_to_num(value) - self.usual - self.lately), 0.0)
+        self.lately += np.where(known, LATELY * (np.nan_to_num(value) - self.usual - self.lately), 0.0)
         return np.nan_to_num(value) - self.usual, known
 
     def rise(self, row: int, axis: int) -> float:
@@ -104,6 +107,7 @@ class WayShare:
     """Share of the way that was gone, by axis and direction, of the last ways."""
 
     MEMORY = 0.95
+    """[A] About twenty ways."""
 
     def __init__(self, n: int) -> None:
         self.asked, self.gone = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))

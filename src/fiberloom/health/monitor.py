@@ -20,6 +20,7 @@ import numpy as np
 
 from fiberloom.health.charts import Chart, Rows, of_event, of_shift, of_spread
 from fiberloom.health.habits import ArmFit, Habit, WayShare
+from fiberloom.health.settings import HealthSettings
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.metrology.noise import CorrectionNoise
@@ -91,36 +92,6 @@ class Passage:
 
 
 @dataclass(frozen=True)
-class HealthSettings:
-    """When a healthy positioner is called ill: rarely. Scores are log likelihoods."""
-
-    alarm: float = 20.0
-    far_deg: float = 2.0
-    """A way longer than this ends on another part of the map: its error is a new one."""
-    jump_mm: float = 0.3
-    """Smaller jumps are left to the fit of the last moves."""
-    tell_way_deg: float = 0.3
-    """Shorter ways do not tell a non-move from a miss."""
-    tell_way_mm: float = 0.3
-    scale_step: float = 0.01
-    """A share of the way that is worth knowing."""
-    map_tail: float = 1.6
-    """Misses of maps are not Gaussian: their standard deviation is taken so many times as large."""
-    tooth_deg: float = 10.0
-    """Pitch of the last stage: 36 pairings a turn (Fig. 10)."""
-    memory: float = 0.9
-    """Of the fit of offsets and arm length, from field to field: about ten fields."""
-    arm_um: float = 15.0
-    """Length that an arm does not gain by wear (Fig. 21: 1 um)."""
-    effort_step: float = 0.15
-    """Rise of the effort that is worth knowing."""
-    effort_sd: float = 0.05
-    """From move to move, once what all have in common is taken off."""
-    settle: int = 20
-    """Moves in which a positioner's own torque is learnt."""
-
-
-@dataclass(frozen=True)
 class Finding:
     """What is known of one positioner that is not healthy."""
 
@@ -147,16 +118,16 @@ class HealthMonitor:
         self.plane, self.settings = plane, settings or HealthSettings()
         self.noise = noise or CorrectionNoise.of(plane)
         self.moves = 0
-        n, alarm = len(plane), self.settings.alarm
+        n, alarm, clips = len(plane), self.settings.alarm, self.settings.clips
         self.n_bins = round(360.0 / self.settings.tooth_deg)
         self.dark = Chart((n,), alarm)
         self.still = Chart((n, 2), alarm)
-        self.scale = Chart((n, 2, 2, 2), alarm, clip=7.0)  # axis, direction of the way, too short or long
+        self.scale = Chart((n, 2, 2, 2), alarm, clips.scale)  # axis, direction of the way, too short or long
         self.slip = Chart((n, 2), alarm)
-        self.tooth = Chart((n, 2, self.n_bins), alarm, clip=12.0)
-        self.everywhere = Chart((n, 2), alarm, clip=12.0)  # misses at any place: then it is not a tooth
-        self.friction = Chart((n, 2), alarm, clip=4.0)
-        self.scatter = Chart((n, 2), alarm, clip=4.0)  # along the beta arm, and across
+        self.tooth = Chart((n, 2, self.n_bins), alarm, clips.tooth)
+        self.everywhere = Chart((n, 2), alarm, clips.tooth)  # misses at any place: then it is not a tooth
+        self.friction = Chart((n, 2), alarm, clips.friction)
+        self.scatter = Chart((n, 2), alarm, clips.scatter)  # along the beta arm, and across
         self.blocked = Chart((n,), alarm)
         self.geometry = ArmFit(n, self.settings.memory)
         self.stills_in_a_row = np.zeros((n, 2), dtype=np.int64)
@@ -177,7 +148,7 @@ class HealthMonitor:
         """Learn from one move."""
         self.moves += 1
         seen: Flags = np.all(np.isfinite(passage.seen_mm), axis=1)
-        self.dark.add(of_event(~seen, 1e-4, 0.99))
+        self.dark.add(of_event(~seen, *self.settings.dark))
         miss_deg, image_sd_deg = self._miss_deg(passage, seen)
         self._ways(passage, miss_deg, image_sd_deg)
         self._collisions(passage)
@@ -195,7 +166,7 @@ class HealthMonitor:
         And what the image alone makes them scatter by.
         """
         believed = passage.believed_deg
-        tells = seen & (np.abs(np.sin(deg_to_rad(believed[:, 1]))) > 0.25)
+        tells = seen & self._regular(believed[:, 1])
         rows = np.flatnonzero(tells)
         miss, sd = np.full_like(believed, np.nan), np.full_like(believed, np.nan)
         expected = self._expected_mm(believed[rows], rows)
@@ -206,10 +177,15 @@ class HealthMonitor:
         near = np.einsum("nij,nj->ni", inverse, off_mm)
         image_um = np.hypot(self.noise.camera_um, self.noise.repeatability_um)
         sd[rows] = image_um * MM_PER_UM / np.sqrt(2.0) * np.sqrt((inverse**2).sum(axis=2))
-        miss[rows] = np.where(np.abs(near).max(axis=1, keepdims=True) < 0.3, near, np.nan)
+        linear = np.abs(near).max(axis=1, keepdims=True) < self.settings.linear_deg
+        miss[rows] = np.where(linear, near, np.nan)
         far = rows[np.isnan(miss[rows, 0])]
         miss[far] = self._far_miss_deg(passage, far)
         return miss, sd
+
+    def _regular(self, beta_deg: Floats) -> Flags:
+        """Where a fibre tells both angles: beta (n,) is not near 0 or 180 deg."""
+        return np.abs(np.sin(deg_to_rad(beta_deg))) > self.settings.least_sine
 
     def _expected_mm(self, at_deg: Floats, rows: Rows) -> Floats:
         return self.plane.forward(at_deg[:, 0], at_deg[:, 1], METROLOGY, index=rows)
@@ -222,7 +198,7 @@ class HealthMonitor:
         found = self.plane.inverse(passage.seen_mm[rows], METROLOGY, index=rows)
         miss = np.column_stack([found.alpha_deg, found.beta_deg]) - passage.believed_deg[rows]
         miss[:, 0] -= 360.0 * np.rint(miss[:, 0] / 360.0)
-        sees = found.reachable & (np.abs(np.sin(deg_to_rad(found.beta_deg))) > 0.25)
+        sees = found.reachable & self._regular(found.beta_deg)
         return np.where(sees[:, None], miss, np.nan)
 
     def _ways(self, passage: Passage, miss_deg: Floats, image_sd_deg: Floats) -> None:
@@ -257,19 +233,21 @@ class HealthMonitor:
         way_mm = self.plane.forward(after[:, 0], after[:, 1]) - self.plane.forward(before[:, 0], before[:, 1])
         moved_mm = passage.seen_mm - self._seen_mm
         asked_mm, gone_mm = np.hypot(*way_mm.T), np.hypot(*moved_mm.T)
-        rests: Flags = (asked_mm > self.settings.tell_way_mm) & (gone_mm < 0.03 * asked_mm)
+        s = self.settings
+        rests: Flags = (asked_mm > s.tell_way_mm) & (gone_mm < s.still_share * asked_mm)
         return rests & passage.asked & passage.arrived
 
     def _stills(self, way: Floats, gain: Floats, sd: Floats, told: Flags, rests: Flags) -> Flags:
         """Axes that report a way that they did not go."""
         # nearly a whole turn of alpha and none look the same
-        long = (np.abs(way) > self.settings.tell_way_deg) & (np.abs(way) < 300.0)
-        asked = told & long & (np.abs(way) > 12.0 * sd)
+        s = self.settings
+        long = (np.abs(way) > s.tell_way_deg) & (np.abs(way) < s.tell_turn_deg)
+        asked = told & long & (np.abs(way) > s.tell_way_sd * sd)
         moved = way + gain
         moved[:, 0] -= 360.0 * np.rint(moved[:, 0] / 360.0)
-        still = asked & (np.abs(moved) < np.maximum(0.03 * np.abs(way), 4.0 * sd))
+        still = asked & (np.abs(moved) < np.maximum(s.still_share * np.abs(way), s.still_sd * sd))
         still, asked = still | (rests[:, None] & long), asked | (rests[:, None] & long)
-        self.still.add(of_event(still, 1e-6, 0.15), asked)
+        self.still.add(of_event(still, *s.still), asked)
         again = np.where(still, self.stills_in_a_row + 1, 0)
         self.stills_in_a_row = np.where(asked, again, self.stills_in_a_row)
         return still
@@ -277,13 +255,13 @@ class HealthMonitor:
     def _collisions(self, passage: Passage) -> None:
         """A way that ends as a collision may be a neighbour's fault once; hardly four times."""
         if passage.collided is not None:
-            self.blocked.add(of_event(passage.collided, 1e-4, 0.5), passage.asked)
+            self.blocked.add(of_event(passage.collided, *self.settings.blocked), passage.asked)
 
     def _scales(self, way: Floats, gain: Floats, sd: Floats, told: Flags) -> None:
         """A share of the way that is missing or too much, for each direction of its own."""
-        # a miss of more than a quarter turn is no share of the way: alpha may have gone round
-        long = told & (np.abs(way) > self.settings.far_deg) & (np.abs(gain) < 90.0)
-        shift = self.settings.scale_step * np.abs(way) / sd
+        s = self.settings
+        long = told & (np.abs(way) > s.far_deg) & (np.abs(gain) < s.scale_miss_deg)
+        shift = s.scale_step * np.abs(way) / sd
         value = np.where(way < 0.0, -gain, gain) / sd
         for direction, going in enumerate((way < 0.0, way >= 0.0)):
             for side, sign in enumerate((-1.0, 1.0)):
@@ -297,13 +275,13 @@ class HealthMonitor:
         self, passage: Passage, miss_deg: Floats, gain: Floats, sd: Floats, told: Flags, far: Flags
     ) -> None:
         """A sudden miss that stays at the next place is a slip; one that goes belongs to the place."""
-        moved_on = told & far[:, None]
-        stays = self._pending & moved_on & (np.abs(gain) < 5.0 * sd)
-        self.slip.add(np.where(stays, 1.1 * self.settings.alarm, 0.0))
+        s, moved_on = self.settings, told & far[:, None]
+        stays = self._pending & moved_on & (np.abs(gain) < s.stays_sd * sd)
+        self.slip.add(np.where(stays, s.slip_alarms * s.alarm, 0.0))
         self._slip_deg = np.where(stays, miss_deg, self._slip_deg)
         self._pending = np.where(moved_on, False, self._pending)
-        away = (self._apart_mm(passage) > self.settings.jump_mm)[:, None]
-        self._pending |= told & away & (np.abs(gain) > 8.0 * sd)
+        away = (self._apart_mm(passage) > s.jump_mm)[:, None]
+        self._pending |= told & away & (np.abs(gain) > s.jump_sd * sd)
         known_deg = self._slip_deg + self.geometry.offsets_deg()
         self._places(passage, (miss_deg - known_deg) / sd, moved_on)
 
@@ -316,7 +294,7 @@ class HealthMonitor:
     def _places(self, passage: Passage, value: Floats, told: Flags) -> None:
         """The place on the turn at which a miss was seen."""
         place = (passage.believed_deg // self.settings.tooth_deg).astype(np.int64) % self.n_bins
-        ratio = of_shift(np.abs(value), 4.0)
+        ratio = of_shift(np.abs(value), self.settings.tooth_sd)
         chart = np.full(self.tooth.shape, np.nan)
         np.put_along_axis(chart, place[:, :, None], np.where(told, ratio, np.nan)[:, :, None], axis=2)
         self.tooth.add(chart)
@@ -325,7 +303,8 @@ class HealthMonitor:
     def _geometry(self, passage: Passage, miss_deg: Floats, told: Flags) -> None:
         """Offsets of both angles and the length of the beta arm, from the last moves together."""
         at = passage.believed_deg + self._slip_deg
-        rows = np.flatnonzero(told & (np.abs(miss_deg - self._slip_deg).max(axis=1) < 1.0))
+        near = np.abs(miss_deg - self._slip_deg).max(axis=1) < self.settings.fit_deg
+        rows = np.flatnonzero(told & near)
         expected = self._expected_mm(at[rows], rows)
         angles = self._jacobian(at[rows], rows)
         along = self._along(at[rows], expected, rows)
@@ -342,7 +321,7 @@ class HealthMonitor:
         """(n, 2, 2) mm^2: maps of both axes, and camera."""
         sd = self._deg(self.settings.map_tail * self.noise.blind_um)[rows]
         scaled = angles * sd[:, None, :]
-        camera_mm2 = 0.5 * (self.noise.camera_um * MM_PER_UM) ** 2 + 1e-12
+        camera_mm2 = 0.5 * (self.noise.camera_um * MM_PER_UM) ** 2 + self.settings.camera_floor_mm2
         return scaled @ scaled.transpose(0, 2, 1) + camera_mm2 * np.eye(2)
 
     def _scatters(self, passage: Passage, gain: Floats, sd: Floats, small: Flags) -> None:
@@ -357,8 +336,8 @@ class HealthMonitor:
         variance = np.einsum("nij,nj->ni", to_arm**2, sd[rows] ** 2)
         square = np.full((len(self.plane), 2), np.nan)
         square[rows] = off**2 / variance
-        self.scatter.add(of_spread(square, 1, 9.0))
-        self._wobble_mm2[rows] += 0.1 * (off**2 - self._wobble_mm2[rows])
+        self.scatter.add(of_spread(square, 1, self.settings.scatter_ratio))
+        self._wobble_mm2[rows] += self.settings.wobble_memory * (off**2 - self._wobble_mm2[rows])
 
     def _torques(self, passage: Passage) -> None:
         """Torque over a positioner's own habit, and over what all need today (the temperature)."""
@@ -381,15 +360,14 @@ class HealthMonitor:
     def shares(self) -> Floats:
         """(N, kinds of `Ailment`) evidence relative to the alarm: 1 is an alarm."""
         s = self.settings
-        stuck = self.still.share() * (self.stills_in_a_row.max(axis=1) / 3.0)
+        again = self.stills_in_a_row.max(axis=1)
+        stuck = self.still.share() * (again / s.stuck_sure)
         moved_away = self.geometry.far(self._deg(self.noise.blind_um).max(axis=1))
         along, across = self.scatter.score.T / s.alarm
-        lengthwise = self._wobble_mm2[:, 0] > 4.0 * self._wobble_mm2[:, 1]
+        lengthwise = self._wobble_mm2[:, 0] > s.lengthwise * self._wobble_mm2[:, 1]
         columns = {
             Ailment.DARK: self.dark.share(),
-            Ailment.STUCK: np.maximum(
-                np.where(self.stills_in_a_row.max(axis=1) >= 2, stuck, 0.0), self.blocked.share()
-            ),
+            Ailment.STUCK: np.maximum(np.where(again >= s.stuck_again, stuck, 0.0), self.blocked.share()),
             Ailment.SCALE: self.scale.share(),
             Ailment.NON_MOVES: self.still.share(),
             Ailment.LOOSE_ARM: np.maximum(
@@ -404,7 +382,7 @@ class HealthMonitor:
         return np.column_stack([columns[kind] for kind in Ailment])
 
     def _book(self) -> None:
-        ill = self.shares() >= 0.5
+        ill = self.shares() >= self.settings.suspect_share
         self.since = np.where(ill, np.where(self.since < 0, self.moves, self.since), -1)
 
     def states(self) -> list[State]:
@@ -415,7 +393,8 @@ class HealthMonitor:
     def findings(self) -> list[Finding]:
         """Every positioner that is not healthy, by what explains most."""
         shares = self.shares()
-        return [self._finding(int(row), shares[row]) for row in np.flatnonzero((shares >= 0.5).any(axis=1))]
+        rows = np.flatnonzero((shares >= self.settings.suspect_share).any(axis=1))
+        return [self._finding(int(row), shares[row]) for row in rows]
 
     def _finding(self, row: int, shares: Floats) -> Finding:
         certain = shares >= 1.0

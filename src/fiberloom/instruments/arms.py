@@ -36,7 +36,7 @@ class Inverse(NamedTuple):
 
 
 def columns_of(first: Floats, second: Floats, n: int) -> Floats:
-    """(n, 2) of two columns, each (n,) or one number for all."""
+    """(n, 2) of two columns of any unit, in rad as arms take them, each (n,) or one number for all."""
     pair = np.empty((n, 2))
     pair[:, 0], pair[:, 1] = first, second
     return pair
@@ -45,7 +45,10 @@ def columns_of(first: Floats, second: Floats, n: int) -> Floats:
 def arm_rows(
     positioner_id: Ints, hole: NDArray[np.str_], arms: Floats, most: int = 5
 ) -> list[dict[str, Any]]:
-    """The first positioners with their arms, for notebooks."""
+    """The first `most` positioners with their arms, for notebooks.
+
+    `positioner_id` (N,), `hole` (N,) and `arms` (N, 5) in mm and rad, as `FocalPlane` has them.
+    """
     return [
         {
             "positioner": int(positioner_id[k]),

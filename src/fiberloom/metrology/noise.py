@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 from fiberloom.instruments import FocalPlane
 
+WORKSPACE_UM = 0.669
+"""Kronig 2020, Fig. 18: the camera of the full workspace on a static fibre, 2-D rms. For those who
+name no instrument; an instrument says itself: `metrology.noise_rms_um`."""
+
 
 @dataclass(frozen=True)
 class CorrectionNoise:
     """What the filter believes of camera and positioners, 2-D rms in um."""
 
-    camera_um: float = 0.669
+    camera_um: float = WORKSPACE_UM
     """Of a camera that does not tell the covariance of what it measures."""
     repeatability_um: float = 0.2
     """Scatter of arrivals at the same command."""

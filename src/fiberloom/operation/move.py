@@ -38,7 +38,7 @@ class Goals:
     def without_targets(cls, plane: FocalPlane, angles_deg: Floats) -> Goals:
         """Angles (N, 2) alone, with the instrument's approach."""
         n = plane.n
-        approach_deg = np.full(n, max(axis.approach_deg for axis in plane.instrument.axes))
+        approach_deg = np.full(n, plane.instrument.approach_deg)
         return cls(angles_deg, approach_deg, np.full(n, ""), np.zeros(n, dtype=bool))
 
 

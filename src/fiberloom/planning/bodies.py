@@ -79,8 +79,7 @@ def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:
 def approach_rad(plane: FocalPlane, approach_deg: ArrayLike | None) -> Floats:
     """(N,) rad: the instrument's approach when left out."""
     if approach_deg is None:
-        axes = plane.instrument.axes
-        approach_deg = max(axis.approach_deg for axis in axes)
+        approach_deg = plane.instrument.approach_deg
     approach = np.broadcast_to(np.asarray(approach_deg, dtype=np.float64), (plane.n,))
     if not (np.isfinite(approach) & (approach >= 0.0)).all():
         raise InputError("approach_deg: must be finite and not below 0")

@@ -17,7 +17,7 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 
 SPEED_SHARE = 0.975
 """Part of the instrument's speed that plans use. The motor must go faster than the output where the
-transmission is not linear; 12 deg/s become 11.7, 2000 rpm at a gear of 1024."""
+transmission is not linear; 12 deg/s become 11.7, 2000 rpm of the motor."""
 
 DECIMALS_DEG = 9
 """Angles are rounded to this before they are verified: the JSON form says exactly what was."""

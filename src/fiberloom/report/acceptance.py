@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import matplotlib
@@ -47,20 +47,26 @@ def acceptance_html(verdict: UnitVerdict, data: AcceptanceData, head: Mapping[st
     body = [
         f"<h1>{title}</h1>",
         f'<p class="verdict {kind}">{word}</p>',
-        _pairs(head),
+        pairs(head),
         *_findings(verdict),
         "<h2>Figures</h2>" if not verdict.reason else "",
         *(_figures(verdict, data) if not verdict.reason else ()),
-        _signature(),
+        signature(),
     ]
+    return html_page(f"{title}: {word}", body)
+
+
+def html_page(title: str, body: Iterable[str]) -> str:
+    """A page in one file, to be read on a phone and printed; the parts of the body are HTML already."""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{title}: {word}</title><style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
+        f"<title>{title}</title><style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
     )
 
 
-def _pairs(head: Mapping[str, Any]) -> str:
+def pairs(head: Mapping[str, Any]) -> str:
+    """A list of what is called how."""
     rows = (f"<dt>{html.escape(k)}</dt><dd>{html.escape(str(v))}</dd>" for k, v in head.items())
     return f"<dl>{''.join(rows)}</dl>"
 
@@ -101,7 +107,8 @@ def found_text(check: Check) -> str:
     return f"{check.value:.{digits}f} ± {check.error:.{digits}f} {check.unit}"
 
 
-def _signature() -> str:
+def signature() -> str:
+    """Lines to sign on."""
     lines = ("Name", "Date", "Signature", "Remarks")
     return '<div class="sign">' + "".join(f"<div>{line}</div>" for line in lines) + "</div>"
 

@@ -12,7 +12,11 @@ from matplotlib.figure import Figure
 def figure_with(
     size_in: tuple[float, float], rows: int = 1, columns: int = 1, **how: Any
 ) -> tuple[Figure, Any]:
-    """A figure for a file, with its axes; no window knows of it, so nothing has to close it."""
+    """A figure for a file, with its axes; no window knows of it, so nothing has to close it.
+
+    `size_in`: width and height in inches, 25.4 mm each; `rows` times `columns` of axes; `how`: as
+    matplotlib's `subplots`.
+    """
     figure = Figure(figsize=size_in, layout="constrained")
     return figure, figure.subplots(rows, columns, **how)
 
@@ -23,7 +27,10 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> None:
 
 
 def new_axes(size_in: tuple[float, float]) -> Axes:
-    """Axes of a figure that pyplot knows: a notebook shows it, a script may show it."""
+    """Axes of a figure that pyplot knows: a notebook shows it, a script may show it.
+
+    `size_in`: width and height in inches, 25.4 mm each.
+    """
     import matplotlib.pyplot as plt
 
     _, axes = plt.subplots(figsize=size_in, layout="constrained")

@@ -32,6 +32,7 @@ def plot_transmission(path: Path, maps: TransmissionMaps, row: int) -> None:
             title=f"backlash {low:.0f} to {high:.0f} motor deg",
         )
     figure.suptitle(
-        f"Positioner {maps.positioner_id[row]}: deviation from a linear gear of 1024, as calibrated"
+        f"Positioner {maps.positioner_id[row]}: deviation from a linear gear of "
+        f"{maps.provenance.gear:g}, as calibrated"
     )
     save(figure, path)

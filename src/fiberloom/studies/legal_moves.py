@@ -17,13 +17,13 @@ from fiberloom.bus.protocol import Command
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
-from fiberloom.twin.units import GEAR, Units
+from fiberloom.twin.units import Units
 from fiberloom.typing import Floats
-from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
+from fiberloom.units import COUNTS_PER_DEG, GEAR, TICK_S, deg_to_rad, rpm_to_deg_s
 
 Rng = np.random.Generator
 
-FULL_SPEED_DEG_S = 2000.0 * 6.0 / 1024.0
+FULL_SPEED_DEG_S = rpm_to_deg_s(2000.0, GEAR)
 """Output speed at 2000 rpm of the motor, deg/s."""
 GREASE = (0.5, 2.0)
 """Viscous friction over its nominal value, between a warm and a cold night."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
+from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
@@ -122,7 +123,12 @@ BACKLASH_LOWEST_DEG = (40.0, 70.0)
 BACKLASH_HIGHEST_DEG = (190.0, 250.0)
 
 
-def draw_units(plane: FocalPlane, seed: int) -> Units:
+Knowledge = Literal["identified", "nominal", "true"]
+"""What the firmware was told of its unit: with the errors of an identification, nothing but what is common
+to all units (as from the factory), or the truth."""
+
+
+def draw_units(plane: FocalPlane, seed: int, firmware: Knowledge = "identified") -> Units:
     """True units for every positioner of the plane.
 
     A unit depends on the seed and its number alone, so a part of a plane has the same units. The
@@ -144,7 +150,12 @@ def draw_units(plane: FocalPlane, seed: int) -> Units:
         for axis in (0, 1):
             units.plant[row, axis] = _scatter(nominal[axis], rng)
             units.gear[row, axis] = _gear(axis, rng)
+            # drawn whatever is asked for: the units are the same
             units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
+            if firmware == "true":
+                units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
+    if firmware == "nominal":
+        units.firmware[:] = nominal_firmware(plane)
     return units
 
 
@@ -239,39 +250,35 @@ def firmware_truth(plant: np.ndarray) -> dict[str, float]:
     }
 
 
-def control_gains(truth: Mapping[str, float]) -> dict[str, float]:
-    """Gains of Eq. 21 to 23 for a motor of this inertia.
+def nominal_firmware(plane: FocalPlane) -> np.ndarray:
+    """(2,) what a maker flashes into every unit: the nominal unit's parameters, and no unit's own."""
+    return np.array([_perfect(_nominal(plane, axis), plane, axis) for axis in (0, 1)], FIRMWARE_DTYPE)
 
-    k_p / J = (192 rad/s)^2 crosses the gap with an error below 20 motor degrees (Fig. 16), damped
-    by the drag at 0.6 of critical; the threshold makes 120 motor degrees a collision (Eq. 23).
-    """
-    inertia = float(truth["inertia"])
-    k_p = 3.7e4 * inertia
-    integral_limit = 4.3e3 * inertia
-    return {
-        "k_p": k_p,
-        "k_i": 22.0 * k_p,
-        "integral_limit": integral_limit,
-        "collision_torque": k_p * 120.0 * RAD_PER_DEG + integral_limit,
-        "settle_gain": 1.0,
-        # 65 uNm for alpha: after the drag is learnt legal moves need less than 40 beyond the model, but one
-        # zigzag in 20 000 needed more than 50
-        "contact_torque": 1.86e4 * inertia,
-        # 2.4 uNm for alpha: legal moves rise by 1.9 at most (docs/firmware.md)
-        "touch_torque": 690.0 * inertia,
-    }
+
+def _told(plane: FocalPlane, axis: int) -> np.ndarray:
+    """Defaults, and what the layout tells every firmware."""
+    record = defaults(_firmware.AXIS_PARAMS, FIRMWARE_DTYPE)
+    record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
+    record["datum_position"] = plane.hard_stops_deg[axis][0]
+    return record
+
+
+def _perfect(plant: np.ndarray, plane: FocalPlane, axis: int) -> np.ndarray:
+    record = _told(plane, axis)
+    truth = firmware_truth(plant)
+    for name, value in (truth | control_gains(truth)).items():
+        record[name] = value
+    return record
 
 
 def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np.ndarray:
-    record = defaults(_firmware.AXIS_PARAMS, FIRMWARE_DTYPE)
+    record = _told(plane, axis)
     truth = firmware_truth(plant)
     for name, value in truth.items():
         error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * _held(rng)
         record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * _held(rng)
     for name, value in control_gains(truth).items():
         record[name] = value
-    record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
-    record["datum_position"] = plane.hard_stops_deg[axis][0]
     return record
 
 

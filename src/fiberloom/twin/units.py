@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
+from fiberloom.bus.parameters import PARAMETERS_DTYPE
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR
 
-GEAR = 1024.0
-"""Motor turns per output turn: the firmware counts 2**20 and 2**30 for one of each."""
 ORDERS = np.array(_core.HARMONIC_ORDERS)
 """Cycles per output turn of the harmonic series of a gear."""
 
@@ -22,7 +21,7 @@ MARKS = _core.WEAR_COUNT
 """Local marks that a gear can have."""
 
 PLANT_DTYPE = np.dtype([(p[0], np.float64) for p in _core.PLANT_PARAMS])
-FIRMWARE_DTYPE = np.dtype([(p[0], np.float32) for p in _firmware.AXIS_PARAMS])
+FIRMWARE_DTYPE = PARAMETERS_DTYPE
 GEAR_DTYPE = np.dtype(
     [
         ("delta_rad", np.float64, (len(ORDERS), 2)),  # output angle: cosine, sine

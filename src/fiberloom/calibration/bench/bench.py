@@ -20,12 +20,13 @@ from fiberloom.bus.trace import Trace, push, read_trace, start_trace
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR, RUN_UP_MOTOR_DEG, motor_to_output_deg
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
-APPROACH_DEG = 840.0 / 1024.0
-"""Larger than the largest backlash: the paper's 840 motor degrees, as wire position."""
+APPROACH_DEG = motor_to_output_deg(RUN_UP_MOTOR_DEG, GEAR)
+"""Larger than the largest backlash: the paper's run-up, as wire position."""
 BENCH_MARGIN_DEG = 30
 """Of the collision watch, motor degrees, where a motor runs for long or under a weight."""
 _POLL_S = 0.02

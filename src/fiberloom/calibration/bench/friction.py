@@ -30,6 +30,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR
 
 SKIP_DEG = 400.0
 """Motor angle at the start of a move that does not count: the largest backlash of Fig. 10 (250 motor
@@ -72,7 +73,7 @@ class FrictionData:
     wire_deg: tuple[float, ...]
     """Where a segment was, its middle."""
     trouble: list[str]
-    gear: float = 1024.0
+    gear: float = GEAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +303,7 @@ def _places(plane: FocalPlane, n: int) -> list[tuple[float, float]]:
 async def _creep(
     operator: Operator, settings: FrictionSettings, place: tuple[float, float], books: _Books
 ) -> None:
-    way = (SKIP_DEG + 360.0 * settings.creep_turns + 40.0) / 1024.0
+    way = (SKIP_DEG + 360.0 * settings.creep_turns + 40.0) / operator.plane.instrument.alpha.gear
     low, high = np.array(place) - 0.5 * way, np.array(place) + 0.5 * way
     period_s = 3.6 / (6.0 * settings.creep_rpm)  # 3.6 motor deg a window: a hundred in a turn
     for begin, end, side in ((low, high, -1.0), (high, low, 1.0)):

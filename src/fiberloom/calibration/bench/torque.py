@@ -11,6 +11,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.typing import Flags, Floats
+from fiberloom.units import TICK_S
 
 AT_SPEED = 0.995
 """Share of the speed asked for from which a motor counts as running at it."""
@@ -75,7 +76,7 @@ def windows_of(trace: Trace, skip_deg: float, slowest_rpm: float) -> Windows:
     return Windows(voltage, 0.5 * (start + end), np.stack([start - zero, end - zero], axis=-1), speed)
 
 
-_HALF_TICK_S = 0.25e-3
+_HALF_TICK_S = 0.5 * TICK_S
 """The field is constant for a tick while the rotor turns from half behind to half ahead of it: the
 mean torque is sin(x)/x of the full one, x the angle of half a tick."""
 

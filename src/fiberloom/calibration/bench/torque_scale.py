@@ -29,6 +29,7 @@ from fiberloom.calibration.bench.torque import AT_SPEED, TorqueScale, Windows, t
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
+from fiberloom.units import GEAR
 
 SKIP_DEG = 400.0
 _LAG = 5
@@ -54,7 +55,7 @@ class TorqueScaleData:
     """On the arm during each segment, positive towards positive angles."""
     tolerance: float
     trouble: list[str]
-    gear: float = 1024.0
+    gear: float = GEAR
 
 
 def identify_torque_scale(data: TorqueScaleData) -> Estimate:

@@ -33,7 +33,7 @@ class Design:
     """Information of N positioners, and what more would be worth."""
 
     def __init__(self, plane: FocalPlane, settings: FitSettings | None = None) -> None:
-        self._settings = settings or FitSettings()
+        self._settings = settings or FitSettings(camera_um=plane.instrument.metrology.noise_rms_um)
         self._p = layout_parameters(plane)
         self._phi = plane.metrology_phi_rad
         self.information = np.tile(np.diag(_FIRST_GUESS**-2.0), (plane.n, 1, 1))

@@ -19,6 +19,7 @@ import numpy as np
 
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
+from fiberloom.metrology.noise import WORKSPACE_UM
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, deg_to_rad
 
@@ -50,7 +51,7 @@ _POOL = 400
 class FitSettings:
     """What is known of the measurements. 2-D rms in um, sigmas in deg."""
 
-    camera_um: float = 0.669
+    camera_um: float = WORKSPACE_UM
     angles_deg: tuple[float, float] = (0.023, 0.014)
     """Errors of alpha and beta: what maps of 200 points leave (docs/calibration.md)."""
     fit_angles: bool = True
@@ -178,7 +179,7 @@ def fit_focal_plane(
     mm and 1 deg) and defines the place of the metrology fibre on its arm. Positioners that were hardly
     seen, or whose spots fit no arms, keep the layout's values.
     """
-    settings = settings or FitSettings()
+    settings = settings or FitSettings(camera_um=plane.instrument.metrology.noise_rms_um)
     fit = _Fit(plane, theta_deg, xy_mm, settings)
     for _ in range(_ROUNDS):
         fit.iterate(robust=True)

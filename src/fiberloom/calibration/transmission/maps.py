@@ -25,11 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR
 from fiberloom.version import __version__
 
 NEGATIVE, POSITIVE = -1, 1
 """Directions of contact: the side from which the last move came."""
-N_BAR = 1024.0
 
 FORMAT = "fiberloom transmission maps"
 FORMAT_VERSION = 1
@@ -41,7 +41,7 @@ class Provenance:
 
     config_hash: str = ""
     seed: int | None = None
-    gear: float = N_BAR
+    gear: float = GEAR
     version: str = __version__
     utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     note: str = ""
@@ -441,7 +441,7 @@ def _side(direction: int) -> int:
 
 
 def identity(
-    positioner_id: ArrayLike, span_deg: tuple[float, float] = (0.0, 360.0), gear: float = N_BAR
+    positioner_id: ArrayLike, span_deg: tuple[float, float] = (0.0, 360.0), gear: float = GEAR
 ) -> TransmissionMaps:
     """Maps of perfect gears: wire position and output angle are the same."""
     ids = np.asarray(positioner_id, dtype=np.int64)

@@ -44,8 +44,8 @@ class SweepSettings:
     images: int = 1
     """Images averaged at each point."""
     speed_rpm: float = 2000.0
-    run_up_deg: float = 0.82
-    """Larger than the largest backlash: 840 motor deg of the paper."""
+    run_up_deg: float | None = None
+    """Larger than the largest backlash; default: the instrument's approach."""
     beta_lever_deg: float = 75.0
     """Angle of beta while alpha turns: a long lever, away from the singularity."""
     alpha_rest_deg: float = 180.0
@@ -54,6 +54,10 @@ class SweepSettings:
     """Between the end of a move and the image."""
     seen_at_least: float = 0.8
     """Share of the points of a pass that must be seen."""
+
+    def run_up_of(self, plane: FocalPlane) -> float:
+        """The run-up in deg on this plane."""
+        return plane.instrument.approach_deg if self.run_up_deg is None else self.run_up_deg
 
     def __post_init__(self) -> None:
         if self.n_points < 8:
@@ -145,9 +149,10 @@ def _grid(plane: FocalPlane, axis: int, settings: SweepSettings) -> Floats:
     low, high = plane.limits_deg[axis]
     stop_low, stop_high = plane.hard_stops_deg[axis]
     # the zero of the wire may be a degree off the arm's: keep clear of the stops with it
-    room = settings.run_up_deg + 1.0
+    run_up = settings.run_up_of(plane)
+    room = run_up + 1.0
     low = max(low, stop_low + room)
-    high = min(high + settings.run_up_deg, stop_high - room)
+    high = min(high + run_up, stop_high - room)
     return np.linspace(low, high, settings.n_points)
 
 
@@ -184,7 +189,7 @@ class _Bench:
         self._book(await self.client.set_speed(self.ids, rpm, rpm))
 
     async def sweep(self, axis: int, wire_deg: Floats, rest_deg: float, xy: Floats) -> None:
-        run_up = self.settings.run_up_deg
+        run_up = self.settings.run_up_of(self.plane)
         # the resting axis comes from above, like every final approach
         await self._goto(axis, wire_deg[0] - run_up, rest_deg + run_up)
         await self._goto(axis, wire_deg[0] - run_up, rest_deg)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -18,7 +18,8 @@ from fiberloom.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fiberloom.calibration.bench.acceptance import AcceptanceData, AcceptanceSettings, Check, UnitVerdict
+    from fiberloom.calibration.bench.acceptance import AcceptanceData, Check, UnitVerdict
+    from fiberloom.calibration.bench.bench import Progress
     from fiberloom.calibration.bench.rig import BenchRig
     from fiberloom.instruments import FocalPlane
     from fiberloom.report.acceptance_records import Paperwork
@@ -39,7 +40,7 @@ class AcceptanceOptions(BenchOptions):
 def acceptance(options: AcceptanceOptions) -> int:
     """Put units on the bench and hold them against the instrument's requirements."""
     options.check(options.out)
-    from fiberloom.calibration.bench.acceptance import AcceptanceSettings, judge
+    from fiberloom.calibration.bench.acceptance import AcceptanceSettings
     from fiberloom.report.acceptance_records import Paperwork
 
     plane = options.plane()
@@ -49,9 +50,8 @@ def acceptance(options: AcceptanceOptions) -> int:
     papers = Paperwork(plane, options.seed, settings, rig.close_up_um, options.serial, options.engineer)
     with waiting(options.as_json) as wait:
         wait.say("acceptance")
-        data, firmware = _measure(rig, papers, counting(wait.count))
-        verdicts = judge(data, plane)
-    content = _write(options.out, papers, verdicts, data, firmware)
+        found = on_bench(rig, lambda rig: acceptance_of(rig, papers, counting(wait.count)))
+    content, verdicts = write_acceptance(options.out, papers, found)
     if options.as_json:
         options.print_json(content)
     else:
@@ -68,34 +68,34 @@ def _refuse(plane: FocalPlane, serial: str) -> None:
         raise InputError(f"--serial {serial}: {plane.n} units are on the bench; test one at a time")
 
 
-def _measure(rig: BenchRig, papers: Paperwork, progress: Any) -> tuple[AcceptanceData, dict[int, str]]:
+AcceptanceFound: TypeAlias = "tuple[AcceptanceData, dict[int, str]]"
+"""What was measured, and the firmware's versions by positioner."""
+
+
+async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) -> AcceptanceFound:
+    """Measures all units of a bench that is set up."""
     from fiberloom.calibration.bench.acceptance import measure_acceptance
 
-    async def work(rig: BenchRig) -> tuple[AcceptanceData, dict[int, str]]:
-        data = await measure_acceptance(
-            rig.client, rig.camera, rig.close_up, rig.close_up_um, papers.plane, papers.settings,
-            seed=papers.seed, progress=progress,
-        )  # fmt: skip
-        return data, await rig.client.firmware_versions()
-
-    return on_bench(rig, work)
+    data = await measure_acceptance(
+        rig.client, rig.camera, rig.close_up, rig.close_up_um, papers.plane, papers.settings,
+        seed=papers.seed, progress=progress,
+    )  # fmt: skip
+    return data, await rig.client.firmware_versions()
 
 
-def _write(
-    out: Path,
-    papers: Paperwork,
-    verdicts: Sequence[UnitVerdict],
-    data: AcceptanceData,
-    firmware: dict[int, str],
-) -> dict[str, Any]:
+def write_acceptance(
+    out: Path, papers: Paperwork, found: AcceptanceFound
+) -> tuple[dict[str, Any], list[UnitVerdict]]:
     """acceptance.json, the maps, and a page for each unit."""
+    from fiberloom.calibration.bench.acceptance import judge
     from fiberloom.report.acceptance import acceptance_html
     from fiberloom.report.acceptance_records import page_head, page_name, unit_record
     from fiberloom.report.outputs import marks
     from fiberloom.store.calibrations import record_calibration
 
-    settings: AcceptanceSettings = papers.settings
-    content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(settings)}
+    data, firmware = found
+    verdicts = judge(data, papers.plane)
+    content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(papers.settings)}
     content |= {"units": [unit_record(v, papers.serial) for v in verdicts]}
     file = out / "acceptance.json"
     file.write_text(json.dumps(content, indent=2) + "\n")
@@ -105,7 +105,7 @@ def _write(
     for verdict in verdicts:
         head = page_head(verdict, papers, firmware.get(verdict.positioner_id, "unknown"))
         (out / page_name(verdict)).write_text(acceptance_html(verdict, data, head), encoding="utf-8")
-    return content
+    return content, verdicts
 
 
 def _print(verdicts: Sequence[UnitVerdict], out: Path) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fiberloom.calibration.bench.rig import BenchRig
     from fiberloom.instruments import FocalPlane
     from fiberloom.twin import Units
+    from fiberloom.twin.draw import Knowledge
 
 Found = TypeVar("Found")
 
@@ -45,12 +46,12 @@ class BenchOptions(LayoutOptions, JsonOptions):
         """One positioner of a preset, unless told otherwise."""
         return self._plane(self.positioners if self.layout is not None else self.positioners or 1)
 
-    def rig(self, plane: FocalPlane) -> tuple[BenchRig, Units]:
-        """The bench, and for reports what its units really are."""
+    def rig(self, plane: FocalPlane, firmware: Knowledge = "identified") -> tuple[BenchRig, Units]:
+        """The bench, and for reports what its units really are; `firmware`: what theirs knows of them."""
         from fiberloom.twin import draw_units
         from fiberloom.twin.bench import bench_rig
 
-        units = draw_units(plane, self.seed)
+        units = draw_units(plane, self.seed, firmware=firmware)
         return bench_rig(plane, units, self.seed, self.faults), units
 
 

@@ -16,7 +16,14 @@ from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
-    from fiberloom.calibration import TorqueScale
+    from fiberloom.calibration import (
+        ArmsSettings,
+        FrictionSettings,
+        InertiaSettings,
+        RepeatabilitySettings,
+        StiffnessSettings,
+        TorqueScale,
+    )
     from fiberloom.calibration.bench.bench import Progress
     from fiberloom.calibration.bench.estimate import Estimate
     from fiberloom.calibration.bench.rig import BenchRig
@@ -54,7 +61,7 @@ class IdentificationOptions(BenchOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WeightsOptions(IdentificationOptions):
+class WeightsOptions(BenchOptions):
     """Of an identification that needs to know the motor's torque."""
 
     weights: Annotated[
@@ -66,7 +73,7 @@ class WeightsOptions(IdentificationOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionOptions(WeightsOptions):
+class FrictionOptions(IdentificationOptions, WeightsOptions):
     """Of `calibrate friction`."""
 
     places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
@@ -79,13 +86,19 @@ class FrictionOptions(WeightsOptions):
 def friction(options: FrictionOptions) -> int:
     """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12)."""
     options.check(options.out)
-    from fiberloom.calibration import FrictionSettings, identify_friction, measure_friction
-    from fiberloom.report.identification import plot_friction
+    from fiberloom.calibration import FrictionSettings
 
     settings = FrictionSettings(n_angles=options.places, run_span_deg=options.span)
+    return _identify("friction", options, options.out, friction_work(settings, options.weights))
+
+
+def friction_work(settings: FrictionSettings, weights: bool) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_friction, measure_friction
+    from fiberloom.report.identification import plot_friction
 
     async def work(task: Task) -> Measured:
-        scales, found = await _scales(task, options.weights)
+        scales, found = await _scales(task, weights)
         data = await measure_friction(task.rig.client, None, task.plane, settings, task.progress)
         both = [identify_friction(d, s) for d, s in zip(data, scales, strict=True)]
         return Measured(
@@ -93,11 +106,11 @@ def friction(options: FrictionOptions) -> int:
             lambda file, row: plot_friction(file, task.plane, data, both, scales, row),
         )
 
-    return _identify("friction", options, options.out, work)
+    return work
 
 
 @dataclass(frozen=True, kw_only=True)
-class InertiaOptions(WeightsOptions):
+class InertiaOptions(IdentificationOptions, WeightsOptions):
     """Of `calibrate inertia`."""
 
     pushes: Annotated[int, typer.Option(min=2, help="Torque steps, half of them upward.")] = 6
@@ -107,13 +120,19 @@ class InertiaOptions(WeightsOptions):
 def inertia(options: InertiaOptions) -> int:
     """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14)."""
     options.check(options.out)
-    from fiberloom.calibration import InertiaSettings, identify_inertia, measure_inertia
-    from fiberloom.report.identification import plot_inertia
+    from fiberloom.calibration import InertiaSettings
 
     settings = InertiaSettings(pushes=options.pushes)
+    return _identify("inertia", options, options.out, inertia_work(settings, options.weights))
+
+
+def inertia_work(settings: InertiaSettings, weights: bool) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_inertia, measure_inertia
+    from fiberloom.report.identification import plot_inertia
 
     async def work(task: Task) -> Measured:
-        scales, found = await _scales(task, options.weights)
+        scales, found = await _scales(task, weights)
         data = await measure_inertia(task.rig.client, None, task.plane, settings, task.progress)
         both = [identify_inertia(d, s) for d, s in zip(data, scales, strict=True)]
         return Measured(
@@ -121,7 +140,7 @@ def inertia(options: InertiaOptions) -> int:
             lambda file, row: plot_inertia(file, task.plane, data, both, scales, row),
         )
 
-    return _identify("inertia", options, options.out, work)
+    return work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,10 +154,16 @@ class StiffnessOptions(IdentificationOptions):
 def stiffness(options: StiffnessOptions) -> int:
     """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13)."""
     options.check(options.out)
-    from fiberloom.calibration import StiffnessSettings, identify_stiffness, measure_stiffness
-    from fiberloom.report.identification import plot_stiffness
+    from fiberloom.calibration import StiffnessSettings
 
     settings = StiffnessSettings(repeats=options.repeats)
+    return _identify("stiffness", options, options.out, stiffness_work(settings))
+
+
+def stiffness_work(settings: StiffnessSettings) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_stiffness, measure_stiffness
+    from fiberloom.report.identification import plot_stiffness
 
     async def work(task: Task) -> Measured:
         rig = task.rig
@@ -148,7 +173,7 @@ def stiffness(options: StiffnessOptions) -> int:
         both = [identify_stiffness(d) for d in data]
         return Measured(both, lambda file, row: plot_stiffness(file, task.plane, data, both, row))
 
-    return _identify("stiffness", options, options.out, work)
+    return work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +187,16 @@ class ArmsOptions(IdentificationOptions):
 def arms(options: ArmsOptions) -> int:
     """Arm lengths and centre from the circles of both axes."""
     options.check(options.out)
-    from fiberloom.calibration import ArmsSettings, identify_arms, measure_arms
-    from fiberloom.report.identification import plot_arms
+    from fiberloom.calibration import ArmsSettings
 
     settings = ArmsSettings(n_points=options.points)
+    return _identify("arms", options, options.out, arms_work(settings))
+
+
+def arms_work(settings: ArmsSettings) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_arms, measure_arms
+    from fiberloom.report.identification import plot_arms
 
     async def work(task: Task) -> Measured:
         data = await measure_arms(task.rig.client, task.rig.camera, task.plane, settings, task.progress)
@@ -174,7 +205,7 @@ def arms(options: ArmsOptions) -> int:
             list(found.estimates), lambda file, row: plot_arms(file, task.plane, data, found, row)
         )
 
-    return _identify("arms", options, options.out, work)
+    return work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,10 +219,16 @@ class RepeatabilityOptions(IdentificationOptions):
 def repeatability(options: RepeatabilityOptions) -> int:
     """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17)."""
     options.check(options.out)
-    from fiberloom.calibration import RepeatabilitySettings, identify_repeatability, measure_repeatability
-    from fiberloom.report.identification import plot_repeatability
+    from fiberloom.calibration import RepeatabilitySettings
 
     settings = RepeatabilitySettings(visits=options.visits)
+    return _identify("repeatability", options, options.out, repeatability_work(settings))
+
+
+def repeatability_work(settings: RepeatabilitySettings) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_repeatability, measure_repeatability
+    from fiberloom.report.identification import plot_repeatability
 
     async def work(task: Task) -> Measured:
         rig = task.rig
@@ -202,7 +239,7 @@ def repeatability(options: RepeatabilityOptions) -> int:
             lambda file, row: plot_repeatability(file, task.plane, data, both, row),
         )
 
-    return _identify("repeatability", options, options.out, work)
+    return work
 
 
 async def _scales(task: Task, weights: bool) -> tuple[list[TorqueScale], list[Estimate]]:
@@ -245,7 +282,7 @@ def _identify(name: str, options: IdentificationOptions, out: Path, work: Work) 
     _write(name, options, out, content)
     whole = plane.positioner_id[np.all([e.ok for e in measured.estimates], axis=0)]
     record_calibration(out / f"{name}.json", name, whole, content, " ".join(sys.argv))
-    measured.draw(out / f"{name}.png", _complete_row(measured.estimates))
+    measured.draw(out / f"{name}.png", complete_row(measured.estimates))
     return 1 if any(any(e.reason) for e in measured.estimates) else 0
 
 
@@ -264,7 +301,7 @@ def _write(name: str, options: IdentificationOptions, out: Path, content: dict[s
         typer.echo(f"results in {out}/: {name}.json, {name}.ecsv, {name}.png")
 
 
-def _complete_row(estimates: Sequence[Estimate]) -> int:
+def complete_row(estimates: Sequence[Estimate]) -> int:
     """The first positioner that has everything, else the first."""
     import numpy as np
 

@@ -14,6 +14,7 @@ from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import Fault, Units
 from fiberloom.typing import Floats
+from fiberloom.units import TICK_S
 
 UNITS = 8
 PHASES = 6
@@ -91,7 +92,7 @@ async def _ticks(bench: Bench, duration_s: float) -> None:
     """Tick by tick, so that a report is booked at its own time."""
     end_s = bench.client.time_s + duration_s
     while bench.client.time_s < end_s:
-        await bench.client.sleep(0.0005)
+        await bench.client.sleep(TICK_S)
 
 
 def run(settings: Settings) -> Outcome:

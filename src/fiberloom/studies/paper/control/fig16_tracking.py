@@ -15,6 +15,7 @@ from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.twin import Units
 from fiberloom.typing import Floats
+from fiberloom.units import GEAR
 
 UNITS = 7
 SPEEDS_RPM = (200, 0, 1800, 0, 2000, 0, -200, 0, -1800, 0, -2000, 0)
@@ -85,10 +86,10 @@ def ramps() -> tuple[Floats, Floats]:
         for k in range(steps):
             mean = speed + (target - speed) * (k + 0.5) / steps
             time.append(time[-1] + change_s / steps)
-            angle.append(angle[-1] + mean * 6 / 1024 * change_s / steps)
+            angle.append(angle[-1] + mean * 6 / GEAR * change_s / steps)
         if target:
             time.append(time[-1] + DWELL_S)
-            angle.append(angle[-1] + target * 6 / 1024 * DWELL_S)
+            angle.append(angle[-1] + target * 6 / GEAR * DWELL_S)
         speed = target
     return np.array(time), np.array(angle)
 
@@ -230,7 +231,7 @@ def _draw(found: dict[str, Tracking]) -> Drawing:
         2, 1, figsize=(9, 7), sharex=True, layout="constrained", height_ratios=[1, 2]
     )
     sent_s, sent_deg = ramps()
-    top.plot(sent_s, sent_deg * 1024.0 / 360.0, color="0.3")
+    top.plot(sent_s, sent_deg * GEAR / 360.0, color="0.3")
     top.set(ylabel="command [motor turns]")
     for name, tracking in found.items():
         width = 1.4 if name == FULL else 0.8

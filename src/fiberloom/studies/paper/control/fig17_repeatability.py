@@ -14,13 +14,12 @@ from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.twin import Units
 from fiberloom.typing import Floats
-from fiberloom.units import UM_PER_MM, motor_to_output_deg, rad_to_deg
+from fiberloom.units import GEAR, RUN_UP_MOTOR_DEG, UM_PER_MM, motor_to_output_deg, rad_to_deg
 
 UNITS = 6
 VISITS = 300
 TARGETS = 3
-GEAR = 1024.0
-BACK_AND_FORTH_DEG = motor_to_output_deg(840.0, GEAR)
+BACK_AND_FORTH_DEG = motor_to_output_deg(RUN_UP_MOTOR_DEG, GEAR)
 LEVER_MM = (7.6, 15.0)
 PAPER_NM = (160.0, 130.0)
 PAPER_STEP_DEG = (7.7, 3.9)
@@ -116,7 +115,7 @@ def _quantities(axis: int, found: list[Visits], exact: list[Visits]) -> list[Qua
             float(rad_to_deg(1.0 / UM_PER_MM / LEVER_MM[axis])) * GEAR,
             "deg",
             paper=PAPER_STEP_DEG[axis],
-            note="geometry: 1 um over the lever, times 1024",
+            note=f"geometry: 1 um over the lever, times {GEAR:g}",
         ),
         quantity(
             f"fig17.{name}.apart_um",

@@ -145,7 +145,7 @@ def _draw(maps: TransmissionMaps) -> Drawing:
             panels[1, axis].axhline(limit, color="crimson", linestyle=":", linewidth=1)
     return drawing(
         "transmission",
-        "One unit as calibrated: deviation from a linear gear of 1024 for both contacts, and the backlash; "
+        "One unit as calibrated: deviation from a linear gear for both contacts, and the backlash; "
         "dotted: the paper's 40 and 250 motor degrees.",
         canvas,
     )

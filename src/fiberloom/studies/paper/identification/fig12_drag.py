@@ -11,10 +11,9 @@ from fiberloom.studies.paper.identification.identified import RUN_RPM, UNITS, Id
 from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
-from fiberloom.units import motor_to_output_deg
+from fiberloom.units import GEAR, motor_to_output_deg
 
 ALPHA = 0
-GEAR = 1024.0
 
 
 @dataclass(frozen=True)

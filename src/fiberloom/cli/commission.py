@@ -1,0 +1,66 @@
+"""`fiberloom commission`: from a unit on the bench to a unit that is ready for its instrument."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fiberloom.cli.calibrate.identification import WeightsOptions
+from fiberloom.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommissionOptions(WeightsOptions):
+    """Of `fiberloom commission`."""
+
+    earlier: Annotated[
+        Path | None, typer.Option("--from", help="Results of `calibrate ...`; what is missing is measured.")
+    ] = None
+    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
+    span: Annotated[
+        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+    ] = None
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
+    targets: Annotated[int, typer.Option(min=1, help="Random targets of the acceptance.")] = 20
+    file: Annotated[
+        bool, typer.Option("--file", help="Parameter files for flashing only; nothing over the bus.")
+    ] = False
+    accept: Annotated[
+        bool, typer.Option("--acceptance/--no-acceptance", help="Hand over to the acceptance.")
+    ] = True
+    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
+    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/commission")
+
+
+def commission(options: CommissionOptions) -> int:
+    """Measure units, derive their firmware parameters, write them over the bus, accept."""
+    if options.earlier is not None and not options.earlier.is_dir():
+        raise InputError(f"--from {options.earlier}: no such folder; give that of `fiberloom calibrate`")
+    options.check(options.out)
+    from fiberloom.calibration import FrictionSettings, RepeatabilitySettings
+    from fiberloom.calibration.bench.acceptance import AcceptanceSettings
+    from fiberloom.cli.calibrate.commissioning import CommissionSettings, Job, run_commission
+
+    judged = AcceptanceSettings(n_points=options.points, n_targets=options.targets, visits=options.visits)
+    settings = CommissionSettings(
+        friction=FrictionSettings(n_angles=options.places, run_span_deg=options.span),
+        repeatability=RepeatabilitySettings(visits=options.visits),
+        n_points=min(options.points, 60),
+        weights=options.weights,
+        acceptance=judged if options.accept else None,
+        earlier=options.earlier,
+        file_only=options.file,
+        serial=options.serial,
+        engineer=options.engineer,
+    )
+    plane = options.plane()
+    rig, _ = options.rig(plane, firmware="nominal")
+    content = run_commission(Job(plane, options.seed, options.out, options.as_json), rig, settings)
+    if options.as_json:
+        options.print_json(content)
+    return 0 if all(u["commissioned"] and u["accepted"] is not False for u in content["units"]) else 1
