@@ -8,23 +8,18 @@ from typing import Annotated
 
 import typer
 
+from fiberloom.cli.calibrate.bench import CreepOptions, UnitOptions
 from fiberloom.cli.calibrate.identification import WeightsOptions
 from fiberloom.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class CommissionOptions(WeightsOptions):
+class CommissionOptions(WeightsOptions, CreepOptions, UnitOptions):
     """Of `fiberloom commission`."""
 
     earlier: Annotated[
         Path | None, typer.Option("--from", help="Results of `calibrate ...`; what is missing is measured.")
     ] = None
-    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
-    span: Annotated[
-        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
-    ] = None
-    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
-    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
     targets: Annotated[int, typer.Option(min=1, help="Random targets of the acceptance.")] = 20
     file: Annotated[
         bool, typer.Option("--file", help="Parameter files for flashing only; nothing over the bus.")
@@ -32,8 +27,6 @@ class CommissionOptions(WeightsOptions):
     accept: Annotated[
         bool, typer.Option("--acceptance/--no-acceptance", help="Hand over to the acceptance.")
     ] = True
-    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
-    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/commission")
 
 

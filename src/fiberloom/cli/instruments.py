@@ -30,7 +30,7 @@ def instruments(options: InstrumentsOptions) -> None:
 
 def _all() -> list[dict[str, Any]]:
     from fiberloom.instruments import instrument_names, load_instrument
-    from fiberloom.report.instruments import overview
+    from fiberloom.report.tables import overview
     from fiberloom.twin.hardware import missing_in_twin
 
     return [

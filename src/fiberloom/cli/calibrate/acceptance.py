@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from fiberloom.cli.calibrate.bench import BenchOptions, counting, on_bench
+from fiberloom.cli.calibrate.bench import UnitOptions, counting, on_bench
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -26,14 +26,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AcceptanceOptions(BenchOptions):
+class AcceptanceOptions(UnitOptions):
     """Of `fiberloom acceptance`."""
 
-    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
     targets: Annotated[int, typer.Option(min=1, help="Random targets for blind moves.")] = 20
-    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
-    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
-    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
     out: Annotated[Path, typer.Option(help="Folder for the reports.")] = Path("runs/acceptance")
 
 

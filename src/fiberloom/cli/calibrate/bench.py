@@ -55,6 +55,26 @@ class BenchOptions(LayoutOptions, JsonOptions):
         return bench_rig(plane, units, self.seed, self.faults), units
 
 
+@dataclass(frozen=True, kw_only=True)
+class UnitOptions(BenchOptions):
+    """Of a command that says whether a unit is good."""
+
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
+    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
+    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CreepOptions(BenchOptions):
+    """Of a command that measures friction."""
+
+    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
+    span: Annotated[
+        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+    ] = None
+
+
 def on_bench(rig: BenchRig, work: Callable[[BenchRig], Awaitable[Found]]) -> Found:
     """Finds the units that answer, and lets `work` measure them."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.calibrate.bench import BenchOptions, counting, on_bench
+from fiberloom.cli.calibrate.bench import BenchOptions, CreepOptions, counting, on_bench
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -73,13 +73,9 @@ class WeightsOptions(BenchOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionOptions(IdentificationOptions, WeightsOptions):
+class FrictionOptions(IdentificationOptions, WeightsOptions, CreepOptions):
     """Of `calibrate friction`."""
 
-    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
-    span: Annotated[
-        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
-    ] = None
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/friction")
 
 
