@@ -22,7 +22,6 @@ from fiberloom.calibration import (
     StiffnessSettings,
 )
 from fiberloom.calibration.bench.acceptance import AcceptanceSettings
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.commissioning.commission import (
     Before,
     Commissioned,
@@ -50,6 +49,7 @@ from fiberloom.errors import InputError
 from fiberloom.report.commissioning import commissioning_html, limits_text, number_text
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store.calibrations import record_calibration
+from fiberloom.units import AXES
 
 TRANSMISSION = "transmission"
 FIRMWARE_QUANTITIES = ("torque at full voltage", "inertia", "drag", "drag of the pushes", "Coulomb friction",
