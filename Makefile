@@ -30,7 +30,7 @@ setup: $(STAMP)
 
 # Built anew when the sources that are compiled change; Python is used in place.
 NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
-          $(shell find firmware core -path firmware/targets -prune -o -type f -print 2>/dev/null)
+          $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -42,7 +42,7 @@ $(STAMP): $(VENV)/.dependencies $(NATIVE)
 	@touch $@
 
 run: setup
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --compare-linear --out runs/first
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
@@ -71,7 +71,7 @@ check: lint
 
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
-             tests/twin/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
+             tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
              tests/metrology/test_centroids.py tests/metrology/test_images.py
 SITE := $(abspath build/sanitized/site)
 sanitized: setup
@@ -107,7 +107,7 @@ reproduce: setup
 # With the report of the last `make reproduce`, where there is one.
 # Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
 firmware-report: setup
-	@PYTHONPATH=firmware/targets $(BIN)/python -m targetlab.report --out build
+	@PYTHONPATH=rig $(BIN)/python -m lab.report --out build
 # Fifty random units of the twin, identified in full, against what they are.
 identification: setup
 	$(BIN)/python tests/calibration/recovery.py 50 0 full

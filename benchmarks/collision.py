@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.instruments import FocalPlane, generate, load_instrument
+from fiberloom.studies.legal_moves import FULL_SPEED_DEG_S, cruise, legal_moves
+from fiberloom.studies.meetings import KINDS, Meeting, meetings
 from fiberloom.twin.draw import STIFFNESS_NM_PER_RAD
-from fiberloom.twin.meetings import KINDS, Meeting, meetings
-from fiberloom.twin.trials import FULL_SPEED_DEG_S, cruise, legal_moves
 from fiberloom.twin.units import GEAR
 
 IN_TIME_S = 0.016

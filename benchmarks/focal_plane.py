@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fiberloom.calibration.design import LEAST_BEND_DEG, Design, candidates
-from fiberloom.calibration.focal_plane import FitSettings, fit_focal_plane, layout_parameters
+from fiberloom.calibration.focal_plane.design import LEAST_BEND_DEG, Design, candidates
+from fiberloom.calibration.focal_plane.fit import FitSettings, fit_focal_plane, layout_parameters
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning.placing import place_by_worth
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from fiberloom import __version__
-from fiberloom.campaign import Campaign, run
-from fiberloom.twin.ailments import KINDS, AilmentModel
-from fiberloom.twin.health_trial import TrialSettings, health_trial
+from fiberloom.studies.campaign import Campaign, run
+from fiberloom.studies.health import TrialSettings, health_trial
+from fiberloom.twin.faults.ailments import KINDS, AilmentModel
+from fiberloom.version import __version__
 
 CHUNK = 250
 

@@ -25,7 +25,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
-from fiberloom import __version__
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.metrology import SpotSettings, find_expected, find_spots, fit_transform
 from fiberloom.metrology.acquisition import AcquisitionSettings, acquire
@@ -33,8 +32,9 @@ from fiberloom.metrology.matching import match_spots
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
 from fiberloom.twin import static_fibre_um
-from fiberloom.twin.cameras import camera_model
-from fiberloom.twin.imaging import ImagingCamera, StillScene
+from fiberloom.twin.camera.imaging import ImagingCamera, StillScene
+from fiberloom.twin.camera.models import camera_model
+from fiberloom.version import __version__
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "metrology"))
 import scenes

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fiberloom import __version__
 from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
 from fiberloom.planning import PlanSettings, plan, random_pair, verify
+from fiberloom.version import __version__
 
 INSTRUMENT = load_instrument("sdssv")
 

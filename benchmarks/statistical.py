@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fiberloom.bus import Client
-from fiberloom.twin import StatisticalTwin, Twin, TwinTransport, Years, bench_units
+from fiberloom.studies.years import Years
+from fiberloom.twin import StatisticalTwin, Twin, TwinTransport, bench_units
 
 
 def cpu_s(work):

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fiberloom import __version__
 from fiberloom._core import twin as core
 from fiberloom.bus.identifier import encode
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.units import plain
 from fiberloom.units import COUNTS_PER_DEG
+from fiberloom.version import __version__
 
 GOTO = 30
 

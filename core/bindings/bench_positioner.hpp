@@ -9,6 +9,7 @@
 #include <vector>
 
 extern "C" {
+#include "fl_dispatch.h"
 #include "fl_positioner.h"
 }
 

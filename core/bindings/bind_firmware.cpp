@@ -8,8 +8,9 @@
 #include "bind_laws.hpp"
 
 extern "C" {
-#include "fl_commands.h"
+#include "fl_codes.h"
 #include "fl_identifier.h"
+#include "fl_status.h"
 }
 
 namespace {
@@ -31,6 +32,24 @@ static_assert(sizeof(fl_axis_params_t) == param_count * sizeof(float));
 nb::list param_list() {
     nb::list out;
     for (const auto &p : param_infos) out.append(nb::make_tuple(p.name, p.unit, p.min, p.max, p.def, p.doc));
+    return out;
+}
+
+// The protocol as the firmware has it: what the host's enumerations are compared with.
+
+nb::list code_list() {
+    nb::list out;
+#define X(name, number) out.append(nb::make_tuple(number, #name));
+    FL_CODES(X)
+#undef X
+    return out;
+}
+
+nb::list status_list() {
+    nb::list out;
+#define X(name, bit) out.append(nb::make_tuple(bit, #name));
+    FL_STATUS_BITS(X)
+#undef X
     return out;
 }
 
@@ -228,7 +247,10 @@ void bind_firmware(nb::module_ &parent) {
     nb::module_ m = parent.def_submodule("firmware", "The positioner's firmware, compiled for the host.");
     m.attr("AXIS_PARAMS") = param_list();
     m.attr("SIZEOF_POSITIONER") = sizeof(fl_positioner_t);
-    m.attr("TX_QUEUE") = nb::make_tuple(offsetof(fl_positioner_t, tx), sizeof(fl_tx_queue_t));
+    m.attr("TX_QUEUE") = nb::make_tuple(offsetof(fl_positioner_t, tx), sizeof(fl_outbox_t));
+    m.attr("CODES") = code_list();         // (number, name)
+    m.attr("STATUS_BITS") = status_list(); // (bit, name)
+    m.attr("TICK_HZ") = FL_TICK_HZ;
     m.attr("PATH_POINTS") = FL_PATH_POINTS;
     m.def("encode_identifier", &encode, nb::arg("positioner"), nb::arg("command"), nb::arg("uid") = 0,
           nb::arg("code") = 0);

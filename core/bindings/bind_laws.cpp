@@ -169,13 +169,20 @@ std::pair<int, int> supervisor(int state, int input, uint32_t conditions) {
 
 using Rows = nb::typed<nb::list, nb::typed<nb::dict, nb::str, nb::any>>;
 
+// The dispatcher's own rows; the names, which the firmware has no room for, are those of its list.
 Rows command_table() {
+    static const char *const names[] = {
+#define X(name, number, least, most, flags, input, axes, arg, handler) #name,
+        FL_COMMANDS(X)
+#undef X
+    };
     unsigned n;
     const fl_command_row_t *rows = fl_command_table(&n);
     Rows out;
     for (unsigned i = 0; i < n; ++i) {
         nb::dict d;
         d["number"] = int{rows[i].number};
+        d["name"] = names[i];
         d["length"] = nb::make_tuple(int{rows[i].len_min}, int{rows[i].len_max});
         d["broadcast"] = bool(rows[i].flags & FL_CMD_BROADCAST);
         d["bootloader"] = bool(rows[i].flags & FL_CMD_BOOTLOADER);
@@ -234,42 +241,19 @@ void bind_laws(nb::module_ &m) {
           nb::arg("landing_cnt") = 0);
     m.def("supervisor", &supervisor, nb::arg("state"), nb::arg("input"), nb::arg("conditions"),
           "(next state, response code)");
-    m.def("command_table", &command_table);
+    m.def("command_table", &command_table,
+          "Rows of number, name, length (least, most), broadcast, bootloader, input, axes.");
     m.def("hall_fit", &hall_fit, nb::arg("adc_cnt"),
           "(offset a, b, amplitude a, b, phase_rad, residual_rad) or None.");
     m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
     m.def("crc32", &crc32, nb::arg("data"));
-    m.attr("STATES") = enumeration({{"IDLE", FL_STATE_IDLE},
-                                    {"LOADING", FL_STATE_LOADING},
-                                    {"LOADED", FL_STATE_LOADED},
-                                    {"REFUSED", FL_STATE_REFUSED},
-                                    {"MOVING", FL_STATE_MOVING},
-                                    {"STOPPING", FL_STATE_STOPPING},
-                                    {"HOMING", FL_STATE_HOMING},
-                                    {"HALL_CALIBRATION", FL_STATE_HALL_CALIBRATION},
-                                    {"DATUM_CALIBRATION", FL_STATE_DATUM_CALIBRATION},
-                                    {"COGGING_CALIBRATION", FL_STATE_COGGING_CALIBRATION},
-                                    {"BOOTLOADER", FL_STATE_BOOTLOADER}});
-    m.attr("INPUTS") = enumeration({{"QUERY", FL_IN_QUERY},
-                                    {"SETTING", FL_IN_SETTING},
-                                    {"NEW", FL_IN_NEW},
-                                    {"POINT", FL_IN_POINT},
-                                    {"END", FL_IN_END},
-                                    {"START", FL_IN_START},
-                                    {"STOP", FL_IN_STOP},
-                                    {"GOTO", FL_IN_GOTO},
-                                    {"HOME", FL_IN_HOME},
-                                    {"CALIBRATE_HALL", FL_IN_CALIBRATE_HALL},
-                                    {"CALIBRATE_DATUM", FL_IN_CALIBRATE_DATUM},
-                                    {"CALIBRATE_COGGING", FL_IN_CALIBRATE_COGGING},
-                                    {"BOOT", FL_IN_BOOT},
-                                    {"IMPOSSIBLE", FL_IN_IMPOSSIBLE},
-                                    {"DONE", FL_IN_DONE},
-                                    {"COLLISION", FL_IN_COLLISION},
-                                    {"BAD_TRAJECTORY", FL_IN_BAD_TRAJECTORY}});
-    m.attr("CONDITIONS") = enumeration({{"COLLIDED", FL_IF_COLLIDED},
-                                        {"HALL_UNCALIBRATED", FL_IF_HALL_UNCALIBRATED},
-                                        {"DATUM_UNCALIBRATED", FL_IF_DATUM_UNCALIBRATED},
-                                        {"DATUM_UNKNOWN", FL_IF_DATUM_UNKNOWN},
-                                        {"BAD_PARAMETERS", FL_IF_BAD_PARAMETERS}});
+#define X(name) {#name, FL_STATE_##name},
+    m.attr("STATES") = enumeration({FL_STATES(X)});
+#undef X
+#define X(name) {#name, FL_IN_##name},
+    m.attr("INPUTS") = enumeration({FL_INPUTS(X)});
+#undef X
+#define X(name, bit) {#name, FL_IF_##name},
+    m.attr("CONDITIONS") = enumeration({FL_CONDITIONS(X)});
+#undef X
 }

@@ -1,28 +1,23 @@
-/* Between the bus and the positioner: what the handlers and the control interrupt share. */
+/* What the bus asks of a positioner: frames, and the SYNC line. */
 #ifndef FL_DISPATCH_H
 #define FL_DISPATCH_H
 
 #include "fl_positioner.h"
 
-/* Recomputes the status word from the state. */
-void fl_positioner_refresh(fl_positioner_t *p);
+#ifdef __cplusplus
+extern "C" {
+#endif
 
-/* FL_IF_... bits that hold for any of the axes in the mask. */
-uint32_t fl_positioner_conditions(const fl_positioner_t *p, uint8_t axes);
+/* A frame seen on the bus, for this positioner or another. A request is answered through port->send_frame, at
+ * once or in a later tick; without room for the answer it is not carried out. Anything else is ignored.
+ * @pre not during fl_positioner_tick: the same context */
+void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);
 
-/* A command was carried out: the supervisor's next state, with all that follows. */
-void fl_positioner_enter(fl_positioner_t *p, uint8_t state);
+/* The SYNC line rises: like START_TRAJECTORY without an answer.
+ * @pre as above */
+void fl_positioner_sync(fl_positioner_t *p);
 
-/* An event from inside moves the supervisor on. */
-void fl_positioner_apply(fl_positioner_t *p, fl_input_t input);
-
-/* Both axes: phases off. */
-void fl_positioner_brake(fl_positioner_t *p);
-
-/* Queues the unsolicited frame 18. */
-void fl_positioner_report_collision(fl_positioner_t *p);
-
-/* Sends what waits, as far as the mailbox takes it. */
-void fl_positioner_flush(fl_positioner_t *p);
-
+#ifdef __cplusplus
+}
+#endif
 #endif

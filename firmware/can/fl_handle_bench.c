@@ -1,11 +1,10 @@
 /* Engineering commands for a bench: the trace, and torque steps. Numbers from 240 on, which no host of an
  * instrument uses. */
 #include "fl_commands.h"
-#include "fl_dispatch.h"
 
 #define UNUSED(x) (void)(x)
 
-static int axis_of(const fl_request_t *rq) { return rq->axes == FL_AXIS_ALPHA_BIT ? FL_ALPHA : FL_BETA; }
+static int axis_of(const fl_request_t *rq) { return rq->axes == FL_ON_ALPHA ? FL_ALPHA : FL_BETA; }
 
 static uint16_t get_u16(const uint8_t *b) { return (uint16_t)(b[0] | b[1] << 8); }
 

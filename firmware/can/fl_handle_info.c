@@ -50,7 +50,7 @@ static void reply_u16(fl_reply_t *re, float cnt) {
 
 /* Largest and smallest counts of both channels: max A, max B, min A, min B. */
 FL_HANDLER(fl_handle_hall_range) {
-    const fl_axis_params_t *q = &p->params[rq->axes == FL_AXIS_ALPHA_BIT ? FL_ALPHA : FL_BETA];
+    const fl_axis_params_t *q = &p->params[rq->axes == FL_ON_ALPHA ? FL_ALPHA : FL_BETA];
     reply_u16(re, q->hall_offset_a + q->hall_amplitude_a);
     reply_u16(re, q->hall_offset_b + q->hall_amplitude_b);
     reply_u16(re, q->hall_offset_a - q->hall_amplitude_a);

@@ -1,6 +1,7 @@
 /* Trajectories, go-to moves, the datum search, stop. */
 #include "fl_commands.h"
 #include "fl_dispatch.h"
+#include "fl_status.h"
 
 #include <stddef.h>
 
@@ -79,13 +80,13 @@ FL_HANDLER(fl_handle_end) {
     UNUSED(rq), UNUSED(re);
     if (trajectory_good(p)) return FL_ACCEPTED;
     fl_positioner_apply(p, FL_IN_BAD_TRAJECTORY);
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
     return FL_INVALID_TRAJECTORY;
 }
 
 void fl_positioner_sync(fl_positioner_t *p) {
-    const fl_verdict_t verdict = fl_supervisor_match((fl_state_t)p->state, FL_IN_START,
-                                                     fl_positioner_conditions(p, FL_AXIS_BOTH_BITS));
+    const fl_verdict_t verdict =
+        fl_supervisor_match((fl_state_t)p->state, FL_IN_START, fl_status_conditions(p, FL_ON_BOTH));
     if (verdict.code != FL_ACCEPTED || fl_handle_start(p, NULL, NULL) != FL_ACCEPTED) return;
     fl_positioner_enter(p, verdict.next);
 }
@@ -145,8 +146,9 @@ FL_HANDLER(fl_handle_calibrate) {
     drop_paths(p);
     for (int i = 0; i < FL_AXES; ++i) {
         if (!(rq->axes >> i & 1)) continue;
-        if (rq->arg == FL_IN_HOME || rq->arg == FL_IN_CALIBRATE_DATUM) p->datum_known &= (uint8_t)~(1u << i);
-        begin(&p->axis[i], rq->arg);
+        if (rq->input == FL_IN_HOME || rq->input == FL_IN_CALIBRATE_DATUM)
+            p->datum_known &= (uint8_t)~(1u << i);
+        begin(&p->axis[i], rq->input);
     }
     return FL_ACCEPTED;
 }

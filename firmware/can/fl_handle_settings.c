@@ -1,6 +1,5 @@
 /* Commands that change how the next move is made, and those that read such settings. */
 #include "fl_commands.h"
-#include "fl_dispatch.h"
 #include "fl_status.h"
 #include "fl_storage.h"
 
@@ -104,7 +103,7 @@ FL_HANDLER(fl_handle_precise) {
     UNUSED(re);
     for (int i = 0; i < FL_AXES; ++i)
         if (selected(rq, i)) p->axis[i].precise = rq->arg;
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
     return FL_ACCEPTED;
 }
 
@@ -112,10 +111,10 @@ FL_HANDLER(fl_handle_precise) {
 FL_HANDLER(fl_handle_hall_power) {
     UNUSED(re);
     if (rq->arg)
-        p->options &= ~FL_STATUS_SWITCH_OFF_HALL_AFTER_MOVE;
+        p->options &= ~FL_STATUS(SWITCH_OFF_HALL_AFTER_MOVE);
     else
-        p->options |= FL_STATUS_SWITCH_OFF_HALL_AFTER_MOVE;
-    fl_positioner_refresh(p);
+        p->options |= FL_STATUS(SWITCH_OFF_HALL_AFTER_MOVE);
+    fl_status_refresh(p);
     return FL_ACCEPTED;
 }
 
@@ -129,14 +128,14 @@ FL_HANDLER(fl_handle_set_trajectories) {
     UNUSED(re);
     p->trajectories = fl_get_u32(rq->data);
     p->settings_changed = true;
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
     return FL_ACCEPTED;
 }
 
 FL_HANDLER(fl_handle_save) {
     UNUSED(rq), UNUSED(re);
     if (!fl_storage_save(p)) return FL_INVALID_COMMAND;
-    p->options |= FL_STATUS_CALIBRATION_SAVED;
+    p->options |= FL_STATUS(CALIBRATION_SAVED);
     p->settings_changed = false;
     return FL_ACCEPTED;
 }

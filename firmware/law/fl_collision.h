@@ -36,6 +36,9 @@ typedef struct fl_collision_in {
     float drag_doubt;             /* share of the drag that may not have been learnt yet */
 } fl_collision_in_t;
 
+/* Closed loop, Eq. 22: true when the rotor or the arm is blocked, from the feedback term and the commanded
+ * speed of this tick.
+ * @pre in.direction is -1, 0 or 1; in.drag_doubt >= 0 */
 static inline bool fl_collision_closed(const fl_collision_config_t *cfg, fl_collision_in_t in) {
     const float drag_Nm = cfg->drag * fl_abs(in.speed_rad_s);
     const bool stuck = fl_abs(in.feedback_Nm) > cfg->threshold_Nm + cfg->drag_share * drag_Nm;
@@ -45,6 +48,7 @@ static inline bool fl_collision_closed(const fl_collision_config_t *cfg, fl_coll
     return stuck || contact;
 }
 
+/* Open loop: true when the rotor is further from the field than error_min_cnt, either way. */
 static inline bool fl_collision_open(const fl_collision_config_t *cfg, int32_t field_minus_rotor_cnt) {
     return field_minus_rotor_cnt > cfg->error_min_cnt || field_minus_rotor_cnt < -cfg->error_min_cnt;
 }

@@ -6,6 +6,7 @@
 
 #define FL_CRC_START 0xffffffffu
 
+/* The running CRC after `len` more bytes; begins with FL_CRC_START. Any length, 0 included. */
 static inline uint32_t fl_crc_add(uint32_t crc, const void *bytes, uint32_t len) {
     static const uint32_t table[16] = {0x00000000u, 0x1db71064u, 0x3b6e20c8u, 0x26d930acu,
                                        0x76dc4190u, 0x6b6b51f4u, 0x4db26158u, 0x5005713cu,
@@ -20,6 +21,7 @@ static inline uint32_t fl_crc_add(uint32_t crc, const void *bytes, uint32_t len)
     return crc;
 }
 
+/* The CRC-32 of all bytes added. */
 static inline uint32_t fl_crc_end(uint32_t crc) { return ~crc; }
 
 #endif

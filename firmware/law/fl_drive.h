@@ -6,7 +6,6 @@
 
 #include "fl_collision.h"
 #include "fl_commutation.h"
-#include "fl_port.h"
 #include "fl_servo.h"
 #include "fl_touch.h"
 
@@ -28,6 +27,9 @@ typedef struct fl_drive_state {
     fl_servo_state_t servo;
     fl_touch_state_t touch;
 } fl_drive_state_t;
+/* The touch watch of this tick (fl_touch.h): `torque` is what the servo has asked for, `voltage` what of it
+ * the supply gives (-1..1 of u_dc). True when the arm is touched.
+ * @pre after fl_servo_step of the same tick */
 static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state_t *st,
                                     const fl_servo_in_t *in, const fl_servo_out_t *torque, float voltage) {
     const float excess_Nms = cfg->servo.drag * (st->servo.drag_scale - 1.0f);
@@ -41,7 +43,7 @@ static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state
         in->acceleration_rad_s2,
         st->servo.drag_doubt,
     };
-    return fl_touch_step(&cfg->touch, &st->touch, &touch, FL_TICK_S);
+    return fl_touch_step(&cfg->touch, &st->touch, &touch);
 }
 
 /* rotor: measured at the start of the tick. */

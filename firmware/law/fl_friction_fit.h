@@ -24,6 +24,7 @@ typedef struct fl_friction {
     float cogging_Nm, cogging_phase_rad;
 } fl_friction_t;
 
+/* Forgets all samples. */
 static inline void fl_friction_fit_reset(fl_friction_fit_t *f) {
     const fl_friction_fit_t empty = {{0, 0}, {{{0}}}};
     *f = empty;

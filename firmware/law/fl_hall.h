@@ -28,6 +28,8 @@ typedef struct fl_hall_out {
 /* Below this squared length of (sin, cos) the sensor is dead and the last angle is kept. */
 #define FL_HALL_DEAD 0.1f
 
+/* Sine and cosine of the rotor angle from the counts of channels A and B (0..FL_HALL_ADC_MAX); of unit length
+ * as far as the calibration is right. */
 static inline fl_sincos_t fl_hall_vector(const fl_hall_config_t *cfg, const uint16_t adc_cnt[2]) {
     const float a = ((float)adc_cnt[0] - cfg->offset_a_cnt) * cfg->gain_a;
     const float b = ((float)adc_cnt[1] - cfg->offset_b_cnt) * cfg->gain_b;
@@ -35,6 +37,8 @@ static inline fl_sincos_t fl_hall_vector(const fl_hall_config_t *cfg, const uint
     return out;
 }
 
+/* A sample of both channels: the rotor's unit vector and its unwrapped angle. A dead sensor keeps the angle.
+ * @pre less than half a motor turn since the sample before */
 static inline fl_hall_out_t fl_hall_step(const fl_hall_config_t *cfg, fl_hall_state_t *st,
                                          const uint16_t adc_cnt[2]) {
     const fl_sincos_t rotor = fl_hall_vector(cfg, adc_cnt);

@@ -21,11 +21,13 @@ typedef struct fl_hall_shape {
     float residual_rad; /* rms, of the radius in units of the amplitude */
 } fl_hall_shape_t;
 
+/* Forgets the range and all samples. */
 static inline void fl_hall_fit_reset(fl_hall_fit_t *f) {
     const fl_hall_fit_t empty = {{UINT16_MAX, UINT16_MAX}, {0, 0}, 0, {{{0}}}};
     *f = empty;
 }
 
+/* First turn: widens the range by a sample of channels A and B, counts. */
 static inline void fl_hall_fit_range(fl_hall_fit_t *f, const uint16_t adc_cnt[2]) {
     for (int i = 0; i < 2; ++i) {
         if (adc_cnt[i] < f->min_cnt[i]) f->min_cnt[i] = adc_cnt[i];
@@ -33,9 +35,13 @@ static inline void fl_hall_fit_range(fl_hall_fit_t *f, const uint16_t adc_cnt[2]
     }
 }
 
+/* Middle of the range of channel i (0 = A, 1 = B), counts.
+ * @pre a sample in the range */
 static inline float fl_hall_fit_centre(const fl_hall_fit_t *f, int i) {
     return 0.5f * ((float)f->min_cnt[i] + (float)f->max_cnt[i]);
 }
+/* Half the width of the range of channel i, counts.
+ * @pre as above */
 static inline float fl_hall_fit_scale(const fl_hall_fit_t *f, int i) {
     return 0.5f * ((float)f->max_cnt[i] - (float)f->min_cnt[i]);
 }

@@ -24,6 +24,8 @@ typedef struct fl_normal {
     float m[FL_FIT_SIZE][FL_FIT_SIZE + 1]; /* the right-hand side in column n */
 } fl_normal_t;
 
+/* Adds an observation: `value` is the sum of the n unknowns times `basis`.
+ * @pre 1 <= n <= FL_FIT_SIZE, the same for all observations; all zero at first */
 static inline void fl_normal_add(fl_normal_t *f, int n, const float *basis, float value) {
     for (int i = 0; i < n; ++i) {
         for (int j = 0; j < n; ++j) f->m[i][j] += basis[i] * basis[j];

@@ -8,29 +8,40 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "fl_tick.h"
+
 #define FL_TURN_BITS 20
-#define FL_TURN_CNT (1 << FL_TURN_BITS)      /* counts per motor turn */
-#define FL_RAD_PER_CNT 5.9921124e-6f         /* 2 pi / 2^20 */
-#define FL_CNT_PER_RAD 166886.05f            /* 2^20 / (2 pi) */
-#define FL_CNT_PER_MOTOR_DEG 2912.7111f      /* 2^20 / 360 */
-#define FL_CNT_PER_OUTPUT_DEG 2982616.2f     /* 2^30 / 360 */
-#define FL_RAD_S_PER_CNT_TICK 0.011984225f   /* 2 pi / 2^20 * 2000 Hz */
-#define FL_CNT_TICK_PER_RPM 8.7381333f       /* 2^20 / (60 * 2000 Hz) */
-#define FL_CNT_TICK2_PER_RAD_S2 0.041721513f /* 2^20 / (2 pi) / (2000 Hz)^2 */
+#define FL_TURN_CNT (1 << FL_TURN_BITS) /* counts per motor turn */
+#define FL_TWO_PI 6.283185307179586     /* in double: the constants below are rounded once, by the compiler */
+#define FL_RAD_PER_CNT ((float)(FL_TWO_PI / FL_TURN_CNT))
+#define FL_CNT_PER_RAD ((float)(FL_TURN_CNT / FL_TWO_PI))
+#define FL_CNT_PER_MOTOR_DEG ((float)(FL_TURN_CNT / 360.0))
+#define FL_CNT_PER_OUTPUT_DEG ((float)((1 << 30) / 360.0))
+#define FL_RAD_S_PER_CNT_TICK ((float)(FL_TWO_PI / FL_TURN_CNT * FL_TICK_HZ))
+#define FL_CNT_TICK_PER_RPM ((float)(FL_TURN_CNT / (60.0 * FL_TICK_HZ)))
+#define FL_CNT_TICK2_PER_RAD_S2 ((float)(FL_TURN_CNT / FL_TWO_PI / FL_TICK_HZ / FL_TICK_HZ))
 
 typedef struct fl_sincos {
     float sin, cos;
 } fl_sincos_t;
 
+/* |x|.
+ * @pre x != INT32_MIN */
 static inline int32_t fl_abs_i32(int32_t x) { return x < 0 ? -x : x; }
+/* The larger; b where one is NaN. */
 static inline float fl_max(float a, float b) { return a > b ? a : b; }
+/* The smaller; b where one is NaN. */
 static inline float fl_min(float a, float b) { return a < b ? a : b; }
+/* x kept within lo..hi; lo where x is NaN.
+ * @pre lo <= hi */
 static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max(x, lo), hi); }
 
+/* |x|. */
 static inline float fl_abs(float x) { return __builtin_fabsf(x); }
 
 /* Sums and differences of positions wrap instead of overflowing. */
 static inline int32_t fl_add_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
+/* The difference, likewise. */
 static inline int32_t fl_sub_i32(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
 
 /* An angle folded to half a motor turn either side of zero. */
@@ -55,6 +66,7 @@ static inline float fl_sin_cnt(int32_t angle_cnt) {
     return x * ((0.999996616f - 0.166648284f * z) + (0.00830632516f - 0.000183636522f * z) * (z * z));
 }
 
+/* Sine and cosine of a motor angle; errors as of fl_sin_cnt. */
 static inline fl_sincos_t fl_sincos_cnt(int32_t angle_cnt) {
     const fl_sincos_t out = {fl_sin_cnt(angle_cnt), fl_sin_cnt(fl_add_i32(angle_cnt, FL_TURN_CNT / 4))};
     return out;

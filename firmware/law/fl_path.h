@@ -29,6 +29,7 @@ typedef struct fl_path_cursor {
     uint16_t slot;
 } fl_path_cursor_t;
 
+/* No points. */
 static inline void fl_path_clear(fl_path_t *path) {
     path->slots = path->points = path->plateau_slot = 0;
     path->last_cnt = 0;
@@ -36,6 +37,8 @@ static inline void fl_path_clear(fl_path_t *path) {
     path->landing_cnt = 0;
 }
 
+/* Writes a slot: 32 bits of value, 16 bits of ticks.
+ * @pre path->slots < FL_PATH_SLOTS */
 static inline void fl_path_put(fl_path_t *path, uint32_t value, uint32_t ticks) {
     uint16_t *slot = path->slot[path->slots++];
     slot[0] = (uint16_t)value;
@@ -58,6 +61,8 @@ static inline bool fl_path_append(fl_path_t *path, int32_t position_cnt, int32_t
     return true;
 }
 
+/* The 32 bits of a slot.
+ * @pre slot < path->slots */
 static inline uint32_t fl_path_value(const fl_path_t *path, uint16_t slot) {
     return path->slot[slot][0] | (uint32_t)path->slot[slot][1] << 16;
 }
@@ -90,6 +95,7 @@ static inline void fl_path_enter(const fl_path_t *path, fl_path_cursor_t *cur) {
     cur->ticks = cur->ticks_left = ticks;
 }
 
+/* Begins at the first point, coming from position here_cnt. */
 static inline void fl_path_start(fl_path_cursor_t *cur, int32_t here_cnt) {
     cur->position_cnt = here_cnt;
     cur->slot = 0;
@@ -98,6 +104,7 @@ static inline void fl_path_start(fl_path_cursor_t *cur, int32_t here_cnt) {
     cur->ticks = 1;
 }
 
+/* Whether the last point is reached. */
 static inline bool fl_path_done(const fl_path_t *path, const fl_path_cursor_t *cur) {
     return cur->ticks_left == 0 && cur->slot >= path->slots;
 }

@@ -39,6 +39,8 @@ static inline fl_profile_shape_t fl_profile_shape(uint32_t distance_cnt, fl_prof
     return shape;
 }
 
+/* Plans a move between two positions, counts; a way of zero has no ticks.
+ * @pre both limits > 0 */
 static inline void fl_profile_start(fl_profile_state_t *st, int32_t from_cnt, int32_t to_cnt,
                                     fl_profile_limits_t lim) {
     const int64_t way = (int64_t)to_cnt - from_cnt;
@@ -53,6 +55,7 @@ static inline void fl_profile_start(fl_profile_state_t *st, int32_t from_cnt, in
     st->target_cnt = to_cnt;
 }
 
+/* Whether the target is reached. */
 static inline bool fl_profile_done(const fl_profile_state_t *st) { return st->tick >= st->total_ticks; }
 
 /* Position at the end of the next tick; the target from the last one on. */

@@ -53,6 +53,7 @@ typedef struct fl_servo_out {
     float watched_Nm; /* the feedback term of Eq. 22 */
 } fl_servo_out_t;
 
+/* The break-away torque of Eq. 21 at the commanded angle, Nm, for a motion in `direction` (-1, 0 or 1). */
 static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_servo_in_t *in,
                                         float direction) {
     const int32_t twice_cnt = fl_add_i32(in->rotor_cnt, in->rotor_cnt);
@@ -61,6 +62,9 @@ static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_s
            cfg->cogging * fl_sin_cnt(fl_add_i32(twice_cnt, cfg->cogging_phase_cnt));
 }
 
+/* Eq. 21: the torque of this tick, of which dt_s is the length in s; integral, direction and learnt drag in
+ * `st` move on.
+ * @pre dt_s > 0; cfg->integral_limit >= 0 */
 static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_servo_state_t *st,
                                            const fl_servo_in_t *in, float dt_s) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;

@@ -28,6 +28,7 @@ typedef struct fl_command {
     float acceleration_rad_s2;
 } fl_command_t;
 
+/* Standing at position_cnt, as if it had been commanded for 16 ms. */
 static inline void fl_smooth_reset(fl_smooth_state_t *st, int32_t position_cnt) {
     for (int i = 0; i < FL_SMOOTH_TICKS; ++i) st->ring_cnt[i] = position_cnt;
     st->sum_cnt = (int64_t)position_cnt * FL_SMOOTH_TICKS;
@@ -43,7 +44,7 @@ static inline fl_command_t fl_smooth_step(fl_smooth_state_t *st, int32_t raw_cnt
     st->next = (st->next + 1u) & (FL_SMOOTH_TICKS - 1u);
     st->sum_cnt += change;
     const float speed = (float)change * (FL_RAD_S_PER_CNT_TICK / FL_SMOOTH_TICKS);
-    const fl_command_t out = {st->value_cnt, speed, (speed - st->speed_rad_s) * 2000.0f};
+    const fl_command_t out = {st->value_cnt, speed, (speed - st->speed_rad_s) * (float)FL_TICK_HZ};
     st->value_cnt = (int32_t)((st->sum_cnt + FL_SMOOTH_TICKS / 2) >> FL_SMOOTH_BITS);
     st->speed_rad_s = speed;
     return out;

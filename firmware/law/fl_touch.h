@@ -8,7 +8,7 @@
  *
  * with three equal poles at FL_TOUCH_RAD_S, corrected once a tick: white noise of the sensors is no more than
  * 0.3 uNm for alpha, a load that grows is seen 3/FL_TOUCH_RAD_S = 6.7 ms late. What the model is wrong by
- * changes slowly at constant speed: the mean of some 60 ms, against which a touch stands out. A change of
+ * changes slowly at constant speed: the mean of some 60 ms, which a touch exceeds. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
  *   touch if sgn(w) L - mean - excess > touch + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
@@ -46,6 +46,11 @@
 #define FL_TOUCH_DOUBT 3.0f    /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
 #define FL_TOUCH_INERTIA 0.12f /* what it may be wrong by */
 
+/* Gains, shares and fades above are those of this period. */
+#if FL_TICK_HZ != 2000
+#error "the gains of fl_touch.h are those of a tick of 0.5 ms"
+#endif
+
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */
     float drag;                     /* Nm s/rad */
@@ -76,15 +81,15 @@ typedef struct fl_touch_in {
 /* The load resisting the motion, Nm: corrected by the error of now, led on by the torque of the coming tick.
  */
 static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_state_t *st,
-                                     const fl_touch_in_t *in, float dt_s) {
+                                     const fl_touch_in_t *in) {
     const float news = in->error_rad - st->error_rad;
     st->error_rad += FL_TOUCH_GAIN_E * news;
     st->rate_rad_s += FL_TOUCH_GAIN_V * news;
     st->load_rad_s2 += FL_TOUCH_GAIN_A * news;
     const float drives =
         (in->beyond_Nm + (cfg->drag + in->excess_Nms) * st->rate_rad_s) * cfg->inertia_inverse;
-    const float gains_rad_s = (st->load_rad_s2 - drives) * dt_s;
-    st->error_rad += (st->rate_rad_s + 0.5f * gains_rad_s) * dt_s;
+    const float gains_rad_s = (st->load_rad_s2 - drives) * FL_TICK_S;
+    st->error_rad += (st->rate_rad_s + 0.5f * gains_rad_s) * FL_TICK_S;
     st->rate_rad_s += gains_rad_s;
     return st->load_rad_s2 * cfg->inertia * in->direction;
 }
@@ -97,13 +102,16 @@ static inline float fl_touch_late(fl_touch_state_t *st, float speed_rad_s) {
     return st->late_3_rad_s;
 }
 
-static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch_in_t *in,
-                                 float dt_s) {
-    const float load_Nm = fl_touch_observe(cfg, st, in, dt_s);
+/* One tick of FL_TICK_S: true when the arm is touched. rise_Nm and limit_Nm in `st` tell by how much, for
+ * logs.
+ * @pre in->direction is -1, 0 or 1; cfg->inertia > 0 */
+static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st,
+                                 const fl_touch_in_t *in) {
+    const float load_Nm = fl_touch_observe(cfg, st, in);
     const float speed = fl_abs(in->speed_rad_s);
     /* the direction is the last commanded one: where it turns, so does the speed */
     const bool drives = speed >= FL_TOUCH_SLOW_RAD_S && in->direction * st->way_rad >= 0.0f;
-    st->way_rad = drives ? st->way_rad + in->speed_rad_s * dt_s : 0.0f;
+    st->way_rad = drives ? st->way_rad + in->speed_rad_s * FL_TICK_S : 0.0f;
     const bool watched = fl_abs(st->way_rad) > FL_TOUCH_WAY_RAD;
     st->surge_rad_s2 = fl_max(fl_abs(in->acceleration_rad_s2), FL_TOUCH_FADE * st->surge_rad_s2);
 

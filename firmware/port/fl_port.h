@@ -10,14 +10,14 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "fl_tick.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 enum { FL_ALPHA = 0, FL_BETA = 1, FL_AXES = 2 };
 
-#define FL_TICK_HZ 2000
-#define FL_TICK_S 0.0005f
 #define FL_HALL_ADC_MAX 4095 /* 12 bit, counts */
 
 /* A classic CAN frame with a 29-bit identifier. */

@@ -63,7 +63,7 @@ void fl_calibration_done(fl_positioner_t *p, int axis) {
         if (a->datum_found) p->datum_known |= bit(axis);
         /* found at the stop: no longer a guess, nor what the storage said */
         if (p->datum_known == (bit(FL_ALPHA) | bit(FL_BETA)))
-            p->options &= ~(FL_STATUS_ESTIMATED_POSITION | FL_STATUS_POSITION_RESTORED);
+            p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));
         p->settings_changed |= a->datum_found && a->datum_calibrate;
         break;
     default:

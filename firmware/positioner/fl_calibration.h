@@ -4,10 +4,10 @@
 
 #include "fl_positioner.h"
 
-/* An axis has ended the plan of the calibration (fl_state_t) it was in. */
+/* An axis has ended the plan of the calibration that p->state tells: its results become parameters. */
 void fl_calibration_done(fl_positioner_t *p, int axis);
 
-/* Whether its result is a fit, which takes as long as a tick of both axes. */
+/* Whether the result of the calibration under way is a fit, which takes as long as a tick of both axes. */
 static inline bool fl_calibration_fits(const fl_positioner_t *p) {
     return p->state == FL_STATE_HALL_CALIBRATION || p->state == FL_STATE_COGGING_CALIBRATION;
 }

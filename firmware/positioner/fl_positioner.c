@@ -1,8 +1,7 @@
 #include "fl_positioner.h"
 
-#include "fl_boot.h"
 #include "fl_calibration.h"
-#include "fl_dispatch.h"
+#include "fl_identifier.h"
 #include "fl_status.h"
 #include "fl_storage.h"
 
@@ -35,7 +34,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     fl_trace_start(&p->trace, 0);
     fl_storage_load(p);
     p->params_good = params_good(p);
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
 }
 
 bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params) {
@@ -43,7 +42,7 @@ bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params
     p->params[axis] = *params;
     fl_axis_configure(&p->axis[axis], params);
     p->params_good = params_good(p);
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
     return true;
 }
 
@@ -51,9 +50,9 @@ void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[F
     for (int axis = 0; axis < FL_AXES; ++axis)
         fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
     p->datum_known = BOTH_AXES;
-    p->options &= ~(FL_STATUS_ESTIMATED_POSITION | FL_STATUS_POSITION_RESTORED);
+    p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));
     fl_storage_note_position(p, false);
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
 }
 
 static bool axes_rest(const fl_positioner_t *p) {
@@ -71,25 +70,40 @@ void fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
     const bool rested = p->state <= FL_STATE_REFUSED;
     p->state = state;
     if (rested && state > FL_STATE_REFUSED) fl_storage_note_position(p, true);
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
 }
 
 void fl_positioner_apply(fl_positioner_t *p, fl_input_t input) {
-    p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_positioner_conditions(p, BOTH_AXES)).next;
+    p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_status_conditions(p, BOTH_AXES)).next;
 }
 
 void fl_positioner_brake(fl_positioner_t *p) {
     for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_brake(&p->axis[axis], &p->port, axis);
 }
 
-/* Eq. 22 has fired: everything stops, the host is told. */
+void fl_positioner_enter_bootloader(fl_positioner_t *p) {
+    /* an axis in motion loses count: as after a power cut */
+    if (p->state > FL_STATE_REFUSED) p->datum_known = 0;
+    for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_off(&p->axis[axis], &p->port, axis);
+    p->state = FL_STATE_BOOTLOADER;
+    fl_boot_start(&p->boot, p->ticks);
+}
+
+/* The one frame that is no answer: COLLISION_DETECTED. Not sent where there is no room. */
+static void report_collision(fl_positioner_t *p) {
+    const fl_identifier_t id = {p->id, FL_ID_COLLISION, 0, 0};
+    const fl_can_frame_t frame = {fl_identifier_pack(id), 0, {0}};
+    if (!fl_outbox_full(&p->tx)) fl_outbox_put(&p->tx, &p->port, &frame);
+}
+
+/* Eq. 22 has fired: both axes stop, the host is told. */
 static void collide(fl_positioner_t *p, int axis) {
     const bool first = p->collided == 0;
     p->collided |= (uint8_t)(1u << axis);
     fl_positioner_brake(p);
     fl_positioner_apply(p, FL_IN_COLLISION);
-    fl_positioner_refresh(p);
-    if (first) fl_positioner_report_collision(p);
+    fl_status_refresh(p);
+    if (first) report_collision(p);
 }
 
 enum { RESULTS = FL_CHORE_RESULT_ALPHA | FL_CHORE_RESULT_BETA };
@@ -102,7 +116,7 @@ static void axis_done(fl_positioner_t *p, int axis) {
         fl_positioner_apply(p, FL_IN_DONE);
         p->chores |= FL_CHORE_NOTE;
     }
-    fl_positioner_refresh(p);
+    fl_status_refresh(p);
 }
 
 /* The fits of both axes and the storage in one tick would be long. */
@@ -113,8 +127,8 @@ static void do_chore(fl_positioner_t *p) {
         axis_done(p, FL_BETA);
     } else {
         fl_storage_note_position(p, false);
-        fl_positioner_refresh(
-            p); /* the displacement is completed when its end is known to outlive a power cut */
+        /* the displacement is completed when its end is known to outlive a power cut */
+        fl_status_refresh(p);
     }
 }
 
@@ -130,10 +144,13 @@ static void trace(fl_positioner_t *p) {
 bool fl_positioner_begin_tick(fl_positioner_t *p) {
     ++p->ticks;
     if (p->trace.decimation != 0) trace(p);
-    if (p->tx.count != 0) fl_positioner_flush(p);
+    if (p->tx.count != 0) fl_outbox_flush(&p->tx, &p->port);
     if (p->chores != 0) do_chore(p);
     if (p->state != FL_STATE_BOOTLOADER) return true;
-    fl_boot_tick(p);
+    if (fl_boot_tick(&p->boot, p->ticks)) {
+        p->state = FL_STATE_IDLE;
+        fl_status_refresh(p);
+    }
     return false;
 }
 

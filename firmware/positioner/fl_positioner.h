@@ -6,6 +6,8 @@
 #include <stdint.h>
 
 #include "fl_axis.h"
+#include "fl_boot.h"
+#include "fl_outbox.h"
 #include "fl_params.h"
 #include "fl_port.h"
 #include "fl_supervisor.h"
@@ -14,24 +16,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Frames waiting for a mailbox of the bus. */
-enum { FL_TX_FRAMES = 16 };
-
-typedef struct fl_tx_queue {
-    uint8_t first, count;
-    fl_can_frame_t frame[FL_TX_FRAMES];
-} fl_tx_queue_t;
-
-/* What the bootloader knows of the image that arrives. */
-typedef struct fl_boot {
-    uint32_t status; /* FL_BOOT_... */
-    uint32_t size, crc_expected;
-    uint32_t received, crc;
-    uint32_t until_tick; /* then the main firmware starts */
-    /* Where a board puts the image; returns the bytes taken. NULL: received, checked, dropped. */
-    uint32_t (*image_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
-} fl_boot_t;
 
 /* What the end of a motion brings with it, in the order in which it is done. */
 enum {
@@ -57,7 +41,7 @@ typedef struct fl_positioner {
     uint32_t ticks; /* since power-up */
     fl_axis_t axis[FL_AXES];
 
-    fl_tx_queue_t tx;
+    fl_outbox_t tx;
     uint64_t status;          /* what command 3 reports */
     uint64_t options;         /* status bits that are only remembered */
     uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
@@ -69,37 +53,48 @@ typedef struct fl_positioner {
     fl_path_t path[FL_AXES];
 } fl_positioner_t;
 
-/* From power-up to ready; reads what the storage holds. `params` are the factory parameters. */
+/* From power-up to ready; reads what the storage holds. `params` are the factory parameters.
+ * @pre 1 <= id <= 2047; read_hall works */
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]);
 
-/* Into the bootloader, as at power-up of a real unit: it starts the main firmware after 10 s. */
+/* Into the bootloader, as at power-up of a real unit: it starts the main firmware after 10 s.
+ * @pre after fl_positioner_init */
 void fl_positioner_enter_bootloader(fl_positioner_t *p);
 
-/* The control interrupt: call every 0.5 ms. */
+/* The control interrupt: call every FL_TICK_S. */
 void fl_positioner_tick(fl_positioner_t *p);
 
 /* The same in parts, for hosts that do the laws of many axes at once: begin, then for alpha and then for
- * beta whatever fl_axis_tick does, and what came of it. Begin returns false when the tick is over. */
+ * beta whatever fl_axis_tick does, and fl_positioner_end_axis with what it returned. Begin returns false when
+ * the tick is over. */
 bool fl_positioner_begin_tick(fl_positioner_t *p);
+/* The end of an axis' tick, with what fl_axis_tick returned.
+ * @pre fl_positioner_begin_tick has returned true in this tick */
 void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event);
-
-/* A frame seen on the bus (for whomever it is). Replies go out through port->send_frame. */
-void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame);
 
 /* True when ticks change nothing but time: no move, phases off, nothing queued. A simulator may then
  * leave ticks out; fl_positioner_skip tells how many. */
 bool fl_positioner_at_rest(const fl_positioner_t *p);
+/* Time passes without ticks.
+ * @pre fl_positioner_at_rest */
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
 
-/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set. */
+/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set.
+ * @pre both axes rest */
 void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
 
 /* Replaces the parameters of an axis. False and no change while it moves. */
 bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params);
 
-/* The SYNC line rises: like START_TRAJECTORY without an answer. */
-void fl_positioner_sync(fl_positioner_t *p);
+/* A command was carried out: the supervisor's next state (fl_state_t), with all that follows. */
+void fl_positioner_enter(fl_positioner_t *p, uint8_t state);
+
+/* An event from inside moves the supervisor on. */
+void fl_positioner_apply(fl_positioner_t *p, fl_input_t input);
+
+/* Both axes: phases off; they coast to a standstill. */
+void fl_positioner_brake(fl_positioner_t *p);
 
 /* For logs and the scope of a bench: what the control law saw and did in the last tick. */
 typedef struct fl_axis_telemetry {
@@ -113,10 +108,11 @@ typedef struct fl_axis_telemetry {
     float load_Nm;  /* beyond its mean, as the touch watch sees it; resisting is positive */
     float touch_Nm; /* where it is a touch */
 } fl_axis_telemetry_t;
+/* The last tick of an axis (FL_ALPHA or FL_BETA). */
 fl_axis_telemetry_t fl_positioner_telemetry(const fl_positioner_t *p, int axis);
 
 /* Position in 2^30 per output turn: measured in motion; at rest where the last move settled, for that
- * is where the gear stands (without current the rotor may fall back inside the backlash). */
+ * is where the gear is (without current the rotor may fall back inside the backlash). */
 int32_t fl_positioner_position(const fl_positioner_t *p, int axis);
 
 #ifdef __cplusplus

@@ -1,45 +1,67 @@
-/* The 64-bit status word of firmware >= 04.01.00. */
+/* What a positioner tells of itself: the 64-bit status word of firmware >= 04.01.00, and the conditions
+ * that the supervisor asks for. */
 #ifndef FL_STATUS_H
 #define FL_STATUS_H
 
-#include <stdint.h>
+#include "fl_positioner.h"
 
-#define FL_BIT(n) ((uint64_t)1 << (n))
+/* X(name, bit). Names are the protocol's; a pair of axes has two bits, that of alpha first. Bits 2, 3, 37
+ * and 38 belong to the protocol, and this firmware never sets them, nor 28 and 29. */
+#define FL_STATUS_BITS(X)                                                                                    \
+    X(SYSTEM_INITIALIZED, 0)                                                                                 \
+    X(CONFIG_CHANGED, 1)                                                                                     \
+    X(BSETTINGS_CHANGED, 2)                                                                                  \
+    X(DATA_STREAMING, 3)                                                                                     \
+    X(RECEIVING_TRAJECTORY, 4)                                                                               \
+    X(TRAJECTORY_ALPHA_RECEIVED, 5)                                                                          \
+    X(TRAJECTORY_BETA_RECEIVED, 6)                                                                           \
+    X(LOW_POWER_AFTER_MOVE, 7)                                                                               \
+    X(DISPLACEMENT_COMPLETED, 8)                                                                             \
+    X(DISPLACEMENT_COMPLETED_ALPHA, 9)                                                                       \
+    X(DISPLACEMENT_COMPLETED_BETA, 10)                                                                       \
+    X(COLLISION_ALPHA, 11)                                                                                   \
+    X(COLLISION_BETA, 12)                                                                                    \
+    X(CLOSED_LOOP_ALPHA, 13)                                                                                 \
+    X(CLOSED_LOOP_BETA, 14)                                                                                  \
+    X(PRECISE_POSITIONING_ALPHA, 15)                                                                         \
+    X(PRECISE_POSITIONING_BETA, 16)                                                                          \
+    X(COLLISION_DETECT_ALPHA_DISABLE, 17)                                                                    \
+    X(COLLISION_DETECT_BETA_DISABLE, 18)                                                                     \
+    X(MOTOR_CALIBRATION, 19)                                                                                 \
+    X(MOTOR_ALPHA_CALIBRATED, 20)                                                                            \
+    X(MOTOR_BETA_CALIBRATED, 21)                                                                             \
+    X(DATUM_CALIBRATION, 22)                                                                                 \
+    X(DATUM_ALPHA_CALIBRATED, 23)                                                                            \
+    X(DATUM_BETA_CALIBRATED, 24)                                                                             \
+    X(DATUM_INITIALIZATION, 25)                                                                              \
+    X(DATUM_ALPHA_INITIALIZED, 26)                                                                           \
+    X(DATUM_BETA_INITIALIZED, 27)                                                                            \
+    X(HALL_ALPHA_DISABLE, 28)                                                                                \
+    X(HALL_BETA_DISABLE, 29)                                                                                 \
+    X(COGGING_CALIBRATION, 30)                                                                               \
+    X(COGGING_ALPHA_CALIBRATED, 31)                                                                          \
+    X(COGGING_BETA_CALIBRATED, 32)                                                                           \
+    X(ESTIMATED_POSITION, 33)                                                                                \
+    X(POSITION_RESTORED, 34)                                                                                 \
+    X(SWITCH_OFF_AFTER_MOVE, 35)                                                                             \
+    X(CALIBRATION_SAVED, 36)                                                                                 \
+    X(PRECISE_MOVE_IN_OPEN_LOOP_ALPHA, 37)                                                                   \
+    X(PRECISE_MOVE_IN_OPEN_LOOP_BETA, 38)                                                                    \
+    X(SWITCH_OFF_HALL_AFTER_MOVE, 39)
 
-#define FL_STATUS_SYSTEM_INITIALIZED FL_BIT(0)
-#define FL_STATUS_CONFIG_CHANGED FL_BIT(1)
-#define FL_STATUS_RECEIVING_TRAJECTORY FL_BIT(4)
-#define FL_STATUS_TRAJECTORY_ALPHA_RECEIVED FL_BIT(5)
-#define FL_STATUS_TRAJECTORY_BETA_RECEIVED FL_BIT(6)
-#define FL_STATUS_LOW_POWER_AFTER_MOVE FL_BIT(7)
-#define FL_STATUS_DISPLACEMENT_COMPLETED FL_BIT(8)
-/* per axis: the alpha bit, shifted by the axis */
-#define FL_STATUS_AXIS_COMPLETED(axis) FL_BIT(9 + (axis))
-#define FL_STATUS_AXIS_COLLISION(axis) FL_BIT(11 + (axis))
-#define FL_STATUS_AXIS_CLOSED_LOOP(axis) FL_BIT(13 + (axis))
-#define FL_STATUS_AXIS_PRECISE(axis) FL_BIT(15 + (axis))
-#define FL_STATUS_AXIS_DETECT_DISABLED(axis) FL_BIT(17 + (axis))
-#define FL_STATUS_MOTOR_CALIBRATION FL_BIT(19)
-#define FL_STATUS_AXIS_MOTOR_CALIBRATED(axis) FL_BIT(20 + (axis))
-#define FL_STATUS_DATUM_CALIBRATION FL_BIT(22)
-#define FL_STATUS_AXIS_DATUM_CALIBRATED(axis) FL_BIT(23 + (axis))
-#define FL_STATUS_DATUM_INITIALIZATION FL_BIT(25)
-#define FL_STATUS_AXIS_DATUM_INITIALIZED(axis) FL_BIT(26 + (axis))
-#define FL_STATUS_AXIS_HALL_DISABLED(axis) FL_BIT(28 + (axis))
-#define FL_STATUS_COGGING_CALIBRATION FL_BIT(30)
-#define FL_STATUS_AXIS_COGGING_CALIBRATED(axis) FL_BIT(31 + (axis))
-#define FL_STATUS_ESTIMATED_POSITION FL_BIT(33)
-#define FL_STATUS_POSITION_RESTORED FL_BIT(34)
-#define FL_STATUS_SWITCH_OFF_AFTER_MOVE FL_BIT(35)
-#define FL_STATUS_CALIBRATION_SAVED FL_BIT(36)
-#define FL_STATUS_SWITCH_OFF_HALL_AFTER_MOVE FL_BIT(39)
+enum {
+#define X(name, bit) FL_BIT_##name = (bit),
+    FL_STATUS_BITS(X)
+#undef X
+};
 
-/* bootloader, 32 bits */
-#define FL_BOOT_INIT 0x1u
-#define FL_BOOT_TIMEOUT 0x2u
-#define FL_BOOT_RECEIVING 0x10000u
-#define FL_BOOT_RECEIVED 0x1000000u
-#define FL_BOOT_CHECK_OK 0x2000000u
-#define FL_BOOT_CHECK_BAD 0x4000000u
+/* A bit of the word by its name. */
+#define FL_STATUS(name) ((uint64_t)1 << FL_BIT_##name)
+
+/* Recomputes p->status from the state. */
+void fl_status_refresh(fl_positioner_t *p);
+
+/* FL_IF_... bits that hold for any of the axes in the mask (bit 0 alpha, bit 1 beta). */
+uint32_t fl_status_conditions(const fl_positioner_t *p, uint8_t axes);
 
 #endif

@@ -112,11 +112,11 @@ static void load_calibration(fl_positioner_t *p) {
     p->trajectories = r.trajectories;
     p->hall_calibrated = r.hall_calibrated;
     p->cogging_calibrated = r.cogging_calibrated;
-    p->options |= FL_STATUS_CALIBRATION_SAVED;
+    p->options |= FL_STATUS(CALIBRATION_SAVED);
 }
 
-/* At rest the rotor cannot have turned far: its angle tells the rest of the turn. In motion nobody
- * knows: the last position is a guess and the datum has to be found again. */
+/* At rest the rotor cannot have turned far: its angle tells the rest of the turn. A position noted in
+ * motion is a guess: the datum has to be found again. */
 static void load_position(fl_positioner_t *p) {
     position_record_t r, other;
     if (read_newest(&p->port, &position_place, &r, &other) < 0) return;
@@ -128,7 +128,7 @@ static void load_position(fl_positioner_t *p) {
         a->zero_cnt = fl_sub_i32(fl_add_i32(r.position_cnt[i], moved), rotor);
     }
     p->datum_known = r.moving ? 0 : r.datum_known;
-    p->options |= r.moving ? FL_STATUS_ESTIMATED_POSITION : FL_STATUS_POSITION_RESTORED;
+    p->options |= r.moving ? FL_STATUS(ESTIMATED_POSITION) : FL_STATUS(POSITION_RESTORED);
 }
 
 void fl_storage_load(fl_positioner_t *p) {

@@ -11,13 +11,14 @@
 /* Bytes a port should have; with less (or none) settings are simply not kept. */
 #define FL_STORAGE_BYTES 2048
 
-/* Reads calibrations and position, as far as there are good ones. */
+/* Reads calibrations and position, as far as there are good ones.
+ * @pre the axes are initialised with the factory parameters */
 void fl_storage_load(fl_positioner_t *p);
 
-/* False when the storage did not take it. */
+/* Saves the calibrations; false when the storage did not take them: the last saved ones then still count. */
 bool fl_storage_save(fl_positioner_t *p);
 
-/* At the start (moving) and the end of every motion. */
+/* Notes the position, at the start (moving) and the end of every motion. */
 void fl_storage_note_position(fl_positioner_t *p, bool moving);
 
 #endif

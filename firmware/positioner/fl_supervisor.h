@@ -1,7 +1,7 @@
 /* What a positioner may do: a table of rules and one pure matcher. First match wins.
  *
  * The supervisor sits above the laws and receives only states, inputs and conditions. It answers
- * with a response code and the next state; whoever asked acts on it.
+ * with a response code and the next state; the caller acts on it.
  */
 #ifndef FL_SUPERVISOR_H
 #define FL_SUPERVISOR_H
@@ -10,51 +10,66 @@
 
 #include "fl_codes.h"
 
+/* X(name): what a positioner is at. Up to REFUSED the axes rest. */
+#define FL_STATES(X)                                                                                         \
+    X(IDLE)     /* at rest, nothing loaded */                                                                \
+    X(LOADING)  /* between commands 10 and 12 */                                                             \
+    X(LOADED)   /* a trajectory waits for START */                                                           \
+    X(REFUSED)  /* the trajectory was bad: START must say so again */                                        \
+    X(MOVING)   /* trajectory or go-to */                                                                    \
+    X(STOPPING) /* phases off, not yet at a standstill */                                                    \
+    X(HOMING)   /* datum search */                                                                           \
+    X(HALL_CALIBRATION)                                                                                      \
+    X(DATUM_CALIBRATION)                                                                                     \
+    X(COGGING_CALIBRATION)                                                                                   \
+    X(BOOTLOADER)
+
 typedef enum fl_state {
-    FL_STATE_IDLE,     /* at rest, nothing loaded */
-    FL_STATE_LOADING,  /* between commands 10 and 12 */
-    FL_STATE_LOADED,   /* a trajectory waits for START */
-    FL_STATE_REFUSED,  /* the trajectory was bad: START must say so again */
-    FL_STATE_MOVING,   /* trajectory or go-to */
-    FL_STATE_STOPPING, /* phases off, not yet at a standstill */
-    FL_STATE_HOMING,   /* datum search */
-    FL_STATE_HALL_CALIBRATION,
-    FL_STATE_DATUM_CALIBRATION,
-    FL_STATE_COGGING_CALIBRATION,
-    FL_STATE_BOOTLOADER,
-    FL_STATE_COUNT
+#define X(name) FL_STATE_##name,
+    FL_STATES(X)
+#undef X
+        FL_STATE_COUNT
 } fl_state_t;
 
-/* What can happen: classes of commands, then events from inside. */
+/* X(name): what can happen. Classes of commands, then events from inside. */
+#define FL_INPUTS(X)                                                                                         \
+    X(QUERY)   /* reads, and settings that are always allowed */                                             \
+    X(SETTING) /* settings that need the axes at rest */                                                     \
+    X(NEW)     /* 10 */                                                                                      \
+    X(POINT)   /* 11 */                                                                                      \
+    X(END)     /* 12 */                                                                                      \
+    X(START)   /* 14 */                                                                                      \
+    X(STOP)    /* 13, 15 */                                                                                  \
+    X(GOTO)    /* 30, 31 */                                                                                  \
+    X(HOME)    /* 20 - 22 */                                                                                 \
+    X(CALIBRATE_HALL)                                                                                        \
+    X(CALIBRATE_DATUM)                                                                                       \
+    X(CALIBRATE_COGGING)                                                                                     \
+    X(BOOT)       /* 200, 201 */                                                                             \
+    X(IMPOSSIBLE) /* 18: known, never a request */                                                           \
+    X(DONE)       /* all axes rest */                                                                        \
+    X(COLLISION)                                                                                             \
+    X(BAD_TRAJECTORY)
+
 typedef enum fl_input {
-    FL_IN_QUERY,   /* reads, and settings that are always allowed */
-    FL_IN_SETTING, /* settings that need the axes at rest */
-    FL_IN_NEW,     /* 10 */
-    FL_IN_POINT,   /* 11 */
-    FL_IN_END,     /* 12 */
-    FL_IN_START,   /* 14 */
-    FL_IN_STOP,    /* 13, 15 */
-    FL_IN_GOTO,    /* 30, 31 */
-    FL_IN_HOME,    /* 20 - 22 */
-    FL_IN_CALIBRATE_HALL,
-    FL_IN_CALIBRATE_DATUM,
-    FL_IN_CALIBRATE_COGGING,
-    FL_IN_BOOT,       /* 200, 201 */
-    FL_IN_IMPOSSIBLE, /* 18: known, never a request */
-    FL_IN_DONE,       /* all axes rest */
-    FL_IN_COLLISION,
-    FL_IN_BAD_TRAJECTORY,
-    FL_IN_COUNT
+#define X(name) FL_IN_##name,
+    FL_INPUTS(X)
+#undef X
+        FL_IN_COUNT
 } fl_input_t;
 
-/* Conditions, as bits. */
+/* X(name, bit): what may stand against an input. */
+#define FL_CONDITIONS(X)                                                                                     \
+    X(COLLIDED, 0)                                                                                           \
+    X(HALL_UNCALIBRATED, 1)                                                                                  \
+    X(DATUM_UNCALIBRATED, 2)                                                                                 \
+    X(DATUM_UNKNOWN, 3)                                                                                      \
+    X(BAD_PARAMETERS, 4)
+
 enum {
-    FL_IF_COLLIDED = 1 << 0,
-    FL_IF_HALL_UNCALIBRATED = 1 << 1,
-    FL_IF_DATUM_UNCALIBRATED = 1 << 2,
-    FL_IF_DATUM_UNKNOWN = 1 << 3,
-    FL_IF_BAD_PARAMETERS = 1 << 4,
-    FL_IF_COUNT = 5
+#define X(name, bit) FL_IF_##name = 1 << (bit),
+    FL_CONDITIONS(X)
+#undef X
 };
 
 typedef struct fl_verdict {
@@ -62,6 +77,7 @@ typedef struct fl_verdict {
     uint8_t code; /* fl_code_t; the state does not change unless it is FL_ACCEPTED */
 } fl_verdict_t;
 
+/* The verdict of the table; conditions are FL_IF_... bits. Pure. */
 fl_verdict_t fl_supervisor_match(fl_state_t state, fl_input_t input, uint32_t conditions);
 
 #endif

@@ -2,7 +2,7 @@
  *
  *   bench_tick [POSITIONERS [TICKS]]      default 500 positioners, 1000 ticks
  *
- * The sensors are a table look-up and the rotor stands where the command is, so almost all of the
+ * The sensors are a table look-up and the rotor is where the command is, so almost all of the
  * time is the firmware's. Best of twenty runs: the machine is seldom alone.
  */
 #include <stdio.h>
@@ -10,6 +10,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "fl_dispatch.h"
 #include "fl_identifier.h"
 #include "fl_positioner.h"
 

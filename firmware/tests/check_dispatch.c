@@ -330,7 +330,7 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
 static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const fl_can_frame_t *f) {
     const bool sampled = chance(b, 16); /* copying 14 KB is most of the work */
     if (sampled) memcpy(before, p, sizeof *p);
-    const bool room = p->tx.count < FL_TX_FRAMES || !b->mailbox_full;
+    const bool room = p->tx.count < FL_OUTBOX_FRAMES || !b->mailbox_full;
     const uint32_t waiting = p->tx.count;
     b->replies = 0;
     fl_positioner_receive(p, f);
@@ -338,7 +338,7 @@ static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const 
     REQUIRE(answered == (is_request(p, f) && room ? 1u : 0u), "%u replies to %08x", answered,
             (unsigned)f->id);
     if (answered == 1) {
-        const uint32_t tail = (p->tx.first + p->tx.count + FL_TX_FRAMES - 1) % FL_TX_FRAMES;
+        const uint32_t tail = (p->tx.first + p->tx.count + FL_OUTBOX_FRAMES - 1) % FL_OUTBOX_FRAMES;
         conclude(b, p, f, p->tx.count != 0 ? &p->tx.frame[tail] : &b->last);
     }
     if (answered == 1 && b->replies != 0) {
@@ -385,7 +385,7 @@ static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t par
 /* From the moment that all displacement is said to be completed nothing may drive the motors. */
 static void let_tick(bench_t *b, fl_positioner_t *p) {
     fl_positioner_tick(p);
-    if (p->status & FL_STATUS_DISPLACEMENT_COMPLETED) sequence_rests(&b->model);
+    if (p->status & FL_STATUS(DISPLACEMENT_COMPLETED)) sequence_rests(&b->model);
 }
 
 static void run(bench_t *b, uint64_t frames) {

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "fl_dispatch.h"
 #include "fl_identifier.h"
 #include "fl_storage.h"
 

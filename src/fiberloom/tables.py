@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
+from fiberloom.errors import InputError
 
 SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
 

@@ -11,7 +11,9 @@ import math
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from fiberloom.typing import Floats, Ints
 
 DEG_PER_RAD = 180.0 / math.pi
 RAD_PER_DEG = math.pi / 180.0
@@ -24,9 +26,6 @@ COUNTS_PER_DEG = COUNTS_PER_TURN / 360.0
 TICK_S = 0.5e-3
 """Unit of time on the wire."""
 TICKS_PER_S = 2000.0
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def deg_to_rad(angle_deg: ArrayLike) -> Floats:

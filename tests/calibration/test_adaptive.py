@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wearing import Wearing, random_goals
 
-from fiberloom.calibration import knots as lines
-from fiberloom.calibration.adaptive import AdaptiveCalibration, AdaptiveSettings
-from fiberloom.calibration.nearest_knot import CommandSigmas, command_covariance, most_probable
+from fiberloom.calibration.adaptive import knots as lines
+from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration, AdaptiveSettings
+from fiberloom.calibration.adaptive.nearest_knot import CommandSigmas, command_covariance, most_probable
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 

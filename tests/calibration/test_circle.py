@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.calibration.circle import fit_circles
+from fiberloom.calibration.transmission.circle import fit_circles
 
 
 def points(centre, radius, angles, noise=0.0, rng=None):

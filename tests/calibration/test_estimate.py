@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.calibration.estimate import estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import estimate, least_squares, standard_errors
 from fiberloom.errors import InputError
 
 

@@ -22,7 +22,7 @@ from fiberloom.calibration import (
     identify_stiffness,
     identify_torque_scale,
 )
-from fiberloom.calibration.torque import Windows, mean_wave, windows_of
+from fiberloom.calibration.bench.torque import Windows, mean_wave, windows_of
 from fiberloom.errors import InputError
 
 FULL_UNM = 500.0

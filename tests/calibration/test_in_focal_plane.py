@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiberloom.calibration.arms_file import load_arms, load_arms_covariance, save_arms
-from fiberloom.calibration.design import Design, candidates
-from fiberloom.calibration.focal_plane import (
+from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance, save_arms
+from fiberloom.calibration.focal_plane.design import Design, candidates
+from fiberloom.calibration.focal_plane.fit import (
     PARAMETERS,
     FitSettings,
     fit_focal_plane,

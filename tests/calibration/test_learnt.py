@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from wearing import Wearing, random_goals
 
-from fiberloom.calibration.adaptive import AdaptiveCalibration
-from fiberloom.calibration.learnt import origin, pack, unpack
+from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
+from fiberloom.calibration.adaptive.learnt import origin, pack, unpack
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 

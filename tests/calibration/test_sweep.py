@@ -9,7 +9,7 @@ from bench import Bench
 
 from fiberloom.bus import Outcome
 from fiberloom.calibration import SweepSettings, calibrate_transmission
-from fiberloom.calibration.transmission import NEGATIVE, POSITIVE
+from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 

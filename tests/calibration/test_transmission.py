@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fiberloom.calibration.cache import cache_path
-from fiberloom.calibration.sweep import SweepSettings
-from fiberloom.calibration.transmission import (
+from fiberloom.calibration.transmission.cache import cache_path
+from fiberloom.calibration.transmission.maps import (
     NEGATIVE,
     POSITIVE,
     Provenance,
@@ -19,6 +18,7 @@ from fiberloom.calibration.transmission import (
     load,
     polyline,
 )
+from fiberloom.calibration.transmission.sweep import SweepSettings
 from fiberloom.errors import InputError
 
 THETA = np.linspace(-2.0, 362.0, 181)

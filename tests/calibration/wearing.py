@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from fiberloom.calibration.transmission import Provenance, TransmissionMaps
+from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.units import MM_PER_UM
 
 ORDERS = np.array([1, 2, 3, 36, 72, 108, 204])

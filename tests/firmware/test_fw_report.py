@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "firmware" / "targets"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "rig"))
 
-from targetlab import build, report, stack
+from lab import build, report, stack
 
 
 def graph_of(tmp_path, *lines):
@@ -91,7 +91,7 @@ def test_the_library_is_read_from_its_instructions(tmp_path):
 
 def test_what_the_guide_shows_is_what_is_compiled():
     guide = (build.ROOT / "docs" / "porting-firmware.md").read_text()
-    board = (build.ROOT / "firmware" / "targets" / "cortex-m4f" / "board_stm32f405.c").read_text()
+    board = (build.BOARD / "board_stm32f405.c").read_text()
     blocks = re.findall(r"```c\n(.*?)```", guide, re.DOTALL)
     assert len(blocks) == 3
     for block in blocks:

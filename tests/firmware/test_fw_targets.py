@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "firmware" / "targets"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "rig"))
 
-from targetlab import build, scenarios
+from lab import build, scenarios
 
 said: dict[tuple[str, str], list[str]] = {}
 

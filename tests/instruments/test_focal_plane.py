@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
+from fiberloom.instruments.focal_plane import elbows_mm
 
 
 def configuration(plane, seed):
@@ -145,3 +146,30 @@ def test_shapes_are_checked(patch):
         replace(patch, offline=np.zeros(3, dtype=bool))
     with pytest.raises(InputError, match="positioner_id must be unique"):
         replace(patch, positioner_id=np.ones(37, dtype=np.int64))
+
+
+def test_the_elbow_is_where_the_fibre_turns_about(patch):
+    alpha = np.linspace(0.0, 350.0, patch.n)
+    elbow = patch.elbows_mm(alpha)
+    assert elbow.shape == (patch.n, 2)
+    for beta in (0.0, 77.0, 180.0):
+        fibre = patch.forward(alpha, np.full(patch.n, beta))
+        np.testing.assert_allclose(np.hypot(*(fibre - elbow).T), patch.l_beta_mm, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(*(elbow - patch.centres_mm).T), patch.l_alpha_mm, atol=1e-12)
+    np.testing.assert_array_equal(
+        patch.elbows_mm(45.0, [2, 0]), patch.elbows_mm(np.full(patch.n, 45.0))[[2, 0]]
+    )
+    many = elbows_mm(patch.arms, np.stack([alpha, alpha + 10.0], axis=1))
+    assert many.shape == (patch.n, 2, 2)
+    np.testing.assert_array_equal(many[:, :, 0], elbow)
+    np.testing.assert_array_equal(many[:, :, 1], patch.elbows_mm(alpha + 10.0))
+
+
+def test_columns_of_the_arms_have_names(patch):
+    columns = [*patch.centres_mm.T, patch.l_alpha_mm, patch.alpha_off_rad, patch.beta_off_rad]
+    np.testing.assert_array_equal(np.column_stack(columns), patch.arms)
+    turn = patch.alpha_off_rad + patch.beta_off_rad + patch.metrology_phi_rad
+    along = patch.forward(np.zeros(patch.n), np.zeros(patch.n)) - patch.elbows_mm(0.0)
+    np.testing.assert_allclose(
+        along, patch.l_beta_mm[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1), atol=1e-9
+    )

@@ -11,7 +11,7 @@ from fiberloom.calibration import calibrate_transmission
 from fiberloom.instruments import generate
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.twin import BenchCamera, Twin, TwinTransport, draw_units, static_fibre_um
-from fiberloom.twin.cameras import camera_model
+from fiberloom.twin.camera.models import camera_model
 
 
 def rms(xy):

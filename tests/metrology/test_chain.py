@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fiberloom.cli.metrology import CentroidRequest, MatchRequest, centroid, match
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
 from fiberloom.metrology import find_spots, write_image
 from fiberloom.metrology.acquisition import AcquisitionError, CameraGeometry
-from fiberloom.metrology.commands import CentroidRequest, MatchRequest, centroid, match
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
 from fiberloom.metrology.spots import SpotSettings
 from fiberloom.planning import write_configuration
-from fiberloom.twin.cameras import camera_model
-from fiberloom.twin.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, StillScene
+from fiberloom.twin.camera.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, StillScene
+from fiberloom.twin.camera.models import camera_model
 
 RADIUS_MM = 150.0
 GEOMETRY = CameraGeometry(1500, 1500, 0.2, flipped=True)
@@ -238,7 +238,7 @@ def test_commands_refuse_in_one_line(small, files, tmp_path):
 
 
 def test_plots_of_an_exposure(small, tmp_path):
-    from fiberloom.metrology.plots import plot_reduction
+    from fiberloom.report.exposure import plot_reduction
 
     expected = small.forward(*configuration(small, 7).T)
     true = expected.copy()

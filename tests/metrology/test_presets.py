@@ -13,8 +13,8 @@ from fiberloom.metrology.acquisition import acquire
 from fiberloom.metrology.cameras import geometry_of, reduction_settings
 from fiberloom.metrology.pipeline import ImageCamera, metrology_reach_mm
 from fiberloom.metrology.transform import Similarity
-from fiberloom.twin.cameras import camera_model, misaligned, model_of
-from fiberloom.twin.imaging import ImagingCamera, StillScene
+from fiberloom.twin.camera.imaging import ImagingCamera, StillScene
+from fiberloom.twin.camera.models import camera_model, misaligned, model_of
 
 SEEING = ("sdssv", "desi", "pfs")
 

@@ -13,7 +13,7 @@ from fiberloom.metrology.transform import (
     fit_similarity,
     fit_transform,
 )
-from fiberloom.twin.cameras import camera_model
+from fiberloom.twin.camera.models import camera_model
 
 RADIUS = 330.0
 TERMS = zhao_burge.DEFAULT_TERMS

@@ -6,7 +6,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
-from fiberloom.twin.imaging import Optics
+from fiberloom.twin.camera.imaging import Optics
 
 AIR = Optics(CameraGeometry(10, 10, 1.0), 1.0, turbulence_um=5.0, turbulence_length_mm=50.0)
 

@@ -10,11 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from fiberloom.commands.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
-from fiberloom.commands.learnt import history_step, undo_step
-from fiberloom.commands.observe import ObserveRequest, run_observe
+from fiberloom.cli.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
+from fiberloom.cli.learnt import history_step, undo_step
+from fiberloom.cli.observe import ObserveRequest, run_observe
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.store import Store
+from fiberloom.store.calibrations import digest_of
 from fiberloom.targets import random_targets, write_targets
 
 N, SEED = 12, 4  # the field of test_observe.py: its transmission is calibrated once for both
@@ -49,6 +50,8 @@ def test_the_second_observation_knows_what_the_first_has_seen(field):
     back = undo_step(store, 0, None)
     assert (back["generation"], back["positioners"]) == (3, N)
     third = observe(field, "c", learnt=store)
+    with Store.open(field[1] / "b" / "store.sqlite") as kept:
+        assert kept.calibrated(1) == {"learnt": N, "transmission": N}
     assert third["moves"][0]["true_rms_um"] == pytest.approx(first["moves"][0]["true_rms_um"], rel=1e-3)
     assert "learnt" not in third  # reads what was learnt, and learns nothing
     undo_step(store, 2, [int(field[0].positioner_id[0])])
@@ -90,7 +93,14 @@ def test_the_survey_finds_the_arms_and_observe_uses_them(field):
     assert seen["n_within_requirement"] >= N - 2
     with Store.open(folder / "arms" / "store.sqlite") as store:
         assert store.runs()[-1].status == "finished"
-        assert store.runs()[-1].n_measurements == 10 * N  # the start, eight, and everybody folds
+        (run,) = store.runs()
+        assert run.n_measurements == 10 * N  # the start, eight, and everybody folds
+        assert store.calibrated(run.id) == {"focal-plane": N - 2}
+        assert set(store.calibrations(run.id)["hash"]) == {digest_of(folder / "arms" / "arms.ecsv")}
+    with Store.open(folder / "again" / "store.sqlite") as store:
+        assert store.calibrated(1) == {"focal-plane": N - 2}
+    with Store.open(folder / "with arms" / "store.sqlite") as store:
+        assert store.calibrated(1) == {"focal-plane": N, "transmission": N}
 
 
 @pytest.mark.slow

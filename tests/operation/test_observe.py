@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from fiberloom.commands.observe import ObserveRequest, run_observe
+from fiberloom.cli.observe import ObserveRequest, run_observe
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import read_plans, verify
@@ -30,6 +30,7 @@ def field(tmp_path_factory):
 def observe(field, name, **asked):
     plane, folder = field
     out = folder / name
+    asked.setdefault("moves", 3)
     request = ObserveRequest(targets=folder / "targets.csv", out=out, seed=SEED, quiet=True, **asked)
     return run_observe(plane, request), out
 

@@ -12,10 +12,10 @@ import time
 import numpy as np
 import pytest
 
-from fiberloom import __version__
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.process import is_alive, process_start
+from fiberloom.version import __version__
 
 N = 500
 

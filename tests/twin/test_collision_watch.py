@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.studies.legal_moves import cruise, go_to, legal_moves
+from fiberloom.studies.meetings import meetings
 from fiberloom.twin import Twin, draw_units
-from fiberloom.twin.meetings import meetings
-from fiberloom.twin.trials import cruise, go_to, legal_moves
 
 PLANE = generate(load_instrument("sdssv"), seed=2, n_positioners=32)
 WIDE = generate(load_instrument("sdssv"), seed=2, n_positioners=120)

@@ -5,6 +5,8 @@
 #include <numbers>
 #include <utility>
 
+#include "fl_dispatch.h"
+
 namespace fl::twin {
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {

@@ -12,6 +12,12 @@ SIZEOF_POSITIONER: int
 
 TX_QUEUE: tuple[int, int]
 
+CODES: list = ...
+
+STATUS_BITS: list = ...
+
+TICK_HZ: int = 2000
+
 PATH_POINTS: int = 1000
 
 def encode_identifier(positioner: int, command: int, uid: int = 0, code: int = 0) -> int: ...
@@ -49,7 +55,10 @@ def path(points: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order=
 def supervisor(state: int, input: int, conditions: int) -> tuple[int, int]:
     """(next state, response code)"""
 
-def command_table() -> list[dict[str, Any]]: ...
+def command_table() -> list[dict[str, Any]]:
+    """
+    Rows of number, name, length (least, most), broadcast, bootloader, input, axes.
+    """
 
 def hall_fit(adc_cnt: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[float, float, float, float, float, float] | None:
     """(offset a, b, amplitude a, b, phase_rad, residual_rad) or None."""

@@ -5,17 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instruments import FocalPlane
-from ..targets import TargetList
-from ..targets.target_list import FREE
-from .candidates import Block, Candidates, check_targets, find_candidates
-from .choose import LEVEL_WEIGHT, conflicts, levels_of, pack, shortlist
-from .clearance import Floats, Ints, sweep
-from .demanded import place_demanded
-from .floor import Floor, Rules
-from .park import park
-from .reasons import explain
-from .screen import screen, screen_placed
+from fiberloom.assignment.candidates import Block, Candidates, check_targets, find_candidates
+from fiberloom.assignment.choose import LEVEL_WEIGHT, conflicts, levels_of, pack, shortlist
+from fiberloom.assignment.clearance import sweep
+from fiberloom.assignment.demanded import place_demanded
+from fiberloom.assignment.park import park
+from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.assignment.reasons import explain
+from fiberloom.assignment.screen import screen, screen_placed
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets import TargetList
+from fiberloom.targets.target_list import FREE
+from fiberloom.typing import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ def assign(
     """
     check_targets(plane, targets)
     if approach_deg is None:
-        approach_deg = max(plane.instrument.alpha.approach_deg, plane.instrument.beta.approach_deg)
+        approach_deg = max(axis.approach_deg for axis in plane.instrument.axes)
     rules = Rules.of(plane, approach_deg, margin_mm)
     rng = np.random.default_rng(seed)
     floor = Floor(plane, np.full(plane.n, approach_deg))

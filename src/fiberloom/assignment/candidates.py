@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..targets import TargetList
-from ..targets.target_list import FREE
-from .clearance import Bools, Floats, Ints
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets import TargetList
+from fiberloom.targets.target_list import FREE
+from fiberloom.typing import Flags, Floats, Ints
 
 SLACK_MM = 1.0
 """Units differ from the nominal one by less; the exact test follows."""
@@ -44,7 +44,7 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.positioner)
 
-    def select(self, rows: Ints | Bools) -> "Candidates":
+    def select(self, rows: Ints | Flags) -> "Candidates":
         """Some of them."""
         return replace(
             self,
@@ -104,7 +104,7 @@ def _by_fibre(
     return positioner[ok], target[ok], np.full(len(goal), fibre), goal
 
 
-def inside_stops(plane: FocalPlane, goal_deg: Floats, approach_deg: float | Floats) -> Bools:
+def inside_stops(plane: FocalPlane, goal_deg: Floats, approach_deg: float | Floats) -> Flags:
     """Do goal and start of the approach lie between the hard stops?"""
     low, high = plane.hard_stops_deg.T
     start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import csr_array, vstack
 
-from ..instruments import FocalPlane
-from .clearance import Bools, Floats, Ints, places, too_near
+from fiberloom.assignment.clearance import places, too_near
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Flags, Floats, Ints
 
 LEVEL_WEIGHT = 10.0
 """One target of a priority level is worth ten of the next lower level."""
@@ -61,7 +62,7 @@ def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, I
         yield np.concatenate(first), np.concatenate(second)
 
 
-def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator) -> Bools:
+def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator) -> Flags:
     """(C,) the MAX_CHOICES candidates of highest level of each positioner."""
     tie = rng.random(len(positioner))
     order = np.lexsort((tie, -level, positioner))
@@ -91,7 +92,7 @@ def pack(
     level: Ints,
     pairs: tuple[Ints, Ints],
     rng: np.random.Generator,
-) -> tuple[Bools, bool]:
+) -> tuple[Flags, bool]:
     """(C,) the chosen candidates, and whether the choice is proven to be the best.
 
     Solved from the highest levels down, LEVELS_AT_ONCE together; what one solution is worth, the
@@ -142,7 +143,7 @@ def _exclusions(positioner: Ints, target: Ints, pairs: tuple[Ints, Ints]) -> csr
     return vstack([*singles, cliques], format="csc")
 
 
-def _greedy(positioner: Ints, target: Ints, level: Ints, pairs: tuple[Ints, Ints]) -> Bools:
+def _greedy(positioner: Ints, target: Ints, level: Ints, pairs: tuple[Ints, Ints]) -> Flags:
     """Highest level first, whatever is still free: only if the solver gives nothing."""
     chosen = np.zeros(len(positioner), dtype=bool)
     open_ = np.ones(len(positioner), dtype=bool)

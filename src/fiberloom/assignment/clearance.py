@@ -8,14 +8,10 @@ capsule; `dip_mm` bounds how much nearer two arms can come between poses than at
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..instruments import FocalPlane
-from ..units import deg_to_rad
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import deg_to_rad
 
 POSES = 3
 """Goal, middle and start of the approach."""
@@ -44,7 +40,7 @@ def dip_mm(plane: FocalPlane, approach_deg: float, bodies: int = 2) -> float:
     """
     step = float(deg_to_rad(approach_deg)) / (POSES - 1)
     arm = max(map(abs, plane.beta_segment_mm))
-    l_alpha = float(plane.arms[:, 2].max(initial=0.0))
+    l_alpha = float(plane.l_alpha_mm.max(initial=0.0))
     # alpha turns the whole arm, beta its second part: twice the angle there
     travel = step * (l_alpha + 2 * arm)
     arc = (l_alpha * step**2 + arm * (2 * step) ** 2) / 8
@@ -73,7 +69,7 @@ def segment_mm(a: Floats, b: Floats) -> Floats:
     return np.where(_cross(a, b), 0.0, np.minimum.reduce(ends))
 
 
-def _cross(a: Floats, b: Floats) -> Bools:
+def _cross(a: Floats, b: Floats) -> Flags:
     """Do the segments cross? Each one's ends lie on different sides of the other."""
     return (_side(a, b[..., :2]) * _side(a, b[..., 2:]) < 0) & (
         _side(b, a[..., :2]) * _side(b, a[..., 2:]) < 0
@@ -152,7 +148,7 @@ def places(segments: Floats) -> Places:
     return Places(segments, discs(segments))
 
 
-def too_near(first: Places, a: Ints, second: Places, b: Ints, limit_mm: float) -> Bools:
+def too_near(first: Places, a: Ints, second: Places, b: Ints, limit_mm: float) -> Flags:
     """(P,) do first[a] and second[b] come nearer than the limit? Cheap for pairs far apart."""
     out = np.zeros(len(a), dtype=bool)
     shift = first.discs.middle[a] - second.discs.middle[b]

@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..instruments import FocalPlane
-from ..targets import TargetList
-from .candidates import Block, Candidates
-from .choose import conflicts, levels_of, pack
-from .clearance import Floats, Ints, dip_mm, obstacles, sweep
-from .escape import Escape
-from .floor import Floor, Rules
-from .screen import screen
+from fiberloom.assignment.candidates import Block, Candidates
+from fiberloom.assignment.choose import conflicts, levels_of, pack
+from fiberloom.assignment.clearance import dip_mm, obstacles, sweep
+from fiberloom.assignment.escape import Escape
+from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.assignment.screen import screen
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets import TargetList
+from fiberloom.typing import Floats, Ints
 
 OVER_BACKLASH = 1.2
 """The shortest approach still closes the largest backlash, with a fifth to spare."""
@@ -19,7 +20,7 @@ OVER_BACKLASH = 1.2
 
 def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
     """The shortest overshoot that closes every backlash; never more than the usual one."""
-    backlash = max(plane.instrument.alpha.backlash_deg, plane.instrument.beta.backlash_deg)
+    backlash = max(axis.backlash_deg for axis in plane.instrument.axes)
     return min(approach_deg, OVER_BACKLASH * backlash) if backlash else approach_deg
 
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import label
 
-from ..instruments import FocalPlane
-from .clearance import Bools, Floats, Ints, obstacle_gap_mm
+from fiberloom.assignment.clearance import obstacle_gap_mm
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Flags, Floats, Ints
 
 STEP_DEG = 3.0
 """Grid of the flood, and the sampling of folds."""
@@ -28,7 +29,7 @@ class Escape:
     _turns: dict[int, bool] = field(default_factory=dict)
     _regions: dict[int, Ints] = field(default_factory=dict)
 
-    def can_fold(self, positioner: Ints, goal_deg: Floats) -> Bools:
+    def can_fold(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """(C,) which of these free places (rows, goals) are connected to the folded place."""
         out = self.folds_straight(positioner, goal_deg)
         for row in np.unique(positioner[~out]).tolist():
@@ -36,7 +37,7 @@ class Escape:
             out[mine] = self.flooded(row, goal_deg[mine])
         return out
 
-    def folds_straight(self, positioner: Ints, goal_deg: Floats) -> Bools:
+    def folds_straight(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """Is the way free on which beta folds the arm, then alpha turns it? Nearly always."""
         folded = self.plane.instrument.positioner.park_deg[1]
         span = np.abs(folded - goal_deg[:, 1]).max(initial=0.0)
@@ -47,7 +48,7 @@ class Escape:
         gap = self._gap_mm(positioner, alpha, beta)
         return (gap > GUARD_MM) & self._turns_folded(positioner)
 
-    def flooded(self, row: int, goal_deg: Floats) -> Bools:
+    def flooded(self, row: int, goal_deg: Floats) -> Flags:
         """(C,) places of one positioner that a flood from the folded one reaches, on a grid. Where
         an offline neighbour lies across the folded place, the largest free region takes over."""
         if row not in self._regions:
@@ -59,7 +60,7 @@ class Escape:
             home = 1 + int(sizes[1:].argmax())
         return region[self._cells(goal_deg)] == home
 
-    def _turns_folded(self, positioner: Ints) -> Bools:
+    def _turns_folded(self, positioner: Ints) -> Flags:
         """Which positioners can turn alpha over its whole range with the arm folded?"""
         new = np.array([r for r in np.unique(positioner).tolist() if r not in self._turns], int)
         alpha = np.broadcast_to(self._axes()[0], (len(new), len(self._axes()[0])))

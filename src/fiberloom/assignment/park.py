@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from ..instruments import FocalPlane
-from .candidates import inside_stops
-from .clearance import Floats, Ints, obstacle_gap_mm, sweep
-from .floor import NOBODY, Floor, Rules
+from fiberloom.assignment.candidates import inside_stops
+from fiberloom.assignment.clearance import obstacle_gap_mm, sweep
+from fiberloom.assignment.placement import NOBODY, Floor, Rules
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats, Ints
 
 STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
 """Grid of places to try."""

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ..instruments import FocalPlane
-from ..targets import TargetList
-from ..targets.target_list import FREE
-from .candidates import Block, Candidates
-from .clearance import sweep
-from .floor import Floor
+from fiberloom.assignment.candidates import Block, Candidates
+from fiberloom.assignment.clearance import sweep
+from fiberloom.assignment.placement import Floor
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets import TargetList
+from fiberloom.targets.target_list import FREE
 
 WORDS = {
     Block.OFFLINE: "is offline",

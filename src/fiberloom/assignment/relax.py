@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..instruments import FocalPlane
-from ..targets import TargetList
-from ..targets.target_list import FREE
-from .assign import Assignment, assign
+from fiberloom.assignment.assign import Assignment, assign
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets import TargetList
+from fiberloom.targets.target_list import FREE
 
 STEPS = 4
 """In which the collision buffer gives way; few, since each is a whole assignment."""

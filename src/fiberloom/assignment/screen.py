@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from ..instruments import FocalPlane
-from .candidates import Block, Candidates, inside_stops
-from .clearance import Floats, Ints, obstacle_gap_mm, places, too_near
-from .floor import Floor, Rules
+from fiberloom.assignment.candidates import Block, Candidates, inside_stops
+from fiberloom.assignment.clearance import obstacle_gap_mm, places, too_near
+from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats, Ints
 
 
 def screen(

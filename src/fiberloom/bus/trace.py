@@ -16,8 +16,7 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Results, result_of
 from fiberloom.bus.protocol import GEAR, Command
 from fiberloom.errors import InputError
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 TRACE_SAMPLES = 1024
 FULL_VOLTAGE = 32767

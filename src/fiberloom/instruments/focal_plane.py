@@ -14,18 +14,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from .._core import geometry
-from ..errors import InputError
-from ..units import RAD_PER_DEG, deg_to_rad, rad_to_deg
-from .model import METROLOGY, Instrument
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from fiberloom._core import geometry
+from fiberloom.errors import InputError
+from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 CENTRE = slice(0, 2)
 L_ALPHA, ALPHA_OFF, BETA_OFF = 2, 3, 4
 """Columns of FocalPlane.arms."""
+
+
+def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
+    """(n, 2, ...) mm: the beta axes of arms (n, 5) at alpha (n, ...) deg."""
+    alpha = deg_to_rad(alpha_deg)
+    more = (None,) * (alpha.ndim - 1)
+    turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
 
 
 class Inverse(NamedTuple):
@@ -33,7 +39,7 @@ class Inverse(NamedTuple):
 
     alpha_deg: Floats
     beta_deg: Floats
-    reachable: Bools
+    reachable: Flags
     gap_mm: Floats
     """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
     axis limits stand in the way; inf: the positioner lacks the fibre."""
@@ -56,7 +62,7 @@ class FocalPlane:
     """(M, 3): x_mm, y_mm, radius_mm."""
     guide_cameras: Floats
     """(G, 5): x0_mm, y0_mm, x1_mm, y1_mm, radius_mm (capsules)."""
-    offline: Bools
+    offline: Flags
     """(N,) does not move."""
     offline_position_deg: Floats
     """(N, 2) where it stands if it does not move: alpha, beta."""
@@ -88,6 +94,31 @@ class FocalPlane:
         return self.arms[:, CENTRE]
 
     @property
+    def l_alpha_mm(self) -> Floats:
+        """(N,) from the alpha to the beta axis."""
+        return self.arms[:, L_ALPHA]
+
+    @property
+    def l_beta_mm(self) -> Floats:
+        """(N,) from the beta axis to the metrology fibre."""
+        return np.hypot(*self.points[METROLOGY].T)
+
+    @property
+    def metrology_phi_rad(self) -> Floats:
+        """(N,) direction of the metrology fibre in the frame of its beta arm."""
+        return np.arctan2(self.points[METROLOGY][:, 1], self.points[METROLOGY][:, 0])
+
+    @property
+    def alpha_off_rad(self) -> Floats:
+        """(N,) direction in the focal plane of alpha = 0."""
+        return self.arms[:, ALPHA_OFF]
+
+    @property
+    def beta_off_rad(self) -> Floats:
+        """(N,) direction of beta = 0 against the alpha arm."""
+        return self.arms[:, BETA_OFF]
+
+    @property
     def collision_buffer_mm(self) -> float:
         """Radius of the beta arm's capsule."""
         return self.instrument.bodies.collision_buffer_mm
@@ -100,21 +131,19 @@ class FocalPlane:
     @property
     def limits_deg(self) -> Floats:
         """[[alpha_min, alpha_max], [beta_min, beta_max]] for targets."""
-        axes = (self.instrument.alpha, self.instrument.beta)
-        return np.array([a.target_range_deg for a in axes])
+        return np.array([axis.target_range_deg for axis in self.instrument.axes])
 
     @property
     def hard_stops_deg(self) -> Floats:
         """[[alpha_min, alpha_max], [beta_min, beta_max]] of the mechanism."""
-        axes = (self.instrument.alpha, self.instrument.beta)
-        return np.array([a.hard_stop_deg for a in axes])
+        return np.array([axis.hard_stop_deg for axis in self.instrument.axes])
 
     @property
     def science_fibres(self) -> tuple[str, ...]:
         """Fibres that targets can ask for."""
         return self.instrument.science_fibres
 
-    def carries(self, fibre: str) -> Bools:
+    def carries(self, fibre: str) -> Flags:
         """(N,) which positioners have this fibre."""
         return ~np.isnan(self._point(fibre)[:, 0])
 
@@ -165,6 +194,11 @@ class FocalPlane:
         alpha, beta = np.where(reachable, alpha, 0.0), np.where(reachable, beta, 0.0)
         return Inverse(alpha, beta, reachable, gap)
 
+    def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
+        """(n, 2) mm: where the beta axes are at these angles, (n,) or one for all."""
+        rows = self._rows(index)
+        return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
+
     def beta_segments(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, index: ArrayLike | None = None
     ) -> Floats:
@@ -178,7 +212,7 @@ class FocalPlane:
     def body_reach_mm(self) -> Floats:
         """(N,) how far from its centre the arm of each positioner can touch something."""
         arm = max(map(abs, self.beta_segment_mm)) + self.collision_buffer_mm
-        return self.arms[:, L_ALPHA] + arm
+        return self.l_alpha_mm + arm
 
     def neighbour_pairs(self, extra_mm: float = 0.0) -> Ints:
         """(P, 2) indices i < j, in order, of positioners whose arms can come within `extra_mm`."""

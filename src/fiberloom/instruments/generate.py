@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from ..errors import InputError
-from ..units import deg_to_rad
-from .focal_plane import Floats, FocalPlane, Ints
-from .model import METROLOGY, Instrument, Layout, Scatter
+from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA, FocalPlane
+from fiberloom.instruments.model import METROLOGY, Instrument, Layout, Scatter
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad
 
 SQRT_3_2 = math.sqrt(3.0) / 2.0
 
@@ -170,11 +171,11 @@ def _draw(instrument: Instrument, xy: Floats, rng: np.random.Generator) -> tuple
     n, scatter = len(xy), instrument.scatter
     orientation = deg_to_rad(instrument.layout.orientation_deg)
     arms = np.empty((n, 5))
-    arms[:, 2] = _sample(scatter.l_alpha_mm, n, rng)
-    arms[:, 3] = orientation + deg_to_rad(_sample(scatter.alpha_offset_deg, n, rng))
-    arms[:, 4] = deg_to_rad(_sample(scatter.beta_offset_deg, n, rng))
+    arms[:, L_ALPHA] = _sample(scatter.l_alpha_mm, n, rng)
+    arms[:, ALPHA_OFF] = orientation + deg_to_rad(_sample(scatter.alpha_offset_deg, n, rng))
+    arms[:, BETA_OFF] = deg_to_rad(_sample(scatter.beta_offset_deg, n, rng))
     shift = _sample(scatter.base_x_mm, n, rng), _sample(scatter.base_y_mm, n, rng)
-    arms[:, :2] = xy + _turned(*shift, float(orientation))
+    arms[:, CENTRE] = xy + _turned(*shift, float(orientation))
     stretch = _sample(scatter.beta_length_mm, n, rng)
     return arms, {name: _draw_point(instrument, name, stretch, rng) for name in instrument.positioner.points}
 

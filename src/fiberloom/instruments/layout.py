@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import __version__
-from ..errors import InputError
-from ..tables import TableFile, read_table
-from ..units import deg_to_rad, rad_to_deg
-from .focal_plane import ALPHA_OFF, BETA_OFF, L_ALPHA, Floats, FocalPlane
-from .layout_sdssv import read_sdssv
-from .model import Instrument
+from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import FocalPlane
+from fiberloom.instruments.layout_sdssv import read_sdssv
+from fiberloom.instruments.model import AXES, Instrument
+from fiberloom.tables import TableFile, read_table
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad, rad_to_deg
+from fiberloom.version import __version__
 
 FORMAT = 1
 INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"
@@ -55,11 +56,11 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {
         "positioner_id": plane.positioner_id,
         "hole": plane.hole,
-        "centre_x_mm": plane.arms[:, 0],
-        "centre_y_mm": plane.arms[:, 1],
-        "l_alpha_mm": plane.arms[:, L_ALPHA],
-        "alpha_off_deg": rad_to_deg(plane.arms[:, ALPHA_OFF]),
-        "beta_off_deg": rad_to_deg(plane.arms[:, BETA_OFF]),
+        "centre_x_mm": plane.centres_mm[:, 0],
+        "centre_y_mm": plane.centres_mm[:, 1],
+        "l_alpha_mm": plane.l_alpha_mm,
+        "alpha_off_deg": rad_to_deg(plane.alpha_off_rad),
+        "beta_off_deg": rad_to_deg(plane.beta_off_rad),
         "offline": plane.offline.astype(np.int64),
         "offline_alpha_deg": plane.offline_position_deg[:, 0],
         "offline_beta_deg": plane.offline_position_deg[:, 1],
@@ -95,8 +96,8 @@ def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
     )
     table.unique("positioner_id")
     arms = [table.numbers(c) for c in ("centre_x_mm", "centre_y_mm", "l_alpha_mm")]
-    angles = [deg_to_rad(table.numbers(f"{axis}_off_deg")) for axis in ("alpha", "beta")]
-    stand = [table.numbers(f"offline_{axis}_deg") for axis in ("alpha", "beta")]
+    angles = [deg_to_rad(table.numbers(f"{axis}_off_deg")) for axis in AXES]
+    stand = [table.numbers(f"offline_{axis}_deg") for axis in AXES]
     return FocalPlane(
         instrument=instrument,
         positioner_id=table.integers("positioner_id"),

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..tables import TableFile, read_table
-from ..units import deg_to_rad
-from .focal_plane import Floats, FocalPlane, Ints
-from .generate import guide_camera_capsules
-from .model import METROLOGY, Instrument
+from fiberloom.errors import InputError
+from fiberloom.instruments.focal_plane import FocalPlane
+from fiberloom.instruments.generate import guide_camera_capsules
+from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.tables import TableFile, read_table
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad
 
 POINTS = {METROLOGY: "met", "BOSS": "boss", "APOGEE": "ap"}
 """Our names of the points, and the prefix of their columns X and Y."""

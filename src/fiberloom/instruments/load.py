@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import InputError
-from .model import Instrument
+from fiberloom.errors import InputError
+from fiberloom.instruments.model import Instrument
 
 
 def instrument_names() -> list[str]:

@@ -14,6 +14,9 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
+AXES: tuple[Literal["alpha"], Literal["beta"]] = ("alpha", "beta")
+"""Names of the two axes, in the order of every array over axes."""
+
 METROLOGY = "metrology"
 """Name of the point that the camera sees, in every plane that has one."""
 
@@ -70,7 +73,7 @@ class Axis(Table):
     closed_loop: bool
     """Does the motor know its own angle?"""
     step_deg: NotNegative = 0.0
-    """Smallest step at the output; 0: continuous."""
+    """Smallest step at the output, of which corrections are made; 0: continuous."""
     speed_deg_s: Positive
     acceleration_deg_s2: Positive
     backlash_deg: NotNegative = 0.0
@@ -190,11 +193,13 @@ class Operation(Table):
     """Largest distance of a fibre from its target that the instrument accepts."""
     corrections_max: Annotated[int, Field(ge=0)]
     """Correction moves after the blind move, at most; 0 without a camera."""
-    stop_rule: Literal["fixed", "percentile"] = "fixed"
-    """fixed: always corrections_max. percentile: stop once the measured percentile is good."""
+    stop_rule: Literal["fixed", "percentile", "positioner"] = "fixed"
+    """fixed: always corrections_max. percentile: end once the measured percentile is within the
+    limit. positioner: one within the limit is not moved again; end when none is outside."""
     stop_percentile: Annotated[float, Field(gt=0, le=100)] = 100.0
+    """Of the fibres with a target that are seen and healthy; for the rule of that name."""
     stop_below_um: Positive | None = None
-    """Measured distance that ends the loop; the requirement when left out."""
+    """The limit, as measured; the requirement when left out."""
     correction: Literal["plain", "filtered"] = "filtered"
     """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
 
@@ -341,13 +346,18 @@ class Instrument(Table):
 
     @model_validator(mode="after")
     def _park(self) -> Self:
-        for axis, angle in zip(["alpha", "beta"], self.positioner.park_deg, strict=True):
+        for axis, angle in zip(AXES, self.positioner.park_deg, strict=True):
             low, high = getattr(self, axis).target_range_deg
             if not low <= angle <= high:
                 raise ValueError(
                     f"positioner.park_deg: {axis} {angle} is outside {axis}.target_range_deg {[low, high]}"
                 )
         return self
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """Alpha and beta, in the order of AXES."""
+        return self.alpha, self.beta
 
     @property
     def science_fibres(self) -> tuple[str, ...]:

@@ -28,9 +28,7 @@ from fiberloom.metrology.transform import (
     fit_similarity,
     fit_transform,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from fiberloom.typing import Floats, Ints
 
 _PAIRS = 16
 """Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""

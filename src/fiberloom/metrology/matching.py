@@ -32,10 +32,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from fiberloom.typing import Flags, Floats, Ints
 
 _NEVER = 1e6
 """Price of a pair that cannot be."""

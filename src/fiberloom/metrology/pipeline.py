@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.acquisition import (
     Acquisition,
     AcquisitionError,
@@ -25,10 +25,8 @@ from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, matc
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
 from fiberloom.metrology.transform import FieldTransform
 from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class ImageSource(Protocol):
@@ -149,7 +147,7 @@ def reduce_image(
 
 def metrology_reach_mm(plane: FocalPlane) -> Floats:
     """(N, 2) inner and outer radius that the metrology fibres reach."""
-    alpha, beta = plane.arms[:, 2], np.hypot(*plane.points[METROLOGY].T)
+    alpha, beta = plane.l_alpha_mm, plane.l_beta_mm
     return np.column_stack([np.abs(alpha - beta), alpha + beta])
 
 

@@ -10,11 +10,10 @@ folded J_metrology is singular: the camera does not tell the angles, and the cov
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom.instruments import METROLOGY, FocalPlane
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 
 def science_positions(

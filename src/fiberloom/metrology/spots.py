@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
 from fiberloom.tables import read_table
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 CSV_COLUMNS = ("x_px", "y_px", "x_err_px", "y_err_px", "flux_e", "flags")
 _NOT_MEASURED = np.zeros(0)

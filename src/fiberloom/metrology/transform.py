@@ -24,10 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _CLIP = 4.5
 """Robust standard deviations beyond which a fiducial is not believed."""

@@ -16,15 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
 from fiberloom.errors import InputError
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _AMPLITUDES = (0.6, 0.8, 1.0, 1.3, 1.7)
 """Tried, in units of the scatter of the shifts beyond their noise."""

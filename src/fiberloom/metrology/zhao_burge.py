@@ -24,7 +24,8 @@ from math import comb, factorial, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
+
 Ints = NDArray[np.intp]
 
 N_TERMS = 34

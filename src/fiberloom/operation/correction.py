@@ -22,11 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology.noise import CorrectionNoise
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # An innovation beyond this many standard deviations, squared, is no noise: 1 in 2e5 of two
 # Gaussian numbers. The offset has changed (a slip, a bump), and what was learnt is void.
@@ -35,31 +34,19 @@ _SURPRISE = 25.0
 _INSIDE_MM = 1e-6
 
 
-@dataclass(frozen=True)
-class CorrectionNoise:
-    """What the filter believes of camera and positioners, 2-D rms in um."""
-
-    camera_um: float = 0.669
-    """Of a camera that does not tell the covariance of what it measures."""
-    repeatability_um: float = 0.2
-    """Scatter of arrivals at the same command."""
-    blind_um: float = 10.0
-    """Error before the first image."""
-    drift_um: float = 0.0
-    """How much the offset itself changes from move to move."""
-    slope: float = 0.1
-    """How much it changes over the way of a correction, as a share of that way, rms: the derivative
-    of what the transmission map does not know. SDSS-V accepts gears up to 0.15."""
-
-    @classmethod
-    def of(cls, plane: FocalPlane) -> CorrectionNoise:
-        """With the camera of this instrument."""
-        return cls(camera_um=plane.instrument.metrology.noise_rms_um)
-
-
 def plain_update(commanded_mm: Floats, target_mm: Floats, measured_mm: Floats) -> Floats:
     """Eq. 25: the next command (N, 2) in the focal plane."""
     return commanded_mm + (target_mm - measured_mm)
+
+
+def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Floats:
+    """Angles (N, 2) in reach of drives that make steps: a whole number of them from here (N, 2).
+
+    `step_deg` (2,) at the output, 0: continuous. Less than half a step is not sent at all.
+    """
+    size_deg = np.where(step_deg > 0.0, step_deg, 1.0)
+    stepped = here_deg + size_deg * np.rint((wanted_deg - here_deg) / size_deg)
+    return np.where(step_deg > 0.0, stepped, wanted_deg)
 
 
 @dataclass(frozen=True)
@@ -210,7 +197,7 @@ class CorrectionLoop:
 
     def _levers(self) -> Floats:
         """(2, N) mm: alpha arm, and beta axis to the metrology fibre."""
-        return np.stack([self.plane.arms[:, 2], np.hypot(*self.plane.points[METROLOGY].T)])
+        return np.stack([self.plane.l_alpha_mm, self.plane.l_beta_mm])
 
     def _spread(self, rms_um: float) -> Floats:
         """(N, 2, 2) deg^2 of angles that scatter the fibre by this much, half by each axis."""
@@ -221,6 +208,5 @@ class CorrectionLoop:
 
     def _inside(self, angles_deg: Floats) -> Floats:
         """Short of the hard stops, with room for the approach from above."""
-        axes = (self.plane.instrument.alpha, self.plane.instrument.beta)
         low, high = self.plane.hard_stops_deg.T
-        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in axes])
+        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in self.plane.instrument.axes])

@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fiberloom.calibration.adaptive import AdaptiveCalibration
+from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
+from fiberloom.health.status import FAULTS, Status
 from fiberloom.metrology import Measurement
 from fiberloom.operation.loop import Move, Recorder
-from fiberloom.operation.status import FAULTS, Status
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from fiberloom.typing import Floats, Ints
 
 Keep = Callable[[AdaptiveCalibration, Ints], None]
 """Stores the states of these rows."""

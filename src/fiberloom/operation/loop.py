@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +17,19 @@ from fiberloom.assignment import Assignment
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Results
 from fiberloom.bus.trajectory import Trajectory
-from fiberloom.calibration.transmission import TransmissionMaps
+from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.health.status import Status
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.model import METROLOGY, Operation
 from fiberloom.metrology import Measurement
-from fiberloom.operation.correction import CorrectionLoop
-from fiberloom.operation.hardware import Hardware
-from fiberloom.operation.status import ASTRAY_MM, Evidence, Status, judge
+from fiberloom.operation.correction import CorrectionLoop, whole_steps
+from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
+from fiberloom.operation.stopping import StopRule
 from fiberloom.planning import Plan, Robot, plan, plan_corrections, verify
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
 
@@ -89,14 +89,22 @@ class Recorder(Protocol):
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop is run; `moves` counts the blind move."""
+    """How the loop is run; `moves` counts the blind move, and is the most that a stop rule allows."""
 
     moves: int = 3
+    stop: StopRule = field(default_factory=StopRule)
     filtered: bool = True
     compare_linear: bool = False
     seed: int = 0
     recoveries: int = 3
     """How often a blind move that was stopped is planned anew round whoever is in the way."""
+
+    @classmethod
+    def of(cls, operation: Operation, moves: int | None = None, **others: Any) -> LoopSettings:
+        """The instrument's rule and its corrections; with `moves`: exactly so many moves."""
+        if moves is not None:
+            return cls(moves=moves, **others)
+        return cls(moves=1 + operation.corrections_max, stop=StopRule.of(operation), **others)
 
 
 class Loop:
@@ -126,6 +134,9 @@ class Loop:
         self.wire_deg = np.zeros((len(plane), 2))
         self.collisions_verified = 0
         self.moves: list[Move] = []
+        self.stopped = ""
+        """Why the loop made no further correction."""
+        self._arrived = np.zeros(len(plane), dtype=bool)
 
     # the field as it is
 
@@ -197,10 +208,27 @@ class Loop:
             self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()
         )
         for number in range(2, self.settings.moves + 1):
+            if self.settings.stop.satisfied(self._open_um()):
+                break
             await self.correct(corrections, number)
+        self.stopped = self._why_stopped()
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
+
+    def _open_um(self) -> Floats:
+        """Last measured distances (n,) of the fibres with a target that are seen and healthy and
+        that the stop rule has not let go."""
+        error_um = self.moves[-1].measured_error_um
+        self._arrived |= self.settings.stop.arrived(error_um)
+        return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived]
+
+    def _why_stopped(self) -> str:
+        stop, open_um = self.settings.stop, self._open_um()
+        why = stop.explain(open_um)
+        if stop.satisfied(open_um):
+            return why
+        return ", ".join(filter(None, [f"all {self.settings.moves} moves made", why]))
 
     def _expected_deg(self) -> Floats | None:
         """How far the blind move may miss (N, 2), where operation has taught the maps."""
@@ -236,12 +264,18 @@ class Loop:
             self.recorder.event("blocked", reason, positioner)
 
     async def correct(self, corrections: CorrectionLoop, number: int) -> None:
-        """Weigh the last image and move every healthy positioner with a target by what it says."""
+        """Weigh the last image and move every healthy positioner with a target by what it says.
+
+        A positioner that the stop rule has let go stays; a correction is made of whole steps.
+        """
         image = self.moves[-1].measurement
         wanted_deg = corrections.update(
             self.here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
         )
-        await self._small_move(number, f"correction {number - 1}", wanted_deg, self.maps)
+        step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
+        goal_deg = whole_steps(self.here_deg, wanted_deg, step_deg)
+        goal_deg = np.where(self._arrived[:, None], self.here_deg, goal_deg)
+        await self._small_move(number, f"correction {number - 1}", goal_deg, self.maps)
 
     async def linear_move(self) -> None:
         """What a blind move by a linear gear ratio gives, for comparison (Fig. 26).

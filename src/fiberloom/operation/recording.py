@@ -6,7 +6,6 @@ import hashlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane
@@ -14,12 +13,9 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.loop import Move
 from fiberloom.planning import Plan
 from fiberloom.store import Run
+from fiberloom.store.run import START
 from fiberloom.targets import TargetList
-
-Floats = NDArray[np.float64]
-
-START = "start"
-"""Kind of the record that a run begins with: where everybody stood, before anything moved."""
+from fiberloom.typing import Floats
 
 
 class StoreRecorder:

@@ -10,18 +10,15 @@ from typing import Any
 
 import numpy as np
 from astropy.table import Table, vstack
-from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
+from fiberloom.health.status import FAULTS, Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.loop import Move
-from fiberloom.operation.status import FAULTS, Status
 from fiberloom.report.focal_plane import plot_errors, plot_focal_plane
 from fiberloom.targets import TargetList
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NOT_COUNTED = FAULTS | {Status.PARKED, Status.OFFLINE, Status.BLOCKED}
 
@@ -35,6 +32,8 @@ class Observed:
     assignment: Assignment
     moves: list[Move]
     collisions_verified: int
+    stopped: str = ""
+    """Why the loop made no further correction."""
 
     @property
     def requirement_um(self) -> float:
@@ -80,6 +79,7 @@ def summarise(observed: Observed) -> dict[str, Any]:
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
         "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
+        "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
     }

@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
-from fiberloom.calibration.design import Design, candidates
-from fiberloom.calibration.focal_plane import N_GEOMETRY, FitSettings
-from fiberloom.calibration.transmission import TransmissionMaps
+from fiberloom.calibration.focal_plane.design import Design, candidates
+from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, FitSettings
+from fiberloom.calibration.focal_plane.survey_data import SurveyData
+from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.health.status import Status
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.hardware import Hardware
 from fiberloom.operation.loop import ROUND_FAULTS, Loop, LoopSettings, Move, Recorder
-from fiberloom.operation.status import Status
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 _UNTOLD = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
 """Their motors do not say where the arms are: nothing to be learnt of the arms."""
@@ -42,18 +42,6 @@ class SurveySettings:
     """By which every arm's radius is larger than the instrument's collision buffer."""
     seed: int = 0
     fit: FitSettings = field(default_factory=FitSettings)
-
-
-@dataclass(frozen=True)
-class SurveyData:
-    """What was measured: S configurations of N positioners."""
-
-    theta_deg: Floats
-    """(N, S, 2) output angles, by the maps, at which the motors came to rest."""
-    xy_mm: Floats
-    """(N, S, 2) metrology fibres; NaN where not seen, or where the positioner is not to be trusted."""
-    expected_sigma: Floats
-    """(N, 6) standard errors that the design promises, mm and rad."""
 
 
 async def survey(
@@ -89,7 +77,7 @@ async def survey(
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
     """What the last run of a store has measured: also one that was interrupted or killed."""
-    runs = store.runs()
+    runs = [run for run in store.runs() if run.n_moves]
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)
@@ -129,13 +117,13 @@ async def _visit(loop: Loop, goal_deg: Floats) -> None:
 
 def _goals(plane: FocalPlane, goal_deg: Floats) -> Assignment:
     """Goals without targets."""
-    n, axes = plane.n, (plane.instrument.alpha, plane.instrument.beta)
+    n = plane.n
     return Assignment(
         target=np.full(n, -1),
         fibre=np.full(n, ""),
         alpha_deg=goal_deg[:, 0],
         beta_deg=goal_deg[:, 1],
-        approach_deg=np.full(n, max(axis.approach_deg for axis in axes)),
+        approach_deg=np.full(n, max(axis.approach_deg for axis in plane.instrument.axes)),
         clearance_mm=np.full(n, np.inf),
         unassigned={},
         notes=[],

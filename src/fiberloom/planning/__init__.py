@@ -4,11 +4,11 @@
 docs/planning.md.
 """
 
-from .configuration import read_configuration, write_configuration
-from .fields import random_configuration, random_pair
-from .planner import PlanSettings, plan, plan_corrections
-from .trajectories import Plan, Robot, read_plans
-from .verification import Verification, Violation, verify
+from fiberloom.planning.configuration import read_configuration, write_configuration
+from fiberloom.planning.fields import random_configuration, random_pair
+from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
+from fiberloom.planning.trajectories import Plan, Robot, read_plans
+from fiberloom.planning.verification import Verification, Violation, verify
 
 __all__ = [
     "Plan",

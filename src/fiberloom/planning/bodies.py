@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..units import deg_to_rad
-
-Floats = NDArray[np.float64]
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad
 
 ROUNDING_RAD = 1e-8
 """Angles that differ by less are the same: a count of the bus is 5.9e-9 rad, a digit of the JSON
@@ -51,7 +50,7 @@ def travel_rad(plane: FocalPlane) -> Floats:
     """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
     stops, range_deg = plane.hard_stops_deg, plane.limits_deg
     wanted = range_deg + BEYOND_RANGE_DEG
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     approach_deg = np.array([axis.approach_deg for axis in axes])
     low = np.maximum(stops[:, 0] + STOP_ROOM_DEG, wanted[:, 0])
     high = np.minimum(stops[:, 1] - STOP_ROOM_DEG, wanted[:, 1])
@@ -78,7 +77,7 @@ def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:
 def approach_rad(plane: FocalPlane, approach_deg: ArrayLike | None) -> Floats:
     """(N,) rad: the instrument's approach when left out."""
     if approach_deg is None:
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         approach_deg = max(axis.approach_deg for axis in axes)
     approach = np.broadcast_to(np.asarray(approach_deg, dtype=np.float64), (plane.n,))
     if not (np.isfinite(approach) & (approach >= 0.0)).all():

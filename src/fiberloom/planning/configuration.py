@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..tables import read_table
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.tables import read_table
 
 COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 

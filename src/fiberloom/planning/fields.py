@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .._core import geometry
-from .._core import planning as core
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..units import deg_to_rad, rad_to_deg
-from .bodies import Bodies, approach_rad
-from .planner import PlanSettings, plan
-
-Floats = NDArray[np.float64]
+from fiberloom._core import geometry
+from fiberloom._core import planning as core
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import Bodies, approach_rad
+from fiberloom.planning.planner import PlanSettings, plan
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad, rad_to_deg
 
 _DRAWS = 400
 _DISPLACED = 20
@@ -142,8 +141,8 @@ class _Drawing:
         return chosen
 
     def _anywhere(self, row: int) -> Floats:
-        l_alpha = self.plane.arms[row, 2]
-        l_beta = float(np.hypot(*self.plane.points["metrology"][row]))
+        l_alpha = self.plane.l_alpha_mm[row]
+        l_beta = float(self.plane.l_beta_mm[row])
         low, high = deg_to_rad(self.plane.limits_deg).T
         inner, outer = abs(l_alpha - l_beta), l_alpha + l_beta
         while True:

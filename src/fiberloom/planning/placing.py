@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .._core import planning as core
-from ..instruments import FocalPlane
-from ..units import deg_to_rad, rad_to_deg
-from .bodies import Bodies, approach_rad
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from fiberloom._core import planning as core
+from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import Bodies, approach_rad
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad, rad_to_deg
 
 _TRIES = 48
 

@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._core import planning as core
-from ..instruments import FocalPlane
-from ..units import deg_to_rad, rad_to_deg
-from .bodies import Bodies, angles_rad, approach_rad, travel_rad
-from .trajectories import Plan, Robot
-from .verification import Verification, verify
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from fiberloom._core import planning as core
+from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import Bodies, angles_rad, approach_rad, travel_rad
+from fiberloom.planning.trajectories import Plan, Robot
+from fiberloom.planning.verification import Verification, verify
+from fiberloom.typing import Flags, Floats
+from fiberloom.units import deg_to_rad, rad_to_deg
 
 SPEED_SHARE = 0.975
 """Part of the instrument's speed that plans use. The motor must go faster than the output where the
@@ -48,7 +46,7 @@ class PlanSettings:
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
-        axes = (plane.instrument.alpha, plane.instrument.beta)
+        axes = plane.instrument.axes
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
@@ -98,7 +96,7 @@ class _Task:
         return Bodies.of(self.plane, self.settings.collision_buffer_mm)
 
     @property
-    def moving(self) -> Bools:
+    def moving(self) -> Flags:
         return ~self.plane.offline & (np.abs(self.goal - self.start).sum(axis=1) > 1e-12)
 
     def verify(self, plan: Plan) -> Verification:
@@ -152,7 +150,7 @@ def _plan(task: _Task, seed: int) -> Plan:
     return replace(_nobody_moves(task), cpu_s=time.thread_time() - begin)
 
 
-def _planned(task: _Task, fixed: Bools, seed: int, unsafe: dict[int, str]) -> Plan:
+def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
     chosen = task.settings
     settings = core.Settings(**chosen.dynamics)
     settings.clearance_mm = chosen.clearance_mm

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..errors import InputError
-from ..instruments import FocalPlane
-
-Floats = NDArray[np.float64]
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats
 
 KEYS = ("time_s", "alpha_deg", "beta_deg")
 

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._core import planning as core
-from ..errors import InputError
-from ..instruments import FocalPlane
-from ..units import deg_to_rad, rad_to_deg
-from .bodies import ROUNDING_RAD, Bodies, angles_rad, approach_rad, travel_rad
-from .trajectories import Plan
-
-Floats = NDArray[np.float64]
+from fiberloom._core import planning as core
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import ROUNDING_RAD, Bodies, angles_rad, approach_rad, travel_rad
+from fiberloom.planning.trajectories import Plan
+from fiberloom.typing import Floats
+from fiberloom.units import deg_to_rad, rad_to_deg
 
 _WHAT = {
     "robots": "comes closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
@@ -112,7 +111,7 @@ def verify(
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
-    axes = (plane.instrument.alpha, plane.instrument.beta)
+    axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
     rules = core.Rules(
         speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),

@@ -15,9 +15,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.calibration.acceptance import AcceptanceData, Check, UnitVerdict
-from fiberloom.calibration.torque import AXES
-from fiberloom.calibration.transmission import NEGATIVE, POSITIVE
+from fiberloom.calibration.bench.acceptance import AcceptanceData, Check, UnitVerdict
+from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE
+from fiberloom.instruments.model import AXES
 from fiberloom.report.identification import turned_um
 
 _STYLE = """

@@ -14,8 +14,7 @@ from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from fiberloom.instruments import FocalPlane
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 
 def plot_focal_plane(
@@ -60,12 +59,8 @@ def plot_focal_plane(
 
 def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, Floats]:
     """Alpha axis, beta axis and end of the beta arm of every positioner, mm."""
-    base = plane.arms[:, :2]
-    direction = plane.arms[:, 3] + np.deg2rad(angles_deg[:, 0])
-    turn = np.stack([np.cos(direction), np.sin(direction)], axis=1)
-    elbow = base + plane.arms[:, 2:3] * turn
     tip = plane.forward(angles_deg[:, 0], angles_deg[:, 1], fibre="metrology")
-    return base, elbow, tip
+    return plane.centres_mm, plane.elbows_mm(angles_deg[:, 0]), tip
 
 
 def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:

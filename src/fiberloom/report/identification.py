@@ -11,7 +11,6 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.calibration import (
     Arms,
@@ -27,12 +26,12 @@ from fiberloom.calibration import (
     TorqueScale,
     break_away,
 )
-from fiberloom.calibration.stiffness import turned_deg
-from fiberloom.calibration.torque import AXES
+from fiberloom.calibration.bench.stiffness import turned_deg
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
+from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
-Floats = NDArray[np.float64]
 _RPM = 30.0 / np.pi
 _SMALL = {"fontsize": 8}
 

@@ -14,7 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from fiberloom.instruments.model import AXES
+from fiberloom.typing import Floats
 
 STYLES = {
     "linear": ("tab:blue", "-", "linear ratio"),
@@ -76,7 +77,7 @@ def plot_lifetime(path: Path, curves: LifetimeCurves) -> None:
 
 def _plot_arms(panel: plt.Axes, curves: LifetimeCurves) -> None:
     for row in range(min(2, len(curves.positioner_id))):
-        for arm, name in enumerate(("alpha", "beta")):
+        for arm, name in enumerate(AXES):
             first = curves.true_arms_mm[row, 0, arm]
             colour = f"C{2 * row + arm}"
             label = f"{name} arm, positioner {curves.positioner_id[row]}"

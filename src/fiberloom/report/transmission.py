@@ -11,7 +11,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.calibration.transmission import AXES, NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.instruments.model import AXES
 
 
 def plot_transmission(path: Path, maps: TransmissionMaps, row: int) -> None:

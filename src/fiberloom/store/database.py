@@ -116,6 +116,22 @@ class Store:
             rows = connection.execute(query.order_by(RunRow.id)).mappings().all()
         return [info_of(dict(row)) for row in rows]
 
+    def last_run(self) -> Run:
+        """The run that began last, to record more of it."""
+        with self.transaction() as connection:
+            run_id = connection.execute(select(func.max(RunRow.id))).scalar()
+        if run_id is None:
+            raise InputError(f"{self.name}: no run in it")
+        return Run(self.transaction, run_id)
+
+    def calibrated(self, run_id: int) -> dict[str, int]:
+        """Positioners by kind of calibration that a run made or used."""
+        count = func.count(CalibrationRow.positioner_id.distinct())
+        query = select(CalibrationRow.kind, count).where(CalibrationRow.run_id == run_id)
+        with self.transaction() as connection:
+            rows = connection.execute(query.group_by(CalibrationRow.kind)).all()
+        return {str(kind): int(n) for kind, n in rows}
+
     def measurements(self, run_id: int) -> Columns:
         """Columns of a run's measurements in the order in which they were made.
 

@@ -13,10 +13,10 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, func, insert, select
 
-import fiberloom
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.schema import GenerationRow, LearntRow
+from fiberloom.version import __version__
 
 OBSERVE, UNDO = "observe", "undo"
 
@@ -64,7 +64,7 @@ class LearntHistory:
             "instrument": instrument,
             "config_hash": config_hash,
             "seed": seed,
-            "version": fiberloom.__version__,
+            "version": __version__,
             "note": note,
         }
         with self._store.transaction() as connection:
@@ -120,7 +120,7 @@ class LearntHistory:
             if last is None:
                 raise InputError(f"{self._store.name}: nothing was learnt yet")
             values = {k: last[k] for k in ("origin", "instrument", "config_hash", "seed")}
-            values |= {"utc": datetime.now(UTC), "kind": UNDO, "version": fiberloom.__version__}
+            values |= {"utc": datetime.now(UTC), "kind": UNDO, "version": __version__}
             values["note"] = f"{len(states)} positioners back to generation {to}"
             query = insert(GenerationRow).returning(GenerationRow.id)
             made = connection.execute(query, values).scalar_one()

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, insert, update
 
-import fiberloom
 from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, RunRow
+from fiberloom.version import __version__
 
 RUNNING, FINISHED, FAILED, INTERRUPTED = "running", "finished", "failed", "interrupted"
 
@@ -27,6 +27,10 @@ MEASURED = frozenset(
 """What can be recorded of a positioner after a move."""
 
 Transaction = Callable[[], AbstractContextManager[Connection]]
+
+
+START = "start"
+"""Kind of the record that a run begins with: where everybody stood, before anything moved."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ def new_run_values(
         "instrument": instrument,
         "config_hash": config_hash,
         "seed": seed,
-        "version": fiberloom.__version__,
+        "version": __version__,
         "status": RUNNING,
         "note": note,
         "host": host_name(),

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..instruments import FocalPlane
-from .target_list import FREE, TargetList
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets.target_list import FREE, TargetList
 
 PRIORITIES = (1, 2, 3, 4, 5)
 SHARE_SPECIFIC = 0.3

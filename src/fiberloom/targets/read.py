@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..tables import TableFile, read_table
-from .target_list import FREE, TargetList
-from .yanny import Yanny, read_yanny
+from fiberloom.errors import InputError
+from fiberloom.tables import TableFile, read_table
+from fiberloom.targets.target_list import FREE, TargetList
+from fiberloom.targets.yanny import Yanny, read_yanny
 
 REQUIRED = ("target_id", "x_mm", "y_mm")
 OPTIONAL = ("priority", "fibre", "positioner_id")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from fiberloom.errors import InputError
 
 FREE = -1
 """positioner_id of a target that any positioner may take."""

@@ -1,19 +1,18 @@
 """A physics twin of a focal plane: true units with the real firmware, a virtual bus and camera."""
 
-from .ailments import AilmentKind, AilmentModel, Ailments, draw_ailments
-from .bench import bench_units
-from .bench_camera import BenchCamera, static_fibre_um
-from .camera import NoiseCamera
-from .draw import draw_units, put_in
-from .faults import Fault, FaultKind
-from .hardware import bench_hardware, field_hardware
-from .statistical import StatisticalTwin
-from .transport import TwinTransport
-from .twin import Reply, Twin
-from .units import Units
-from .wear import Wear, WearModel, worn
-from .weights import TwinWeights
-from .years import Visit, Years
+from fiberloom.twin.bench import bench_units
+from fiberloom.twin.camera.bench_camera import BenchCamera, static_fibre_um
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.draw import draw_units, put_in
+from fiberloom.twin.faults.ailments import AilmentKind, AilmentModel, Ailments, draw_ailments
+from fiberloom.twin.faults.faults import Fault, FaultKind
+from fiberloom.twin.hardware import bench_hardware, field_hardware
+from fiberloom.twin.statistical import StatisticalTwin
+from fiberloom.twin.transport import TwinTransport
+from fiberloom.twin.twin import Reply, Twin
+from fiberloom.twin.units import Units
+from fiberloom.twin.wear import Wear, WearModel, worn
+from fiberloom.twin.weights import TwinWeights
 
 __all__ = [
     "AilmentKind",
@@ -29,10 +28,8 @@ __all__ = [
     "TwinTransport",
     "TwinWeights",
     "Units",
-    "Visit",
     "Wear",
     "WearModel",
-    "Years",
     "bench_hardware",
     "bench_units",
     "draw_ailments",

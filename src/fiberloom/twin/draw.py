@@ -17,6 +17,7 @@ from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR,
@@ -156,8 +157,8 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
     record["stiffness"] = STIFFNESS_NM_PER_RAD[axis]
     record["seat_rms"] = SEAT_RMS_RAD[axis]
     record["stop_min"], record["stop_max"] = plane.hard_stops_deg[axis] * RAD_PER_DEG
-    overrides = plane.instrument.twin.get(("alpha", "beta")[axis], {})
-    return _override(record, overrides, f"{plane.instrument.name}: twin.{('alpha', 'beta')[axis]}")
+    overrides = plane.instrument.twin.get(AXES[axis], {})
+    return _override(record, overrides, f"{plane.instrument.name}: twin.{AXES[axis]}")
 
 
 def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:

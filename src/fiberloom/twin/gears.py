@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from fiberloom._core import twin as _core
 from fiberloom.twin.units import GEAR, ORDERS, Units
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from fiberloom.typing import Floats, Ints
 
 NODE_RAD = 2.0 * np.pi / _core.NODES_PER_TURN
 _SPAN = (-160, _core.NODES_PER_TURN + 280)

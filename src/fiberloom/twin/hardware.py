@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument
-from fiberloom.instruments.model import Axis
-from fiberloom.operation.hardware import Hardware
-from fiberloom.twin.camera import NoiseCamera
-from fiberloom.twin.cameras import image_camera
-from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.instruments.model import AXES, Axis
+from fiberloom.twin.camera.models import image_camera
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import GEAR, Units
@@ -41,7 +41,7 @@ def missing_in_twin(instrument: Instrument) -> str:
     """What the twin and its firmware lack to drive an instrument in a loop; empty: nothing."""
     if not instrument.metrology.present:
         return f"{instrument.name} has no metrology camera: it cannot be observed in a loop"
-    for name in ("alpha", "beta"):
+    for name in AXES:
         axis: Axis = getattr(instrument, name)
         if (axis.kind, axis.closed_loop, axis.gear) != ("bldc", True, GEAR):
             loop = "closed" if axis.closed_loop else "open"

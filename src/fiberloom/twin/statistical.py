@@ -21,10 +21,8 @@ from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.twin.gears import NODE_RAD, Gears
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.units import GEAR, Units
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import COUNTS_PER_DEG, RAD_PER_DEG, deg_to_rad, rad_to_deg
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 LANDING_RMS_RAD = 0.065 * RAD_PER_DEG
 """Scatter of the motor at the end of a move beside the errors of its sensors. MEASURED on the full
@@ -59,9 +57,7 @@ class StatisticalTwin:
         """(N, 2 axes, 2) share of the gear's way that the arm makes, downwards and upwards."""
         self.moves = 0
         self._noise = UnitNoise(seed, 0x57A7, units.number)
-        self._approach_rad = GEAR * deg_to_rad(
-            [plane.instrument.alpha.approach_deg, plane.instrument.beta.approach_deg]
-        )
+        self._approach_rad = GEAR * deg_to_rad([axis.approach_deg for axis in plane.instrument.axes])
         self.set_units(units)
         start = plane.instrument.positioner.park_deg if start_deg is None else start_deg
         angles = deg_to_rad(np.broadcast_to(np.asarray(start, dtype=np.float64), (n, 2)))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fiberloom.calibration.torque import AXES
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.model import AXES
 from fiberloom.twin.draw import firmware_truth
 from fiberloom.twin.units import GEAR, Units
+from fiberloom.typing import Floats
 from fiberloom.units import RAD_PER_DEG
-
-Floats = NDArray[np.float64]
 
 SEAT_BETWEEN_NODES = (1.0 - (1.0 - 0.7788) / 3.0) ** 0.5
 """The plant draws seats at nodes whose neighbours go together by 0.7788 (plant.cpp) and is straight in
@@ -21,10 +20,10 @@ between, where the scatter is smaller: 0.94 to 1, this on average."""
 def true_values(plane: FocalPlane, units: Units) -> dict[str, Floats]:
     """(N,) true values by the names of Estimates, in their units."""
     out = {
-        "centre x": units.arms[:, 0],
-        "centre y": units.arms[:, 1],
-        "l_alpha": units.arms[:, 2],
-        "l_beta": np.hypot(*plane.points[METROLOGY].T),
+        "centre x": units.arms[:, CENTRE][:, 0],
+        "centre y": units.arms[:, CENTRE][:, 1],
+        "l_alpha": units.arms[:, L_ALPHA],
+        "l_beta": plane.l_beta_mm,
     }
     for axis, name in enumerate(AXES):
         out |= {f"{name} {key}": value for key, value in _axis(units, axis).items()}

@@ -7,18 +7,17 @@ from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom._core import geometry
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
-from fiberloom.twin.faults import Fault, FaultKind
+from fiberloom.instruments.model import AXES, METROLOGY
+from fiberloom.twin.faults.faults import Fault, FaultKind
 from fiberloom.twin.units import Units, plain
+from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
-
-Floats = NDArray[np.float64]
 
 BODY_SHARE = 0.75
 """Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
@@ -150,7 +149,7 @@ class Twin:
         firmware counts its motor and reports arrival.
         """
         row = int(self.plane.index_of(positioner_id))
-        self._core.slip(row, ("alpha", "beta").index(axis), up, down)
+        self._core.slip(row, AXES.index(axis), up, down)
 
     def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
         """Power off and on: the firmware starts anew with what it has stored.

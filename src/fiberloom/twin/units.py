@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
-
-Floats = NDArray[np.float64]
+from fiberloom.typing import Floats
 
 GEAR = 1024.0
 """Motor turns per output turn: the firmware counts 2**20 and 2**30 for one of each."""

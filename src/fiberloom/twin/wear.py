@@ -14,16 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom.instruments.focal_plane import L_ALPHA
 from fiberloom.twin.units import MARKS, Units
+from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM, RAD_PER_DEG
 
-Floats = NDArray[np.float64]
-
 TOOTH_MARK = MARKS - 1
-"""The last mark of a gear is kept for a broken tooth (`fiberloom.twin.ailments`)."""
+"""The last mark of a gear is kept for a broken tooth (`fiberloom.twin.faults.ailments`)."""
 _WAVES = 3
 _WORN_FRICTION = ("coulomb_gear", "viscous_gear")
 _TARGETS_DEG = (360.0, 180.0)

@@ -1,4 +1,4 @@
-"""Weights on the arms of a twin: implements `fiberloom.calibration.bench.Bench`."""
+"""Weights on the arms of a twin: implements `fiberloom.calibration.bench.bench.Bench`."""
 
 from __future__ import annotations
 

@@ -1,0 +1,119 @@
+"""The state that an assignment grows on: who stands where, and the rules that places keep."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiberloom.assignment.clearance import (
+    Flags,
+    Floats,
+    Ints,
+    dip_mm,
+    obstacles,
+    pair_distance_mm,
+    places,
+    standing,
+    too_near,
+)
+from fiberloom.assignment.escape import Escape
+from fiberloom.instruments import FocalPlane
+
+NOBODY = -1
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What a place must keep."""
+
+    approach_deg: float
+    margin_mm: float
+    pair_mm: float
+    """Least distance of two centre lines at the poses."""
+    gap_mm: float
+    """Least gap between an arm and a fixed body at the poses."""
+    escape: Escape
+    """What does not move, and who can get past it."""
+
+    @property
+    def bodies(self) -> Floats:
+        """(K, 5) capsules that do not move."""
+        return self.escape.bodies
+
+    @classmethod
+    def of(cls, plane: FocalPlane, approach_deg: float, margin_mm: float) -> "Rules":
+        """Collision buffers, the margin, and the dip between poses."""
+        return cls(
+            approach_deg=approach_deg,
+            margin_mm=margin_mm,
+            pair_mm=2 * plane.collision_buffer_mm + margin_mm + dip_mm(plane, approach_deg),
+            gap_mm=margin_mm / 2 + dip_mm(plane, approach_deg, bodies=1),
+            escape=Escape(plane, obstacles(plane, margin_mm)),
+        )
+
+
+@dataclass
+class Floor:
+    """Arrays over the N positioners. Offline ones stand from the start."""
+
+    plane: FocalPlane
+    approach_deg: Floats
+    """(N,) overshoot with which each goal was found free."""
+    goal_deg: Floats = field(init=False)
+    segments: Floats = field(init=False)
+    """(N, POSES, 4) centre lines at the goal and on the way to it."""
+    placed: Flags = field(init=False)
+    target: Ints = field(init=False)
+    fibre: np.ndarray = field(init=False)
+    notes: list[str] = field(default_factory=list)
+    neighbours: list[Ints] = field(init=False)
+    """Rows of the positioners that each one can touch."""
+
+    def __post_init__(self) -> None:
+        plane, n = self.plane, self.plane.n
+        self.goal_deg = np.where(plane.offline[:, None], plane.offline_position_deg, 0.0)
+        self.segments = standing(plane, self.goal_deg)
+        self.placed = plane.offline.copy()
+        self.target = np.full(n, NOBODY)
+        self.fibre = np.full(n, "", dtype=f"<U{max(map(len, plane.points))}")
+        pairs = plane.neighbour_pairs(1.0)
+        both = np.vstack([pairs, pairs[:, ::-1]])
+        both = both[np.lexsort((both[:, 1], both[:, 0]))]
+        self.neighbours = np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, n)))
+
+    def put(
+        self,
+        row: int | Ints,
+        goal_deg: Floats,
+        segments: Floats,
+        approach: float | Floats,
+        target: int | Ints = NOBODY,
+        fibre: str | np.ndarray = "",
+    ) -> None:
+        """Place positioners."""
+        self.goal_deg[row], self.segments[row], self.placed[row] = goal_deg, segments, True
+        self.approach_deg[row], self.target[row], self.fibre[row] = approach, target, fibre
+
+    def take_away(self, row: int) -> int:
+        """Remove a positioner from its place; the target that it had."""
+        target = int(self.target[row])
+        self.placed[row], self.target[row], self.fibre[row] = False, NOBODY, ""
+        return target
+
+    def hits(self, row: int, segments: Floats, limit_mm: float) -> tuple[Ints, Flags]:
+        """Neighbours of a positioner that can still move and stand somewhere, and (places,
+        neighbours): who would be nearer than the limit to a place (C, POSES, 4)."""
+        near = self.neighbours[row]
+        near = near[self.placed[near] & ~self.plane.offline[near]]
+        mine, theirs = np.indices((len(segments), len(near))).reshape(2, -1)
+        bad = too_near(places(segments), mine, places(self.segments[near]), theirs, limit_mm)
+        return near, bad.reshape(len(segments), len(near))
+
+    def clearance_mm(self) -> Floats:
+        """(N,) gap between each arm and the nearest other one, over all poses."""
+        a, b = self.plane.neighbour_pairs(1.0).T
+        gap = pair_distance_mm(self.segments[a], self.segments[b])
+        gap -= 2 * self.plane.collision_buffer_mm
+        out = np.full(self.plane.n, np.inf)
+        np.minimum.at(out, a, gap)
+        np.minimum.at(out, b, gap)
+        return out

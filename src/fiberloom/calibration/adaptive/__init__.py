@@ -1,0 +1,1 @@
+"""Maps and arms that learn from every measured move."""

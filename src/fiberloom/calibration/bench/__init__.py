@@ -1,0 +1,1 @@
+"""One unit on a bench: friction, stiffness, inertia, arms, repeatability, acceptance."""

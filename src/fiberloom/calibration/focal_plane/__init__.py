@@ -1,0 +1,1 @@
+"""Centres, arms and zeros of positioners where they are mounted."""

@@ -1,0 +1,115 @@
+"""The file of an in-focal-plane calibration: one ECSV table with its marks, for people and programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.table import Table
+from numpy.typing import NDArray
+
+from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalPlaneFit
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.units import MM_PER_UM, rad_to_deg
+
+FORMAT = "fiberloom arms"
+FORMAT_VERSION = 1
+
+_UNITS = np.array([1.0, 1.0, 1.0, 1.0, *[rad_to_deg(1.0)] * 2])
+_COLUMNS = tuple(name.replace("_rad", "_deg") for name in PARAMETERS)
+
+
+def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) -> None:
+    """Writes parameters, standard errors, covariance, rank and reason of every positioner.
+
+    Angles are in deg; `covariance` is in the units of the columns (mm, deg).
+    """
+    scale = np.outer(_UNITS, _UNITS)
+    covariance = fit.covariance[:, :N_GEOMETRY, :N_GEOMETRY] * scale
+    columns: dict[str, NDArray] = {"positioner_id": fit.positioner_id}
+    for i, name in enumerate(_COLUMNS):
+        columns[name] = fit.parameters[:, i] * _UNITS[i]
+        columns[f"{name}_se"] = np.sqrt(covariance[:, i, i])
+    columns |= {
+        "rank": fit.rank,
+        "n_used": fit.used.sum(axis=1),
+        "n_outliers": fit.n_outliers,
+        "rms_um": fit.rms_um,
+        "chi2_dof": fit.chi2_dof,
+        "covariance": covariance,
+        "reason": np.array(fit.reason, dtype=np.str_),
+    }
+    table = Table(columns, meta={"format": FORMAT, "format_version": FORMAT_VERSION, **marks})
+    try:
+        table.write(path, format="ascii.ecsv", overwrite=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the arms: {error.strerror or error}") from None
+
+
+def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
+    """The plane with the arms of a file; whoever is not in it or was refused keeps the layout's."""
+    rows, fit = _of_plane(path, plane)
+    part = fit.plane(plane.select(rows))
+    arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
+    arms[rows] = part.arms
+    for name, xy in points.items():
+        xy[rows] = part.points[name]
+    return replace(plane, arms=arms, points=points)
+
+
+def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> NDArray:
+    """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for whoever is not in the file."""
+    rows, fit = _of_plane(path, plane)
+    covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
+    covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]
+    return covariance
+
+
+def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[NDArray, FocalPlaneFit]:
+    table = _read(Path(path))
+    known = {int(p): row for row, p in enumerate(plane.positioner_id)}
+    here = np.array([int(p) in known for p in table["positioner_id"]], dtype=bool)
+    if not here.any():
+        raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
+    table = table[here]
+    return np.array([known[int(p)] for p in table["positioner_id"]]), _as_fit(table)
+
+
+def _as_fit(table: Table) -> FocalPlaneFit:
+    n = len(table)
+    values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in _COLUMNS])
+    covariance = np.asarray(table["covariance"], dtype=np.float64).reshape(n, N_GEOMETRY, N_GEOMETRY)
+    return FocalPlaneFit(
+        positioner_id=np.asarray(table["positioner_id"], dtype=np.int64),
+        parameters=values / _UNITS,
+        covariance=covariance / np.outer(_UNITS, _UNITS),
+        rank=np.asarray(table["rank"], dtype=np.int64),
+        reason=[str(r) for r in table["reason"]],
+        used=np.ones((n, 0), dtype=bool),
+        n_outliers=np.asarray(table["n_outliers"], dtype=np.int64),
+        rms_um=np.asarray(table["rms_um"], dtype=np.float64),
+        chi2_dof=np.asarray(table["chi2_dof"], dtype=np.float64),
+        angles_deg=(np.nan, np.nan),
+    )
+
+
+def _read(path: Path) -> Table:
+    try:
+        table = Table.read(path, format="ascii.ecsv")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate focal-plane'") from None
+    except Exception as error:  # astropy raises whatever its readers meet
+        raise InputError(f"{path}: not a file of arms: {str(error).splitlines()[0]}") from None
+    found = table.meta.get("format"), table.meta.get("format_version")
+    missing = [c for c in ("positioner_id", *_COLUMNS, "covariance", "reason") if c not in table.colnames]
+    if found != (FORMAT, FORMAT_VERSION) or missing:
+        raise InputError(
+            f"{path}: not a file of arms that this version reads (format {found[0]} {found[1]}, "
+            f"missing columns {', '.join(missing) or 'none'}); calibrate again"
+        )
+    table["reason"] = [str(r) if r is not np.ma.masked else "" for r in table["reason"]]
+    return table

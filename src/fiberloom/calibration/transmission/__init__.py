@@ -1,0 +1,1 @@
+"""Motor angle against output angle: sweeps, maps, their files."""

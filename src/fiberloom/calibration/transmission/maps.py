@@ -1,0 +1,242 @@
+"""Transmission maps: which motor position puts an arm at an angle. Kronig 2020, Eq. 6 and 7.
+
+Per positioner, axis and direction of contact a map is a polyline through knots (output angle, wire
+position), both in deg and rising. The wire position is the motor angle over the nominal gear n_bar;
+with T the motor angle that belongs to the output angle theta:
+
+    wire = T(theta) / n_bar,   delta(theta) = wire - theta,   B = n_bar (delta+ - delta-)
+
+Exact at the knots; the inverse is that of the same polyline; straight on beyond the ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import zipfile
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiberloom.errors import InputError
+from fiberloom.instruments.model import AXES
+from fiberloom.typing import Floats
+from fiberloom.version import __version__
+
+NEGATIVE, POSITIVE = -1, 1
+"""Directions of contact: the side from which the last move came."""
+N_BAR = 1024.0
+
+FORMAT = "fiberloom transmission maps"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where maps come from."""
+
+    config_hash: str = ""
+    seed: int | None = None
+    gear: float = N_BAR
+    version: str = __version__
+    utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TransmissionMaps:
+    """The maps of N positioners; rows in the order of `positioner_id`.
+
+    `wire_deg` and `output_deg` are (N, 2 axes, 2 directions, K knots); direction 0 is negative.
+    """
+
+    positioner_id: NDArray[np.int64]
+    wire_deg: Floats
+    output_deg: Floats
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        n = len(self.positioner_id)
+        for name, knots in (("wire_deg", self.wire_deg), ("output_deg", self.output_deg)):
+            if knots.ndim != 4 or knots.shape[:3] != (n, 2, 2) or knots.shape[3] < 2:
+                raise InputError(
+                    f"transmission maps: {name} has the shape {knots.shape}, "
+                    f"{n} positioners need ({n}, 2, 2, at least 2)"
+                )
+            self._refuse_unless_rising(name, knots)
+        if self.wire_deg.shape != self.output_deg.shape:
+            raise InputError("transmission maps: wire_deg and output_deg differ in shape")
+
+    def _refuse_unless_rising(self, name: str, knots: Floats) -> None:
+        # NaN compares False, so it is caught here too
+        bad = np.argwhere(~(np.diff(knots, axis=-1) > 0.0))
+        if len(bad) == 0:
+            return
+        row, axis, side, k = bad[0]
+        pair = knots[row, axis, side, k : k + 2]
+        raise InputError(
+            f"transmission map of positioner {self.positioner_id[row]}, {AXES[axis]}, "
+            f"{('negative', 'positive')[side]} contact: {name} does not rise from knot {k} to "
+            f"{k + 1} ({pair[0]:.6f} to {pair[1]:.6f} deg); calibrate this positioner again"
+        )
+
+    def __len__(self) -> int:
+        return len(self.positioner_id)
+
+    def to_wire(
+        self, theta_deg: ArrayLike, index: ArrayLike | None = None, direction: int = NEGATIVE
+    ) -> Floats:
+        """Wire positions that bring the arms to output angles (n, 2) or (n, 2, M), in deg."""
+        return self._map(self.output_deg, self.wire_deg, theta_deg, index, direction)
+
+    def to_output(
+        self, wire_deg: ArrayLike, index: ArrayLike | None = None, direction: int = NEGATIVE
+    ) -> Floats:
+        """Output angles at wire positions (n, 2) or (n, 2, M), in deg."""
+        return self._map(self.wire_deg, self.output_deg, wire_deg, index, direction)
+
+    def path_to_wire(self, row: int, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
+        """A path (M, 2) of one positioner, by row: as to_wire, in one go."""
+        theta = np.asarray(theta_deg, dtype=np.float64).T
+        return self.to_wire(theta[None], index=[row], direction=direction)[0].T
+
+    def _map(
+        self,
+        source: Floats,
+        goal: Floats,
+        values: ArrayLike,
+        index: ArrayLike | None,
+        direction: int,
+    ) -> Floats:
+        rows = np.arange(len(self)) if index is None else np.atleast_1d(np.asarray(index))
+        side = _side(direction)
+        given = np.asarray(values, dtype=np.float64)
+        given = np.broadcast_to(given, (len(rows), 2, *given.shape[2:]))
+        out = np.empty(given.shape)
+        for k, row in enumerate(rows):
+            for axis in range(2):
+                out[k, axis] = polyline(source[row, axis, side], goal[row, axis, side], given[k, axis])
+        return out
+
+    def delta_deg(self, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
+        """delta(theta) of Eq. 7 for all positioners: (N, 2, M) at M output angles."""
+        theta = np.atleast_1d(np.asarray(theta_deg, dtype=np.float64))
+        grid = np.broadcast_to(theta, (len(self), 2, len(theta)))
+        return self.to_wire(grid, direction=direction) - theta
+
+    def backlash_motor_deg(self, theta_deg: ArrayLike) -> Floats:
+        """B(theta) in motor deg for all positioners, (N, 2, M). Eq. 7."""
+        delta = [self.delta_deg(theta_deg, direction) for direction in (NEGATIVE, POSITIVE)]
+        return self.provenance.gear * (delta[1] - delta[0])
+
+    def linear(self) -> TransmissionMaps:
+        """What is left without the maps: the nominal ratio and one offset per axis and contact."""
+        offset = np.mean(self.wire_deg - self.output_deg, axis=-1, keepdims=True)
+        ends = self.output_deg[..., [0, -1]]
+        return replace(self, output_deg=ends, wire_deg=ends + offset)
+
+    def select(self, index: ArrayLike) -> TransmissionMaps:
+        """The maps of some positioners, by row."""
+        rows = np.atleast_1d(np.asarray(index))
+        return replace(
+            self,
+            positioner_id=self.positioner_id[rows],
+            wire_deg=self.wire_deg[rows],
+            output_deg=self.output_deg[rows],
+        )
+
+    def rows_of(self, positioner_id: ArrayLike) -> NDArray[np.int64]:
+        """Rows of these positioners; one without a map is an InputError that names it."""
+        places = {int(p): row for row, p in enumerate(self.positioner_id)}
+        wanted = np.atleast_1d(np.asarray(positioner_id)).tolist()
+        missing = [p for p in wanted if p not in places]
+        if missing:
+            raise InputError(
+                f"no transmission map for positioner {missing[0]} ({len(missing)} missing): "
+                "calibrate the transmission of this layout"
+            )
+        return np.array([places[p] for p in wanted], dtype=np.int64)
+
+    def save(self, path: str | Path) -> None:
+        """Writes one .npz file, at once or not at all."""
+        path = Path(path)
+        meta = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self.provenance)}
+        part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with part.open("wb") as file:
+                np.savez_compressed(
+                    file,
+                    meta=np.array(json.dumps(meta)),
+                    positioner_id=self.positioner_id,
+                    wire_deg=self.wire_deg,
+                    output_deg=self.output_deg,
+                )
+            part.replace(path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                part.unlink()
+            raise InputError(
+                f"{path}: cannot write the transmission maps: {error.strerror or error}"
+            ) from None
+
+
+def polyline(x_knots: Floats, y_knots: Floats, x: ArrayLike) -> Floats:
+    """Piecewise linear through rising knots, straight on beyond both ends; exact at the knots."""
+    x = np.asarray(x, dtype=np.float64)
+    k = np.clip(np.searchsorted(x_knots, x, side="right") - 1, 0, len(x_knots) - 2)
+    t = (x - x_knots[k]) / (x_knots[k + 1] - x_knots[k])
+    # from the nearer knot: exact at both, and the inverse polyline undoes it to rounding
+    low, high = y_knots[k], y_knots[k + 1]
+    return np.where(t <= 0.5, low + t * (high - low), high - (1.0 - t) * (high - low))
+
+
+def _side(direction: int) -> int:
+    if direction not in (NEGATIVE, POSITIVE):
+        raise ValueError(f"direction {direction}: -1 for negative contact, +1 for positive")
+    return (direction + 1) // 2
+
+
+def identity(
+    positioner_id: ArrayLike, span_deg: tuple[float, float] = (0.0, 360.0), gear: float = N_BAR
+) -> TransmissionMaps:
+    """Maps of perfect gears: wire position and output angle are the same."""
+    ids = np.asarray(positioner_id, dtype=np.int64)
+    knots = np.broadcast_to(np.array(span_deg), (len(ids), 2, 2, 2)).copy()
+    return TransmissionMaps(ids, knots, knots.copy(), Provenance(gear=gear, note="identity"))
+
+
+def load(path: str | Path) -> TransmissionMaps:
+    """Reads what save() wrote; anything else is an InputError."""
+    path = Path(path)
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            parts = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate transmission'") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise InputError(f"{path}: not a file of transmission maps, or broken: {error}") from None
+    return _from_parts(path, parts)
+
+
+def _from_parts(path: Path, parts: dict[str, NDArray]) -> TransmissionMaps:
+    try:
+        meta = json.loads(str(parts["meta"]))
+        if meta.pop("format") != FORMAT:
+            raise KeyError("format")
+        found = meta.pop("format_version")
+        if found != FORMAT_VERSION:
+            raise InputError(
+                f"{path}: transmission maps of format {found}; this version reads "
+                f"{FORMAT_VERSION}: calibrate again"
+            )
+        ids, wire, output = (parts[name] for name in ("positioner_id", "wire_deg", "output_deg"))
+        return TransmissionMaps(ids, wire, output, Provenance(**meta))
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: not a file of transmission maps ({error!r})") from None
+    except InputError as error:
+        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None

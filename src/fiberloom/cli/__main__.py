@@ -1,0 +1,5 @@
+"""`python -m fiberloom.cli`."""
+
+from fiberloom.cli.app import main
+
+main()

@@ -1,0 +1,1 @@
+"""Which positioners are fit, by what evidence, and what to do."""

@@ -1,0 +1,67 @@
+"""Passages of positioners as a store remembers them, for `fiberloom.health.monitor`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.health.monitor import Passage
+from fiberloom.health.status import Status
+from fiberloom.instruments import FocalPlane
+from fiberloom.store import Store
+from fiberloom.store.run import START
+
+Columns = dict[str, NDArray]
+
+_NOT_ARRIVED = (Status.DEAD, Status.BLOCKED, Status.OFFLINE)
+_NEAR_DEG = 1.0
+"""A report farther than this from the command is no arrival: gears are linear to 0.6 deg."""
+_STAYS_DEG = 1e-6
+
+
+def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[Passage]:
+    """The moves of one run in order. Positioners that the plane does not have are left out."""
+    columns = store.measurements(run_id)
+    before = np.full((len(plane), 2), np.nan)
+    for move_id in dict.fromkeys(columns["move_id"].tolist()):
+        here = columns["move_id"] == move_id
+        move = _Move({name: column[here] for name, column in columns.items()}, plane)
+        if np.all(move.kind == START):
+            before = move.believed_deg
+        yield move.passage(before)
+        before = np.where(move.known[:, None], move.believed_deg, before)
+
+
+class _Move:
+    """One move's columns, by rows of the plane."""
+
+    def __init__(self, columns: Columns, plane: FocalPlane) -> None:
+        of_plane = np.isin(columns["positioner_id"], plane.positioner_id)
+        self.rows = plane.index_of(columns["positioner_id"][of_plane].astype(np.int64))
+        self.n = len(plane)
+        self._columns = {name: column[of_plane] for name, column in columns.items()}
+        self.kind = columns["kind"]
+        self.known = np.zeros(self.n, dtype=bool)
+        self.known[self.rows] = True
+        self.believed_deg = self._pair("alpha_deg", "beta_deg")
+        self.wire_deg = self._pair("wire_alpha_deg", "wire_beta_deg")
+
+    def passage(self, before_deg: NDArray[np.float64]) -> Passage:
+        """What operation saw of it."""
+        seen_mm = self._pair("x_mm", "y_mm")
+        seen_mm[self.rows[~self._columns["seen"].astype(bool)]] = np.nan
+        stays = np.all(np.abs(self.believed_deg - before_deg) < _STAYS_DEG, axis=1)
+        status = np.full(self.n, str(Status.OFFLINE), dtype=object)
+        status[self.rows] = self._columns["status"]
+        near = np.all(np.abs(self.wire_deg - self.believed_deg) < _NEAR_DEG, axis=1)
+        arrived = near & ~np.isin(status.astype(str), [str(s) for s in _NOT_ARRIVED])
+        gave_up = status.astype(str) == str(Status.DEAD)
+        asked = self.known & ~stays
+        return Passage(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
+
+    def _pair(self, first: str, second: str) -> NDArray[np.float64]:
+        out = np.full((self.n, 2), np.nan)
+        out[self.rows] = np.column_stack([self._columns[first], self._columns[second]])
+        return out

@@ -1,0 +1,29 @@
+"""How much a measured move scatters: camera, arrivals, and what the maps do not know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fiberloom.instruments import FocalPlane
+
+
+@dataclass(frozen=True)
+class CorrectionNoise:
+    """What the filter believes of camera and positioners, 2-D rms in um."""
+
+    camera_um: float = 0.669
+    """Of a camera that does not tell the covariance of what it measures."""
+    repeatability_um: float = 0.2
+    """Scatter of arrivals at the same command."""
+    blind_um: float = 10.0
+    """Error before the first image."""
+    drift_um: float = 0.0
+    """How much the offset itself changes from move to move."""
+    slope: float = 0.1
+    """How much it changes over the way of a correction, as a share of that way, rms: the derivative
+    of what the transmission map does not know. SDSS-V accepts gears up to 0.15."""
+
+    @classmethod
+    def of(cls, plane: FocalPlane) -> CorrectionNoise:
+        """With the camera of this instrument."""
+        return cls(camera_um=plane.instrument.metrology.noise_rms_um)

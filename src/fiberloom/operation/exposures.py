@@ -1,0 +1,56 @@
+"""What an observation keeps of its exposures: pages to look at, and the images themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import write_image
+from fiberloom.metrology.pipeline import ImageCamera, Reduction
+
+FOLDER = "exposures"
+
+
+class ExposureLog:
+    """Watches a camera. `pages` (none, last, all) says which exposures get theirs: the image with
+    labels, residual vectors, the distortion field."""
+
+    def __init__(self, plane: FocalPlane, out: Path, pages: str, save_images: bool) -> None:
+        self.plane, self.folder = plane, out / FOLDER
+        self.pages, self.save_images = pages, save_images
+        self.taken = 0
+        self._last: Reduction | None = None
+        for old in self.folder.glob("exposure-*"):  # of an earlier run into the same folder
+            old.unlink()
+
+    def watch(self, camera: Any) -> None:
+        """From now on; a camera without images has nothing to keep."""
+        if isinstance(camera, ImageCamera):
+            camera.watchers.append(self.seen)
+        elif self.save_images:
+            raise InputError("--save-images goes with --camera image: this camera takes no images")
+
+    def seen(self, reduction: Reduction) -> None:
+        """The next exposure; what is to be kept of every one is written before the loop goes on."""
+        self.taken += 1
+        self._last = reduction
+        if self.save_images:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_image(reduction.image, self.folder / f"{self._name()}.fits")
+        if self.pages == "all":
+            self._plot(reduction)
+
+    def close(self) -> None:
+        """The pages of the last exposure."""
+        if self.pages == "last" and self._last is not None:
+            self._plot(self._last)
+
+    def _name(self) -> str:
+        return f"exposure-{self.taken:02d}"
+
+    def _plot(self, reduction: Reduction) -> None:
+        from fiberloom.report.exposure import plot_reduction  # matplotlib takes a second
+
+        plot_reduction(self.folder, self._name(), self.plane, reduction)

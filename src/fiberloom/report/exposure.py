@@ -1,0 +1,164 @@
+"""One page per exposure: what was seen, what disagrees, and how the camera bends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")  # files only: no display is needed at an observatory's console
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology.images import CameraImage
+from fiberloom.metrology.matching import MatchStatus
+from fiberloom.metrology.pipeline import Reduction
+from fiberloom.metrology.spots import Flag, Spots
+from fiberloom.typing import Floats
+from fiberloom.units import UM_PER_MM
+
+_SHOWN_PX = 1500
+"""Pixels of a plotted image per side: more do not fit on a page."""
+_LABELS = 700
+_COLOURS = {MatchStatus.DARK: "orange", MatchStatus.AMBIGUOUS: "magenta"}
+
+
+def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
+    """The image with its spots; flagged ones in red."""
+    figure, axes = plt.subplots(figsize=(11, 10), layout="constrained")
+    _show(axes, image)
+    flagged = (spots.flags & ~np.uint32(Flag.COSMIC)) != 0
+    _ring(axes, spots.xy_px[~flagged], "deepskyblue")
+    _ring(axes, spots.xy_px[flagged], "crimson", size=60)
+    axes.set(title=f"{len(spots)} spots, {int(flagged.sum())} flagged", xlabel="x [px]", ylabel="y [px]")
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def plot_reduction(folder: Path, name: str, plane: FocalPlane, reduction: Reduction) -> list[Path]:
+    """Image with labels, residual vectors, distortion field; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}-{what}.png" for what in ("image", "residuals", "distortion")]
+    _plot_labels(paths[0], plane, reduction)
+    _plot_residuals(paths[1], plane, reduction)
+    _plot_distortion(paths[2], reduction)
+    return paths
+
+
+def _show(axes: Any, image: CameraImage) -> None:
+    step = max(1, max(image.shape) // _SHOWN_PX)
+    blocks = _brightest(image, step)
+    low, high = np.percentile(blocks[::4, ::4], [5, 99.7])
+    extent = (-0.5, blocks.shape[1] * step - 0.5, -0.5, blocks.shape[0] * step - 0.5)
+    shade = np.arcsinh((blocks - low) / max(high - low, 1) * 10)
+    axes.imshow(shade, origin="lower", extent=extent, cmap="gray", interpolation="nearest")
+
+
+def _brightest(image: CameraImage, step: int) -> NDArray[np.float32]:
+    """Of each block: a spot must not fall between the pixels that are shown."""
+    height, width = (size // step for size in image.shape)
+    rows = []
+    for j in range(height):  # row by row: no copy of the image
+        band = CameraImage(image.pixels[j * step : (j + 1) * step, : width * step], image.fits_bytes)
+        rows.append(band.array().max(axis=0).reshape(width, step).max(axis=1))
+    return np.nan_to_num(np.array(rows, dtype=np.float32))
+
+
+def _ring(axes: Any, at: Floats, colour: str, size: float = 30, marker: str = "o") -> None:
+    axes.scatter(at[:, 0], at[:, 1], s=size, marker=marker, facecolors="none", edgecolors=colour)
+
+
+def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
+    figure, axes = plt.subplots(figsize=(12, 12), layout="constrained")
+    _show(axes, reduction.image)
+    spots, seen = reduction.spots, reduction.seen
+    _ring(axes, spots.xy_px[reduction.acquisition.spot], "lime", size=50, marker="s")
+    at = spots.xy_px[reduction.spot_of_match[seen]]
+    _ring(axes, at, "deepskyblue")
+    if seen.sum() <= _LABELS:
+        for number, xy in zip(plane.positioner_id[seen], at, strict=True):
+            _label(axes, number, xy, "deepskyblue", 5)
+    _mark_missing(axes, plane, reduction)
+    _frame(axes, np.vstack([at, spots.xy_px[reduction.acquisition.spot]]))
+    title = (
+        f"{int(seen.sum())} of {len(plane)} fibres, {len(reduction.acquisition.fiducial)} fiducials "
+        "(squares); orange dark, magenta ambiguous"
+    )
+    axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
+    figure.savefig(path, dpi=110, pil_kwargs={"compress_level": 1})
+    plt.close(figure)
+
+
+def _label(axes: Any, number: int, xy: Floats, colour: str, size: float) -> None:
+    # hundreds of them: the layout need not ask each for its extent
+    text = axes.text(*xy, f"  {number}", color=colour, fontsize=size, va="bottom")
+    text.set_in_layout(False)
+
+
+def _frame(axes: Any, shown: Floats) -> None:
+    """The part of the image where something is."""
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    room = 0.04 * (high - low).max()
+    axes.set_xlim(low[0] - room, high[0] + room)
+    axes.set_ylim(low[1] - room, high[1] + room)
+
+
+def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
+    for status, colour in _COLOURS.items():
+        rows = np.flatnonzero(reduction.match.status == status)
+        if not len(rows):
+            continue
+        expected = reduction.expected_mm[rows]
+        known = np.asarray(np.isfinite(expected).all(axis=1, keepdims=True))
+        place = reduction.transform.to_px(np.where(known, expected, plane.centres_mm[rows]))
+        axes.scatter(*place.T, s=70, marker="x", c=colour)
+        for number, xy in zip(plane.positioner_id[rows], place, strict=True):
+            _label(axes, number, xy, colour, 7)
+
+
+def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
+    fit = reduction.acquisition.fit
+    at = plane.fiducials[reduction.acquisition.fiducial, :2]
+    loo_um = UM_PER_MM * fit.leave_one_out_mm
+    _arrows(left, at, loo_um)
+    left.set_title(f"fiducials: {fit.rms_um:.2f} µm rms fitted, {fit.leave_one_out_rms_um:.2f} µm left out")
+    rows = reduction.seen & np.isfinite(reduction.expected_mm).all(axis=1)
+    off_um = UM_PER_MM * (reduction.xy_mm - reduction.expected_mm)[rows]
+    _arrows(right, reduction.expected_mm[rows], off_um)
+    rms = float(np.sqrt(np.mean(np.sum(off_um**2, axis=1)))) if rows.any() else float("nan")
+    right.set_title(f"fibres: measured minus expected, {rms:.1f} µm rms")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _arrows(axes: Any, at_mm: Floats, vector_um: Floats) -> None:
+    size = np.hypot(*vector_um.T)
+    typical = float(np.median(size)) if len(size) else 1.0
+    extent = float(np.ptp(at_mm)) if len(at_mm) else 1.0
+    q = axes.quiver(*at_mm.T, *vector_um.T, angles="xy", scale_units="xy",
+                    scale=max(typical, 1e-6) / (0.03 * extent), width=0.002)  # fmt: skip
+    unit = float(f"{typical:.1g}") or 1.0
+    axes.quiverkey(q, 0.9, 0.94, unit, f"{unit:g} µm")
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    if len(at_mm):
+        _frame(axes, np.vstack([at_mm, at_mm + vector_um * (0.03 * extent / max(typical, 1e-6))]))
+
+
+def _plot_distortion(path: Path, reduction: Reduction) -> None:
+    height, width = reduction.image.shape
+    grid = np.stack(np.meshgrid(np.linspace(0, width - 1, 23), np.linspace(0, height - 1, 23)), -1).reshape(
+        -1, 2
+    )
+    at = reduction.transform.to_mm(grid)
+    inside = np.hypot(*at.T) < 1.05 * reduction.transform.radius_mm
+    bend = UM_PER_MM * reduction.transform.distortion_mm(grid[inside])
+    figure, axes = plt.subplots(figsize=(9, 8.5), layout="constrained")
+    _arrows(axes, at[inside], bend)
+    axes.set_title(f"distortion beyond shift, scale and rotation: {np.hypot(*bend.T).max():.0f} µm at most")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

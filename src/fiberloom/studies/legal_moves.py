@@ -1,0 +1,230 @@
+"""Trials of the firmware's collision watch on the twin: legal moves, and neighbours that meet.
+
+Legal moves must never be taken for a collision; arms that touch must be found soon. Both are questions to
+the firmware and the physics alone, so that the bus is spoken to frame by frame here.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.bus.identifier import decode, encode
+from fiberloom.bus.protocol import Command
+from fiberloom.instruments import FocalPlane
+from fiberloom.twin.draw import draw_units
+from fiberloom.twin.twin import Reply, Twin
+from fiberloom.twin.units import GEAR, Units
+from fiberloom.typing import Floats
+from fiberloom.units import COUNTS_PER_DEG, TICK_S, deg_to_rad
+
+Rng = np.random.Generator
+
+FULL_SPEED_DEG_S = 2000.0 * 6.0 / 1024.0
+"""Output speed at 2000 rpm of the motor, deg/s."""
+GREASE = (0.5, 2.0)
+"""Viscous friction over its nominal value, between a warm and a cold night."""
+_RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
+
+
+def greased(units: Units, rng: Rng) -> Units:
+    """The same units at a temperature of their own: viscous friction x0.5 to x2, log-uniform."""
+    plant = units.plant.copy()
+    factor = np.exp(rng.uniform(np.log(GREASE[0]), np.log(GREASE[1]), (len(units), 1)))
+    for name in ("viscous_motor", "viscous_gear"):
+        plant[name] *= factor
+    return replace(units, plant=plant)
+
+
+# -- legal moves ----------------------------------------------------------------------------------
+
+MOVES = ("goto", "correction", "zigzag", "crawl", "path")
+"""Kinds of legal moves: a go-to anywhere; a precise one nearby (840 motor degrees back and forth); straight
+lines with steps of velocity up to 2000 rpm; slow lines; two or three lines at full speed, as planned."""
+
+
+@dataclass(frozen=True)
+class LegalTrial:
+    """What became of the moves of a population."""
+
+    units: int
+    moves: int
+    kinds: dict[str, int]
+    collisions: list[tuple[int, str]]
+    """Positioner and kind of every false detection."""
+    lost: list[int]
+    """Positioners whose count is off by a turn or more from where their motor is."""
+    simulated_s: float
+
+
+def legal_moves(
+    plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2
+) -> LegalTrial:
+    """Random legal moves of a plane without neighbours, over unit scatter and temperature.
+
+    `moves`: of each positioner, both axes at once. Without `touch` Eq. 22 watches alone.
+    """
+    rng = np.random.default_rng([seed, 0x1E6A1])
+    units = greased(draw_units(plane, seed), rng)
+    if not touch:
+        units.firmware["contact_torque"] = units.firmware["touch_torque"] = 0.0
+    start = np.column_stack([rng.uniform(*limits, len(plane)) for limits in _RANGE_DEG])
+    twin = Twin(plane, units, seed=seed, threads=threads, neighbours=False, start_deg=start)
+    kinds, collisions, at = dict.fromkeys(MOVES, 0), [], start
+    for _ in range(moves):
+        chosen = rng.choice(MOVES, len(plane))
+        paths = [_path(kind, where, rng) for kind, where in zip(chosen, at, strict=True)]
+        hit = _collided(_carry_out(twin, paths, chosen, at))
+        at = np.array([[axis[-1][1] for axis in path] for path in paths])
+        collisions += [(i, str(chosen[plane.index_of(i)])) for i in hit]
+        if hit:
+            _send_all(twin, Command.STOP_TRAJECTORY)
+            rows = [int(plane.index_of(i)) for i in hit]
+            at[rows] = np.clip(twin.truth()[rows], *np.transpose(_RANGE_DEG))
+        for kind in chosen:
+            kinds[kind] += 1
+    return LegalTrial(len(plane), moves * len(plane), kinds, collisions, miscounted(twin), twin.time_s)
+
+
+def miscounted(twin: Twin) -> list[int]:
+    """Positioners at rest that report (32) another place than their gear stands at.
+
+    What is reported is the motor angle at which the move settled: the gear's, and up to the backlash more
+    after a move upwards. Half a motor turn either way is allowed for the rest.
+    """
+    twin.send([(encode(int(i), Command.GET_ACTUAL_POSITION, 1), b"") for i in twin.plane.positioner_id])
+    told = {decode(r.id).positioner: struct.unpack("<ii", r.data) for r in twin.run(TICK_S)}
+    truth, wrong = twin.truth(), []
+    for row, number in enumerate(twin.plane.positioner_id):
+        for axis in (0, 1):
+            gear_deg, backlash_deg = twin.units.transmission(row, axis, truth[row, axis])
+            above = told[int(number)][axis] / COUNTS_PER_DEG * GEAR - gear_deg[0] * GEAR
+            if not -180.0 < above < backlash_deg[0] + 180.0:
+                wrong.append(int(number))
+    return wrong
+
+
+def _path(kind: str, at: Floats, rng: Rng) -> list[list[tuple[float, float]]]:
+    """(time_s, wire_deg) of both axes; what a go-to takes is its last point alone."""
+    if kind == "goto":
+        return [[(0.0, rng.uniform(*limits))] for limits in _RANGE_DEG]
+    if kind == "correction":
+        return [[(0.0, _held(x + rng.normal(0.0, 0.1), k))] for k, x in enumerate(at)]
+    return [_lines(kind, k, x, rng) for k, x in enumerate(at)]
+
+
+def _held(angle_deg: float, axis: int) -> float:
+    return float(np.clip(angle_deg, *_RANGE_DEG[axis]))
+
+
+def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float, float]]:
+    pieces, longest_s = {"zigzag": (12, 0.4), "crawl": (6, 0.6), "path": (3, 4.0)}[kind]
+    points = [(0.1, float(from_deg))]
+    for _ in range(rng.integers(2, pieces + 1)):
+        way_s = rng.uniform(0.1, longest_s)
+        top = FULL_SPEED_DEG_S * (10.0 ** rng.uniform(-3.0, -0.3) if kind == "crawl" else 1.0)
+        speed = top * (rng.choice([-1.0, 1.0]) if kind == "path" else rng.uniform(-1.0, 1.0))
+        points.append((points[-1][0] + way_s, _held(points[-1][1] + speed * way_s, axis)))
+    return points
+
+
+def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
+    """One move of everybody, from its first frame to the last rotor at rest."""
+    ids = [int(i) for i in twin.plane.positioner_id]
+    precise = {i for i, kind in zip(ids, kinds, strict=True) if kind == "correction"}
+    for number in ids:
+        for on, off in ((128, 129), (130, 131)):
+            twin.send([(encode(number, on if number in precise else off, 1), b"")])
+    replies = twin.run(TICK_S)
+    replies += upload(twin, {i: p for i, p in zip(ids, paths, strict=True) if len(p[0]) > 1})
+    for number, path in zip(ids, paths, strict=True):
+        if len(path[0]) == 1:
+            replies += go_to(twin, number, [axis[0][1] for axis in path])
+    _send_all(twin, Command.START_TRAJECTORY)
+    return replies + twin.run(max(_longest_s(path, at) for path, at in zip(paths, before, strict=True)))
+
+
+def _longest_s(path: list[list[tuple[float, float]]], from_deg: Floats) -> float:
+    """When a move has surely ended: at full speed and 0.25 s to reach it, precise ways and settling."""
+    if len(path[0]) > 1:
+        return max(axis[-1][0] for axis in path) + 2.0
+    ways = [abs(axis[0][1] - x) for axis, x in zip(path, from_deg, strict=True)]
+    return max(ways) / FULL_SPEED_DEG_S + 2.0
+
+
+def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
+    """A go-to of both axes (30); nothing is waited for."""
+    counts = [round(x * COUNTS_PER_DEG) for x in wire_deg]
+    twin.send([(encode(number, Command.GO_TO_ABSOLUTE_POSITION, 1), struct.pack("<ii", *counts))])
+    return []
+
+
+def upload(twin: Twin, paths: dict[int, list[list[tuple[float, float]]]]) -> list[Reply]:
+    """Loads the trajectories of all, a frame of each in every tick: a mailbox holds 16 answers."""
+    queues = {number: _trajectory_frames(number, axes) for number, axes in paths.items()}
+    replies = []
+    while any(queues.values()):
+        twin.send([queue.pop(0) for queue in queues.values() if queue])
+        replies += twin.run(TICK_S)
+    refused = [decode(r.id) for r in replies if decode(r.id).code != 0]
+    if refused:
+        raise AssertionError(f"a legal trajectory was refused: {refused[0]}")
+    return replies
+
+
+def _trajectory_frames(number: int, axes: list[list[tuple[float, float]]]) -> list[tuple[int, bytes]]:
+    frames = [(encode(number, Command.SEND_NEW_TRAJECTORY, 1), struct.pack("<II", *map(len, axes)))]
+    for points in axes:
+        for time_s, angle_deg in points:
+            data = struct.pack("<iI", round(angle_deg * COUNTS_PER_DEG), round(time_s / TICK_S))
+            frames.append((encode(number, Command.SEND_TRAJECTORY_DATA, 2), data))
+    return [*frames, (encode(number, Command.TRAJECTORY_DATA_END, 3), b"")]
+
+
+def _send_all(twin: Twin, command: Command) -> None:
+    twin.send([(encode(0, command, 0), b"")])
+
+
+def _collided(replies: list[Reply]) -> dict[int, float]:
+    """When each positioner first said that it collided (frame 18)."""
+    found: dict[int, float] = {}
+    for reply in replies:
+        identifier = decode(reply.id)
+        if identifier.command == Command.COLLISION_DETECTED:
+            found.setdefault(identifier.positioner, reply.time_s)
+    return found
+
+
+# -- what a motor shows of its load ---------------------------------------------------------------
+
+
+def cruise(plane: FocalPlane, *, axis: int, seed: int) -> Floats:
+    """Raw load beyond the model of each unit, every tick of a second at 2000 rpm, Nm: (units, ticks).
+
+    From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
+    resists. The feedforward is that of the last tick's drag, learnt for two seconds before.
+    """
+    rng = np.random.default_rng([seed, 0xC4])
+    units = greased(draw_units(plane, seed), rng)
+    start = np.tile([20.0, 20.0], (len(plane), 1))
+    twin = Twin(plane, units, seed=seed, threads=1, neighbours=False, start_deg=start)
+    for number in plane.positioner_id:
+        go_to(twin, int(number), [100.0, 100.0])
+    twin.run(3.0)
+    scopes = [twin.scope(row, axis) for row in range(len(plane))]
+    twin.run(1.0)
+    return np.array([_load_Nm(s.take(), units.firmware[row, axis]) for row, s in enumerate(scopes)])
+
+
+def _load_Nm(log: np.ndarray, firmware: np.ndarray) -> Floats:
+    error = deg_to_rad(log["tracking_deg"])
+    torque = log["voltage"] * float(firmware["torque_per_volt"] * firmware["u_dc"])
+    beyond = torque - log["feedforward_Nm"]
+    bend = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / TICK_S**2
+    rate = (error[2:] - error[:-2]) / (2.0 * TICK_S)
+    # a torque acts over the tick that follows its sample
+    drive = 0.5 * (beyond[1:-1] + beyond[:-2])
+    return float(firmware["inertia"]) * bend + drive + float(firmware["drag"]) * rate

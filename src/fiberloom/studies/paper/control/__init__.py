@@ -1,0 +1,1 @@
+"""Figures 16 and 17, Equation 22: tracking, repeatability, collisions."""

@@ -1,0 +1,1 @@
+"""Figures 10 to 14: what a bench finds of a drivetrain."""

@@ -1,0 +1,79 @@
+"""The lifetime test behind Fig. 21, 22, 25 and 26, run once for all four."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiberloom.studies.lifetime import DELTAS, WAYS, LifetimeSettings, delta_angles_deg, lifetime
+from fiberloom.studies.paper.outcome import Settings
+from fiberloom.twin.bench import bench_units
+from fiberloom.typing import Floats
+
+UNITS, CYCLES = 4, 100
+BETA = 1
+DEFAULT = LifetimeSettings(cycles=CYCLES, cycle_step=9, snapshots=(1, 10, 55, 100))
+FULL = LifetimeSettings(cycles=CYCLES)
+SMALLER = (
+    f"every ninth cycle of {CYCLES} is simulated (wear goes on in between, but maps learn from every ninth "
+    f"cycle only), on {UNITS} units per seed instead of two."
+)
+HOW = (
+    "The statistical twin (standstill positions of the same units, held against the full physics by its "
+    f"tests) goes through {CYCLES} cycles of 15260 moves: a calibration, then 1220 random targets, blind "
+    "and nine corrections. How much wear there is was put in (Fig. 21 and 22); how many marks, how wide and "
+    "how fast is assumed (docs/twin.md). Arms are the preset's, 7.4 and 14.3 mm."
+)
+
+
+@dataclass(frozen=True)
+class Study:
+    """One seed's lifetime test."""
+
+    settings: LifetimeSettings
+    angles_deg: Floats
+    """(points,) of beta at which delta is kept."""
+    rows: dict[str, NDArray]
+
+    @property
+    def cycles(self) -> NDArray[np.int64]:
+        """Simulated ones."""
+        return self.settings.simulated
+
+    def blind_um(self, way: str) -> Floats:
+        """(cycles,) rms of blind moves over units, as measured."""
+        each: Floats = self.rows["measured_um"][:, WAYS.index(way)]
+        return np.asarray(np.sqrt(np.mean(each**2, axis=0)))
+
+    def late_um(self, way: str) -> float:
+        """The same over the later half of the cycles."""
+        late = self.blind_um(way)[len(self.cycles) // 2 :]
+        return float(np.sqrt(np.mean(late**2)))
+
+    def delta_deg(self, name: str) -> Floats:
+        """(N, snapshots, points) of beta."""
+        return np.asarray(self.rows["delta_deg"][:, :, DELTAS.index(name), BETA])
+
+
+@lru_cache(maxsize=8)
+def study(seed: int, settings: LifetimeSettings, n_units: int = UNITS) -> Study:
+    """Simulates the units of this seed."""
+    plane, _ = bench_units(settings.instrument, seed, range(n_units))
+    return Study(settings, delta_angles_deg(plane)[BETA], lifetime(range(n_units), seed, settings))
+
+
+def studies(settings: Settings, figure: int) -> list[Study]:
+    """One for each seed."""
+    out = []
+    for seed in settings.seeds:
+        settings.say(f"Figure {figure}: lifetime test, seed {seed}")
+        out.append(study(seed, FULL if settings.full else DEFAULT))
+    return out
+
+
+def smaller(settings: Settings) -> str:
+    """What is said of the size."""
+    return "" if settings.full else SMALLER

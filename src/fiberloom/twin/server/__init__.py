@@ -1,0 +1,1 @@
+"""The twin on CAN@net TCP ports, in real time."""

@@ -1,0 +1,422 @@
+"""A twin behind CAN@net NT 420 devices on TCP, in real time: what jaeger and `CanNetTransport` connect to.
+
+The clock runs in a thread (`RealTimeTwin`); everything here is one asyncio loop that nothing blocks:
+bytes come in, frames go to the thread, replies come back through their port's wire. Positioners keep
+moving or holding while nobody is connected.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import ipaddress
+import socket
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fiberloom.bus.cannet import frame_to_line
+from fiberloom.bus.transport import Frame
+from fiberloom.errors import InputError
+from fiberloom.twin.faults.faults import FaultKind
+from fiberloom.twin.faults.schedule import BUS_OFF, LATE, LOST, POWER_CUT, Trouble
+from fiberloom.twin.real_time import RealTimeTwin
+from fiberloom.twin.server.device import PORTS, Device, Port
+from fiberloom.twin.server.wire import QUEUE_FRAMES, Wire
+from fiberloom.twin.twin import Reply, Twin
+
+POSITIONERS_PER_DEVICE = 84
+"""21 on each of four ports, as at SDSS-V: with more, the queue of 100 frames overflows easily."""
+
+GRACE_S = 0.25
+"""So long a new client waits for the old one's end before it is turned away."""
+
+BACKLOG_BYTES = 1 << 20
+"""What a client may leave unread before its frames are thrown away."""
+
+_NO_POWER = (FaultKind.DEAD, FaultKind.DEAF, FaultKind.MUTE)
+
+
+@dataclass
+class Traffic:
+    """What went over the devices."""
+
+    frames_in: int = 0
+    frames_out: int = 0
+    lost: int = 0
+    late: int = 0
+    overflowed: int = 0
+    unread: int = 0
+    clients: int = 0
+    refused_clients: int = 0
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a device listens."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+def device_count(positioners: int) -> int:
+    """Devices needed for so many positioners."""
+    return -(-positioners // POSITIONERS_PER_DEVICE)
+
+
+def addresses_of(text: str, devices: int) -> list[Address]:
+    """Where the devices listen: HOST:PORT, and what follows it.
+
+    jaeger has one port number for all of its devices, so loopback addresses are counted up and the port
+    stays (127.0.0.1, 127.0.0.2, ...); with any other host ports are counted up.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"--listen {text}: write HOST:PORT with a port 1 to 65535")
+    try:
+        first = ipaddress.IPv4Address(host)
+    except ValueError:
+        first = None
+    if first is not None and first.is_loopback:
+        return [Address(str(first + k), int(port)) for k in range(devices)]
+    if int(port) + devices > 65536:
+        raise InputError(f"--listen {text}: {devices} devices need the ports up to {int(port) + devices - 1}")
+    return [Address(host, int(port) + k) for k in range(devices)]
+
+
+def places_of(positioners: int, devices: int) -> list[tuple[int, int]]:
+    """(device from 0, port) of each row: neighbours in the list share a port, all ports alike."""
+    places = [(device, port) for device in range(devices) for port in PORTS]
+    shares = np.array_split(np.arange(positioners), len(places))
+    return [place for place, share in zip(places, shares, strict=True) for _ in share]
+
+
+class _Host(asyncio.Protocol):
+    """One TCP connection to a device."""
+
+    def __init__(self, listener: _Listener) -> None:
+        self._listener = listener
+        self.early = b""
+        self.transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+        sock = transport.get_extra_info("socket")
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        _keep_alive(sock)
+        self._listener.arrived(self)
+
+    def data_received(self, data: bytes) -> None:
+        if self._listener.host is self:
+            self._listener.device.take(data)
+        else:  # waits for the one before it to go
+            self.early = (self.early + data)[:BACKLOG_BYTES]
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._listener.left(self)
+
+
+class _Listener:
+    """One device on its address, and who is connected to it."""
+
+    def __init__(self, server: TwinServer, number: int, address: Address) -> None:
+        self.server = server
+        self.number = number
+        self.address = address
+        self.device = Device(self._on_frame, lambda: server.time_s)
+        self.device.say = self.write
+        self.host: _Host | None = None
+        self._waiting: _Host | None = None
+        self._listening: asyncio.Server | None = None
+
+    async def open(self) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            self._listening = await loop.create_server(
+                lambda: _Host(self), self.address.host, self.address.port
+            )
+            # what the system chose, where the port was 0
+            self.address = Address(self.address.host, self._listening.sockets[0].getsockname()[1])
+        except OSError as error:
+            raise InputError(
+                f"--listen {self.address}: {error.strerror or error}; choose another address"
+            ) from None
+
+    def close(self) -> None:
+        if self._listening is not None:
+            self._listening.close()
+        for host in (self.host, self._waiting):
+            if host is not None and host.transport is not None:
+                host.transport.close()
+
+    def arrived(self, host: _Host) -> None:
+        if self.host is None:
+            self._adopt(host)
+        elif self._waiting is None:
+            self._waiting = host
+            asyncio.get_running_loop().call_later(GRACE_S, self._turn_away, host)
+        else:
+            self._turn_away(host)
+
+    def _adopt(self, host: _Host) -> None:
+        self.host = host
+        self.server.traffic.clients += 1
+        early, host.early = host.early, b""
+        if early:
+            self.device.take(early)
+
+    def _turn_away(self, host: _Host) -> None:
+        """The device has one host: the second is hung up on."""
+        if host is self.host or host.transport is None or host.transport.is_closing():
+            return
+        self.server.traffic.refused_clients += 1
+        host.transport.abort()
+
+    def left(self, host: _Host) -> None:
+        if self._waiting is host:
+            self._waiting = None
+        if self.host is not host:
+            return
+        self.host = None
+        self.device.restart()
+        if self._waiting is not None:
+            next_host, self._waiting = self._waiting, None
+            self._adopt(next_host)
+
+    def _on_frame(self, port: Port, frame: Frame) -> None:
+        self.server.to_positioners(self, port, frame)
+
+    def write(self, line: str) -> None:
+        """A line to the host, if there is one and it reads."""
+        if self.host is None or self.host.transport is None or self.host.transport.is_closing():
+            return
+        if self.host.transport.get_write_buffer_size() > BACKLOG_BYTES:
+            self.server.traffic.unread += 1
+            return
+        self.host.transport.write(line.encode("ascii") + b"\n")
+
+
+def _keep_alive(sock: socket.socket) -> None:
+    """A host whose machine died without a word frees its device within ten seconds."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):  # not everywhere
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+@dataclass(order=True)
+class _Outgoing:
+    """A reply on its way to the host."""
+
+    time_s: float
+    order: int
+    listener: _Listener = field(compare=False)
+    port: Port = field(compare=False)
+    reply: Reply = field(compare=False)
+
+
+class TwinServer:
+    """Serves a twin until `close`. `troubles` go wrong in the twin's time.
+
+    `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: everybody begins
+    there, as after power-on. `first`: the clock runs before all ordinary programs of the machine.
+    """
+
+    def __init__(
+        self,
+        twin: Twin,
+        addresses: Sequence[Address],
+        *,
+        speed: float = 1.0,
+        troubles: Iterable[Trouble] = (),
+        seed: int = 0,
+        queue_frames: int = QUEUE_FRAMES,
+        bootloader: bool = False,
+        first: bool = False,
+    ) -> None:
+        places = places_of(len(twin.plane), len(addresses))
+        self.places = dict(zip(map(int, twin.plane.positioner_id), places, strict=True))
+        self.traffic = Traffic()
+        self.listeners = [_Listener(self, k, address) for k, address in enumerate(addresses)]
+        for listener in self.listeners:
+            for port in listener.device.ports.values():
+                port.wire = Wire(queue_frames)
+        self._due = sorted(
+            [(t.start_s, True, t) for t in troubles] + [(t.end_s, False, t) for t in troubles],
+            key=lambda entry: entry[0],
+        )
+        self._on_replies: list[Trouble] = []
+        self._rng = np.random.default_rng([seed, 0x105E])
+        self._heap: list[_Outgoing] = []
+        self._order = 0
+        self._inbox: list[tuple[int, bytes, int, float]] = []
+        self._flush: asyncio.TimerHandle | None = None
+        self._trouble_timer: asyncio.TimerHandle | None = None
+        self.happened: list[str] = []
+        """What went wrong so far, with the virtual time."""
+        if bootloader:
+            for i in self.places:
+                twin.power_cycle(i, bootloader=True)
+        self._twin = twin
+        self._speed = speed
+        self._first = first
+        self.real: RealTimeTwin | None = None
+
+    @property
+    def time_s(self) -> float:
+        """The twin's time."""
+        return self._twin.time_s if self.real is None else self.real.time_s
+
+    async def open(self) -> None:
+        """Listens, and starts the clock."""
+        loop = asyncio.get_running_loop()
+        try:
+            for listener in self.listeners:
+                await listener.open()
+        except BaseException:
+            self.close()
+            raise
+        buses = [bus_of(*place) for place in self.places.values()]
+        try:
+            self.real = RealTimeTwin(self._twin, self._speed, buses, self._first)
+        except BaseException:
+            self.close()
+            raise
+        loop.add_reader(self.real.fileno(), self._take)
+        self._make_trouble()
+
+    def close(self) -> None:
+        """Hangs up and stops the clock."""
+        for listener in self.listeners:
+            listener.close()
+        for timer in (self._flush, self._trouble_timer):
+            if timer is not None:
+                timer.cancel()
+        if self.real is not None:
+            asyncio.get_running_loop().remove_reader(self.real.fileno())
+            self.real.close()
+
+    def report(self) -> dict[str, Any]:
+        """Lateness and traffic so far."""
+        late = self.real.lateness() if self.real is not None else None
+        paced = {} if late is None else asdict(late) | {"share_kept": late.share_kept}
+        return {"time_s": self.time_s, **paced, **asdict(self.traffic), "happened": list(self.happened)}
+
+    # from hosts to positioners
+
+    def to_positioners(self, listener: _Listener, port: Port, frame: Frame) -> None:
+        """A frame of the host: through the wire's queue to the positioners of this port."""
+        self.traffic.frames_in += 1
+        now_s = self.time_s
+        arrives_s = port.wire.offer(len(frame.data), now_s)
+        if arrives_s is None:
+            full = not port.wire.cut
+            self.traffic.overflowed += full
+            port.overrun = port.overrun or full
+            return
+        if not self._inbox:  # all that one read of the socket brings goes over together
+            asyncio.get_running_loop().call_soon(self._post)
+        self._inbox.append((frame.id, frame.data, bus_of(listener.number, port.number), arrives_s))
+
+    def _post(self) -> None:
+        posted, self._inbox = self._inbox, []
+        if self.real is not None:
+            self.real.post(posted)
+
+    # from positioners to hosts
+
+    def _take(self) -> None:
+        assert self.real is not None
+        for reply in self.real.take():
+            device, number = self.places[reply.id >> 18]
+            listener = self.listeners[device]
+            self._send_back(listener, listener.device.ports[number], reply)
+        self._write_due()
+
+    def _send_back(self, listener: _Listener, port: Port, reply: Reply) -> None:
+        seen_s = port.wire.carry(len(reply.data), reply.time_s)
+        if seen_s is None or port.bus_off or not port.running or not port.passes(reply.id):
+            return
+        delay_s = self._delay_s()
+        if delay_s is None:
+            self.traffic.lost += 1
+            return
+        self.traffic.late += delay_s > 0.0
+        self._order += 1
+        heapq.heappush(self._heap, _Outgoing(seen_s + delay_s, self._order, listener, port, reply))
+
+    def _delay_s(self) -> float | None:
+        """Of one reply: None when it is lost."""
+        delay_s = 0.0
+        for trouble in self._on_replies:
+            if self._rng.random() < trouble.share:
+                if trouble.kind == LOST:
+                    return None
+                delay_s += trouble.late_s
+        return delay_s
+
+    def _write_due(self) -> None:
+        """Writes what has come over the wire by now, and sees to the rest when it is time."""
+        if self._flush is not None:
+            self._flush.cancel()
+            self._flush = None
+        now_s = self.time_s
+        while self._heap and self._heap[0].time_s <= now_s:
+            out = heapq.heappop(self._heap)
+            if out.port.running:
+                self.traffic.frames_out += 1
+                out.listener.write(frame_to_line(out.port.number, Frame(out.reply.id, out.reply.data)))
+        if self._heap:
+            wait_s = max(self._heap[0].time_s - now_s, 1e-3) / self._speed
+            self._flush = asyncio.get_running_loop().call_later(wait_s, self._write_due)
+
+    # what goes wrong
+
+    def _make_trouble(self) -> None:
+        now_s = self.time_s
+        while self._due and self._due[0][0] <= now_s:
+            _, begins, trouble = self._due.pop(0)
+            self._apply(trouble, begins)
+            self.happened.append(f"{now_s:.1f} s: {trouble}{'' if begins else ' ends'}")
+        if self._due and np.isfinite(self._due[0][0]):
+            wait_s = (self._due[0][0] - now_s) / self._speed
+            self._trouble_timer = asyncio.get_running_loop().call_later(wait_s, self._make_trouble)
+
+    def _apply(self, trouble: Trouble, begins: bool) -> None:
+        if trouble.kind in (LOST, LATE):
+            (self._on_replies.append if begins else self._on_replies.remove)(trouble)
+        elif trouble.kind == BUS_OFF:
+            device = self.listeners[trouble.place[0]].device
+            port = device.ports[trouble.place[1]]
+            port.wire.cut = begins
+            if begins:
+                device.break_down(port)
+        elif trouble.kind == POWER_CUT:
+            self._cut_power(trouble.positioner_id, begins)
+        else:
+            self._break(trouble, begins)
+
+    def _break(self, trouble: Trouble, begins: bool) -> None:
+        assert self.real is not None
+        with self.real.held() as twin:
+            (twin.inject if begins else twin.clear)(trouble.fault)
+
+    def _cut_power(self, positioner_id: int, begins: bool) -> None:
+        """Off: the firmware loses its memory; no field, no ears, no voice. On: it starts anew."""
+        assert self.real is not None
+        with self.real.held() as twin:
+            for kind in _NO_POWER:
+                fault = Trouble(kind, positioner_id).fault
+                (twin.inject if begins else twin.clear)(fault)
+            twin.power_cycle(positioner_id, bootloader=True)
+
+
+def bus_of(device: int, port: int) -> int:
+    """Number of the bus at a port (1 to 4) of a device (from 0)."""
+    return device * len(PORTS) + port - 1

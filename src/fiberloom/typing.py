@@ -1,0 +1,14 @@
+"""Array types that signatures share. Shapes and units stand in each docstring."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+Ints: TypeAlias = NDArray[np.int64]
+Records: TypeAlias = NDArray[Any]
+"""Structured arrays: one record each for a unit, an axis or a sample."""
