@@ -5,10 +5,11 @@ JAEGER := .venv-jaeger
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
+DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace stubs clean
+.PHONY: firmware-report docs lint format inplace stubs clean figures coverage mutate
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -21,6 +22,9 @@ help:
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make identification  fifty units identified in full, against what they are"
+	@echo "make figures  the tree in figures: sizes, documentation, tests, coverage, duplicates"
+	@echo "make coverage line and branch coverage of Python, C and C++, for \`make figures\`"
+	@echo "make mutate   small changes of the code that no test notices"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -76,13 +80,13 @@ SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/te
 SITE := $(abspath build/sanitized/site)
 sanitized: setup
 	cmake -S . -B build/sanitized -G Ninja -DFIBERLOOM_SANITIZE=ON \
-	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
+	      -DPython_EXECUTABLE=$(abspath $(DEV))
 	cmake --build build/sanitized
 	rm -rf $(SITE) && mkdir -p $(SITE) && cp -r src/fiberloom $(SITE) && rm -f $(SITE)/fiberloom/_core*.so
 	cp build/sanitized/core/bindings/_core*.so $(SITE)/fiberloom
 	ASAN_OPTIONS=detect_leaks=0 \
 	LD_PRELOAD=$$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so) \
-	    $(or $(DEVPYTHON),$(BIN)/python) tests/sanitized.py $(SITE) $(SANITIZED)
+	    $(DEV) tests/sanitized.py $(SITE) $(SANITIZED)
 
 bench: setup
 	mkdir -p build/bench
@@ -117,6 +121,17 @@ docs: setup
 	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
 	else echo "docs: no report of the reproduction inside; \`make reproduce\` makes one"; fi
 
+# JSON="--json build/figures.json" writes them, JSON="--list" prints every list in full.
+figures: setup
+	@$(DEV) -m tools.figures $(JSON)
+
+coverage: setup
+	$(DEV) -m tools.coverage_run --jobs $(JOBS)
+
+# MUTANTS="--only laws --sample 0" for some, or all, of them.
+mutate: setup
+	$(DEV) -m tools.mutate $(MUTANTS)
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -130,12 +145,12 @@ format: setup
 
 inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \
-	      -DPython_EXECUTABLE=$(abspath $(or $(DEVPYTHON),$(BIN)/python))
+	      -DPython_EXECUTABLE=$(abspath $(DEV))
 	cmake --build build/inplace
 
 # Types of the compiled module for type checkers, from the module itself; tests/bindings compares them.
 stubs: inplace
-	PYTHONPATH=src $(or $(DEVPYTHON),$(BIN)/python) -m nanobind.stubgen --quiet --recursive \
+	PYTHONPATH=src $(DEV) -m nanobind.stubgen --quiet --recursive \
 	    --module fiberloom._core --pattern-file core/bindings/stubs.txt --output-dir src/fiberloom
 
 clean:

@@ -47,8 +47,8 @@ void Rig::power_up() {
 void Rig::place() {
     int32_t position_cnt[FL_AXES];
     for (size_t axis = 0; axis < FL_AXES; ++axis)
-        position_cnt[axis] =
-            static_cast<int32_t>(std::lround(plant_.motor_rad(axis) / (2.0 * std::numbers::pi) * 1048576.0));
+        position_cnt[axis] = static_cast<int32_t>(
+            std::lround(plant_.motor_rad(axis) / (2.0 * std::numbers::pi) * FL_TURN_CNT));
     fl_positioner_set_position(&firmware_, position_cnt);
 }
 

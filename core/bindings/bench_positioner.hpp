@@ -85,7 +85,7 @@ class BenchPositioner {
         fl_positioner_tick(&firmware);
         if (!driven) return;
         for (auto &p : plant)
-            for (int i = 0; i < substeps; ++i) p.step(0.0005 / substeps);
+            for (int i = 0; i < substeps; ++i) p.step(1.0 / FL_TICK_HZ / substeps);
     }
 
     // Where the rotors truly are, in counts of the position.
@@ -108,7 +108,7 @@ class BenchPositioner {
     uint64_t random_ = 0x9e3779b97f4a7c15;
 
     static int32_t counts(const BenchPlant &p) {
-        return static_cast<int32_t>(std::llround(p.theta_rad / (2 * M_PI) * 1048576));
+        return static_cast<int32_t>(std::llround(p.theta_rad / (2 * M_PI) * FL_TURN_CNT));
     }
     static BenchPositioner &self(void *ctx) { return *static_cast<BenchPositioner *>(ctx); }
 

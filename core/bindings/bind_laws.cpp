@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <memory>
 #include <optional>
+#include <tuple>
 
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
 
 extern "C" {
 #include "fl_axis.h"
@@ -205,6 +207,20 @@ std::optional<std::tuple<float, float, float, float, float, float>> hall_fit(Inp
                       s.residual_rad);
 }
 
+// Rows of direction (negative or not), rotor_cnt, torque_Nm.
+std::optional<std::tuple<float, float, float, float>> friction_fit(Input2<double> rows) {
+    if (rows.shape(1) != 3) throw nb::value_error("rows: (n, 3)");
+    fl_friction_fit_t fit;
+    fl_friction_fit_reset(&fit);
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        const double *r = rows.data() + 3 * i;
+        fl_friction_fit_add(&fit, r[0] < 0.0, static_cast<int32_t>(r[1]), static_cast<float>(r[2]));
+    }
+    fl_friction_t f;
+    if (!fl_friction_fit_solve(&fit, &f)) return std::nullopt;
+    return std::make_tuple(f.coulomb_Nm, f.spring_Nm, f.cogging_Nm, f.cogging_phase_rad);
+}
+
 int params_fault(Params params) {
     const fl_axis_params_t p = params_of(params);
     return fl_params_fault(&p);
@@ -245,6 +261,10 @@ void bind_laws(nb::module_ &m) {
           "Rows of number, name, length (least, most), broadcast, bootloader, input, axes.");
     m.def("hall_fit", &hall_fit, nb::arg("adc_cnt"),
           "(offset a, b, amplitude a, b, phase_rad, residual_rad) or None.");
+    m.def("friction_fit", &friction_fit, nb::arg("rows"),
+          "(coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, "
+          "rotor_cnt, torque_Nm.");
+    m.def("round_i32", &fl_round_i32, nb::arg("x"), "Nearest integer, halves away from zero.");
     m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
     m.def("crc32", &crc32, nb::arg("data"));
 #define X(name) {#name, FL_STATE_##name},

@@ -2,7 +2,7 @@
  *
  * A port is a struct of functions and a context. All functions are called from the 2 kHz control
  * interrupt (fl_positioner_tick), from fl_positioner_receive or from fl_positioner_init, never
- * concurrently; none may block. docs/porting-firmware.md walks through a board.
+ * concurrently; none may block. docs/firmware/porting.md walks through a board.
  */
 #ifndef FL_PORT_H
 #define FL_PORT_H

@@ -50,7 +50,9 @@ class TableFile:
         return np.array(cells, dtype=np.str_)
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """A column as finite numbers."""
+        """A column as finite numbers, in the unit that its name gives (`x_mm`: mm); InputError with
+        file, row and column else.
+        """
         values = self._convert(name, float, np.float64, "a number")
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):

@@ -1,4 +1,4 @@
-"""Array types that signatures share. Shapes and units stand in each docstring."""
+"""Array types that signatures share. Shapes and units are in each docstring."""
 
 from __future__ import annotations
 

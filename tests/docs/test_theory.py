@@ -1,4 +1,4 @@
-"""docs/theory.md: every file and function that it cites exists, every equation has its entry."""
+"""docs/theory/equations.md: every file and function that it cites exists, every equation has its entry."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "theory.md").read_text()
+TEXT = (ROOT / "docs" / "theory" / "equations.md").read_text()
 FILE = re.compile(r"(?:core|firmware|src|tests)/[\w/]+\.(?:py|hpp|cpp|h|c)")
 
 
@@ -27,7 +27,7 @@ def citations():
 @pytest.mark.parametrize(("file", "name"), citations())
 def test_what_is_cited_exists(file, name):
     path = ROOT / file
-    assert path.is_file(), f"docs/theory.md cites {file}"
+    assert path.is_file(), f"docs/theory/equations.md cites {file}"
     if name:
         text = path.read_text()
         # a definition, not a mention: def in Python, name before a bracket at the start of a line in C
@@ -53,5 +53,7 @@ def test_every_equation_of_the_paper_has_an_entry():
 
 
 def test_links_lead_to_pages():
-    for page in re.findall(r"\]\((\w+\.md)\)", TEXT):
-        assert (ROOT / "docs" / page).is_file(), page
+    pages = re.findall(r"\]\(([\w./]+\.md)\)", TEXT)
+    assert pages
+    for page in pages:
+        assert (ROOT / "docs" / "theory" / page).is_file(), page

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+
 import rig
 from rig import ACCEPTED, MOTOR_DEG, Rig, pair, point
 

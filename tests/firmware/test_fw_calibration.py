@@ -5,10 +5,10 @@ import zlib
 
 import numpy as np
 import pytest
-import rig
-from rig import ACCEPTED, NAMES, Rig, pair
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED, NAMES, Rig, pair
 
 STOP_DEG = -4.0  # datum_position
 

@@ -3,12 +3,12 @@
 import struct
 
 import pytest
-import rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import ACCEPTED, Rig, pair, point
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED, Rig, pair, point
 
 TABLE = {row["number"]: row for row in fw.command_table()}
 NUMBERS = sorted(TABLE)

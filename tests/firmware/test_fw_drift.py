@@ -6,6 +6,7 @@
 import os
 
 import numpy as np
+
 from rig import COUNTS_PER_DEG, MOTOR_DEG, Rig
 
 MOVES = int(os.environ.get("FIBERLOOM_DRIFT_MOVES", "400"))

@@ -4,10 +4,10 @@ import struct
 
 import numpy as np
 import pytest
-import rig
-from rig import ACCEPTED, NAMES, Rig, pair
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED, NAMES, Rig, pair
 
 
 def with_stop(unit):

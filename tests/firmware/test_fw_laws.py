@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import MOTOR_DEG, NAMES, alpha_params
 
 from fiberloom._core import firmware as fw
+from rig import MOTOR_DEG, NAMES, alpha_params
 
 TURN = 2**20
 CNT_PER_RAD = TURN / (2 * np.pi)
@@ -280,10 +280,19 @@ def test_a_profile_keeps_its_limits_and_ends_exactly(start, target, rpm, acceler
     assert np.abs(np.diff(step)).max() <= a + 2
     assert np.abs(step[[0, -1]]).max() <= a / 2 + 2
     assert (np.sign(step[step != 0]) == np.sign(target - start)).all()
-    # no slower than a trapezoid must be, but for whole ticks
+    # no slower than a trapezoid must be, but for two ticks that are not whole and rounding of float32
     d = abs(target - start)
     ideal = d / speed + speed / a if d > speed**2 / a else 2 * np.sqrt(d / a)
-    assert len(track) <= ideal + 4
+    assert len(track) <= ideal * (1 + 1e-6) + 2
+
+
+def test_a_short_profile_ramps_in_as_few_ticks_as_the_acceleration_allows():
+    acceleration, count_rad = 1000.0, 2 * np.pi / 2**20
+    for distance in (50_000, 200_000, 777_777):
+        n_ramp = len(fw.profile(0, distance, 5000.0, acceleration)) // 2
+        # n^2 a T^2 is the way of two ramps of n ticks
+        assert (n_ramp - 1) ** 2 * acceleration * 0.0005**2 < distance * count_rad
+        assert n_ramp**2 * acceleration * 0.0005**2 >= distance * count_rad * (1 - 1e-6)
 
 
 points = st.lists(st.tuples(st.integers(-(2**29), 2**29), st.integers(1, 70_000)), min_size=1, max_size=12)
@@ -311,6 +320,25 @@ def test_a_thousand_points_fit_and_cost_six_bytes():
     got, slots, _ = fw.path(table, 0, 10)
     assert slots == 1000
     assert len(got) == 10
+
+
+@pytest.mark.parametrize(
+    ("short", "long", "taken"),
+    [(1024, 0, True), (1025, 0, False), (1022, 1, True), (1023, 1, False), (0, 512, True), (0, 513, False)],
+)
+def test_a_path_holds_1024_slots_of_which_a_long_gap_takes_two(short, long, taken):
+    gaps = np.concatenate([np.full(short, 2), np.full(long, 2**16)])
+    points = np.stack([np.arange(gaps.size), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    if taken:
+        assert fw.path(points, 0, 1)[1] == short + 2 * long
+    else:
+        with pytest.raises(ValueError, match=f"point {gaps.size - 1} "):
+            fw.path(points, 0, 1)
+
+
+def test_a_gap_of_65535_ticks_is_short_and_one_more_is_long():
+    slots = [fw.path(np.array([[5, gap - 1]], np.int32), 0, 1)[1] for gap in (2**16 - 1, 2**16)]
+    assert slots == [1, 2]
 
 
 def test_a_path_whose_time_does_not_grow_is_refused():
@@ -343,6 +371,60 @@ def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
 
 
+@pytest.mark.parametrize("channel", [0, 1])
+def test_hall_calibration_refuses_an_amplitude_below_a_hundred_counts(channel):
+    amplitude = np.full(2, 1500.0)
+    # rounding of the converter: 0.3 counts rms over 2000 samples
+    amplitude[channel] = 101.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is not None
+    amplitude[channel] = 99.0
+    assert fw.hall_fit(adc(np.linspace(0, 4 * np.pi, 2000), amplitude=amplitude)) is None
+
+
+def test_hall_calibration_refuses_less_than_a_hundred_samples():
+    theta = np.linspace(0, 2 * np.pi, 101)[1:]
+    assert fw.hall_fit(adc(theta)) is not None
+    assert fw.hall_fit(adc(theta[1:])) is None
+
+
+def sweep(samples, coulomb=2e-5, spring=5e-6, cogging=1e-5, phase=0.7, back=None):
+    """Rows of a sweep of four turns each way, torque as Eq. 11 and Fig. 11 have it."""
+    rows = []
+    for direction, count in ((1.0, samples), (-1.0, samples if back is None else back)):
+        rotor = np.round(np.arange(count) * (4 * TURN / max(count, 1)))
+        angle = 2 * rotor / CNT_PER_RAD + phase
+        torque = coulomb * direction - spring + cogging * np.sin(angle)
+        rows.append(np.stack([np.full(count, direction), rotor, torque], axis=1))
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize(("coulomb", "spring", "cogging", "phase"), [(2e-5, 5e-6, 1e-5, 0.7),
+                                                                     (2e-6, -3e-6, 4e-6, -2.5)])  # fmt: skip
+def test_friction_fit_tells_friction_spring_and_cogging_apart(coulomb, spring, cogging, phase):
+    found = fw.friction_fit(sweep(1000, coulomb, spring, cogging, phase))
+    # float32 sums of 2000 terms
+    assert found[:3] == pytest.approx((coulomb, spring, cogging), rel=1e-3)
+    assert found[3] == pytest.approx(phase, abs=1e-3)
+
+
+@pytest.mark.parametrize(("forth", "back", "good"), [(100, 100, True), (99, 100, False), (100, 99, False)])
+def test_friction_fit_needs_a_hundred_samples_each_way(forth, back, good):
+    assert (fw.friction_fit(sweep(forth, back=back)) is not None) == good
+
+
+def test_friction_fit_refuses_friction_that_drives_and_a_rotor_that_did_not_turn():
+    assert fw.friction_fit(sweep(500, coulomb=-1e-6)) is None
+    held = sweep(500)
+    held[:, 1] = 1000
+    assert fw.friction_fit(held) is None
+
+
+@pytest.mark.parametrize(("x", "nearest"), [(0.0, 0), (0.49, 0), (0.5, 1), (1.49, 1), (-0.49, 0), (-0.5, -1),
+                                            (-1.49, -1), (-1.51, -2), (2.0e9, 2_000_000_000)])  # fmt: skip
+def test_rounding_is_to_the_nearest_halves_away_from_zero(x, nearest):
+    assert fw.round_i32(x) == nearest
+
+
 def test_default_parameters_are_good_and_bad_ones_are_named():
     assert fw.params_fault(alpha_params()) == -1
     assert fw.params_fault(alpha_params(k_p=-1.0)) == NAMES.index("k_p")
@@ -355,3 +437,23 @@ def test_parameter_names_are_unique_and_defaults_inside_limits():
     assert len(set(NAMES)) == len(NAMES)
     for name, _unit, low, high, default, _doc in fw.AXIS_PARAMS:
         assert low <= default <= high, name
+
+
+@pytest.mark.parametrize(
+    ("gaps", "n_slots"),
+    [([1] * 1024, 1024), ([70_000] * 512, 1024), ([70_000] * 511 + [1, 1], 1024), ([65_535] * 1024, 1024)],
+)
+def test_a_path_takes_what_its_memory_holds_and_no_more(gaps, n_slots):
+    # a gap above 65535 ticks takes two slots of 1024; time begins at -1
+    points = np.stack([np.arange(len(gaps)), np.cumsum(gaps) - 1], axis=1).astype(np.int32)
+    assert fw.path(points, 0, 1)[1] == n_slots
+    one_more = np.vstack([points, points[-1:] + 1]).astype(np.int32)
+    with pytest.raises(ValueError, match=f"point {len(gaps)} was not taken"):
+        fw.path(one_more, 0, 1)
+
+
+def test_half_a_long_gap_does_not_fit():
+    gaps = [70_000] * 511 + [1, 65_536]
+    points = np.stack([np.arange(513), np.cumsum(gaps)], axis=1).astype(np.int32)
+    with pytest.raises(ValueError, match="point 512 was not taken"):
+        fw.path(points, 0, 1)

@@ -4,12 +4,12 @@ import struct
 
 import numpy as np
 import pytest
-import rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import ACCEPTED, MOTOR_DEG, NAMES, Rig, pair
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED, COUNTS_PER_DEG, MOTOR_DEG, NAMES, Rig, pair
 
 ERROR_MOTOR_DEG = 0.5  # settle_tolerance
 COLUMNS = ("command_deg", "tracking_deg", "speed", "feedback", "feedforward", "voltage", "theta", "omega")
@@ -430,3 +430,36 @@ def test_a_contact_of_the_arm_is_found_by_its_load(target, sign):
 @pytest.mark.parametrize(("target", "sign"), [(20.0, -1.0), (100.0, 1.0)])
 def test_a_load_that_helps_is_no_contact(target, sign):
     assert load_at_stop(with_contact_watch(), target, sign * 3.85e-3) is None
+
+
+@pytest.mark.parametrize("turn_deg", [40.0, -40.0])
+def test_the_field_is_a_quarter_turn_ahead_of_the_rotor_in_the_middle_of_the_tick(turn_deg):
+    unit = Rig((60.0, 60.0), noise_cnt=0.0)
+    assert unit.goto(60.0 + turn_deg, 60.0) == ACCEPTED
+    unit.unit.tick(1000)  # half a second: at 2000 rpm
+    ahead_rad = []
+    for _ in range(200):
+        start_rad = unit.unit.plant(0, "theta_rad")
+        unit.unit.tick(1)
+        duty = np.array(unit.unit.duty(0))
+        # Eq. 18, solved for the field
+        field_rad = np.arctan2((duty[1] - duty[0]) * 2 / np.sqrt(3), (duty[2] - duty[:2].mean()) * 4 / 3)
+        middle_rad = (start_rad + unit.unit.plant(0, "theta_rad")) / 2
+        ahead_rad.append((field_rad - middle_rad + np.pi) % (2 * np.pi) - np.pi)
+    # without the lead of half a tick the field would be 0.052 rad late; 7e-4 is a step of the converter
+    assert np.mean(ahead_rad) == pytest.approx(np.copysign(np.pi / 2, turn_deg), abs=2e-3)
+
+
+def farthest_cnt(sign):
+    """The last goal of alpha that is accepted between limits of one degree either way, in counts."""
+    good, bad = 0, round(3 * COUNTS_PER_DEG)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        unit = Rig((0.0, 0.0), position_min=-1.0, position_max=1.0)
+        accepted = unit.code(30, struct.pack("<ii", sign * middle, 0)) == ACCEPTED
+        good, bad = (middle, bad) if accepted else (good, middle)
+    return good
+
+
+def test_limits_of_the_same_size_are_rounded_alike():
+    assert farthest_cnt(-1) == farthest_cnt(1)

@@ -2,10 +2,11 @@
 
 import struct
 
-import rig
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+import rig
 
 ANGLE = st.floats(-10.0, 370.0)
 MOVES = {20: b"", 22: b"", 23: b"", 26: b"", 28: b"", 31: rig.pair(0.3, -0.2), 47: b""}

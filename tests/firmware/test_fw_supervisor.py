@@ -3,10 +3,10 @@
 import itertools
 
 import pytest
-import rig
-from rig import ACCEPTED
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import ACCEPTED
 
 S, INPUT, C = fw.STATES, fw.INPUTS, fw.CONDITIONS
 RESTING = ("IDLE", "LOADING", "LOADED", "REFUSED")

@@ -4,10 +4,10 @@ import struct
 
 import numpy as np
 import pytest
-import rig
-from rig import Rig
 
+import rig
 from fiberloom._core import firmware as fw
+from rig import Rig
 
 # the twin's gains for alpha, on both axes alike; Eq. 22 and the contact watch out of the way
 GAINS = {"k_p": 1.3e-4, "k_i": 2.85e-3, "collision_torque": 2.9e-4, "settle_gain": 1.0}

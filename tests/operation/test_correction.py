@@ -203,3 +203,22 @@ def test_a_camera_that_knows_its_covariance_is_believed_fibre_by_fibre():
     np.testing.assert_allclose(wanted[::2], goal[::2], atol=1e-4)
     # 1 um per coordinate against a prior of 10 um: nearly all of it is taken off; least where beta is small
     np.testing.assert_allclose(wanted[1::2], goal[1::2] - 0.03, atol=9e-3)
+
+
+@pytest.mark.parametrize("stretched", [True, False])
+def test_a_correction_beyond_the_arms_goes_as_far_as_they_reach(stretched):
+    goal = goals()
+    loop = CorrectionLoop(PLANE, goal, filtered=False)
+    everyone = np.ones(PLANE.n, dtype=bool)
+    l_alpha, l_beta = loop._levers()
+    limit_mm = l_alpha + l_beta if stretched else np.abs(l_alpha - l_beta)
+    out = loop.target_mm - PLANE.centres_mm
+    reach_mm = np.hypot(*out.T)
+    # the camera sees the fibre so far off that it should go 5 um farther than the arms allow
+    miss_mm = limit_mm - reach_mm + (5e-3 if stretched else -5e-3)
+    command = loop.update(goal, loop.target_mm - out * (miss_mm / reach_mm)[:, None], everyone)
+    # the others stay where they are: only their stops are in the way
+    went = (command != goal).any(axis=1)
+    at_mm = np.hypot(*(PLANE.forward(*command.T) - PLANE.centres_mm).T)
+    assert went.sum() > PLANE.n / 10
+    np.testing.assert_allclose(at_mm[went], limit_mm[went], atol=2e-6)

@@ -1,5 +1,5 @@
 /* A board, worked out: an STM32F405 at 168 MHz with two three-phase bridges, four hall channels, bxCAN and
- * a ferroelectric memory on SPI. docs/porting-firmware.md walks through it.
+ * a ferroelectric memory on SPI. docs/firmware/porting.md walks through it.
  *
  * It is compiled, linked, measured and its vectors are checked; there is no such board here to run it on.
  *

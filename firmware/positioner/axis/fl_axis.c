@@ -84,8 +84,8 @@ static fl_axis_event_t finish(fl_axis_t *a, const fl_port_t *port, int index) {
     return FL_AXIS_DONE;
 }
 
-/* Standing: the rotor stays within a motor degree for the settle time. */
-static bool stands(fl_axis_t *a) {
+/* At a standstill: the rotor stays within a motor degree for the settle time. */
+static bool is_still(fl_axis_t *a) {
     const int32_t moved = fl_abs_i32(fl_sub_i32(a->hall.angle_cnt, a->calm_cnt));
     if (moved > (int32_t)FL_CNT_PER_MOTOR_DEG) {
         a->calm_ticks = 0;
@@ -96,7 +96,7 @@ static bool stands(fl_axis_t *a) {
 
 static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index, fl_leg_traits_t leg) {
     a->command.position_cnt = a->position_cnt;
-    if (!stands(a)) return FL_AXIS_NONE;
+    if (!is_still(a)) return FL_AXIS_NONE;
     if (!(leg.traits & FL_LEG_DATUM_HERE)) return finish(a, port, index);
     fl_axis_declare_datum(a);
     ++a->leg;

@@ -12,11 +12,11 @@ SIZEOF_POSITIONER: int
 
 TX_QUEUE: tuple[int, int]
 
-CODES: list = ...
+CODES: list[tuple[int, str]]
 
-STATUS_BITS: list = ...
+STATUS_BITS: list[tuple[int, str]]
 
-TICK_HZ: int = 2000
+TICK_HZ: int
 
 PATH_POINTS: int = 1000
 
@@ -62,6 +62,14 @@ def command_table() -> list[dict[str, Any]]:
 
 def hall_fit(adc_cnt: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[float, float, float, float, float, float] | None:
     """(offset a, b, amplitude a, b, phase_rad, residual_rad) or None."""
+
+def friction_fit(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[float, float, float, float] | None:
+    """
+    (coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, rotor_cnt, torque_Nm.
+    """
+
+def round_i32(x: float) -> int:
+    """Nearest integer, halves away from zero."""
 
 def params_fault(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> int:
     """Index of the first bad parameter, -1 if none."""

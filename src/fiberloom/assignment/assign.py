@@ -29,13 +29,13 @@ class Assignment:
     """Fibre that looks at the target; empty without one."""
     alpha_deg: Floats
     beta_deg: Floats
-    """Goal; a safe folded place without a target; where it stands if offline."""
+    """Goal; a safe folded place without a target; the place of the plane if offline."""
     approach_deg: Floats
     """Overshoot of the approach on both axes for which the goal was found free."""
     clearance_mm: Floats
     """Gap to the nearest other arm at the goal and on the approach; inf without neighbours."""
     unassigned: dict[int, str]
-    """Row of the target list: why nobody takes it."""
+    """Row of the target list: why no positioner takes it."""
     notes: list[str]
     """What the operator should know: shorter approaches, targets given up, best not proven."""
 
@@ -60,14 +60,15 @@ def assign(
 ) -> Assignment:
     """Give targets to positioners: most and highest-priority ones, no collision at rest.
 
-    One target of a priority level outweighs nine of the next lower level. Every goal, goal +
-    approach_deg on both axes, and the straight way between are free of collisions with every pose
-    of the neighbours on their ways, for arms thicker by margin_mm / 2; and the positioner, alone,
-    can get from there to its folded place. approach_deg: the instrument's when left out. The same
-    input and seed give the same assignment; the seed decides between equally good ones.
+    `plane` has N positioners, `targets` M rows in focal-plane mm. One target of a priority level
+    outweighs nine of the next lower level. Every goal, goal + `approach_deg` on both axes, and the
+    straight way between are free of collisions with every pose of the neighbours on their ways, for
+    arms thicker by `margin_mm` / 2; and the positioner, alone, can get from there to its folded place.
+    `approach_deg`: the instrument's when left out. The same input and seed give the same assignment;
+    `seed` decides between equally good ones.
 
-    Targets that demand a positioner get it before all others, without margin and, where needed,
-    with an approach that only just closes the backlash; never below the collision buffer.
+    Targets that demand a positioner get it before all others, without margin and, where needed, with an
+    approach that only just closes the backlash; never below the collision buffer.
     """
     check_targets(plane, targets)
     if approach_deg is None:

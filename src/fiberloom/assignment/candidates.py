@@ -31,7 +31,7 @@ class Block(IntEnum):
 
 @dataclass(frozen=True)
 class Candidates:
-    """C choices (positioner, target, fibre), sorted by positioner, and how each would stand."""
+    """C choices (positioner, target, fibre), sorted by positioner, and the angles of each."""
 
     positioner: Ints
     """(C,) row in the focal plane."""

@@ -33,8 +33,12 @@ MAX_NODES = 2000
 def conflicts(
     plane: FocalPlane, positioner: Ints, target: Ints, segments: Floats, limit_mm: float
 ) -> tuple[Ints, Ints]:
-    """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit. Pairs on
-    the same target are left out: they exclude each other anyway."""
+    """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit.
+
+    `positioner` and `target` (C,): rows of the `plane` and of the target list; `segments` (C, POSES, 4)
+    mm: centre lines of the arm at the goal and on the approach; `limit_mm`: least distance of two
+    centre lines. Pairs on the same target are left out: they exclude each other anyway.
+    """
     all_places = places(segments)
     found = [np.empty((0, 2), dtype=np.int64)]
     for a, b in _neighbouring(plane, positioner):
@@ -74,7 +78,9 @@ def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator) -> Flags:
 
 
 def levels_of(priority: Floats) -> Ints:
-    """Priority levels from 0 (lowest) up, at most MAX_LEVELS of them."""
+    """Priority levels (n,) from 0 (lowest) up, at most MAX_LEVELS of them; `priority` (n,) is
+    dimensionless.
+    """
     values, level = np.unique(priority, return_inverse=True)
     if len(values) <= MAX_LEVELS:
         return level
@@ -95,8 +101,10 @@ def pack(
 ) -> tuple[Flags, bool]:
     """(C,) the chosen candidates, and whether the choice is proven to be the best.
 
-    Solved from the highest levels down, LEVELS_AT_ONCE together; what one solution is worth, the
-    next ones keep. `rng` decides between equally good choices.
+    `positioner`, `target` and `level` (C,): rows of the plane and of the target list, and the priority
+    level; `pairs`: two arrays of candidates that exclude each other. Solved from the highest levels
+    down, LEVELS_AT_ONCE together; what one solution is worth, the next ones keep. `rng` decides between
+    equally good choices.
     """
     if not len(positioner):
         return np.zeros(0, dtype=bool), True

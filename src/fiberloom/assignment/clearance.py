@@ -1,6 +1,6 @@
 """Distances between arms at rest and on the approach leg, over arrays of places.
 
-A place is where one positioner could stand: its goal and the short straight way to it, from
+A place is a possible goal of one positioner: the goal and the short straight way to it, from
 approach_deg above on both axes. The way is kept as POSES poses of the centre line of the beta arm's
 capsule; `dip_mm` bounds how much nearer two arms can come between poses than at them.
 """
@@ -18,8 +18,11 @@ POSES = 3
 
 
 def sweep(plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats) -> Floats:
-    """(C, POSES, 4) mm: x0, y0, x1, y1 of the centre lines of these positioners (rows, repeats
-    allowed) at their goals (C, 2) and on the way to them. approach_deg: one number, or (C,)."""
+    """(C, POSES, 4) mm: x0, y0, x1, y1 of the centre lines at goals and on the approach to them.
+
+    `positioner` (C,): rows of the `plane`, repeats allowed; `goal_deg` (C, 2): alpha, beta;
+    `approach_deg`: one number, or (C,).
+    """
     start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
     ways = [(1 - s) * goal_deg + s * start for s in np.linspace(0.0, 1.0, POSES)]
     poses = [plane.beta_segments(way[:, 0], way[:, 1], positioner) for way in ways]
@@ -27,7 +30,7 @@ def sweep(plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: f
 
 
 def standing(plane: FocalPlane, goal_deg: Floats) -> Floats:
-    """(N, POSES, 4) centre lines of all positioners standing still at these places (N, 2)."""
+    """(N, POSES, 4) mm: centre lines of all positioners at rest at these angles (N, 2)."""
     return sweep(plane, np.arange(plane.n), goal_deg, 0.0)
 
 
@@ -49,7 +52,7 @@ def dip_mm(plane: FocalPlane, approach_deg: float, bodies: int = 2) -> float:
 
 
 def point_segment_mm(point: Floats, segment: Floats) -> Floats:
-    """Distance of points (..., 2) from segments (..., 4)."""
+    """Distance of points (..., 2) from segments (..., 4), all in mm."""
     start, along = segment[..., :2], segment[..., 2:] - segment[..., :2]
     offset = point - start
     length2 = np.sum(along * along, axis=-1)
@@ -59,7 +62,7 @@ def point_segment_mm(point: Floats, segment: Floats) -> Floats:
 
 
 def segment_mm(a: Floats, b: Floats) -> Floats:
-    """Distance between segments (..., 4); 0 where they cross."""
+    """Distance between segments (..., 4), all in mm; 0 where they cross."""
     ends = [
         point_segment_mm(a[..., :2], b),
         point_segment_mm(a[..., 2:], b),
@@ -82,8 +85,9 @@ def _side(segment: Floats, point: Floats) -> Floats:
 
 
 def obstacles(plane: FocalPlane, margin_mm: float) -> Floats:
-    """(K, 5) capsules that do not move: fiducials, guide cameras, arms of offline positioners
-    (these with their half of the margin between two arms)."""
+    """(K, 5) mm: capsules that do not move, x0, y0, x1, y1, radius: fiducials, guide cameras, arms of
+    offline positioners (these with their half of the margin between two arms).
+    """
     still = np.flatnonzero(plane.offline)
     place = plane.offline_position_deg[still]
     arms = plane.beta_segments(place[:, 0], place[:, 1], still)
@@ -93,7 +97,12 @@ def obstacles(plane: FocalPlane, margin_mm: float) -> Floats:
 
 
 def obstacle_gap_mm(plane: FocalPlane, positioner: Ints, segments: Floats, bodies: Floats) -> Floats:
-    """(C,) gap between the arm's capsule in these poses (C, P, 4) and the nearest body (K, 5)."""
+    """(C,) gap in mm between the capsule of an arm and the nearest fixed body; negative where they
+    overlap.
+
+    `positioner` (C,): rows of the `plane`; `segments` (C, P, 4) mm: centre lines of the arm in P poses;
+    `bodies` (K, 5) mm: capsules, x0, y0, x1, y1, radius.
+    """
     gap = np.full(len(positioner), np.inf)
     which, body = _near_bodies(plane, positioner, bodies)
     distance = segment_mm(segments[which], bodies[body, None, :4]).min(axis=1, initial=np.inf)
@@ -112,8 +121,9 @@ def _near_bodies(plane: FocalPlane, positioner: Ints, bodies: Floats) -> tuple[I
 
 
 def pair_distance_mm(first: Floats, second: Floats) -> Floats:
-    """(P,) smallest distance of centre lines (P, POSES, 4) over all combinations of poses: one
-    positioner may have arrived while the other is still on its way."""
+    """(P,) smallest distance in mm of centre lines (P, POSES, 4) over all combinations of poses: one
+    positioner may have arrived while the other is still on its way.
+    """
     return segment_mm(first[:, :, None], second[:, None, :]).min(axis=(1, 2))
 
 
@@ -127,7 +137,7 @@ class Discs(NamedTuple):
 
 
 def discs(segments: Floats) -> Discs:
-    """Discs around places (C, POSES, 4)."""
+    """Discs around places: centre lines (C, POSES, 4) in mm."""
     shift = segments - segments[:, :1]
     ends = np.hypot(shift[..., 0], shift[..., 1]), np.hypot(shift[..., 2], shift[..., 3])
     travel = np.maximum(*ends).max(axis=1)
@@ -144,12 +154,12 @@ class Places(NamedTuple):
 
 
 def places(segments: Floats) -> Places:
-    """Places (C, POSES, 4)."""
+    """Places with their discs, from centre lines (C, POSES, 4) in mm."""
     return Places(segments, discs(segments))
 
 
 def too_near(first: Places, a: Ints, second: Places, b: Ints, limit_mm: float) -> Flags:
-    """(P,) do first[a] and second[b] come nearer than the limit? Cheap for pairs far apart."""
+    """(P,) do `first`[`a`] and `second`[`b`] come nearer than `limit_mm`? Cheap for pairs far apart."""
     out = np.zeros(len(a), dtype=bool)
     shift = first.discs.middle[a] - second.discs.middle[b]
     gap = np.hypot(shift[:, 0], shift[:, 1]) - first.discs.radius[a] - second.discs.radius[b]

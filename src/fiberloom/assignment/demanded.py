@@ -27,10 +27,12 @@ def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
 def place_demanded(
     floor: Floor, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
 ) -> Ints:
-    """Place them on the floor; (C,) what blocks each candidate (`Block`).
+    """Place the targets that demand their positioner; (C,) what blocks each candidate (`Block`).
 
-    The operator chose these places, so they need the collision buffer and no margin. Where the
-    approach is too long for that, it shrinks to what closes the backlash.
+    `floor` is changed; `found`: the C candidates of these targets, rows of `targets`; `rules`:
+    distances to keep; `rng` decides between equally good choices. The operator chose these places, so
+    they need the collision buffer and no margin. Where the approach is too long for that, it shrinks to
+    what closes the backlash.
     """
     plane = floor.plane
     bare = replace(

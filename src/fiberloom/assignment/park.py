@@ -1,4 +1,4 @@
-"""Places for positioners without a target: folded, and out of everybody's way."""
+"""Places for positioners without a target: folded, and out of the way of all others."""
 
 import numpy as np
 
@@ -13,11 +13,13 @@ STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
 
 
 def park(floor: Floor, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int]:
-    """Place these positioners. Returns the targets given up, and for whom (row) each was.
+    """Place positioners without a target. Returns the targets given up, and for which positioner (row)
+    each was.
 
-    First all that can stand in the instrument's folded place, then one by one the first free place
-    of a grid. Where none is free, the neighbours in the way of the place that costs least (`worth`
-    (N,) of each neighbour, summed) make room and are parked in their turn.
+    `floor` is changed; `rows`: the positioners to place; `rules`: distances to keep. First come all
+    that are free in the folded place of the instrument, then one by one the first free place of a grid.
+    Where none is free, the neighbours in the way of the place that costs least (`worth` (N,) of each
+    neighbour, dimensionless weights, summed) make room and are parked in their turn.
     """
     queue = _park_folded(floor, rows, rules)
     worth = worth.copy()
@@ -71,7 +73,7 @@ def _leave_folded(floor: Floor, row: int) -> None:
 
 
 def _park_folded(floor: Floor, rows: Ints, rules: Rules) -> list[int]:
-    """Put into the folded place whoever can stand there; the others."""
+    """Fold every positioner that can be folded; returns the others."""
     plane = floor.plane
     goals = np.tile(plane.instrument.positioner.park_deg, (len(rows), 1))
     segments = sweep(plane, rows, goals, rules.approach_deg)

@@ -1,4 +1,4 @@
-"""The state that an assignment grows on: who stands where, and the rules that places keep."""
+"""The state of an assignment that is being made: the place of each positioner, and the rules for places."""
 
 from dataclasses import dataclass, field
 
@@ -32,11 +32,11 @@ class Rules:
     gap_mm: float
     """Least gap between an arm and a fixed body at the poses."""
     escape: Escape
-    """What does not move, and who can get past it."""
+    """Fixed bodies, and which positioners can get past them."""
 
     @property
     def bodies(self) -> Floats:
-        """(K, 5) capsules that do not move."""
+        """(K, 5) mm: capsules that do not move, x0, y0, x1, y1, radius."""
         return self.escape.bodies
 
     @classmethod
@@ -53,7 +53,7 @@ class Rules:
 
 @dataclass
 class Floor:
-    """Arrays over the N positioners. Offline ones stand from the start."""
+    """Arrays over the N positioners. Offline ones are placed from the start."""
 
     plane: FocalPlane
     approach_deg: Floats
@@ -89,7 +89,12 @@ class Floor:
         target: int | Ints = NOBODY,
         fibre: str | np.ndarray = "",
     ) -> None:
-        """Place positioners."""
+        """Place positioners.
+
+        `row`: one, or (n,); `goal_deg` (n, 2); `segments` (n, POSES, 4) mm: centre lines at the goal
+        and on the approach; `approach`: overshoot in deg, one or (n,); `target`: row of the target
+        list, NOBODY without one; `fibre`: its name.
+        """
         self.goal_deg[row], self.segments[row], self.placed[row] = goal_deg, segments, True
         self.approach_deg[row], self.target[row], self.fibre[row] = approach, target, fibre
 
@@ -100,8 +105,9 @@ class Floor:
         return target
 
     def hits(self, row: int, segments: Floats, limit_mm: float) -> tuple[Ints, Flags]:
-        """Neighbours of a positioner that can still move and stand somewhere, and (places,
-        neighbours): who would be nearer than the limit to a place (C, POSES, 4)."""
+        """Placed neighbours of a positioner that can still move, and (places, neighbours) flags: True
+        where the centre lines are nearer than `limit_mm` to a place, `segments` (C, POSES, 4) in mm.
+        """
         near = self.neighbours[row]
         near = near[self.placed[near] & ~self.plane.offline[near]]
         mine, theirs = np.indices((len(segments), len(near))).reshape(2, -1)

@@ -27,7 +27,12 @@ def explain(
     given_up: dict[int, int],
     limit_mm: float,
 ) -> dict[int, str]:
-    """Row of each target that nobody takes: the reason."""
+    """The reason for each target without a positioner, by its row in `targets`.
+
+    `floor`: the placement; `found`: all C candidates; `block` (C,): what blocks each (`Block`);
+    `given_up`: target row -> positioner row that needed its place; `limit_mm`: least distance of two
+    centre lines.
+    """
     plane = floor.plane
     taken = np.zeros(len(targets), dtype=bool)
     taken[floor.target[floor.target >= 0]] = True

@@ -1,4 +1,4 @@
-"""Configurations that somebody else has decided, and that stand nearer than our own buffer."""
+"""Configurations decided elsewhere, in which arms are nearer than our own buffer."""
 
 from collections.abc import Iterator
 
@@ -32,7 +32,7 @@ def assign_relaxed(plane: FocalPlane, targets: TargetList, *, seed: int = 0) -> 
             best, left = (nearer, tried), _left_out(tried, targets)
             best[1].notes.append(
                 f"collision buffer {buffer_mm:g} mm instead of {bodies.collision_buffer_mm:g} mm: "
-                "the demanded configuration stands so near"
+                "arms of the demanded configuration are so near"
             )
     return best
 

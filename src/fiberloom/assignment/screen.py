@@ -12,7 +12,11 @@ from fiberloom.typing import Floats, Ints
 def screen(
     plane: FocalPlane, found: Candidates, segments: Floats, approach: float | Floats, rules: Rules
 ) -> Ints:
-    """(C,) `Block` of each candidate: offline, beyond a stop, on a fixed body, or in a pocket."""
+    """(C,) `Block` of each candidate: offline, beyond a stop, on a fixed body, or in a pocket.
+
+    `found`: C candidates on the `plane`; `segments` (C, POSES, 4) mm: their centre lines; `approach`:
+    overshoot in deg, one or (C,); `rules`: distances to keep.
+    """
     block = np.full(len(found), Block.NONE, dtype=np.int64)
     gap = obstacle_gap_mm(plane, found.positioner, segments, rules.bodies)
     block[gap < rules.gap_mm] = Block.BODY
@@ -25,7 +29,11 @@ def screen(
 
 
 def screen_placed(floor: Floor, found: Candidates, segments: Floats, block: Ints, limit_mm: float) -> None:
-    """Block also what is taken, or too near to somebody who stands already."""
+    """Block also candidates that are taken, or too near to a positioner that is placed already.
+
+    `floor`: the placement; `found`: C candidates; `segments` (C, POSES, 4) mm: their centre lines;
+    `block` (C,) is changed; `limit_mm`: least distance of two centre lines.
+    """
     moving = floor.placed & ~floor.plane.offline
     block[(block == Block.NONE) & moving[found.positioner]] = Block.BUSY
     ok = np.flatnonzero(block == Block.NONE)

@@ -145,7 +145,12 @@ class CanNetTransport:
         bitrate_kbit: float = 1000,
         timeout_s: float = 5.0,
     ) -> CanNetTransport:
-        """Connects to the gateways ("host" or "host:port") and starts their CAN ports."""
+        """Connect to gateways and start their CAN ports.
+
+        `hosts`: "host" or "host:port" each, `tcp_port` where none is given; `ports`: the CAN ports to
+        use; `bitrate_kbit`: kbit/s of these; `timeout_s`: for the connection and each answer.
+        InputError for a bit rate that the device does not have, or when a gateway does not answer.
+        """
         if bitrate_kbit not in BITRATES_KBIT:
             raise InputError(f"CAN@net has no {bitrate_kbit} kbit/s; it knows {BITRATES_KBIT}")
         gateways: list[_Gateway] = []
@@ -174,7 +179,7 @@ class CanNetTransport:
             self._lost = f"CAN@net gateway {gateway.name} closed the connection"
         except (OSError, ValueError) as error:
             self._lost = f"CAN@net gateway {gateway.name}: {error}"
-        self._received.put_nowait(Frame(-1))  # wakes whoever waits
+        self._received.put_nowait(Frame(-1))  # wakes the task that waits
 
     def _take_line(self, gateway: _Gateway, line: str) -> None:
         parsed = line_to_frame(line)
@@ -203,7 +208,7 @@ class CanNetTransport:
         known = self._route.get(positioner)
         if positioner and known:
             return [known]
-        # not heard of yet: whoever it is hears it on its own port
+        # port not known yet: the positioner gets it on its own port
         return [(gateway, port) for gateway in self._gateways for port in gateway.paces]
 
     async def _feed(self, gateway: _Gateway, port: int, lines: list[str]) -> None:

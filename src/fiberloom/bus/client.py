@@ -137,7 +137,7 @@ class Client:
         timeout_s: float,
         results: Results,
     ) -> list[int]:
-        """Asks those once more who have not answered; returns whom it asked."""
+        """Asks those once more that have not answered; returns which it asked."""
         silent = [k for k, i in enumerate(ids) if results[i].outcome is Outcome.TIMED_OUT]
         if silent:
             asked = [ids[k] for k in silent]
@@ -148,9 +148,9 @@ class Client:
     async def broadcast(
         self, command: Command, ids: Iterable[int] | None = None, timeout_s: float | None = None
     ) -> Results:
-        """Sends one frame to everyone and collects the replies of `ids` (default: all known).
+        """Sends one frame to all positioners and collects the replies of `ids` (default: all known).
 
-        Those who do not answer a repeatable command are asked once more, one by one.
+        Those that do not answer a repeatable command are asked once more, one by one.
         """
         spec = COMMANDS[command]
         if not spec.flags & Flag.BROADCAST:
@@ -183,7 +183,7 @@ class Client:
     async def positions_deg(
         self, ids: Iterable[int] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Reported wire positions (n, 2) in deg, and who answered (n,); zeros for the others."""
+        """Reported wire positions (n, 2) in deg, and which answered (n,); zeros for the others."""
         results = await self.positions(ids)
         return results.values_array(2) / units.COUNTS_PER_DEG, results.ok
 
@@ -244,7 +244,11 @@ class Client:
         *,
         relative: bool = False,
     ) -> Results:
-        """Starts moves at the set speeds; DONE means begun, `values` the durations in ticks."""
+        """Start moves at the set speeds; DONE means begun, `values` the durations in ticks.
+
+        `ids`: positioners, all known ones when None; `alpha_deg`, `beta_deg`: wire positions, one for
+        all or one each; `relative`: from the present position, and never repeated.
+        """
         command = Command.GO_TO_RELATIVE_POSITION if relative else Command.GO_TO_ABSOLUTE_POSITION
         counts = _counts(alpha_deg), _counts(beta_deg)
         results = await self.command(command, ids, *counts)
@@ -256,7 +260,7 @@ class Client:
     async def _goto_again(
         self, results: Results, silent: list[int], counts: tuple[NDArray[np.int64], ...]
     ) -> Results:
-        """An absolute goal can be sent twice: who is in motion lost its reply and not the goal."""
+        """An absolute goal can be sent twice: a positioner in motion lost its reply and not the goal."""
         rows = [k for k, i in enumerate(results) if i in set(silent)]
         picked = (c[rows] if c.ndim else c for c in counts)
         again = await self.command(Command.GO_TO_ABSOLUTE_POSITION, silent, *picked)
@@ -281,7 +285,7 @@ class Client:
         return await self.command(Command.SEND_TRAJECTORY_ABORT, ids)
 
     async def stop(self, ids: Iterable[int] | None = None) -> Results:
-        """Stops everyone on the bus, drops trajectories and clears the collision flags (15)."""
+        """Stops all positioners on the bus, drops trajectories and clears the collision flags (15)."""
         self._collided.clear()
         return await self.broadcast(Command.STOP_TRAJECTORY, ids)
 
@@ -290,7 +294,7 @@ class Client:
     ) -> Results:
         """Loads a trajectory into each positioner, all at once; failures are tried once more.
 
-        Whoever fails in the end holds none: it stays where it is when the others start.
+        A positioner that fails in the end holds none: it stays where it is when the others start.
         """
         results = await upload(self.exchange, trajectories, self.bite, timeout_s)
         for attempt in range(self.retries + 1):
@@ -319,10 +323,11 @@ class Client:
         poll_s: float = 0.1,
         stop_on_collision: bool = True,
     ) -> Results:
-        """Polls until every motion has ended, or the timeout; the first poll after `expected_s`.
+        """Poll until every motion has ended, or the timeout; the first poll after `expected_s`.
 
-        A collision stops all the others too, unless told otherwise: from there on nobody is where
-        its neighbours expect it. A positioner that no longer answers ends as TIMED_OUT at once.
+        `ids`: positioners, all known ones when None; `timeout_s`: from now on; `poll_s`: time between
+        polls. With `stop_on_collision`, a collision stops all the others too: from there on none is
+        where its neighbours expect it. A positioner that no longer answers ends as TIMED_OUT at once.
         """
         results = all_of(self._chosen(ids), Outcome.TIMED_OUT)
         active = set(results)
@@ -366,10 +371,12 @@ class Client:
         margin_s: float = 3.0,
         tolerance_deg: float = 0.1,
     ) -> Results:
-        """Loads, starts and waits for trajectories, then checks where everyone says it is.
+        """Load, start and wait for trajectories, then check the position that each positioner reports.
 
-        When one cannot be loaded, nobody starts (the others end as STOPPED), unless `partial`:
-        a plan holds only when all keep to it.
+        `trajectories`: by positioner; `margin_s`: time allowed beyond the longest one; `tolerance_deg`:
+        largest difference of the reported wire position from the end, beyond it MISPLACED. When one
+        cannot be loaded, none starts (the others end as STOPPED), unless `partial`: a plan is valid
+        only when all follow it.
         """
         results = await self.send_trajectories(trajectories)
         loaded = results.ok_ids

@@ -1,8 +1,8 @@
-"""Requests and their replies: who waits for what, on one transport.
+"""Requests and their replies: which request waits for which reply, on one transport.
 
 A unicast request is matched by (positioner, command, uid), a broadcast by (command, uid 0). Uids
 rotate through 1 to 63, so that a reply that comes after its request was given up meets no newer
-request. Whoever waits reads the transport for all others too; every wait ends at a deadline in the
+request. A task that waits reads the transport for all others too; every wait ends at a deadline in the
 transport's time, or at once when the connection is lost.
 """
 
@@ -19,7 +19,7 @@ from fiberloom.bus.transport import Frame, Transport
 _STANDSTILL_LIMIT = 1000
 # A transport may count in ticks: less than this could be no time at all for it.
 _SHORTEST_WAIT_S = 1e-3
-# Who begins to wait while another listens has a say after this time at the latest.
+# A task that begins to wait while another listens takes its turn after this time at the latest.
 _LONGEST_WAIT_S = 0.25
 
 
@@ -57,9 +57,9 @@ class Exchange:
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
         self.lost: str | None = None
-        """Why the connection is gone; None while it stands."""
+        """Why the connection is gone; None while it is up."""
         self.strays = 0
-        """Frames that nobody waited for: late, doubled, with a foreign uid."""
+        """Frames that no request waited for: late, doubled, with a foreign uid."""
         self.on_unsolicited: Callable[[Identifier, Frame], None] = lambda identifier, frame: None
         self._pending: dict[int, tuple[_Waiter, int]] = {}  # by identifier >> 4
         self._broadcasts: dict[int, _BroadcastWaiter] = {}  # by command
@@ -81,9 +81,10 @@ class Exchange:
         payloads: Sequence[bytes],
         timeout_s: float,
     ) -> list[Frame | None]:
-        """Sends one frame per row and returns each one's reply, None where none came in time.
+        """Send one frame per row and return each one's reply, None where none came in time.
 
-        A positioner may be named several times; its frames keep their order.
+        `command`: its number; `positioners` and `payloads`: one each per row; `timeout_s`: for each
+        reply. A positioner may be named several times; its frames keep their order.
         """
         waiter = _Waiter(len(positioners))
         deadline_s = self.time_s + timeout_s
@@ -149,10 +150,11 @@ class Exchange:
         timeout_s: float,
         expected: Iterable[int] | None = None,
     ) -> dict[int, Frame]:
-        """Sends one frame to everyone; returns the replies by positioner.
+        """Send one frame to all positioners; returns the replies by positioner.
 
-        Ends when all expected positioners have answered, else at the timeout. One broadcast per
-        command is in flight at a time, because all of them share uid 0.
+        `command`: its number, with `payload`. Ends when all `expected` positioners have answered, else
+        at `timeout_s`. One broadcast per command is in flight at a time, because all of them share uid
+        0.
         """
         async with self._broadcast_locks.setdefault(command, asyncio.Lock()):
             waiter = _BroadcastWaiter(expected)
@@ -192,9 +194,9 @@ class Exchange:
             self.lost = str(error) or type(error).__name__
 
     async def _receive(self) -> None:
-        # everyone who is ready speaks first: on a virtual clock, receiving makes time pass
+        # every task that is ready sends first: on a virtual clock, receiving makes time pass
         await asyncio.sleep(0)
-        # no longer than the most impatient of those who wait
+        # no longer than the earliest deadline of those that wait
         before_s = self.time_s
         try:
             left_s = min(self._deadlines) - before_s
@@ -209,7 +211,7 @@ class Exchange:
     def _watch_clock(self, progress: bool) -> None:
         self._standstill = 0 if progress else self._standstill + 1
         if self._standstill > _STANDSTILL_LIMIT:
-            self.lost = "the transport's clock stands still"
+            self.lost = "the transport's clock does not advance"
 
     def _dispatch(self, frames: Sequence[Frame]) -> None:
         pending = self._pending
@@ -223,7 +225,7 @@ class Exchange:
                 waiter.missing -= 1
 
     def _dispatch_other(self, frame: Frame) -> None:
-        """Replies to broadcasts, collisions, and what nobody waits for."""
+        """Replies to broadcasts, collisions, and frames that no request waits for."""
         number = frame[0]
         positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
         if not 0 < positioner <= MAX_POSITIONER:

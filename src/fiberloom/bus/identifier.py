@@ -1,7 +1,7 @@
 """The 29-bit CAN identifier of the SDSS-V positioner protocol.
 
 `positioner << 18 | command << 10 | uid << 4 | code`: 11 + 8 + 6 + 4 bits. Positioner 0 addresses
-everyone; uid 0 belongs to broadcasts; a request carries code 0.
+all positioners; uid 0 belongs to broadcasts; a request carries code 0.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MAX_CODE = (1 << 4) - 1
 MAX_IDENTIFIER = (1 << 29) - 1
 
 BROADCAST = 0
-"""The positioner number that addresses everyone."""
+"""The positioner number that addresses all positioners."""
 
 
 class Identifier(NamedTuple):
@@ -33,7 +33,9 @@ def _check(name: str, value: int, largest: int) -> None:
 
 
 def encode(positioner: int, command: int, uid: int = 0, code: int = 0) -> int:
-    """Packs the four fields; a field out of its range is a ValueError."""
+    """Pack `positioner`, `command`, `uid` and response `code` into an identifier; ValueError when one
+    is out of its range.
+    """
     _check("positioner", positioner, MAX_POSITIONER)
     _check("command", command, MAX_COMMAND)
     _check("uid", uid, MAX_UID)

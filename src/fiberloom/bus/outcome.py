@@ -75,7 +75,9 @@ class Results(dict[int, Result]):
 
 
 def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool) -> Result:
-    """Judges one reply; None is a reply that never came."""
+    """Judge one `reply` of a `positioner` to a `command`; None is a reply that never came. `lost`: the
+    connection is gone.
+    """
     if reply is None:
         return Result(positioner, Outcome.DISCONNECTED if lost else Outcome.TIMED_OUT)
     code = reply[0] & 0xF

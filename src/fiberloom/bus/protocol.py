@@ -160,7 +160,7 @@ class Flag(IntFlag):
     """What a command is and may."""
 
     NONE = 0
-    BROADCAST = 1  # may be addressed to everyone
+    BROADCAST = 1  # may be addressed to all positioners
     SAFE = 2  # may be sent to a collided or locked array
     MOVE = 4  # starts or prepares motion
     REPEATABLE = 8  # sending it twice does what sending it once does: may be retried

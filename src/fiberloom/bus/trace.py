@@ -103,9 +103,11 @@ async def push(
     voltages: tuple[float, float],
     times_s: tuple[float, float],
 ) -> Results:
-    """Drives with one torque, then another (shares of the full voltage), and lets the motor stop.
+    """Drive with one torque, then another, and let the motor stop.
 
-    Nothing watches for collisions meanwhile. 0.2 s in all at most: up to 7 deg of the arm.
+    `ids`: positioners of the `client`; `axis`: 0 alpha, 1 beta; `voltages`: shares of the full voltage,
+    -1 to 1; `times_s`: how long each lasts, 0.2 s in all at most: up to 7 deg of the arm. No watch
+    looks for collisions meanwhile. InputError for values beyond these limits.
     """
     level = [round(v * FULL_VOLTAGE) for v in voltages]
     ticks = [round(t / units.TICK_S) for t in times_s]

@@ -68,11 +68,12 @@ async def upload(
     bite: int,
     timeout_s: float,
 ) -> Results:
-    """Sends trajectories to all their positioners concurrently (commands 10, 11, 12).
+    """Send trajectories to all their positioners concurrently (commands 10, 11, 12).
 
-    Per positioner: the point counts, then all alpha and all beta points in bites of `bite` frames,
-    each bite fully answered before the next, then the end mark. One that refuses or does not
-    answer is left out from there on; it may hold part of a trajectory, to be dropped by an abort.
+    `exchange` carries the frames; `trajectories`: by positioner; `timeout_s`: for each reply. Per
+    positioner: the point counts, then all alpha and all beta points in groups of `bite` frames, each
+    group fully answered before the next, then the end mark. One that refuses or does not answer is left
+    out from there on; it may hold part of a trajectory, to be dropped by an abort.
     """
     ids = list(trajectories)
     results = Results()

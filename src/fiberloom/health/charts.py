@@ -38,7 +38,7 @@ class Chart:
         np.maximum(self.score + step, 0.0, out=self.score)
 
     def share(self) -> Floats:
-        """(N,) the highest score of each positioner over the alarm: 1 is beyond chance."""
+        """(N,) the highest score of each positioner relative to the alarm: 1 is beyond chance."""
         return self.score.reshape(len(self.score), -1).max(axis=1) / self.alarm
 
     def forget(self, rows: Rows) -> None:
@@ -53,7 +53,9 @@ def of_event(happened: Flags, healthy: float, broken: float) -> Floats:
 
 
 def of_shift(value: Floats, shift: Floats | float) -> Floats:
-    """Ratio of a mean of `shift` over one of zero; `value` in units of its standard deviation."""
+    """Log likelihood ratio of a mean of `shift` over one of zero; both in standard deviations of
+    `value`.
+    """
     return shift * (value - 0.5 * shift)
 
 

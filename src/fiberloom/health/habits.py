@@ -22,7 +22,11 @@ class ArmFit:
         self.weighed = np.zeros((n, 3))
 
     def add(self, rows: Rows, design: Floats, off_mm: Floats, variance: Floats) -> None:
-        """(n, 2, 3) design, (n, 2) misses, (n, 2, 2) their covariances; wild ones weigh less."""
+        """Add the misses of n positioners (`rows`).
+
+        `design` (n, 2, 3): change of the fibre in mm per deg of alpha, of beta, and per mm of the arm;
+        `off_mm` (n, 2): misses; `variance` (n, 2, 2) in mm^2: their covariances. Wild ones weigh less.
+        """
         weight = np.linalg.inv(variance)
         left = off_mm - np.einsum("nij,nj->ni", design, self._solve()[0][rows])
         square = np.einsum("ni,nij,nj->n", left, weight, left)
@@ -76,7 +80,9 @@ class Habit:
         self.usual, self.lately = np.zeros((n, 2)), np.zeros((n, 2))
 
     def over(self, value: Floats) -> tuple[Floats, Flags]:
-        """How much each value is over its habit, and where that is known."""
+        """How much each value is over its habit, in the unit of the value (torque: Nm), and where that
+        is known.
+        """
         here = np.isfinite(value)
         learning = here & (self.count < self.settle)
         self.count += here
@@ -86,7 +92,7 @@ class Habit:
         return np.nan_to_num(value) - self.usual, known
 
     def rise(self, row: int, axis: int) -> float:
-        """Over its habit, of late."""
+        """Mean excess of late over its habit, in the unit of the values (torque: Nm)."""
         return float(self.lately[row, axis])
 
     def forget(self, rows: Rows) -> None:
@@ -103,7 +109,10 @@ class WayShare:
         self.asked, self.gone = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
 
     def add(self, way: Floats, gain: Floats, where: Flags) -> None:
-        """Weighed by the square of the way: long ways tell more."""
+        """Add moves: the `way` commanded and the `gain` beyond it, (N, 2) in deg, `where` they count.
+
+        Each is weighted by the square of the way, because long ways tell more.
+        """
         for direction, going in enumerate((way < 0.0, way >= 0.0)):
             here = where & going
             for total, step in ((self.asked, way * way), (self.gone, way * (way + gain))):

@@ -33,7 +33,7 @@ class State(StrEnum):
     HEALTHY = "healthy"
     SUSPECT = "suspect"  # more than chance, less than certain: use it, watch it
     DEGRADED = "degraded"  # works, with a limit that its advice names
-    DISABLED = "disabled"  # no use before somebody has looked at it
+    DISABLED = "disabled"  # no use before it has been inspected
 
 
 class Ailment(StrEnum):
@@ -52,7 +52,7 @@ class Ailment(StrEnum):
 
 ADVICE = {
     Ailment.DARK: "its fibre is not seen: check fibre and back-illumination; it keeps its place until then",
-    Ailment.STUCK: "it does not move: datum it once; if it stays, take it out of operation where it stands",
+    Ailment.STUCK: "it does not move: datum it once; if it stays, take it out of operation where it is",
     Ailment.SCALE: "it goes a wrong share of the way: calibrate its transmission; give it more corrections",
     Ailment.NON_MOVES: "now and then it reports arrival without having moved: give it more corrections; "
     "check its supply and driver",
@@ -75,7 +75,7 @@ class Passage:
     """One move as operation saw it. Rows are positioners."""
 
     before_deg: Floats
-    """(N, 2) where the positioners believed to stand before the move, through their maps."""
+    """(N, 2) where the positioners believed to be before the move, through their maps."""
     believed_deg: Floats
     """(N, 2) and after it, as they report; the command where there is no report."""
     seen_mm: Floats
@@ -85,7 +85,7 @@ class Passage:
     arrived: Flags
     """(N,) reports to have arrived. A motion that was stopped says nothing of health."""
     collided: Flags | None = None
-    """(N,) reports a collision; None: nobody."""
+    """(N,) reports a collision; None: none does."""
     effort: Floats | None = None
     """(N, 2) mean torque of the servo beyond its model, over that at which a way ends as a collision."""
 
@@ -379,7 +379,7 @@ class HealthMonitor:
     # what it comes to
 
     def shares(self) -> Floats:
-        """(N, kinds of `Ailment`) evidence over what an alarm takes."""
+        """(N, kinds of `Ailment`) evidence relative to the alarm: 1 is an alarm."""
         s = self.settings
         stuck = self.still.share() * (self.stills_in_a_row.max(axis=1) / 3.0)
         moved_away = self.geometry.far(self._deg(self.noise.blind_um).max(axis=1))
@@ -413,7 +413,7 @@ class HealthMonitor:
         return [found.get(int(p), State.HEALTHY) for p in self.plane.positioner_id]
 
     def findings(self) -> list[Finding]:
-        """Whoever is not healthy, by what explains most."""
+        """Every positioner that is not healthy, by what explains most."""
         shares = self.shares()
         return [self._finding(int(row), shares[row]) for row in np.flatnonzero((shares >= 0.5).any(axis=1))]
 

@@ -10,9 +10,9 @@ class Status(StrEnum):
 
     ON_TARGET = "on_target"  # within the requirement, as measured
     OFF_TARGET = "off_target"  # moved as told, but not within the requirement
-    BLOCKED = "blocked"  # healthy, but a faulty neighbour stands in its way
+    BLOCKED = "blocked"  # healthy, but a faulty neighbour is in its way
     PARKED = "parked"  # has no target
-    DARK = "dark"  # its fibre is not seen: it never moves on somebody else's spot
+    DARK = "dark"  # its fibre is not seen: it never moves on the spot of another
     LYING = "lying"  # reports to be where the camera sees it is not, and has not moved
     ASTRAY = "astray"  # reports to be where the camera sees it is not, and has moved
     DEAD = "dead"  # did not move, or did not answer

@@ -1,4 +1,4 @@
-"""Instruments and focal planes: what there is, where it stands, and what it can reach."""
+"""Instruments and focal planes: what there is, where it is, and what it can reach."""
 
 from fiberloom.instruments.focal_plane import FocalPlane, Inverse
 from fiberloom.instruments.generate import generate

@@ -42,7 +42,7 @@ class Inverse(NamedTuple):
     reachable: Flags
     gap_mm: Floats
     """How far the target lies outside the reach of the arms; 0 with reachable = False: only the
-    axis limits stand in the way; inf: the positioner lacks the fibre."""
+    axis limits prevent it; inf: the positioner lacks the fibre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class FocalPlane:
     offline: Flags
     """(N,) does not move."""
     offline_position_deg: Floats
-    """(N, 2) where it stands if it does not move: alpha, beta."""
+    """(N, 2) its alpha and beta if it does not move."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -154,7 +154,11 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2) mm: where a fibre is. Kronig 2020, Eq. 1. NaN where a positioner lacks it."""
+        """(n, 2) mm: position of a fibre. Kronig 2020, Eq. 1. NaN where a positioner lacks it.
+
+        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
+        when left out.
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
@@ -166,7 +170,11 @@ class FocalPlane:
         fibre: str = METROLOGY,
         index: ArrayLike | None = None,
     ) -> Floats:
-        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta)."""
+        """(n, 2, 2) mm/deg: d(x, y)/d(alpha, beta) of a fibre.
+
+        `alpha_deg`, `beta_deg`: one for all or (n,); `fibre`: a name in `points`; `index`: rows, all
+        when left out.
+        """
         rows = self._rows(index)
         angles = _columns(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)

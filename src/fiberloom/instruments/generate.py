@@ -75,7 +75,9 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
 
 
 def guide_camera_capsules(instrument: Instrument, layout: Layout) -> Floats:
-    """(G, 5) capsules along the edges of the guide cameras that face the field."""
+    """(G, 5) mm: capsules along the edges of the guide cameras that face the field, x0, y0, x1, y1,
+    radius.
+    """
     cameras = layout.guide_cameras
     if cameras is None:
         return np.empty((0, 5))

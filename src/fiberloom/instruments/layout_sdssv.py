@@ -137,7 +137,7 @@ def _guide_cameras(path: Path, instrument: Instrument) -> Floats:
 
     The table locates chips, not housings. A chip within 2 mm of its nominal place leaves the
     nominal edge as it is, as the SDSS-V planner does; one elsewhere takes its edge with it. Without
-    the table, the cameras stand at their nominal places.
+    the table, the cameras are at their nominal places.
     """
     nominal = guide_camera_capsules(instrument, instrument.layout)
     if not path.is_file():

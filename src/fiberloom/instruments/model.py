@@ -138,7 +138,7 @@ class Bodies(Table):
     collision_buffer_mm: Positive
     """Radius of that capsule."""
     collision_shrink_mm: NotNegative = 0.0
-    """By how much that radius may give way to a configuration that somebody else has decided."""
+    """By how much that radius may shrink for a configuration that was decided elsewhere."""
     fiducial_radius_mm: Positive
     guide_camera_radius_mm: Positive = 1.0
 
@@ -208,7 +208,7 @@ class Acceptance(Table):
     """What a unit must show on a bench before it goes into the focal plane; None: not asked for."""
 
     source: str = ""
-    """Who asks for it, and where."""
+    """Origin of the requirement."""
     repeatability_um: Positive | None = None
     """In x and y, rms, arm stretched."""
     hysteresis_deg: Positive | None = None
@@ -366,7 +366,7 @@ class Instrument(Table):
 
     @property
     def seen_point(self) -> str:
-        """Name of the point that stands for the positioner in measurements."""
+        """Name of the point that represents the positioner in measurements."""
         points = self.positioner.points
         return self.metrology.sees if self.metrology.sees in points else self.science_fibres[0]
 

@@ -124,10 +124,12 @@ def acquire(
 ) -> Acquisition:
     """Finds fiducials (m, 2) among spots (n, 2).
 
-    `expected_mm`: where fibres should be; they help to tell symmetric answers apart, and some may
-    be wrong. Without `terms` the default set and the full one are fitted, and the one with smaller
-    leave-one-out residuals is kept. Raises AcquisitionError where too few are found or two answers
-    are as good.
+    `xy_px`: the spots, with `covariance_px2` (n, 2, 2) where known; `fiducials_mm` (m, 2): the table,
+    known to `sigma_mm` per coordinate; `geometry`: what is known of the camera; `expected_mm`: where
+    fibres should be; they help to distinguish symmetric answers, and some may be wrong. `radius_mm`: of
+    the field, for the distortion's `terms`; without `terms` the default set and the full one are
+    fitted, and the one with smaller leave-one-out residuals is kept. `settings`: limits of the search.
+    Raises AcquisitionError where too few are found or two answers are as good.
     """
     s = settings or AcquisitionSettings()
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
@@ -147,7 +149,13 @@ def refine(
     terms: Sequence[int] | None = None,
     settings: AcquisitionSettings | None = None,
 ) -> Acquisition:
-    """The fiducials again, from the transform of an image a short while ago."""
+    """The fiducials again, from the transform of an earlier image.
+
+    `xy_px` (n, 2): the spots, with `covariance_px2` (n, 2, 2) where known; `fiducials_mm` (m, 2): the
+    table, known to `sigma_mm` per coordinate; `start`: the earlier transform; `terms` of the
+    distortion, as in `acquire`; `settings`: limits of the search. Raises AcquisitionError where the
+    fiducials are not where `start` has them.
+    """
     s = settings or AcquisitionSettings()
     geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
     hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
@@ -224,7 +232,7 @@ class _Hunt:
         return moved if self._hits(moved) >= self.needed_marks else None
 
     def _guides(self) -> tuple[Floats, Floats]:
-        """Spots and places that lead to a transform: fiducials, and fibres where they stand far enough
+        """Spots and places that lead to a transform: fiducials, and fibres where they are far enough
         apart not to be taken for each other."""
         if len(self.marks_mm) < len(self.fiducials) or len(self.help) < 2:
             return self.marks_px, self.marks_mm

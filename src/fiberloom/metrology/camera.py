@@ -16,7 +16,7 @@ class Measurement:
     """One image's worth of positions, a row for each positioner of the focal plane.
 
     `seen` is False where no spot belongs to the positioner for certain; its x and y are then NaN,
-    so that nobody takes them for a place.
+    so that they are never taken for a place.
     """
 
     x_mm: Floats
@@ -26,7 +26,7 @@ class Measurement:
     covariance_mm2: Floats | None = None
     """(N, 2, 2) of the positions, where the camera knows it."""
     ambiguous: NDArray[np.bool_] | None = None
-    """(N,) not seen because it cannot be told which spot is whose; False: dark."""
+    """(N,) not seen because its spot cannot be told from others; False: dark."""
 
     @property
     def xy_mm(self) -> Floats:
@@ -39,5 +39,5 @@ class Camera(Protocol):
 
     def measure(self, expected_mm: Floats | None = None) -> Measurement:
         """Takes an image now. `expected_mm` (N, 2): where each metrology fibre should be, NaN where
-        nobody knows; a camera with images needs it to tell the spots apart."""
+        it is not known; a camera with images needs it to tell the spots apart."""
         ...

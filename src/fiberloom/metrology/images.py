@@ -59,10 +59,11 @@ def read_image(
     gain_e_adu: float | None = None,
     saturation_adu: float | None = None,
 ) -> CameraImage:
-    """The first image of a FITS file, or the one of an extension.
+    """The first image of the FITS file `path`, or the one of an `extension` (number or name).
 
-    Gain and saturation come from the arguments, else from the header (GAIN, SATURATE), else 1
-    electron per unit, and the largest number that the pixels can hold.
+    Gain and saturation come from `gain_e_adu` and `saturation_adu`, else from the header (GAIN,
+    SATURATE), else 1 electron per unit, and the largest number that the pixels can hold. InputError
+    where the file has no such image or is cut short.
     """
     from astropy.io import fits  # takes a third of a second: only where it is needed
 
@@ -133,7 +134,7 @@ def trouble(image: CameraImage) -> str:
         return f"{100 * saturated / pixels.size:.0f} % of the pixels are saturated: is a light on?"
     if saturated:
         return f"{saturated} pixels are saturated: shorten the exposure"
-    return "nothing stands out of the noise: is the back-illumination on?"
+    return "nothing exceeds the noise: is the back-illumination on?"
 
 
 def _mapped(path: Path, hdu: Any) -> NDArray | None:

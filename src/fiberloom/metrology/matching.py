@@ -1,13 +1,13 @@
 """Which spot belongs to which positioner, in the focal plane.
 
-Nearest-neighbour rules give a dark positioner somebody else's spot, and a positioner that did not
-move nobody's. Here every pair has a price, minus the logarithm of a probability:
+Nearest-neighbour rules give a dark positioner the spot of another, and a positioner that did not
+move none. Here every pair has a price, minus the logarithm of a probability:
 
     as expected          d^2 / (2 s^2) + log(2 pi s^2)      d: spot from expected position
     stayed where it was  the same from there, less log of the share that stays
     anywhere in reach    log(area of the reach), less log of the share that goes astray
     dark                 less log of the share that is dark
-    spot of nobody       less log of the density of stray spots
+    stray spot           less log of the density of stray spots
 
 First the pairs are peeled that leave no doubt: each the other's only neighbour within `sure_mm`.
 How many of the rest are strays is estimated from where they lie: strays are everywhere, spots of
@@ -15,7 +15,7 @@ positioners only where a positioner without a spot can reach. The rest falls int
 linked by reach; each is assigned as cheaply as possible, and for each pair the next best assignment
 without it says how far it can be trusted: it is wrong with probability 1 / (1 + exp(doubt)). The
 surest pairs are believed until the expected number of wrong ones in the image reaches
-`wrong_pairs`; the others are ambiguous, and their positioners not seen. Nobody is moved by a guess.
+`wrong_pairs`; the others are ambiguous, and their positioners not seen. No positioner is moved by a guess.
 """
 
 from __future__ import annotations
@@ -81,11 +81,11 @@ class Match:
     status: NDArray[np.int8]
     """(N,) MatchStatus."""
     stray: Ints
-    """Indices of spots that belong to nobody, or to nobody knows whom."""
+    """Indices of spots that belong to no positioner, or to an unknown one."""
 
     @property
     def matched(self) -> Flags:
-        """(N,) whose spot is known."""
+        """(N,) which positioners have a spot."""
         return self.status == MatchStatus.MATCHED
 
 
@@ -98,11 +98,11 @@ def match_spots(
     previous_mm: ArrayLike | None = None,
     settings: MatchSettings | None = None,
 ) -> Match:
-    """Match n spots to N positioners.
+    """Match n spots `spots_mm` (n, 2) to N positioners.
 
-    `expected_mm` (N, 2): where each should be; NaN: anywhere in its reach. `reach_mm` (N, 2): inner
-    and outer radius round `centres_mm`. `previous_mm` (N, 2): where each was seen last; NaN where
-    not. Positioners without any knowledge and without spots are dark.
+    `expected_mm` (N, 2): where each should be; NaN: anywhere in its reach. `reach_mm` (N, 2): inner and
+    outer radius round `centres_mm`. `previous_mm` (N, 2): where each was seen last; NaN where not.
+    `settings`: probabilities and errors. Positioners without any knowledge and without spots are dark.
     """
     s = settings or MatchSettings()
     spots, expected, centres = (np.asarray(a, float) for a in (spots_mm, expected_mm, centres_mm))

@@ -50,7 +50,7 @@ class ReductionSettings:
     """How well the table of fiducials is known, per coordinate; 0: better than the camera."""
     threshold: float = 6.0
     turbulence: bool = False
-    """Remove it, with fiducials and the positioners that stand still."""
+    """Remove it, with fiducials and the positioners that do not move."""
     standing_sigma_um: float = 1.0
     """How well the place of a standing positioner is known, per coordinate."""
     retries: int = 2
@@ -87,7 +87,7 @@ class Reduction:
 
     @property
     def seen(self) -> Flags:
-        """(N,) whose fibre was seen for certain."""
+        """(N,) which fibres were seen for certain."""
         return self.spot_of_match >= 0
 
     def measurement(self) -> Measurement:
@@ -113,11 +113,13 @@ def reduce_image(
     profile: Profile | None = None,
     start: FieldTransform | None = None,
 ) -> Reduction:
-    """Everything from pixels to millimetres.
+    """All steps from pixels to millimetres.
 
-    `standing_mm` (N, 2): known places of positioners that stand still, NaN for the others; used
-    against turbulence. `profile` and `start` (the transform) of an earlier image save time, and are
-    dropped where they do not hold.
+    `image` of the `plane`; `settings`: camera geometry and those of each step; `expected_mm` (N, 2):
+    where the metrology fibres should be, NaN anywhere; `previous_mm` (N, 2): where they were seen last;
+    `standing_mm` (N, 2): known places of positioners that do not move, NaN for the others; used against
+    turbulence. `profile` and `start` (the transform) of an earlier image save time, and are dropped
+    where they do not hold.
     """
     found = find_spots(
         image.pixels,
@@ -224,7 +226,7 @@ class ImageCamera:
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
-        """(N, 2) known places of positioners that stand still, against turbulence."""
+        """(N, 2) known places of positioners that do not move, against turbulence."""
         self.watchers: list[Callable[[Reduction], None]] = []
         """Told of every exposure."""
 

@@ -23,11 +23,11 @@ def science_positions(
     fibre: str,
     index: ArrayLike | None = None,
 ) -> tuple[Floats, Floats]:
-    """Positions (n, 2) in mm of a science fibre, and covariances (n, 2, 2) in mm^2.
+    """Positions (n, 2) in mm of a science `fibre`, and covariances (n, 2, 2) in mm^2.
 
-    From measured metrology fibres (n, 2) with covariances (n, 2, 2), of the positioners `index` (all
-    when left out). NaN where the metrology fibre is outside the reach, not seen, or the positioner
-    lacks the fibre.
+    From measured metrology fibres `xy_mm` (n, 2) with `covariance_mm2` (n, 2, 2), of the positioners
+    `index` of the `plane` (all when left out). NaN where the metrology fibre is outside the reach, not
+    seen, or the positioner lacks the fibre.
     """
     xy, covariance = np.asarray(xy_mm, dtype=np.float64), np.asarray(covariance_mm2, dtype=np.float64)
     found = plane.inverse(xy, METROLOGY, index=index)

@@ -128,7 +128,7 @@ class Spots:
         return (self.flags & np.uint32(flag)) != 0
 
     def select(self, which: ArrayLike) -> Spots:
-        """Some of the spots, by index or by mask."""
+        """Some of the spots, by index or mask."""
         return Spots(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
@@ -149,10 +149,11 @@ def find_spots(
     profile: Profile | None = None,
     fits_bytes: bool = False,
 ) -> Found:
-    """Every spot in an image (uint16, float32 or float64), from the top.
+    """Every spot in an `image` (uint16, float32 or float64, in adu), from the top.
 
-    The image is read where it lies. `profile` of an earlier image of the same camera saves its
-    measurement. `fits_bytes`: see `CameraImage.fits_bytes`.
+    The image is read where it lies. `settings`: detector and threshold, defaults when None. `profile`
+    of an earlier image of the same camera saves its measurement. `fits_bytes`: see
+    `CameraImage.fits_bytes`.
     """
     s = settings or SpotSettings()
     result = _core.find_spots(_pixels(image), fits_bytes, _settings(s), (profile or Profile()).packed)
@@ -168,7 +169,12 @@ def find_expected(
     profile: Profile | None = None,
     fits_bytes: bool = False,
 ) -> Found:
-    """One spot per expected position (n, 2), the nearest within `radius_px`; see Flag.NOT_FOUND."""
+    """One spot per expected position, the nearest within `radius_px`; see Flag.NOT_FOUND.
+
+    `image` in adu and `fits_bytes` as in `find_spots`; `expected_xy_px` (n, 2); `settings`: detector
+    and threshold, defaults when None; `profile` of an earlier image of the same camera saves its
+    measurement.
+    """
     s = settings or SpotSettings()
     expected = np.ascontiguousarray(expected_xy_px, dtype=np.float64)
     if expected.ndim != 2 or expected.shape[1] != 2 or not np.isfinite(expected).all():

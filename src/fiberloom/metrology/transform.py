@@ -72,7 +72,10 @@ class Similarity:
 def fit_similarity(
     xy_px: ArrayLike, xy_mm: ArrayLike, *, flipped: bool = False, weight: ArrayLike | None = None
 ) -> Similarity:
-    """Weighted least squares; needs two points."""
+    """Weighted least squares from `xy_px` (n, 2) to `xy_mm` (n, 2); needs two points.
+
+    `flipped`: the image is mirrored; `weight` (n,): relative weights, equal when None.
+    """
     z, m = _complex(xy_px), _complex(xy_mm)
     if len(z) < 2:
         raise InputError(f"{len(z)} points: a similarity needs at least 2")
@@ -138,7 +141,7 @@ class FieldTransform:
         return np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
 
     def significant(self, sigma: float) -> tuple[int, ...]:
-        """The terms whose coefficient is so many standard errors from zero."""
+        """The terms whose coefficient is at least `sigma` standard errors (a ratio) from zero."""
         size = np.abs(self.coefficients_mm) / np.sqrt(np.diag(self.covariance_mm2))
         return tuple(t for t, s in zip(self.terms, size, strict=True) if s > sigma)
 
@@ -183,9 +186,10 @@ def fit_transform(
 ) -> TransformFit:
     """Fits fiducials seen at `xy_px` (m, 2) and known to be at `xy_mm`.
 
-    `sigma_mm` is how well they are known, per coordinate. Without any variance all weigh the same.
-    Fiducials beyond 4.5 robust standard deviations are left out. Where there are fewer than four
-    more than half the number of terms, fewer terms are fitted.
+    `radius_mm`: of the field, for the `terms` of the distortion; `flipped`: the image is mirrored;
+    `covariance_px2` (m, 2, 2) of the spots and `sigma_mm` of the table, per coordinate. Without any
+    variance all weigh the same. If `robust`, fiducials beyond 4.5 robust standard deviations are left
+    out. Where there are fewer than four more than half the number of terms, fewer terms are fitted.
     """
     px, mm = (np.asarray(a, dtype=np.float64) for a in (xy_px, xy_mm))
     if px.shape != mm.shape or len(px) < 3:

@@ -1,7 +1,7 @@
 """What the air between camera and focal plane does to the image, taken off again.
 
 Turbulence in the dome shifts neighbouring spots together: a field of a few micrometres that is the
-same over some 50 mm and new in every exposure. Points that stand still (fiducials, positioners that
+same over some 50 mm and new in every exposure. Points that do not move (fiducials, positioners that
 do not move) show it; a Gaussian process carries it to the fibres between them, each axis alone:
 
     k(p, q) = s^2 exp(-|p - q|^2 / (2 l^2)),   shift(q) = k_q^T (K + N)^-1 d,
@@ -58,11 +58,12 @@ def remove_turbulence(
     amplitude_um: float | None = None,
     length_mm: float | None = None,
 ) -> Turbulence:
-    """The field at `places_mm` (n, 2) from shifts (m, 2) seen at points that stand still.
+    """The field at `places_mm` (n, 2) from shifts seen at points that do not move.
 
-    `sigma_mm` (m,) or one number: how well each shift is known, per coordinate, its place in the
-    focal plane included. Points that disagree with their neighbours by five sigma have moved after
-    all and are left out.
+    `standing_mm` (m, 2): these points; `shift_mm` (m, 2): measured less known place; `sigma_mm` (m,) or
+    one number: how well each shift is known, per coordinate, its place in the focal plane included.
+    `amplitude_um` and `length_mm`: rms and correlation length of the air, estimated when None. Points
+    that disagree with their neighbours by five sigma have moved and are left out.
     """
     at, shift, places = (np.asarray(a, dtype=np.float64) for a in (standing_mm, shift_mm, places_mm))
     if at.shape != shift.shape or at.ndim != 2 or len(at) < 3:

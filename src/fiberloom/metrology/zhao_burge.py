@@ -46,7 +46,7 @@ def noll(j: int) -> tuple[int, int]:
 
 
 def zernike(j: int) -> Floats:
-    """Z_j with unit rms on the disc, as coefficients c[a, b] of x^a y^b."""
+    """Z_j with unit rms on the disc, as dimensionless coefficients c[a, b] of x^a y^b."""
     n, m = noll(j)
     out = np.zeros((_DEGREE + 1, _DEGREE + 1))
     for k in range((n - abs(m)) // 2 + 1):
@@ -110,12 +110,12 @@ def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
 
 
 def basis(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
-    """(len(terms), n, 2): the vector fields at points (n, 2) of the unit disc."""
+    """(len(terms), n, 2) dimensionless: the vector fields at points (n, 2) of the unit disc."""
     return _evaluate(xy, terms, 0)
 
 
 def basis_jacobian(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
-    """(len(terms), n, 2, 2): d(component)/d(x, y) of the vector fields."""
+    """(len(terms), n, 2, 2) dimensionless: d(component)/d(x, y) of the vector fields on the unit disc."""
     flat = _evaluate(xy, terms, 1)
     return flat.reshape(*flat.shape[:2], 2, 2)
 

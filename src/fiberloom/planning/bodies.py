@@ -42,7 +42,9 @@ class Bodies:
 
     @property
     def arguments(self) -> tuple[Floats, tuple[float, float], float, Floats]:
-        """In the order of the compiled functions."""
+        """In the order of the compiled functions: arms (mm, rad), segment in mm, radius in mm,
+        obstacles in mm.
+        """
         return self.arms, self.segment_mm, self.radius_mm, self.obstacles
 
 

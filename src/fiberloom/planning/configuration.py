@@ -1,4 +1,4 @@
-"""Configurations: where every positioner stands, as CSV `positioner_id,alpha_deg,beta_deg`."""
+"""Configurations: the angles of every positioner, as CSV `positioner_id,alpha_deg,beta_deg`."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 def read_configuration(path: str | Path, plane: FocalPlane) -> NDArray[np.float64]:
     """(N, 2) alpha and beta in deg, in the order of the plane.
 
-    Every positioner once; offline ones may be left out and stand where the plane says.
+    Every positioner once; offline ones may be left out and keep the angles of the plane.
     """
     table = read_table(path)
     table.require(*COLUMNS)

@@ -1,4 +1,4 @@
-"""Random configurations that can be stood in: for tests, benchmarks and trials without targets."""
+"""Random configurations without collisions: for tests, benchmarks and trials without targets."""
 
 from dataclasses import replace
 
@@ -29,9 +29,10 @@ def random_configuration(
 ) -> Floats:
     """(N, 2) deg: every metrology fibre anywhere in its patrol area (uniform in area).
 
-    Placed one after the other in random order, so that all places and approaches to them are free
-    with `margin_mm` between two arms, and between arm and obstacle. Offline positioners stand
-    where they are.
+    The positioners of `plane` are placed one after the other in random order (`seed`), so that all
+    places and approaches to them (`approach_deg`, the instrument's when left out) are free with
+    `margin_mm` between two arms, and between arm and obstacle. `collision_buffer_mm`: radius of the
+    arms, the instrument's when left out. Offline positioners stay.
     """
     rng = np.random.default_rng(seed)
     return _Drawing(plane, rng, margin_mm, approach_deg, collision_buffer_mm).all()
@@ -44,9 +45,11 @@ def random_pair(
     margin_mm: float = 0.2,
     collision_buffer_mm: float | None = None,
 ) -> tuple[Floats, Floats]:
-    """Two random configurations such that each positioner, alone, can get from one to the other.
+    """Two random configurations (N, 2) in deg such that each positioner, alone, can get from one to the
+    other.
 
-    That is, no place lies in a pocket behind a fiducial.
+    That is, no place lies in a pocket behind a fiducial. `plane`, `seed`, `margin_mm` and
+    `collision_buffer_mm` as in `random_configuration`.
     """
     rng = np.random.default_rng(seed)
     start, goal = (_Drawing(plane, rng, margin_mm, None, collision_buffer_mm) for _ in range(2))
@@ -91,7 +94,7 @@ class _Drawing:
         self.placed = plane.offline.copy()
 
     def near_obstacles(self) -> NDArray[np.bool_]:
-        """(N,) who can touch a fiducial or guide camera."""
+        """(N,) which can touch a fiducial or guide camera."""
         n, k = self.plane.n, len(self.bodies.obstacles)
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
         lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
@@ -99,7 +102,7 @@ class _Drawing:
         return np.asarray((self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0), dtype=np.bool_)
 
     def all(self) -> Floats:
-        """Everybody, in random order; who finds no room displaces a neighbour, which is drawn anew."""
+        """All in random order; one without room displaces a neighbour, which is drawn anew."""
         waiting = list(map(int, self.rng.permutation(np.flatnonzero(~self.plane.offline))))
         for _ in range(_DISPLACED * self.plane.n):
             if not waiting:
@@ -118,7 +121,7 @@ class _Drawing:
         return rad_to_deg(self.angles[row])
 
     def _placed_near(self, row: int) -> NDArray[np.int64]:
-        """Who has a place and can touch this one, nearest first."""
+        """Rows that have a place and can touch this one, nearest first."""
         gaps = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T)
         near = np.flatnonzero(self.placed & (gaps < 2.0 * self.plane.body_reach_mm.max() + 1.0))
         return near[np.argsort(gaps[near], kind="stable")]

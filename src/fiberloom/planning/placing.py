@@ -1,4 +1,4 @@
-"""Configurations of everybody that are good for each and can be stood in by all."""
+"""Configurations that are good for each positioner and free of collisions for all."""
 
 from dataclasses import replace
 
@@ -23,10 +23,12 @@ def place_by_worth(
     margin_mm: float = 0.2,
     rounds: int = 2,
 ) -> Floats:
-    """(N, 2) deg: for each the best of its candidates (N, C, 2), by `worth` (N, C), that is free.
+    """(N, 2) deg: for each positioner the best of its candidates that is free.
 
-    All begin folded, where nobody touches, and take turns in random order; so a configuration that can
-    be stood in always comes out. Places and approaches keep `margin_mm`. Offline positioners stay.
+    `candidates_deg` (N, C, 2) for the N positioners of `plane`; `worth` (N, C): the higher the better,
+    a relative weight. All begin folded, where none touches another, and take turns in random order
+    (`seed`), `rounds` times; so the result is always free of collisions. Places and approaches keep
+    `margin_mm`. Offline positioners stay.
     """
     placing = _Placing(plane, candidates_deg, margin_mm)
     rng = np.random.default_rng(seed)
@@ -34,7 +36,7 @@ def place_by_worth(
     movable = np.flatnonzero(~plane.offline)
     for turn in range(rounds):
         for row in rng.permutation(movable):
-            # who has a good place already stays in later rounds
+            # a positioner with a good place stays in later rounds
             placing.place(int(row), order[row], better_than=turn > 0)
     return rad_to_deg(placing.angles)
 

@@ -42,7 +42,7 @@ class PlanSettings:
     last_deadline: float = 2.0
     """Beyond this over the first, a positioner that still meets another is given up."""
     effort: float = 1.0
-    """Scales how many repairs are tried before somebody is given up."""
+    """Scales how many repairs are tried before a positioner is given up."""
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
@@ -120,14 +120,17 @@ def plan(
     approach_deg: ArrayLike | None = None,
     settings: PlanSettings | None = None,
 ) -> Plan:
-    """Trajectories (N, 2) -> (N, 2) in deg for everybody at once, direct, free of collisions.
+    """Trajectories for all positioners at once, direct, free of collisions.
 
-    Each positioner that moves comes to its goal from approach_deg above on both axes, in the
-    negative direction, after all its other motion; approach_deg is one number or one per
-    positioner, the instrument's when left out. Who is at its goal already stays, unless it is in
-    the way. Who cannot arrive is named in `Plan.refused`, stands or goes out of the way, and all
-    others are planned round it. The same input and seed give the same plan on every platform.
-    Angles: within the hard stops; lengths and speeds: the instrument's.
+    `start_deg`, `goal_deg` (N, 2): alpha, beta of the N positioners of `plane`; `seed` decides all
+    random choices; `settings`: effort and limits, the instrument's when left out.
+
+    Each positioner that moves comes to its goal from `approach_deg` above on both axes, in the negative
+    direction, after all its other motion; `approach_deg` is one number or one per positioner, the
+    instrument's when left out. A positioner at its goal stays, unless it is in the way. A positioner
+    that cannot arrive is named in `Plan.refused`; it stays or goes out of the way, and all others are
+    planned round it. The same input and seed give the same plan on every platform. InputError for
+    angles that are not (N, 2) finite numbers.
     """
     return _plan(_Task.of(plane, start_deg, goal_deg, approach_deg, settings), seed)
 
@@ -141,13 +144,13 @@ def _plan(task: _Task, seed: int) -> Plan:
         checked = task.verify(made)
         if checked.ok:
             return replace(made, cpu_s=time.thread_time() - begin)
-        # has not been seen; whoever is involved stands, and the rest is planned anew
+        # has not been seen; the positioners involved stay, and the rest is planned anew
         for violation in checked.violations:
             for number in {str(violation.positioner_id), violation.other}:
                 if number.isdigit():
                     unsafe[int(number)] = f"positioner {number}: {_UNVERIFIED}"
         fixed[task.plane.index_of(list(unsafe))] = True
-    return replace(_nobody_moves(task), cpu_s=time.thread_time() - begin)
+    return replace(_none_moves(task), cpu_s=time.thread_time() - begin)
 
 
 def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
@@ -188,7 +191,7 @@ def _assembled(
     )
 
 
-def _nobody_moves(task: _Task) -> Plan:
+def _none_moves(task: _Task) -> Plan:
     names = task.plane.positioner_id
     motions = [np.array([[0.0, *angles]]) for angles in task.start]
     refused = {int(p): f"positioner {p}: {_UNVERIFIED}" for p in names[task.moving]}
@@ -206,8 +209,9 @@ def plan_corrections(
 ) -> Plan:
     """Small moves, all at once: up to approach_deg above the goal and down again.
 
-    Who shall not move has the same start and goal. If anything would touch when all move straight
-    and together, `plan` finds an order or a way round.
+    `plane`, `start_deg`, `goal_deg` (N, 2), `seed`, `approach_deg` and `settings` as in `plan`. A
+    positioner with the same start and goal does not move. If two would touch when all move straight and
+    together, `plan` finds an order or a way round.
     """
     task = _Task.of(plane, start_deg, goal_deg, approach_deg, settings)
     begin = time.thread_time()
@@ -218,7 +222,7 @@ def plan_corrections(
 
 
 def _all_together(task: _Task) -> Plan:
-    """Everybody straight to the place above its goal within the same steps, then the approach."""
+    """Every positioner straight to the place above its goal within the same steps, then the approach."""
     quarter_s, grid, leg = core.clock(
         **task.settings.dynamics, highest_approach=float(task.approach.max(initial=0.0))
     )

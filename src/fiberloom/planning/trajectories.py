@@ -36,7 +36,7 @@ class Robot:
         return np.column_stack([self.alpha_deg, self.beta_deg])
 
     def at(self, time_s: ArrayLike) -> Floats:
-        """(n, 2) alpha and beta in deg at these times; before and after it stands."""
+        """(n, 2) alpha and beta in deg at these times; constant before and after."""
         when = np.asarray(time_s, dtype=np.float64)
         angles = (self.alpha_deg, self.beta_deg)
         return np.stack([np.interp(when, self.time_s, a) for a in angles], axis=-1)
@@ -55,7 +55,7 @@ class Plan:
     collision_buffer_mm: float
     robots: tuple[Robot, ...]
     refused: dict[int, str] = field(default_factory=dict)
-    """Who does not arrive, by positioner_id, and why. It stands, or goes out of the way."""
+    """Reason for each positioner that does not arrive, by positioner_id. It stays, or goes out of the way."""
     cpu_s: float = 0.0
     """What it took to plan and verify; not part of the JSON form."""
     statistics: dict[str, Any] = field(default_factory=dict)
@@ -63,12 +63,12 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """When the last positioner stands."""
+        """When the last positioner has arrived."""
         return max((float(r.time_s[-1]) for r in self.robots), default=0.0)
 
     @property
     def end_deg(self) -> Floats:
-        """(N, 2) where everybody stands afterwards, in the order of `robots`."""
+        """(N, 2) of every positioner afterwards, in the order of `robots`."""
         return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)
 
     def to_dict(self) -> dict[str, Any]:

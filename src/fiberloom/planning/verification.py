@@ -16,8 +16,8 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 _WHAT = {
     "robots": "comes closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
     "obstacle": "comes closer to {other} than the collision buffer, by {depth:.4g} mm",
-    "contact": "stands closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
-    "obstacle_contact": "stands closer to {other} than the collision buffer, by {depth:.4g} mm",
+    "contact": "is closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
+    "obstacle_contact": "is closer to {other} than the collision buffer, by {depth:.4g} mm",
     "points": "has times that do not rise from 0, or numbers that are not finite",
     "travel": "goes {depth:.4g} deg beyond the travel of an axis",
     "speed": "is {depth:.4g} deg/s too fast",
@@ -103,10 +103,11 @@ def verify(
 ) -> Verification:
     """Prove in continuous time that a plan keeps clear of everything and within all limits.
 
-    Bodies: every pair of beta arms, arms and fiducials, arms and guide cameras; offline positioners
-    stand where the plane says. Gaps are proven above -1e-6 mm; the smallest is true to 1e-4 mm.
-    start_deg, goal_deg (N, 2) and approach_deg are checked when given; goals not for those whom
-    the plan refuses. Limits: the instrument's, and the plan's own collision buffer, when left out.
+    Bodies: every pair of beta arms of the `plane`, arms and fiducials, arms and guide cameras; offline
+    positioners are at the angles of the plane. Gaps are proven above -1e-6 mm; the smallest is true to
+    1e-4 mm. `start_deg`, `goal_deg` (N, 2) and `approach_deg` are checked when given; goals not for
+    positioners that the `plan` refuses. Limits: `speed_deg_s`, `acceleration_deg_s2` of the instrument
+    and `collision_buffer_mm` of the plan when left out.
     """
     bodies = Bodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
@@ -155,7 +156,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     if missing:
         raise InputError(
             f"the plan does not say where positioner {missing[0]} is ({len(missing)} missing); "
-            "give one that stands a single point"
+            "give one that does not move a single point"
         )
     return [m for m in motions if m is not None]
 

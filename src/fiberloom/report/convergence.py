@@ -18,7 +18,11 @@ _MARKS_UM = [m * 10.0**k for k in range(-2, 3) for m in (1, 2, 5)]
 def plot_convergence(
     path: Path, rows: Sequence[Mapping[str, Any]], positioners: int, camera_um: float
 ) -> None:
-    """Draw rms errors (or, without a truth, standard errors) of `convergence` rows, log against log."""
+    """Draw rms errors (or, without a truth, standard errors) of `convergence` rows, log against log.
+
+    `path`: file to write; `rows`: as `convergence` returns them; `positioners`: their number;
+    `camera_um`: noise of the camera, rms.
+    """
     figure, axes = plt.subplots(figsize=(8, 5.5), layout="constrained")
     number = [row["configurations"] for row in rows]
     what = "error_um" if rows[0]["error_um"] else "standard_error_um"

@@ -40,7 +40,10 @@ def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
 
 
 def plot_reduction(folder: Path, name: str, plane: FocalPlane, reduction: Reduction) -> list[Path]:
-    """Image with labels, residual vectors, distortion field; returns the files."""
+    """Image with labels, residual vectors, distortion field; returns the files.
+
+    `folder` and the beginning of the `name` of each file; `reduction`: of an image of the `plane`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}-{what}.png" for what in ("image", "residuals", "distortion")]
     _plot_labels(paths[0], plane, reduction)

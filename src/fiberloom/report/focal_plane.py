@@ -26,7 +26,11 @@ def plot_focal_plane(
     requirement_um: float,
     title: str,
 ) -> None:
-    """Draw every arm at `angles_deg` (N, 2), coloured by `error_um` (NaN: no target), flags in red."""
+    """Draw every arm at `angles_deg` (N, 2), coloured by `error_um` (N,), NaN without a target.
+
+    `path`: file to write; `plane`: the N positioners; `flagged` (N,): drawn in red; `requirement_um`:
+    upper end of the colours; `title` above the figure.
+    """
     figure, axes = plt.subplots(figsize=(10, 9.2), layout="constrained")
     base, elbow, tip = _arm_points(plane, angles_deg)
     alpha_arms = np.stack([base, elbow], axis=1)
@@ -64,7 +68,11 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
 
 
 def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:
-    """Cumulative distribution of the true (or measured) error after each move, on a log axis."""
+    """Cumulative distribution of the true (or measured) error after each move, on a log axis.
+
+    `path`: file to write; `errors_um`: (n,) for each move, with its name in `labels`; `requirement_um`:
+    drawn as a line.
+    """
     figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for error, label in zip(errors_um, labels, strict=True):
         values = np.sort(error[np.isfinite(error)])

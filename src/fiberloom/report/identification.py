@@ -67,7 +67,11 @@ def plot_friction(
     scales: list[TorqueScale],
     row: int,
 ) -> None:
-    """Break-away torque over a motor turn, running torque over the range, residuals."""
+    """Break-away torque over a motor turn, running torque over the range, residuals.
+
+    `path`: file to write; `data`, `found` and `scales`: measurement, result and torque scale of alpha
+    and beta; `row`: the positioner of the `plane`.
+    """
     figure, panels = _figure(3, "friction (Kronig 2020, Fig. 11 and 12)", plane, row)
     for axis in range(2):
         if found[axis].coulomb.reason[row]:
@@ -128,7 +132,11 @@ def plot_inertia(
     scales: list[TorqueScale],
     row: int,
 ) -> None:
-    """Speed after the step of torque, and how far the fitted rotor is from the measured one."""
+    """Speed after the step of torque, and the residual of the fitted rotor.
+
+    `path`: file to write; `data`, `found` and `scales`: measurement, result and torque scale of alpha
+    and beta; `row`: the positioner of the `plane`.
+    """
     figure, panels = _figure(2, "inertia from steps of torque (Kronig 2020, Fig. 14)", plane, row)
     for axis in range(2):
         one, j = data[axis], found[axis]
@@ -160,7 +168,11 @@ def plot_inertia(
 def plot_stiffness(
     path: Path, plane: FocalPlane, data: tuple[StiffnessData, StiffnessData], found: list[Estimate], row: int
 ) -> None:
-    """The turn between the two torques, repeat by repeat."""
+    """The turn between the two torques, repeat by repeat.
+
+    `path`: file to write; `data` and `found`: measurement and result of alpha and beta; `row`: the
+    positioner of the `plane`.
+    """
     figure, panels = _figure(1, "stiffness (Kronig 2020, Fig. 13)", plane, row)
     for axis in range(2):
         if found[axis].reason[row]:
@@ -183,7 +195,11 @@ def plot_stiffness(
 
 
 def plot_arms(path: Path, plane: FocalPlane, data: ArmsData, arms: Arms, row: int) -> None:
-    """Radial residuals over the direction from each circle's centre."""
+    """Radial residuals over the direction from each circle's centre.
+
+    `path`: file to write; `data` and `arms`: measurement and result; `row`: the positioner of the
+    `plane`.
+    """
     figure, panels = _figure(1, "arms from two circles", plane, row)
     if not arms.l_alpha.reason[row]:
         m = data.xy_mm.shape[2]
@@ -212,7 +228,11 @@ def plot_repeatability(
     found: list[Repeatability],
     row: int,
 ) -> None:
-    """Where the fibre stood at every visit, target by target."""
+    """Where the fibre was at every visit, target by target.
+
+    `path`: file to write; `data` and `found`: measurement and result of alpha and beta; `row`: the
+    positioner of the `plane`.
+    """
     figure, panels = _figure(1, "repeatability (Kronig 2020, Fig. 17)", plane, row)
     for axis in range(2):
         if found[axis].measured.reason[row]:

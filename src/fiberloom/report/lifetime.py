@@ -46,9 +46,9 @@ class LifetimeCurves:
 
 
 def rms(error: Floats, axis: int | None = None) -> Floats:
-    """Over those that have not dropped out; NaN where nobody is left."""
+    """Root mean square of an error in um, over those that have not dropped out; NaN where none is left."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of a mean over nobody
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a mean over no unit
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=axis)))
 
 

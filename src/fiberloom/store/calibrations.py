@@ -21,9 +21,10 @@ def digest_of(file: Path) -> str:
 
 
 def note_calibration(run: Run, kind: str, file: Path, positioner_id: Iterable[int], digest: str = "") -> None:
-    """Both axes of these positioners were calibrated by `file`, or used it, in this run.
+    """Both axes of these positioners were calibrated by `file`, or used it, in this `run`.
 
-    `digest`: of what the file says, where it says more than this (a store); default: of the file.
+    `kind`: transmission, arms, ...; `positioner_id`: their numbers; `digest`: of the content that was
+    used, where the file holds more (a store); default: of the file.
     """
     ids, digest = list(positioner_id), digest or digest_of(file)
     for axis in AXES:
@@ -39,10 +40,11 @@ def record_calibration(
     *,
     same_run: bool = False,
 ) -> None:
-    """Writes what a calibration command has made into the store beside its file.
+    """Writes the result of a calibration command into the store beside its `file`.
 
-    `stamp` are the marks of the result file (`report.outputs.marks`). With `same_run` the rows go to
-    the last run of that store, which has measured it; else to a run of their own.
+    `kind`: transmission, arms, ...; `positioner_id`: of the positioners; `stamp`: the marks of the
+    result file (`report.outputs.marks`); `command_line`: what the operator typed. With `same_run` the
+    rows go to the last run of that store, which has measured it; else to a run of their own.
     """
     with Store.open(file.parent / STORE) as store:
         if same_run:

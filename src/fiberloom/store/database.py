@@ -46,7 +46,7 @@ class Store:
     def open(cls, path_or_url: str | Path, *, create: bool = True) -> Store:
         """Opens (and if need be makes) a store: the path of an SQLite file, or a database URL.
 
-        Everything that stands in the way is an InputError: no permission, a full disk, a file
+        Every obstacle is an InputError: no permission, a full disk, a file
         that is something else, tables of another version, and with `create=False` no store there.
         """
         name = str(path_or_url)
@@ -101,7 +101,11 @@ class Store:
         seed: int | None = None,
         note: str = "",
     ) -> Run:
-        """Begins a run: a context manager that books how it ended."""
+        """Begins a run: a context manager that records how it ended.
+
+        `command_line`: what the operator typed; `instrument` and `config_hash` of the layout; `seed` of
+        the twin; `note`: free text.
+        """
         values = new_run_values(command_line, instrument, config_hash, seed, note)
         with self.transaction() as connection:
             run_id = connection.execute(insert(RunRow).returning(RunRow.id), values).scalar_one()

@@ -56,7 +56,11 @@ class LearntHistory:
     def begin(
         self, kind: str, instrument: str, config_hash: str, seed: int | None = None, note: str = ""
     ) -> int:
-        """A new generation without states; its number."""
+        """A new generation without states; its number.
+
+        `kind`: what taught it (an observation, a step back); `instrument` and `config_hash` of the
+        layout; `seed` of the twin; `note`: free text.
+        """
         values = {
             "utc": datetime.now(UTC),
             "origin": self.origin,

@@ -24,7 +24,7 @@ def process_start(pid: int) -> str:
 
 
 def is_alive(host: str, pid: int, started: str) -> bool:
-    """False when the process is certainly gone. Of other machines nobody knows: True."""
+    """False when the process is certainly gone. Of other machines it is not known: True."""
     if host != host_name():
         return True
     try:

@@ -30,7 +30,7 @@ Transaction = Callable[[], AbstractContextManager[Connection]]
 
 
 START = "start"
-"""Kind of the record that a run begins with: where everybody stood, before anything moved."""
+"""Kind of the record that a run begins with: the place of every positioner, before anything moved."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,11 @@ class RunInfo:
 def new_run_values(
     command_line: str, instrument: str, config_hash: str, seed: int | None, note: str
 ) -> dict[str, Any]:
-    """The row of a run that starts now, in this process."""
+    """The row of a run that starts now, in this process.
+
+    `command_line`: what the operator typed; `instrument` and `config_hash` of the layout; `seed` of the
+    twin; `note`: free text.
+    """
     return {
         "utc_start": datetime.now(UTC),
         "command_line": command_line,
@@ -129,8 +133,10 @@ class Run:
     ) -> int:
         """A move and what was measured after it; returns the move's id.
 
-        `measured` holds columns (MEASURED names them), one row per positioner; a column that is one
-        value is the same for all. NaN is stored as unknown.
+        `number` from 1 (0: before the first); `kind`: start, blind, correction, ...; `measured` holds
+        columns (MEASURED names them), one row per positioner; a column that is one value is the same
+        for all. NaN is stored as unknown. `time_s`: on the clock of the bus; `plan_digest`: of the
+        trajectories.
         """
         move = {
             "run_id": self.id,
@@ -155,7 +161,9 @@ class Run:
         positioner_id: int | None = None,
         time_s: float | None = None,
     ) -> None:
-        """Something an operator wants to know later."""
+        """Something an operator wants to know later: its `kind`, a `text`, the `positioner_id` where
+        there is one, and `time_s` on the clock of the bus.
+        """
         values = {
             "run_id": self.id,
             "utc": datetime.now(UTC),
@@ -170,7 +178,11 @@ class Run:
     def record_calibration(
         self, positioner_id: Iterable[int], axis: str, kind: str, file: str, hash: str
     ) -> None:
-        """Which calibration file these positioners' axis got or used."""
+        """Which calibration file these positioners' axis got or used.
+
+        `positioner_id`: their numbers; `axis`: alpha or beta; `kind`: transmission, arms, ...; `file`
+        and its `hash`.
+        """
         common = {"run_id": self.id, "axis": axis, "kind": kind, "file": file, "hash": hash}
         rows = [{**common, "utc": datetime.now(UTC), "positioner_id": int(p)} for p in positioner_id]
         if rows:

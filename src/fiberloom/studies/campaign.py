@@ -91,11 +91,13 @@ def run(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, NDArray]:
-    """Rows of all units, in their order.
+    """Rows of all units of the `campaign`, in their order: columns with the units that the experiment
+    gives them (um, deg, ...).
 
     `folder` keeps finished chunks, each campaign in a folder of its own below it: the same call after a
-    kill goes on there. `scheduler` is the address of a Dask scheduler ("tcp://host:8786"); otherwise
-    `workers` processes of this machine compute, or with one this process itself.
+    kill continues there. `scheduler` is the address of a Dask scheduler ("tcp://host:8786"); otherwise
+    `workers` processes of this machine compute, or with one this process itself. `progress` is called
+    with (units done, units in all).
     """
     if workers < 1:
         raise InputError(f"{workers} workers: at least 1")

@@ -50,9 +50,9 @@ class TrialSettings:
 
 
 def health_trial(units: range, seed: int, settings: TrialSettings) -> dict[str, NDArray]:
-    """Rows, one for each unit.
+    """Rows, one for each unit; all numbers are counts of moves.
 
-    `truth` what ails it, "" for the healthy; `onset` move at which that began (-1: never), `suspected`,
+    `truth` the ailment, "" for the healthy; `onset` move at which that began (-1: never), `suspected`,
     `found` moves of the first finding of that state or worse since then (-1: none), `named` the first
     certain name and `last` the last one; `false` number of certain findings before anything was wrong,
     `healthy_moves` the moves in which that could have happened.

@@ -63,9 +63,10 @@ class LegalTrial:
 def legal_moves(
     plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2
 ) -> LegalTrial:
-    """Random legal moves of a plane without neighbours, over unit scatter and temperature.
+    """Random legal moves of a `plane` without neighbours, over unit scatter and temperature.
 
-    `moves`: of each positioner, both axes at once. Without `touch` Eq. 22 watches alone.
+    `moves`: of each positioner, both axes at once; `seed` draws units and moves; `threads` of the twin.
+    Without `touch` Eq. 22 watches alone.
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
     units = greased(draw_units(plane, seed), rng)
@@ -90,7 +91,7 @@ def legal_moves(
 
 
 def miscounted(twin: Twin) -> list[int]:
-    """Positioners at rest that report (32) another place than their gear stands at.
+    """Positioners at rest that report (32) another place than that of their gear.
 
     What is reported is the motor angle at which the move settled: the gear's, and up to the backlash more
     after a move upwards. Half a motor turn either way is allowed for the rest.
@@ -132,7 +133,7 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
 
 
 def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
-    """One move of everybody, from its first frame to the last rotor at rest."""
+    """One move of every positioner, from its first frame to the last rotor at rest."""
     ids = [int(i) for i in twin.plane.positioner_id]
     precise = {i for i, kind in zip(ids, kinds, strict=True) if kind == "correction"}
     for number in ids:

@@ -50,7 +50,7 @@ DELTA_POINTS = 361
 FINER = 4
 _LEARNT = (0,)
 """Images of an approach that the adaptive ways learn from: that of the blind move. Those of the nine
-corrections stand micrometres beside it and would tell nearly the same again."""
+corrections end micrometres beside it and would tell nearly the same again."""
 _CLEAR_MM = 0.1
 """Targets keep this far from the ends of the reach."""
 
@@ -76,7 +76,7 @@ class LifetimeSettings:
     """Cycles whose delta is kept."""
     wear: WearModel = field(default_factory=WearModel)
     faults: str = ""
-    """Ailments of the first units, "kind=count,..."; who no longer goes where it is told drops out."""
+    """Ailments of the first units, "kind=count,..."; a unit that no longer follows its commands drops out."""
     fault_cycle: int = 0
     """When they begin; 0: half-way."""
 
@@ -105,7 +105,7 @@ class Source(Protocol):
     """What turns angles into wire positions."""
 
     def to_wire(self, theta_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """Wire positions (N, 2, M) for output angles."""
+        """Wire positions (N, 2, M) in deg for output angles."""
         ...
 
 

@@ -1,9 +1,10 @@
-"""Neighbours driven into each other on the twin: how soon both stand, and what they bore.
+"""Neighbours driven into each other on the twin: how soon both are off, and the torque on them.
 
 Pairs of neighbours far from each other share a twin. In each meeting the axes that move do so at full speed
 when the arms touch for the first time. What is told of it, from the last moment at which they were
 still apart (the twin looks every 2 ms): when a positioner stopped, by its own watch or because the
-host, told of a collision by frame 18, stopped everybody; and the torque that the contact put on each axis.
+host, told of a collision by frame 18, stopped every positioner; and the torque that the contact put on
+each axis.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ KINDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "one, alpha": ((1, 0), (0, 0)),
     "one, beta": ((0, 1), (0, 0)),
 }
-"""Who moves at full speed when two neighbours meet: (alpha, beta) of the first and of the second."""
+"""Which axes move at full speed when two neighbours meet: (alpha, beta) of the first and of the second."""
 
 SYNC_S = 0.002
 _RUN_UP_S = (0.7, 2.5)  # after the start: full speed is reached, the gaps are closed
@@ -42,7 +43,7 @@ _MIDDLE_DEG = 180.0
 
 @dataclass(frozen=True)
 class Stop:
-    """How one positioner that moved came to stand after its arm had touched another."""
+    """How one positioner that moved stopped after its arm had touched another."""
 
     positioner_id: int
     own_s: float
@@ -105,7 +106,12 @@ def _gap_mm(plane: FocalPlane, rows: NDArray, angles_deg: Floats) -> Floats:
 def plan_meeting(
     plane: FocalPlane, rows: NDArray, kind: str, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Start (2, 2) and goal (2, 2) in deg so that the two meet at full speed, `_RUN_UP_S` after the start."""
+    """Start (2, 2) and goal (2, 2) in deg so that the two meet at full speed, `_RUN_UP_S` after the
+    start.
+
+    `rows` (2,) of the pair in the `plane`; `kind`: which axes of which positioner move; `rng` draws the
+    place.
+    """
     moves = np.array(KINDS[kind], dtype=float)
     time_s = np.arange(0.0, _RUN_UP_S[1], 0.01)
     for _ in range(100_000):
@@ -131,10 +137,11 @@ def meetings(
     touch: bool = True,
     threads: int = 2,
 ) -> list[Meeting]:
-    """One meeting of every isolated pair of the plane, units and temperatures drawn from the seed.
+    """One meeting of every isolated pair of the `plane`, units and temperatures drawn from the `seed`.
 
-    `host_s`: time from a frame 18 until the host's stop (13) reaches the other; None without a host.
-    Without `touch` Eq. 22 and the contact rule watch alone.
+    `kind`: which axes of which positioner move; `host_s`: time from a frame 18 until the host's stop
+    (13) reaches the other; None without a host. Without `touch` Eq. 22 and the contact rule watch
+    alone. `threads` of the twin.
     """
     rng = np.random.default_rng([seed, 0x3EE7, list(KINDS).index(kind)])
     pairs = isolated_pairs(plane)
@@ -171,7 +178,7 @@ class _Meetings:
         return [self._meeting(k, moves, logs) for k in range(len(self.ids) // 2) if 2 * k in self.touched]
 
     def _wire_deg(self, row: int, goal_deg: Floats, moves: NDArray) -> list[float]:
-        """An axis that is to stay is told to: where it stands, on the wire."""
+        """An axis that is to stay gets its present wire position."""
         here = [self.twin.units.transmission(row, k, self.start[row, k])[0][0] for k in (0, 1)]
         return [float(goal_deg[k] if moves[k] else here[k]) for k in (0, 1)]
 
@@ -210,7 +217,7 @@ class _Meetings:
 
 
 def _load_rate_Nm_s(log: NDArray, touched_s: float) -> float:
-    """From what the contact did to one arm; a motor that stands feels nothing through its gear."""
+    """From what the contact did to one arm; a motor at rest feels nothing through its gear."""
     first = np.searchsorted(log["time_s"], touched_s)
     span = slice(first, first + round(0.008 / TICK_S))
     against = -np.sign(log["command_speed_rad_s"][span]) * log["torque_out_Nm"][span] / GEAR

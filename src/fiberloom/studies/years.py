@@ -5,7 +5,7 @@
         visit = years.visit(maps.to_wire(goal_deg))
         visit.measured_mm, visit.done, visit.label   # what is seen, what is claimed, what is true
 
-One call is one move of everybody. Wear and ailments go on with the
+One call is one move of every unit. Wear and ailments go on with the
 moves. A unit's years depend on the seed and its own commands alone, so they may be cut into chunks of a
 campaign anywhere.
 """
@@ -79,7 +79,7 @@ class Years:
         self.move = 0
 
     def visit(self, wire_deg: ArrayLike, precise: bool = True) -> Visit:
-        """Everybody goes to (N, 2) wire positions; NaN stays where it is."""
+        """All go to (N, 2) wire positions; NaN stays where it is."""
         self._age()
         wire = np.asarray(wire_deg, dtype=np.float64)
         happens = self._chance.uniform(2) >= self._non_moves

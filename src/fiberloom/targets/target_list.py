@@ -40,7 +40,7 @@ class TargetList:
         return np.column_stack([self.x_mm, self.y_mm])
 
     def select(self, rows: NDArray) -> "TargetList":
-        """The targets of these rows (numbers or a mask)."""
+        """Some rows of the list, by index or mask."""
         return TargetList(
             self.target_id[rows],
             self.x_mm[rows],

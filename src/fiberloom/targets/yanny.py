@@ -23,7 +23,7 @@ _TOKEN = re.compile(r'\s*(?:"((?:[^"\\]|\\.)*)"|([{}])|([^\s{}"]+))')
 
 @dataclass
 class Yanny:
-    """A parsed file. Cells are text; who reads a column knows its type."""
+    """A parsed file. Cells are text; the reader of a column knows its type."""
 
     path: Path
     keywords: dict[str, str] = field(default_factory=dict)

@@ -213,7 +213,9 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
 
 
 def firmware_truth(plant: np.ndarray) -> dict[str, float]:
-    """What a perfect identification of an axis would tell its firmware."""
+    """Parameters of the firmware after a perfect identification of an axis: SI, hall channels in
+    counts.
+    """
     torque_constant = float(plant["flux_linkage"] / plant["coil_resistance"])  # Nm per volt and coil
     spring_Nm = float(plant["spring_rate"] / GEAR)
     return {

@@ -56,19 +56,23 @@ class Gears:
         self.gear_rad[rows], self.motor_rad[rows] = gears.gear_rad, gears.motor_rad
 
     def output_of(self, gear_rad: Floats) -> Floats:
-        """Output angle of a gear angle, without outside torque."""
+        """Output angle in rad of a gear angle, without outside torque; (N, 2, M)."""
         return _line(self.gear_rad, self.output_rad, gear_rad, GEAR * NODE_RAD)
 
     def gear_of(self, output_rad: Floats) -> Floats:
-        """T-: gear angle of an output angle."""
+        """T-: gear angle in rad of an output angle; (N, 2, M)."""
         return _line(self.output_rad, self.gear_rad, output_rad, NODE_RAD)
 
     def pushed_up(self, motor_rad: Floats) -> Floats:
-        """Gear angle at which a rotor is in positive contact: what moves upwards stops there."""
+        """Gear angle in rad at which a rotor is in positive contact: upward motion of the gear stops
+        there; (N, 2, M).
+        """
         return _line(self.motor_rad, self.gear_rad, motor_rad, GEAR * NODE_RAD)
 
     def play(self, gear_rad: Floats, motor_rad: Floats) -> Floats:
-        """The gear after the rotor went straight to `motor_rad`, Eq. 4: in the gap it stands."""
+        """Gear angle in rad after the rotor went straight to `motor_rad`, Eq. 4: in the gap it stays;
+        (N, 2, M).
+        """
         return np.minimum(np.maximum(gear_rad, self.pushed_up(motor_rad)), motor_rad)
 
 

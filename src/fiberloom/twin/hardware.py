@@ -27,7 +27,10 @@ def bench_hardware(plane: FocalPlane, units: Units, seed: int) -> Hardware:
 def field_hardware(
     plane: FocalPlane, units: Units, seed: int, faults: str = "", camera: str = "noise"
 ) -> Hardware:
-    """The focal plane, folded, with the faults asked for ("dark=3,dead=1,lying=1")."""
+    """The focal plane, folded, with the `faults` asked for ("dark=3,dead=1,lying=1").
+
+    `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image.
+    """
     if camera not in CAMERAS:
         raise InputError(f"--camera {camera}: known are {', '.join(CAMERAS)}")
     check_motors(plane.instrument)

@@ -19,7 +19,7 @@ class Lateness:
     """How well the clock was kept.
 
     A control tick is due every 0.5 ms; its lateness runs from there to the end of its computation. It
-    is *kept* when it has ended before the next one is due. Ticks in which everybody rested need no
+    is *kept* when it has ended before the next one is due. Ticks in which every positioner rested need no
     computation and are counted apart.
     """
 
@@ -77,7 +77,7 @@ class RealTimeTwin:
         return self._real.tick_now * _core.TICK_S
 
     def post(self, frames: Iterable[tuple[int, bytes, int, float]]) -> None:
-        """Frames (identifier, data, bus, virtual time at which they arrive)."""
+        """Frames (identifier, data, bus, virtual time in s at which they arrive)."""
         self._real.post([(i, data, bus, _tick_of(time_s)) for i, data, bus, time_s in frames])
 
     def take(self) -> list[Reply]:
@@ -109,7 +109,7 @@ class RealTimeTwin:
         )
 
     def close(self) -> None:
-        """Ends the thread; the twin stands from here on."""
+        """Ends the thread; the twin's time does not advance from here on."""
         self._real.stop()
         for fd in (self._read_fd, self._write_fd):
             if fd >= 0:

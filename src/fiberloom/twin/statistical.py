@@ -1,4 +1,4 @@
-"""Where arms stand still, without integrating how they came there: the statistical fidelity.
+"""Where arms come to rest, without integrating the motion: the statistical twin.
 
 Same units, same hidden parameters as the full physics (`fiberloom.twin.Twin`), and the same camera
 may look at it. What decides where an arm comes to rest is kept: the true transmission with its
@@ -40,7 +40,7 @@ class StatisticalTwin:
 
     `stand` is for positioners that always arrive in the same contact: no history, any number of
     moves at once. `move` is for what has one: imprecise moves, slipping, standing still. A unit's
-    numbers depend on the seed and its own moves, not on who else is simulated with it.
+    numbers depend on the seed and its own moves, not on the others that are simulated with it.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class StatisticalTwin:
         start = plane.instrument.positioner.park_deg if start_deg is None else start_deg
         angles = deg_to_rad(np.broadcast_to(np.asarray(start, dtype=np.float64), (n, 2)))
         self._gear_rad = self.gears.gear_of(angles[..., None])[..., 0]
-        # the counter was set where the arms stood at power-up, as the sensors saw it
+        # the counter was set at the place of the arms at power-up, as the sensors saw it
         # then, once and with their noise
         once = (units.plant["hall_noise"] / units.plant["hall_amplitude_a"]) * self._noise.normal(2)
         self._zero_rad = (hall_error_rad(units, self._gear_rad[..., None])[..., 0] + once)[..., None]
@@ -74,7 +74,7 @@ class StatisticalTwin:
         return 0.0
 
     def set_units(self, units: Units, rows: NDArray[np.intp] | None = None) -> None:
-        """These units from now on: wear. The motors stand, so arms move with their gears.
+        """These units from now on: wear. The motors do not move, so arms move with their gears.
 
         `rows`: those whose gears differ from before; all where left out.
         """
@@ -101,7 +101,7 @@ class StatisticalTwin:
         return rad_to_deg(theta).reshape(given.shape)
 
     def move(self, wire_deg: ArrayLike, precise: bool = True) -> Floats:
-        """Everybody goes to (N, 2) wire positions; NaN stays. Returns the output angles, (N, 2) deg."""
+        """All go to (N, 2) wire positions; NaN stays. Returns the output angles, (N, 2) deg."""
         wire = np.asarray(wire_deg, dtype=np.float64)
         goes = np.isfinite(wire) & ~self.still
         land = self._landed(np.nan_to_num(wire)[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""The twin as a bus, in this process: time passes while somebody waits for an answer."""
+"""The twin as a bus, in this process: time passes while a client waits for an answer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TwinTransport:
         while True:
             left_s = end_s - self._twin.time_s
             await asyncio.sleep(0)  # others may have something to send
-            # a whole tick at least: a clock that stands still would never reach the end
+            # a whole tick at least: a clock that does not advance would never reach the end
             replies = self._twin.run(min(max(left_s, TICK_S), self._slice_s))
             if replies or left_s <= self._slice_s:
                 return [Frame(*r) for r in replies]

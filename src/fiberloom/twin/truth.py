@@ -18,7 +18,7 @@ between, where the scatter is smaller: 0.94 to 1, this on average."""
 
 
 def true_values(plane: FocalPlane, units: Units) -> dict[str, Floats]:
-    """(N,) true values by the names of Estimates, in their units."""
+    """(N,) true values by the names of Estimates, in their units (mm, uNm, mNm/deg, mdeg, rad, kg m^2)."""
     out = {
         "centre x": units.arms[:, CENTRE][:, 0],
         "centre y": units.arms[:, CENTRE][:, 1],

@@ -35,7 +35,7 @@ class Reply(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """Two bodies came into contact: positioner numbers, `other` None for what stands fast."""
+    """Two bodies came into contact: positioner numbers, `other` None for a fixed body."""
 
     time_s: float
     positioner_id: int
@@ -43,11 +43,11 @@ class Touch(NamedTuple):
 
 
 class Twin:
-    """Positioners with their firmware on a virtual bus; the clock stands still between calls.
+    """Positioners with their firmware on a virtual bus; the clock does not advance between calls.
 
     `start_deg` (N, 2): output angles at power-up, told to the firmware as after a datum; folded by
     default. Without `neighbours` arms pass through each other (the bench). The same arguments
-    give the same bytes for any number of `threads`, with `skip_resting` (who rests costs nothing)
+    give the same bytes for any number of `threads`, with `skip_resting` (a positioner at rest costs nothing)
     and `side_by_side` (laws of the firmware in vectors) or without.
     """
 
@@ -143,10 +143,11 @@ class Twin:
             self._core.fault(row, axis, str(kind), on)
 
     def slip(self, positioner_id: int, axis: Literal["alpha", "beta"], up: float, down: float) -> None:
-        """From now on the arm makes only a share of its gear's way; 1 and 1 end it.
+        """From now on the arm moves only a share of its gear's way; 1 and 1 end it.
 
-        What degraded motors do, each direction on its own: DESI's go half as far as told. The
-        firmware counts its motor and reports arrival.
+        `positioner_id` and `axis`; `up` and `down`: the shares upwards and downwards. Degraded motors
+        do this, each direction on its own: DESI's move half as far as commanded. The firmware counts
+        its motor and reports arrival.
         """
         row = int(self.plane.index_of(positioner_id))
         self._core.slip(row, AXES.index(axis), up, down)
@@ -154,7 +155,7 @@ class Twin:
     def power_cycle(self, positioner_id: int, bootloader: bool = False) -> None:
         """Power off and on: the firmware starts anew with what it has stored.
 
-        At once, or as units do: after ten seconds in the bootloader, if nobody upgrades it.
+        At once, or as units do: after ten seconds in the bootloader, if no upgrade comes.
         """
         self._core.power_cycle(int(self.plane.index_of(positioner_id)), bootloader)
 

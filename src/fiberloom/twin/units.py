@@ -40,7 +40,7 @@ def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
 
 
 def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
-    """The same numbers without names: one more axis, contiguous."""
+    """The same numbers without names, in their own units (SI): one more axis, contiguous."""
     flat: NDArray = np.ascontiguousarray(records).view(kind)
     return flat.reshape(*records.shape, -1)
 

@@ -117,12 +117,18 @@ class Wear:
 
 
 def marks_deg(marks: Floats, theta_deg: Floats) -> Floats:
-    """Sum of marks (M, 3: centre, width, height) at angles: raised cosines, as the gear has them."""
+    """Sum of marks (M, 3: centre, width, height, all in deg) at angles: raised cosines, as the gear has
+    them.
+    """
     off = np.abs(theta_deg - marks[:, :1])
     shape = 0.5 * (1.0 + np.cos(2.0 * np.pi * off / marks[:, 1:2]))
     return np.sum(np.where(off < 0.5 * marks[:, 1:2], marks[:, 2:3] * shape, 0.0), axis=0)
 
 
 def worn(units: Units, cycles: ArrayLike, seed: int = 0, model: WearModel | None = None) -> Units:
-    """The same units after so many lifetime cycles. `Twin.set_units` puts them into a running twin."""
+    """The same `units` after so many lifetime `cycles` (one, or (N,)). `Twin.set_units` puts them into a
+    running twin.
+
+    `seed` draws the wear, `model` gives its sizes, defaults when None.
+    """
     return Wear(units, seed, model).at(cycles)

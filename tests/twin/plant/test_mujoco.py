@@ -1,10 +1,11 @@
 """The motor of the twin against MuJoCo's DC motor actuator: other equations' form, other integrator.
 
-A delta-wound motor commutated at 90 degrees is a DC motor (docs/theory.md, Eq. 19): with lambda and R of
-a coil its constant is K = 2 lambda/sqrt(3) and its resistance 8 R/9, for then K/R is the torque per volt
-and K^2/R the drag of its back-EMF. The twin's field stands for a tick of 0.5 ms while the rotor turns;
-MuJoCo's voltage is multiplied by the cosine of that angle. Torques in uNm and voltages in kV^-1 there, so
-that an inertia of 3.4e-9 kg m^2 is not lost in its floors; torque per volt is the same either way.
+A delta-wound motor commutated at 90 degrees is a DC motor (docs/theory/equations.md, Eq. 19): with lambda
+and R of a coil its constant is K = 2 lambda/sqrt(3) and its resistance 8 R/9, for then K/R is the torque
+per volt and K^2/R the drag of its back-EMF. The twin's field stands for a tick of 0.5 ms while the rotor
+turns; MuJoCo's voltage is multiplied by the cosine of that angle. Torques in uNm and voltages in kV^-1
+there, so that an inertia of 3.4e-9 kg m^2 is not lost in its floors; torque per volt is the same either
+way.
 """
 
 import numpy as np

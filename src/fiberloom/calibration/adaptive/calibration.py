@@ -48,7 +48,7 @@ class AdaptiveSettings:
     # "paper"
     command: CommandSigmas = field(default_factory=CommandSigmas)
     printed_covariance: bool = False
-    """Eq. 29 as it stands, instead of the Jacobian of Eq. 1."""
+    """Eq. 29 as printed, instead of the Jacobian of Eq. 1."""
 
     # "improved"
     refine: int = 4
@@ -154,7 +154,7 @@ class AdaptiveCalibration:
         return self._evaluate(self.wire_deg, self.output_deg, wire_deg, index)
 
     def to_wire(self, theta_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
-        """Eq. 34: wire positions (n, 2) or (n, 2, M) that bring the arms to output angles."""
+        """Eq. 34: wire positions in deg, (n, 2) or (n, 2, M), that bring the arms to output angles."""
         return self._evaluate(self.output_deg, self.wire_deg, theta_deg, index)
 
     def _evaluate(self, source: Floats, goal: Floats, values: ArrayLike, index: ArrayLike | None) -> Floats:
@@ -191,8 +191,8 @@ class AdaptiveCalibration:
         """Learns from rest positions and images of n positioners (rows `index`, else all).
 
         `wire_deg` and `xy_mm` are (n, 2) or, of several moves in their order, (n, M, 2); NaN where a
-        fibre was not seen. `sigma_um`, 2-D rms of a measurement: one, (n,) or (n, M). `moves`: how many
-        were made since the last update, (n,); default: as many as were measured.
+        fibre was not seen. `sigma_um`, 2-D rms of a measurement: one, (n,) or (n, M). `moves`: number
+        (count) made since the last update, (n,); default: as many as were measured.
         """
         rows = self._rows(index)
         wire, xy = (_with_moves(v, name, len(rows)) for v, name in ((wire_deg, "wire_deg"), (xy_mm, "xy_mm")))

@@ -17,9 +17,10 @@ to 0.15, that is 0.85 and more here."""
 
 
 def locate(knots: Floats, values: Floats) -> tuple[Ints, Floats]:
-    """Segment and place in it: (n, 2, K) rising knots, (n, 2, M) values -> k and t, (n, 2, M).
+    """Segment and place in it: (n, 2, K) rising knots in deg, (n, 2, M) values in deg -> k and t, (n,
+    2, M).
 
-    t is outside [0, 1] beyond the ends, where a map goes straight on.
+    t is a share of the segment; outside [0, 1] beyond the ends, where a map is extended straight.
     """
     n, axes, count = knots.shape
     low, high = knots[..., 0].min(), knots[..., -1].max()
@@ -34,17 +35,19 @@ def locate(knots: Floats, values: Floats) -> tuple[Ints, Floats]:
 
 
 def pick(values: Floats, k: Ints) -> Floats:
-    """Values (n, 2, K) at indices (n, 2, M)."""
+    """Values (n, 2, K), usually in deg, at indices (n, 2, M)."""
     return np.take_along_axis(values, k, axis=-1)
 
 
 def between(values: Floats, k: Ints, t: Floats) -> Floats:
-    """Linear interpolation of (n, 2, K) at what `locate` found."""
+    """Linear interpolation of `values` (n, 2, K) in deg at segment `k` and share `t`, as `locate` found
+    them.
+    """
     return (1.0 - t) * pick(values, k) + t * pick(values, k + 1)
 
 
 def evaluate(source: Floats, goal: Floats, values: Floats) -> Floats:
-    """The polylines from `source` knots to `goal` knots, (n, 2, K), at (n, 2, M) values."""
+    """The polylines from `source` knots to `goal` knots, (n, 2, K), at `values` (n, 2, M); all in deg."""
     return between(goal, *locate(source, values))
 
 
@@ -56,7 +59,9 @@ def refine(knots: Floats, factor: int) -> Floats:
 
 
 def rising(output_deg: Floats, wire_deg: Floats) -> Floats:
-    """The nearest map (least squares) that rises by LEAST_SLOPE everywhere; mostly the map itself."""
+    """The nearest map in output deg (least squares) that rises by LEAST_SLOPE everywhere; mostly the
+    map itself.
+    """
     rest = output_deg - LEAST_SLOPE * wire_deg
     bad = np.argwhere((np.diff(rest, axis=-1) <= 0.0).any(axis=-1))
     if len(bad) == 0:

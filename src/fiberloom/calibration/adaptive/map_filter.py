@@ -54,7 +54,11 @@ class FilterState:
             getattr(self, f.name)[index] = getattr(other, f.name)
 
     def spread(self, moves: Floats, wear: Floats, ripple_wear: float, arms_wear: float) -> None:
-        """Forgetting: variances grow with the moves (N,) done since; `wear` is per axis."""
+        """Forgetting: variances grow with the `moves` (N,) done since.
+
+        Per move: `wear` of the nodes in deg^2, `ripple_wear` of the fine knots in deg^2, `arms_wear` of
+        the arms in mm^2.
+        """
         n, d = self.mean.shape
         growth = np.concatenate([np.full(N_ARMS, arms_wear), wear])
         diagonal = self.covariance.reshape(n, d * d)[:, :: d + 1]
@@ -109,7 +113,7 @@ class Block:
 
 
 def design(block: Block, size: int) -> Floats:
-    """(n, M, 2, D): d(x, y)/d(state) without the ripple."""
+    """(n, M, 2, D): d(x, y)/d(state) without the ripple; mm/deg for angles, mm/mm for the arms."""
     n, m = block.counts.shape
     h = np.zeros((n, m, size, 2))
     h[:, :, :N_ARMS] = block.arms.swapaxes(2, 3)
@@ -160,7 +164,7 @@ class Weighing:
         return cls(with_state, gain.reshape(n, 2, 2, m, 2 * m), spread)
 
     def own(self) -> Floats:
-        """(n, M, 2, 2): each measurement's own covariance."""
+        """(n, M, 2, 2) mm^2: each measurement's own covariance."""
         n, size, _ = self.spread.shape
         blocks = self.spread.reshape(n, size // 2, 2, size // 2, 2)
         each = np.arange(size // 2)
@@ -168,7 +172,7 @@ class Weighing:
 
 
 def surprise(weighing: Weighing, block: Block) -> Floats:
-    """(n, M) squared innovation in units of its covariance: 2 on average."""
+    """(n, M) squared innovation relative to its covariance, dimensionless: 2 on average."""
     solved = np.linalg.solve(weighing.own(), block.innovation[..., None])[..., 0]
     return np.where(block.counts, (block.innovation * solved).sum(axis=-1), np.nan)
 

@@ -37,7 +37,9 @@ def levers(plane: FocalPlane, index: Ints) -> tuple[Floats, Floats, Floats]:
 
 
 def directions(plane: FocalPlane, angles_deg: Floats, index: Ints) -> tuple[Floats, Floats]:
-    """(n, 2) unit vectors along the alpha arm, and from the beta axis to the metrology fibre."""
+    """(n, 2) dimensionless unit vectors along the alpha arm, and from the beta axis to the metrology
+    fibre.
+    """
     alpha, beta = deg_to_rad(angles_deg).T
     first = alpha + plane.alpha_off_rad[index]
     second = first + beta + plane.beta_off_rad[index] + levers(plane, index)[2]
@@ -55,11 +57,11 @@ def command_covariance(
     index: Ints,
     printed: bool = False,
 ) -> Floats:
-    """(n, 2, 2) mm^2: Sigma_cmd at angles (n, 2).
+    """(n, 2, 2) mm^2: Sigma_cmd at `angles_deg` (n, 2) of the rows `index` of the `plane`.
 
-    Default: G diag(sigma^2) G^T with G the Jacobian of Eq. 1. `printed`: Eq. 29 as it stands,
-    with each angle's sigma times its own arm's length: alpha then moves the fibre across the alpha
-    arm with lever l_alpha, whatever beta is.
+    Default: G diag(`sigmas`^2) G^T with G the Jacobian of Eq. 1. `printed`: Eq. 29 as printed, with
+    each angle's sigma times its own arm's length: alpha then moves the fibre across the alpha arm with
+    lever l_alpha, whatever beta is.
     """
     along_alpha, along_beta = directions(plane, angles_deg, index)
     l_alpha, l_beta, _ = levers(plane, index)
@@ -81,7 +83,11 @@ def _across(unit: Floats) -> Floats:
 def most_probable(
     r_cmd: Floats, sigma_cmd: Floats, r_meas: Floats, sigma_meas: Floats
 ) -> tuple[Floats, Floats]:
-    """Eq. 30 and 31: the place (n, 2) and its covariance (n, 2, 2), from two Gaussians."""
+    """Eq. 30 and 31: the place (n, 2) in mm and its covariance (n, 2, 2) in mm^2, from two Gaussians.
+
+    `r_cmd`, `sigma_cmd`: commanded place in mm and its covariance in mm^2; `r_meas`, `sigma_meas`: the
+    measured one.
+    """
     inverse = np.linalg.inv(sigma_meas + sigma_cmd)
     share = sigma_cmd @ inverse
     r_est = r_cmd + np.einsum("nij,nj->ni", share, r_meas - r_cmd)
@@ -89,7 +95,11 @@ def most_probable(
 
 
 def estimated_angles(plane: FocalPlane, r_est: Floats, near_deg: Floats, index: Ints) -> Floats:
-    """Eq. 32: angles (n, 2) by Eq. 2, on the turn nearest to `near_deg`; NaN where out of reach."""
+    """Eq. 32: angles (n, 2) in deg by Eq. 2, on the turn nearest to `near_deg` (n, 2); NaN where out of
+    reach.
+
+    `r_est` (n, 2) mm: the most probable place, of the rows `index` of the `plane`.
+    """
     found = plane.inverse(r_est, index=index)
     angles = np.column_stack([found.alpha_deg, found.beta_deg])
     angles[:, 0] += 360.0 * np.rint((near_deg[:, 0] - angles[:, 0]) / 360.0)
@@ -97,7 +107,11 @@ def estimated_angles(plane: FocalPlane, r_est: Floats, near_deg: Floats, index: 
 
 
 def shift_nearest(output_deg: Floats, wire_deg: Floats, command_deg: Floats, shift_deg: Floats) -> Floats:
-    """Eq. 33: (n, 2, K) knots, the one nearest to the motor command (n, 2) shifted by (n, 2)."""
+    """Eq. 33: output deg of the knots, the one nearest to the motor command shifted.
+
+    `output_deg`, `wire_deg` (n, 2, K): the knots; `command_deg` (n, 2): wire position of the command;
+    `shift_deg` (n, 2): estimated less commanded angle, NaN for no shift.
+    """
     nearest = np.abs(wire_deg - command_deg[..., None]).argmin(axis=-1)[..., None]
     out = output_deg.copy()
     moved = np.take_along_axis(out, nearest, axis=-1) + np.nan_to_num(shift_deg)[..., None]

@@ -75,7 +75,7 @@ class AcceptanceData:
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement and how a unit stands to it."""
+    """One requirement and a unit's value for it."""
 
     name: str
     value: float | None
@@ -226,7 +226,7 @@ def non_linearity_deg(data: AcceptanceData, row: int, axis: int) -> float:
 
 
 def non_linearity_slope(data: AcceptanceData, row: int, axis: int) -> float:
-    """Largest change of that deviation per angle, over steps of SLOPE_STEP_DEG."""
+    """Largest change of that deviation per angle (dimensionless), over steps of SLOPE_STEP_DEG."""
     slopes = []
     for side in range(2):
         output = data.maps.output_deg[row, axis, side]
@@ -266,7 +266,12 @@ async def measure_acceptance(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> AcceptanceData:
-    """The whole procedure, all units at once."""
+    """The whole procedure, all N units of the `plane` at once.
+
+    `client` and `camera` of the bench; `close_up`: a camera close to the units with an error of
+    `close_up_rms_um`; `settings`: how much is measured; `seed` of the random targets; `progress` is
+    called with (steps done, steps in all).
+    """
     settings = settings or AcceptanceSettings()
     sweep_settings = SweepSettings(settings.n_points)
     sweep = await measure_sweeps(client, camera, plane, sweep_settings, progress)

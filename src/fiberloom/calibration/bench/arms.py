@@ -66,7 +66,7 @@ class Arms:
 
 
 def identify_arms(data: ArmsData) -> Arms:
-    """Two circles for each positioner. InputError when nobody's points lie on circles."""
+    """Two circles for each positioner. InputError when no positioner's points lie on circles."""
     circles = [fit_circles(xy, np.isfinite(xy).all(axis=-1)) for xy in data.xy_mm]
     reason = joined(
         data.trouble,
@@ -119,7 +119,11 @@ async def measure_arms(
     settings: ArmsSettings | None = None,
     progress: Progress | None = None,
 ) -> ArmsData:
-    """All positioners at once; each axis rises through its range while the other rests."""
+    """All positioners of the `plane` at once; each axis rises through its range while the other rests.
+
+    `client` and `camera` of the bench; `settings`: how much is measured, defaults when None; `progress`
+    is called with (steps done, steps in all).
+    """
     settings = settings or ArmsSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.n_points)

@@ -1,7 +1,7 @@
-"""A bench: positioners that cannot touch each other, a camera, somebody who hangs weights on arms.
+"""A bench: positioners that cannot touch each other, a camera, and weights that are hung on arms.
 
 `Operator` is what every measurement shares: moves that wait for their end, looks, traces, and the book
-of who dropped out and why.
+of which dropped out and why.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Bench(Protocol):
 
 
 class Operator:
-    """Moves everyone who still takes part, looks, and keeps book."""
+    """Moves all positioners that still take part, looks, and keeps the record."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Operator:
 
     @property
     def ids(self) -> list[int]:
-        """Who still takes part."""
+        """Positioners that still take part."""
         return [p for p, row in self._row.items() if not self.trouble[row]]
 
     @property
@@ -91,8 +91,8 @@ class Operator:
         await self.speed(rpm, rpm)
 
     async def margin(self, motor_deg: int) -> None:
-        """Widens what counts as a collision: 0 as in operation. Nobody is in the way on a bench, and
-        loads that are put on for measurement must not be taken for somebody."""
+        """Widens what counts as a collision: 0 as in operation. On a bench nothing is in the way, and
+        loads that are put on for measurement must not count as a collision."""
         self._book(await self.client.command(Command.SET_INCREASE_COLLISION_MARGIN, self.ids, motor_deg))
 
     async def speed(self, alpha_rpm: float, beta_rpm: float) -> None:
@@ -134,7 +134,9 @@ class Operator:
         await self.goto(alpha_deg, beta_deg)
 
     async def push(self, axis: int, voltages: tuple[float, float], times_s: tuple[float, float]) -> None:
-        """A torque step of one axis, to its end."""
+        """A torque step of one axis, to its end: two `voltages` as shares of the full one, for
+        `times_s` each.
+        """
         begun = await push(self.client, self.ids, axis, voltages, times_s)
         self._book(begun)
         await self._wait(begun.ok_ids, sum(times_s))

@@ -45,11 +45,15 @@ class Estimate:
 
     @property
     def ok(self) -> Flags:
-        """Who has an estimate."""
+        """(N,) which positioners have an estimate."""
         return np.array([not r for r in self.reason], dtype=bool)
 
     def interval(self, level: float = 0.95) -> tuple[Floats, Floats]:
-        """Confidence interval of each positioner (Student's t; Welch's rule with a systematic part)."""
+        """Confidence interval (N,), (N,) of each positioner in the unit of the value; `level` is a
+        probability.
+
+        Student's t; Welch's rule with a systematic part.
+        """
         whole2 = self.standard_error**2
         scatter2 = np.maximum(whole2 - np.square(self.systematic), 1e-6 * whole2)
         share2 = np.divide(whole2, scatter2, out=np.ones_like(whole2), where=scatter2 > 0.0)
@@ -58,7 +62,9 @@ class Estimate:
         return self.value - half, self.value + half
 
     def of(self, row: int) -> tuple[float, float]:
-        """Value and standard error of one positioner; InputError with the reason where there is none."""
+        """Value and standard error of one positioner, in the unit that `unit` names (mm, deg, ...);
+        InputError with the reason where there is none.
+        """
         if self.reason[row]:
             raise InputError(f"{self.name}: {self.reason[row]}")
         return float(self.value[row]), float(self.standard_error[row])
@@ -109,7 +115,11 @@ def estimate(
 ) -> Estimate:
     """An Estimate from the scatter's standard error, NaN where refused.
 
-    InputError when nobody's data supports it: then there is nothing to go on with.
+    `name` and `unit` of the quantity (mm, deg, ...); `value`, `standard_error` (N,) in that unit;
+    `residuals` (N, M) in `residual_unit`; `reason` per positioner, empty where it has an estimate;
+    `systematic` part of the error in the same unit; `freedom`: degrees of freedom of the scatter; `n`
+    (N,): measurements used, the finite residuals when None. InputError when no positioner has data that
+    support it.
     """
     reason = tuple(reason)
     refuse_if_all(name, reason)
@@ -154,11 +164,13 @@ class Fit:
 
 
 def least_squares(design: Floats, right: Floats, *, used: Flags | None = None, lag: int = 0) -> Fit:
-    """Fits right (N, M) = design (N, M, P) @ value; rows of NaN do not count.
+    """Fits `right` (N, M) = `design` (N, M, P) @ value; rows of NaN do not count, nor those not `used`
+    (N, M).
 
-    Neighbouring residuals may go together, up to `lag` places apart: then the covariance is Newey and
-    West's (Bartlett weights), with 1/(1 - P/M) for the unknowns. Singular where the columns, each
-    scaled to unit length, are dependent to 1e-7.
+    The values have the unit of `right` over that of `design`. Neighbouring residuals may go together,
+    up to `lag` places apart: then the covariance is Newey and West's (Bartlett weights), with 1/(1 -
+    P/M) for the unknowns. Singular where the columns, each scaled to unit length, are dependent to
+    1e-7.
     """
     good = np.isfinite(right) & np.isfinite(design).all(axis=-1)
     good = good if used is None else good & used
@@ -197,6 +209,6 @@ def _long_run(score: Floats, lag: int) -> Floats:
 
 
 def standard_errors(fit: Fit) -> Floats:
-    """(N, P)"""
+    """(N, P) standard deviations of the fitted values, in their units."""
     variances = np.einsum("nii->ni", fit.covariance)
     return np.sqrt(np.maximum(variances, 0.0))

@@ -103,7 +103,7 @@ class Friction:
 def identify_friction(data: FrictionData, scale: TorqueScale) -> Friction:
     """Least squares over all windows; see the module. Vectorised over positioners.
 
-    InputError when nobody's data support it; a positioner whose own do not gets a reason.
+    InputError when no positioner's data support it; a positioner whose own do not gets a reason.
     """
     windows = together(list(data.segments))
     design = _design(windows, data.gear)
@@ -193,7 +193,11 @@ class BreakAway:
 
 
 def break_away(data: FrictionData, friction: Friction, scale: TorqueScale, row: int) -> list[BreakAway]:
-    """The curves of Fig. 11, one for each output angle, with Eq. 11 applied to each by itself."""
+    """The curves of Fig. 11 in uNm, one for each output angle, with Eq. 11 applied to each by itself.
+
+    `data`: the measurement of one axis; `friction`: what was identified from it; `scale`: torque at
+    full voltage; `row`: the positioner.
+    """
     full = float(np.broadcast_to(scale.full_uNm, len(data.trouble))[row])
     drag = friction.drag.of(row)[0]
     at: dict[float, dict[bool, tuple[Floats, Floats]]] = {}
@@ -229,7 +233,11 @@ async def measure_friction(
     settings: FrictionSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[FrictionData, FrictionData]:
-    """Both axes at the same time, all positioners at once; the camera is not needed."""
+    """Both axes at the same time, all positioners of the `plane` at once.
+
+    `client` of the bench; the `camera` is not needed; `settings`: how much is measured, defaults when
+    None; `progress` is called with (steps done, steps in all).
+    """
     settings = settings or FrictionSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.n_angles + 2 * len(settings.run_rpm))

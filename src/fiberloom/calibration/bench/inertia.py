@@ -89,7 +89,7 @@ class Inertia:
 def identify_inertia(data: InertiaData, scale: TorqueScale) -> Inertia:
     """Least squares of the twice integrated balance of momentum; vectorised over positioners.
 
-    InputError when nobody's data support it.
+    InputError when no positioner's data support it.
     """
     use = _pushing(data)
     design, right = _balance(data, use)
@@ -226,7 +226,11 @@ async def measure_inertia(
     settings: InertiaSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[InertiaData, InertiaData]:
-    """One axis after the other, all positioners at once, in the middle of the range."""
+    """One axis after the other, all positioners of the `plane` at once, in the middle of the range.
+
+    `client` of the bench; the `camera` is not needed; `settings`: how much is measured, defaults when
+    None; `progress` is called with (steps done, steps in all).
+    """
     settings = settings or InertiaSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.pushes)

@@ -72,7 +72,7 @@ class Repeatability:
 def identify_repeatability(
     data: RepeatabilityData, camera_rms_um: float, camera_relative_error: float = 0.02
 ) -> Repeatability:
-    """Scatter about the targets. InputError when nobody's data support it.
+    """Scatter about the targets. InputError when no positioner's data support it.
 
     camera_rms_um: two-dimensional rms of one measurement of a fibre at rest, known to its relative
     error. Standard errors are those of variances of normal scatter. Where the scatter is the camera's
@@ -154,7 +154,12 @@ async def measure_repeatability(
     settings: RepeatabilitySettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[RepeatabilityData, RepeatabilityData]:
-    """Alpha, then beta; all positioners at once. The other axis goes along without moving."""
+    """Alpha, then beta; all positioners of the `plane` at once. The other axis goes along without
+    moving.
+
+    `client` and `camera` of the bench; `settings`: how much is measured, defaults when None; `progress`
+    is called with (steps done, steps in all).
+    """
     settings = settings or RepeatabilitySettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(2 * settings.targets * settings.visits)

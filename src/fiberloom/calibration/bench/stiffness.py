@@ -1,6 +1,6 @@
 """Stiffness of the gear, from two known torques on the arm. Kronig 2020, Section 2.5, Eq. 5a, Fig. 13.
 
-The motor stands still, the arm is pulled to one side and to the other, and the camera sees by how much it
+The motor is at rest, the arm is pulled to one side and to the other, and the camera sees by how much it
 turns: k = T / dtheta. Only the part of the shift across the lever is the axis' own.
 """
 
@@ -41,7 +41,7 @@ class StiffnessSettings:
 
 @dataclass(frozen=True, eq=False)
 class StiffnessData:
-    """One axis of N positioners: where the fibre stood under -T and +T, R times."""
+    """One axis of N positioners: places of the fibre under -T and +T, R times."""
 
     axis: int
     xy_mm: Floats
@@ -57,7 +57,7 @@ class StiffnessData:
 
 
 def identify_stiffness(data: StiffnessData) -> Estimate:
-    """k in mNm/deg for N positioners. InputError when nobody's data support it."""
+    """k in mNm/deg for N positioners. InputError when no positioner's data support it."""
     turned = turned_deg(data)
     seen = np.isfinite(turned)
     count = seen.sum(axis=1)
@@ -85,7 +85,7 @@ def turned_deg(data: StiffnessData) -> Floats:
 
 
 def _mean(xy_mm: Floats) -> Floats:
-    """(N, 2) where the fibre stood on average; zero if it was never seen."""
+    """(N, 2) mean place of the fibre; zero if it was never seen."""
     seen = np.isfinite(xy_mm).all(axis=-1, keepdims=True)
     total = np.where(seen, xy_mm, 0.0).sum(axis=(1, 2))
     mean: Floats = total / np.maximum(seen.sum(axis=(1, 2)), 1)
@@ -111,7 +111,12 @@ async def measure_stiffness(
     settings: StiffnessSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[StiffnessData, StiffnessData]:
-    """Alpha with the arm stretched (the longest lever), then beta."""
+    """Alpha with the arm stretched (the longest lever), then beta.
+
+    `client` and `camera` of the bench with the positioners of the `plane`; `bench` applies the torques;
+    `settings`: how much is measured, defaults when None; `progress` is called with (steps done, steps
+    in all).
+    """
     settings = settings or StiffnessSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(4 * settings.repeats)

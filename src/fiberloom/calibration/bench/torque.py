@@ -76,7 +76,7 @@ def windows_of(trace: Trace, skip_deg: float, slowest_rpm: float) -> Windows:
 
 
 _HALF_TICK_S = 0.25e-3
-"""The field stands still for a tick while the rotor turns from half behind to half ahead of it: the
+"""The field is constant for a tick while the rotor turns from half behind to half ahead of it: the
 mean torque is sin(x)/x of the full one, x the angle of half a tick."""
 
 

@@ -58,7 +58,7 @@ class TorqueScaleData:
 
 
 def identify_torque_scale(data: TorqueScaleData) -> Estimate:
-    """Torque of the motor at full voltage, uNm. InputError when nobody's data support it."""
+    """Torque of the motor at full voltage, uNm. InputError when no positioner's data support it."""
     windows = together(list(data.segments))
     lengths = [s.voltage.shape[1] for s in data.segments]
     at_motor_uNm = np.repeat(np.array(data.torque_mNm) * 1e3 / data.gear, lengths)
@@ -104,7 +104,12 @@ async def measure_torque_scale(
     settings: TorqueScaleSettings | None = None,
     progress: Progress | None = None,
 ) -> tuple[TorqueScaleData, TorqueScaleData]:
-    """One axis after the other, in the upper half of the range, where the spring is weak."""
+    """One axis after the other, in the upper half of the range, where the spring is weak.
+
+    `client` of the bench with the positioners of the `plane`; the `camera` is not needed; `bench`
+    applies the torques; `settings`: how much is measured, defaults when None; `progress` is called with
+    (steps done, steps in all).
+    """
     settings = settings or TorqueScaleSettings()
     operator = Operator(client, camera, plane, progress)
     operator.expect(4)

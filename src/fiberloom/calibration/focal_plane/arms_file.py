@@ -51,7 +51,7 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
 
 
 def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
-    """The plane with the arms of a file; whoever is not in it or was refused keeps the layout's."""
+    """The plane with the arms of a file; a positioner that is not in it or was refused keeps the layout's."""
     rows, fit = _of_plane(path, plane)
     part = fit.plane(plane.select(rows))
     arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
@@ -62,7 +62,7 @@ def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
 
 
 def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> NDArray:
-    """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for whoever is not in the file."""
+    """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for one that is not in the file."""
     rows, fit = _of_plane(path, plane)
     covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
     covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]

@@ -19,7 +19,11 @@ STEPS = (6, 10, 20, 40, 80, 160, 320)
 def convergence(
     guess: FocalPlane, data: SurveyData, settings: FitSettings, truth: Floats | None = None
 ) -> list[dict[str, Any]]:
-    """Errors and standard errors (rms over positioners) by number of configurations (Fig. 20)."""
+    """Errors and standard errors in um (rms over positioners) by number of configurations (Fig. 20).
+
+    `guess`: the layout from which the fits start; `data`: angles and places of the survey; `settings`
+    of the fit; `truth` (N, 6) in mm and rad, a twin only: without it no errors.
+    """
     total = data.theta_deg.shape[1]
     numbers = [s for s in STEPS if s < total] + [total]
     return [_converged(guess, data, settings, truth, s) for s in numbers]

@@ -23,8 +23,8 @@ _FIRST_GUESS = np.array([0.1, 0.1, 0.1, 0.1, 0.01, 0.01])
 _NEAR_DEG = 2.0
 """Near enough to the ends of beta to be stretched and folded."""
 LEAST_BEND_DEG = 60.0
-"""A stretched arm tells the lengths best, but where many are stretched at once nobody gets past: to
-plan the way of 500 from one such configuration to the next took minutes, and seconds without."""
+"""A stretched arm determines the lengths best, but where many are stretched at once there is hardly any
+path left: planning 500 from one such configuration to the next took minutes, and seconds without."""
 _ARM_MM = 10.0
 """Turns errors of the zeros into lengths."""
 
@@ -70,9 +70,10 @@ def candidates(
     bends: int = 9,
     least_bend_deg: float = LEAST_BEND_DEG,
 ) -> Floats:
-    """(N, C, 2) angles over the range of targets with beta at least bent so much, both ends among them.
+    """(N, C, 2) deg: angles over the range of targets of the `plane`, both ends among them.
 
-    All are shifted at random, so that no two fields ask the map at the same angles.
+    `turns` values of alpha times `bends` of beta, which is at least `least_bend_deg`. All are shifted
+    at random (`rng`), so that no two fields use the map at the same angles.
     """
     (low_a, high_a), (low_b, high_b) = plane.limits_deg
     low_b = min(max(low_b, least_bend_deg), high_b - _NEAR_DEG)

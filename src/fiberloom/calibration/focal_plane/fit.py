@@ -43,7 +43,7 @@ _LEAST_SIGMA_DEG = 2e-4
 _RANK_TOLERANCE = 1e-5
 _MOST_OUTLIERS = 0.3
 _POOL = 400
-"""Measurements from which the angles' errors can be told; with fewer the given ones stand."""
+"""Measurements from which the angles' errors can be told; with fewer the given ones are kept."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _moved(xy: Floats, rows: Flags, by: Floats) -> Floats:
 
 
 def layout_parameters(plane: FocalPlane, harmonics: int = 0) -> Floats:
-    """(N, P) as the layout has them."""
+    """(N, P) as the layout has them, in mm and rad."""
     p = np.zeros((plane.n, N_GEOMETRY + 4 * harmonics))
     p[:, _CX : _CY + 1] = plane.centres_mm
     p[:, _LA], p[:, _LB] = plane.l_alpha_mm, plane.l_beta_mm
@@ -127,7 +127,11 @@ def layout_parameters(plane: FocalPlane, harmonics: int = 0) -> Floats:
 
 
 def model(p: Floats, theta_deg: Floats, phi: Floats, slopes: bool = True) -> tuple[Floats, Floats]:
-    """Fibres (N, S, 2) in mm and their derivatives (N, S, 2, P), at angles (N, S, 2)."""
+    """Fibres (N, S, 2) in mm and, with `slopes`, their derivatives (N, S, 2, P).
+
+    `p` (N, P): parameters in mm and rad; `theta_deg` (N, S, 2): angles; `phi` (N,): direction of the
+    metrology fibre in the frame of its arm, rad.
+    """
     harmonics = (p.shape[1] - N_GEOMETRY) // 4
     waves = _waves(theta_deg, harmonics)
     alpha, beta = np.moveaxis(deg_to_rad(theta_deg), -1, 0)
@@ -167,10 +171,12 @@ def measurement_covariance(slopes: Floats, camera_um: float, angles_deg: tuple[f
 def fit_focal_plane(
     plane: FocalPlane, theta_deg: Floats, xy_mm: Floats, settings: FitSettings | None = None
 ) -> FocalPlaneFit:
-    """Eq. 26 from angles (N, S, 2), by the maps, and positions (N, S, 2); NaN where not seen.
+    """Eq. 26: centres, arms and zeros of all positioners from configurations S.
 
-    The layout is the first guess (within some 0.2 mm and 1 deg) and says how the metrology fibre sits on
-    its arm. Positioners that were hardly seen, or whose spots fit no arms, keep the layout's values.
+    `theta_deg` (N, S, 2): angles by the maps; `xy_mm` (N, S, 2): measured places, NaN where not seen;
+    `settings`: camera noise and what is fitted. The layout `plane` is the first guess (within some 0.2
+    mm and 1 deg) and defines the place of the metrology fibre on its arm. Positioners that were hardly
+    seen, or whose spots fit no arms, keep the layout's values.
     """
     settings = settings or FitSettings()
     fit = _Fit(plane, theta_deg, xy_mm, settings)
@@ -226,7 +232,7 @@ class _Fit:
         self.used = self.seen & (square < _OUTLIER)
 
     def find_angle_errors(self) -> None:
-        """Moments of the residuals, pooled over everybody, against camera and both levers.
+        """Moments of the residuals, pooled over all positioners, against camera and both levers.
 
         E[r r^T] = camera + sigma_alpha^2 a a^T + sigma_beta^2 b b^T, by weighted least squares.
         """

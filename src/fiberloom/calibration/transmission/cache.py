@@ -20,7 +20,9 @@ def default_directory() -> Path:
 
 
 def cache_path(config_hash: str, seed: int, settings: Any, directory: str | Path | None = None) -> Path:
-    """The file for this layout, seed and (dataclass of) settings, there or not yet."""
+    """The file for this layout (`config_hash`), `seed` and (dataclass of) `settings` in `directory`,
+    there or not yet.
+    """
     inputs = {
         "layout": config_hash,
         "seed": seed,

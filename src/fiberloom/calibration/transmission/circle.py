@@ -8,7 +8,7 @@ import numpy as np
 
 from fiberloom.typing import Flags, Floats
 
-# A point this many (robust) standard deviations off its circle is somebody else's spot, or a move
+# A point this many (robust) standard deviations off its circle is the spot of another, or a move
 # that went wrong; never cut what lies within the floor, where a perfect camera would have it.
 _OUTLIER_SIGMAS = 6.0
 _OUTLIER_FLOOR_MM = 1e-4

@@ -30,7 +30,7 @@ _STEPS = 3
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """How good the maps of N positioners are, and who has none."""
+    """How good the maps of N positioners are, and which have none."""
 
     positioner_id: NDArray[np.int64]
     reason: list[str]
@@ -59,7 +59,12 @@ class CalibrationReport:
 def evaluate(
     plane: FocalPlane, data: SweepData, seen_at_least: float, provenance: Provenance
 ) -> tuple[TransmissionMaps, CalibrationReport]:
-    """Maps and report of a sweep. Whoever cannot be evaluated keeps the identity, with a reason."""
+    """Maps and report of a sweep.
+
+    `plane`: the layout; `data`: wire positions and places of the sweep; `seen_at_least`: share of the
+    points of a pass that must be usable; `provenance` goes into the maps. A positioner that cannot be
+    evaluated keeps the identity, with a reason.
+    """
     circles = [_circle(data, axis) for axis in range(2)]
     reason = _first(data.trouble, _not_seen(circles, seen_at_least), _not_moved(data))
     rest = _rest_deg(plane, circles)

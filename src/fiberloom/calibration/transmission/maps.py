@@ -100,7 +100,7 @@ class TransmissionMaps:
         return self._map(self.wire_deg, self.output_deg, wire_deg, index, direction)
 
     def path_to_wire(self, row: int, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
-        """A path (M, 2) of one positioner, by row: as to_wire, in one go."""
+        """A path (M, 2) of one positioner, by row: wire positions in deg, as to_wire, in one call."""
         theta = np.asarray(theta_deg, dtype=np.float64).T
         return self.to_wire(theta[None], index=[row], direction=direction)[0].T
 
@@ -186,7 +186,10 @@ class TransmissionMaps:
 
 
 def polyline(x_knots: Floats, y_knots: Floats, x: ArrayLike) -> Floats:
-    """Piecewise linear through rising knots, straight on beyond both ends; exact at the knots."""
+    """Piecewise linear through rising knots, extended straight beyond both ends; exact at the knots.
+
+    Knots (K,) and values of any unit, usually deg.
+    """
     x = np.asarray(x, dtype=np.float64)
     k = np.clip(np.searchsorted(x_knots, x, side="right") - 1, 0, len(x_knots) - 2)
     t = (x - x_knots[k]) / (x_knots[k + 1] - x_knots[k])

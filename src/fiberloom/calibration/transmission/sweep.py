@@ -1,8 +1,8 @@
 """Calibration of the transmission with bus and camera alone. Kronig 2020, Eq. 6 and 7.
 
 Each axis in turn is driven through `n_points` wire positions, first upward, then downward, and the
-camera looks after every step; the other axis stands still. All positioners do it at once, so they
-must stand where they cannot touch each other: on a bench, or with the neighbours away.
+camera looks after every step; the other axis does not move. All positioners do it at once, so they
+must be where they cannot touch each other: on a bench, or with the neighbours away.
 
 A pass begins with a run-up larger than the largest backlash, and precise moves are off, so that
 each point of a pass has the same contact. An equal spacing of 360 / 200 deg samples the 36 tooth
@@ -46,9 +46,9 @@ class SweepSettings:
     run_up_deg: float = 0.82
     """Larger than the largest backlash: 840 motor deg of the paper."""
     beta_lever_deg: float = 75.0
-    """Where beta stands while alpha turns: a long lever, away from the singularity."""
+    """Angle of beta while alpha turns: a long lever, away from the singularity."""
     alpha_rest_deg: float = 180.0
-    """Where alpha stands while beta turns."""
+    """Angle of alpha while beta turns."""
     settle_s: float = 0.0
     """Between the end of a move and the image."""
     seen_at_least: float = 0.8
@@ -80,10 +80,12 @@ async def calibrate_transmission(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Sweeps both axes of all positioners and builds their maps.
+    """Sweeps both axes of all positioners of the `plane` and builds their maps.
 
-    A positioner that does not take part as it should gets the identity as its map and a reason in
-    the report; the others go on.
+    `client` and `camera` of the bench; `n_points` per axis and direction, in place of that of
+    `settings`; `seed` goes into the provenance; `progress` is called with (points done, points in all).
+    A positioner that does not take part as it should gets the identity as its map and a reason in the
+    report; the others are calibrated. InputError for fewer than 8 points.
     """
     settings = replace(settings or SweepSettings(), n_points=n_points)
     data = await measure_sweeps(client, camera, plane, settings, progress)
@@ -101,7 +103,11 @@ async def measure_sweeps(
     settings: SweepSettings,
     progress: Progress | None = None,
 ) -> SweepData:
-    """The moves and the images."""
+    """The moves and the images of a sweep.
+
+    `client` and `camera` of the bench with the positioners of the `plane`; `settings`: points and
+    speeds; `progress` is called with (points done, points in all).
+    """
     bench = _Bench(client, camera, plane, settings, progress)
     await bench.prepare()
     wire = wire_grid(plane, settings)
@@ -112,7 +118,7 @@ async def measure_sweeps(
 
 
 def wire_grid(plane: FocalPlane, settings: SweepSettings) -> Floats:
-    """(2 axes, K) wire positions of a sweep."""
+    """(2 axes, K) wire positions of a sweep, deg."""
     return np.stack([_grid(plane, axis, settings) for axis in range(2)])
 
 
@@ -128,7 +134,7 @@ def _grid(plane: FocalPlane, axis: int, settings: SweepSettings) -> Floats:
 
 
 class _Bench:
-    """Moves everyone, looks, and keeps book of who dropped out."""
+    """Moves all positioners, looks, and records which dropped out."""
 
     def __init__(
         self,
@@ -147,7 +153,7 @@ class _Bench:
 
     @property
     def ids(self) -> list[int]:
-        """Who still takes part."""
+        """Positioners that still take part."""
         return [p for p, row in self._row.items() if not self.trouble[row]]
 
     def _book(self, results: Results) -> None:

@@ -75,7 +75,11 @@ def make_bench(
     change: Callable[[Units], None] | None = None,
     start_deg: ArrayLike | None = None,
 ) -> Bench:
-    """A bench with `n` units of this seed; `change` may alter them before power-up."""
+    """A bench with `n` units of this `seed`; `change` may alter them before power-up.
+
+    `noise_um`: of the camera, rms; the instrument's when None; `start_deg` (N, 2): where the arms are
+    at power-up.
+    """
     plane = paper_plane(seed, n)
     units = draw_units(plane, seed)
     if change:

@@ -10,7 +10,9 @@ _WORDS = {Bound.EQUAL: "", Bound.AT_MOST: "≤ ", Bound.AT_LEAST: "≥ "}
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Three digits that matter, no exponent where it can be helped; a dash for none."""
+    """A value of any unit as text (relative precision of three digits), no exponent where possible; a
+    dash for none.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0 or (value == int(value) and abs(value) < 1e5):

@@ -39,7 +39,11 @@ class Part(BaseModel):
 def keep(
     figure: Figure, outcome: Outcome, settings: Settings, out: Path, *, seconds: float, cpu_s: float
 ) -> Part:
-    """Writes the part and its pictures."""
+    """Writes the part of one `figure` and its pictures to `out`.
+
+    `outcome`: numbers and pictures; `settings` of the run; `seconds`: wall time in s, and `cpu_s` that
+    it took.
+    """
     for folder in ("figures", "parts"):
         (out / folder).mkdir(exist_ok=True)
     drawings = []

@@ -57,7 +57,7 @@ class Quantity(BaseModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ratio(self) -> float | None:
-        """Ours over the paper's; None where the paper has no value, or zero."""
+        """Ratio of ours to the paper's; None where the paper has no value, or zero."""
         return self.ours / self.paper if self.paper and self.ours is not None else None
 
     @property
@@ -86,7 +86,12 @@ def quantity(
     note: str = "",
     beyond: bool = False,
 ) -> Quantity:
-    """A quantity from one value, or from one value per seed; what is not finite is not measured."""
+    """A quantity from one value, or from one value per seed; what is not finite is not measured.
+
+    `key` and `name`: short and in words; `values` and `paper` in `unit` (um, deg, ...); `kind`: put in,
+    tuned or predicted; `bound`: how the paper's value is meant; `note`: a sentence; `beyond`: not in
+    the paper.
+    """
     found = np.atleast_1d(np.asarray(values, dtype=float))
     sound = bool(np.isfinite(found).all())
     first = key.partition(".")[0]

@@ -25,7 +25,9 @@ def reproduce(
     settings: Settings,
     done: Callable[[Part], None] = lambda part: None,
 ) -> list[Part]:
-    """Runs the figures, writes `out`, and calls `done` after each. Returns these figures' parts."""
+    """Runs the `figures` with `settings`, writes `out`, and calls `done` after each. Returns these
+    figures' parts.
+    """
     prepare_folder(out)
     parts = []
     for figure in figures:

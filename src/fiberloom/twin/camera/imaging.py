@@ -62,12 +62,12 @@ class Psf:
 
     @property
     def parameter(self) -> float:
-        """What the painter needs besides the ellipse."""
+        """What the painter needs besides the ellipse, dimensionless."""
         return {"gaussian": 0.0, "moffat": self.beta, "disc": self.edge}[self.kind]
 
     @property
     def end_q(self) -> float:
-        """Elliptical radius squared where the spot ends."""
+        """Elliptical radius squared at which the spot ends, relative to its core."""
         if self.kind == "disc":
             return (1 + 5 * self.edge) ** 2
         return -2 * np.log(_END) if self.kind == "gaussian" else _END ** (-1 / self.beta) - 1
@@ -122,7 +122,7 @@ class Light:
     gradient_e: float = 0.0
     """Background at the right edge less that at the left."""
     strays: int = 0
-    """Spots of nobody, at places that stay."""
+    """Spots without a fibre, at fixed places."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class CameraModel:
 
 
 class Scene(Protocol):
-    """What stands before the camera."""
+    """What the camera sees."""
 
     @property
     def time_s(self) -> float:
@@ -193,7 +193,7 @@ class Scene(Protocol):
 
 @dataclass
 class StillScene:
-    """Fibres that stand where they stand."""
+    """Fibres at fixed places."""
 
     xy_mm: Floats
     time_s: float = 0.0

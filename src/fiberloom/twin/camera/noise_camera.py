@@ -23,7 +23,7 @@ class NoiseCamera:
         self._rng = np.random.default_rng([seed, 0xCA3E])
 
     def measure(self, expected_mm: NDArray[np.float64] | None = None) -> Measurement:
-        """Takes an image now; whose spot is whose it knows without being told."""
+        """Takes an image now; it knows without a match which spot belongs to which positioner."""
         true_mm = self._twin.fibre_xy(METROLOGY)
         noisy_mm = true_mm + self._rng.normal(0.0, self._sigma_mm, true_mm.shape)
         seen = ~(self._twin.dark | np.isnan(true_mm[:, 0]))

@@ -2,7 +2,7 @@
 
 Each unit has at most one ailment. It begins at a move drawn from an exponential distribution and acts
 through the same hidden parameters in both fidelities: `Units` (gear, friction, sensors), couplings
-that slip, axes that stand still, fibres that go dark. Rates and sizes are assumed but for slipping,
+that slip, axes that do not move, fibres that go dark. Rates and sizes are assumed but for slipping,
 whose spans are those of DESI's degraded motors (desihub/fpoffline: 458 units with slopes of
 0.2 to 1.0 and up to 0.8 of their moves without motion; 317 linear motors with scales of 0.44 to 1.0
 that differ between the directions by up to 0.28).
@@ -103,15 +103,15 @@ class Ailments:
         return len(self.table)
 
     def begun(self, move: int) -> Flags:
-        """(N,) who ails at this move."""
+        """(N,) which have their ailment at this move."""
         return self.table["onset"] <= move
 
     def label(self, move: int) -> NDArray[np.str_]:
-        """(N,) what ails whom; HEALTHY where nothing does."""
+        """(N,) ailment of each; HEALTHY without one."""
         return np.where(self.begun(move), self.table["kind"], HEALTHY)
 
     def onsets(self) -> NDArray[np.int64]:
-        """Moves at which somebody falls ill, in order."""
+        """Moves at which an ailment begins, in order."""
         return np.unique(self.table["onset"][self.table["onset"] != NEVER])
 
     def _rows(self, kind: AilmentKind, move: int) -> NDArray[np.intp]:
@@ -155,7 +155,7 @@ class Ailments:
         return out | (excess_torque_Nm(units) > STALL_PER_INERTIA * inertia)
 
     def loose_mm_at(self, move: int) -> Floats:
-        """(N,) standard deviation of the beta arm's length from move to move."""
+        """(N,) standard deviation in mm of the beta arm's length from move to move."""
         out, rows = np.zeros(len(self)), self._rows(AilmentKind.LOOSE_ARM, move)
         since = move - self.table["onset"][rows]
         out[rows] = np.minimum(self.table["loose_mm"][rows] * since, 1e-3 * self.model.loose_limit_um)
@@ -166,7 +166,7 @@ class Ailments:
         return (self.table["kind"] == AilmentKind.DARK) & self.begun(move)
 
     def out_at(self, units: Units, move: int) -> Flags:
-        """(N,) who no longer goes where it is told, or is not seen: nothing to calibrate."""
+        """(N,) which no longer follow their commands, or are not seen: nothing to calibrate."""
         lost = self.stalled_at(units, move) | (self.non_moves_at(move) > 0.0)
         slips = (self.follows_at(move) != 1.0).any(axis=2)
         return np.asarray(np.any(lost | slips, axis=1) | self.dark_at(move))
@@ -207,13 +207,19 @@ def excess_torque_Nm(units: Units, motor_rpm: float = 2000.0) -> Floats:
 
 
 def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) -> Floats:
-    """Metrology fibres (N, 2, M) with beta arms longer by (N, M) than the units': along the arm."""
+    """Metrology fibres (N, 2, M) in mm with longer beta arms: shifted along the arm.
+
+    `xy_mm` and `theta_deg` (N, 2, M): places with the arms of the `units`, and angles; `longer_mm` (N,
+    M): growth of the arm.
+    """
     along = xy_mm - elbows_mm(units.arms, theta_deg[:, 0])
     return xy_mm + along * (longer_mm / np.hypot(along[:, 0], along[:, 1]))[:, None]
 
 
 def chosen_ailments(units: Units, seed: int, faults: str, onset: int) -> Ailments:
-    """Ailments of a "kind=count,..." text for units 0, 1, ... by their number, all from one move on."""
+    """Ailments of a "kind=count,..." text `faults` for `units` 0, 1, ... by their number, all from the
+    move `onset` on; sizes drawn from the `seed`.
+    """
     wanted = [kind for part in faults.split(",") if part.strip() for kind in _fault_kinds(part)]
     ailments = draw_ailments(units, seed, AilmentModel(rate_per_year=0.0))
     for kind in dict.fromkeys(wanted):

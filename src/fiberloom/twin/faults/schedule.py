@@ -3,7 +3,7 @@
     lying=2, stuck_hall=#17@30, powercut=3@20+5, busoff=1@60+10, lost=0.01, late=0.05:1.5
 
 KIND=HOW_MANY, or KIND=#ID for one positioner, from @START for +DURATION seconds of the twin's time; from
-the beginning and for good unless told. Who is hit is drawn by the seed.
+the beginning and without end by default. The seed determines which positioners are hit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.twin.faults.faults import Fault, FaultKind
 
-UNITS = frozenset(FaultKind) - {FaultKind.DARK}  # nobody looks with a camera
+UNITS = frozenset(FaultKind) - {FaultKind.DARK}  # there is no camera
 POWER_CUT, BUS_OFF, LOST, LATE = "powercut", "busoff", "lost", "late"
 KINDS = (*sorted(UNITS), POWER_CUT, BUS_OFF, LOST, LATE)
 
@@ -55,7 +55,11 @@ class Trouble:
 def troubles_of(
     text: str, positioner_ids: list[int], places: list[tuple[int, int]], seed: int
 ) -> list[Trouble]:
-    """Reads `--faults`; positioners and ports are drawn by the seed, each hit once."""
+    """Reads the `text` of `--faults`.
+
+    Positioners (of `positioner_ids`) and ports (of `places`: device, port) are drawn by the `seed`,
+    each hit once. InputError for a text that does not fit.
+    """
     rng = np.random.default_rng([seed, 0xFA17])
     free_ids = [int(i) for i in rng.permutation(positioner_ids)]
     free_places = [places[k] for k in rng.permutation(len(places))]

@@ -2,7 +2,7 @@
 
 The clock runs in a thread (`RealTimeTwin`); everything here is one asyncio loop that nothing blocks:
 bytes come in, frames go to the thread, replies come back through their port's wire. Positioners keep
-moving or holding while nobody is connected.
+moving or holding while no host is connected.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class _Host(asyncio.Protocol):
 
 
 class _Listener:
-    """One device on its address, and who is connected to it."""
+    """One device on its address, and the host connected to it."""
 
     def __init__(self, server: TwinServer, number: int, address: Address) -> None:
         self.server = server
@@ -224,7 +224,7 @@ class _Outgoing:
 class TwinServer:
     """Serves a twin until `close`. `troubles` go wrong in the twin's time.
 
-    `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: everybody begins
+    `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: all positioners begin
     there, as after power-on. `first`: the clock runs before all ordinary programs of the machine.
     """
 

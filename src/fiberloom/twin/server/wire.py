@@ -13,7 +13,7 @@ BITRATE_KBIT = 1000.0
 """What the positioners listen to."""
 
 DEAD_FRAME_S = 0.01
-"""On a wire on which nobody acknowledges, a queued frame is given up after this time."""
+"""On a wire without acknowledgement, a queued frame is given up after this time."""
 
 _FRAME_BITS = 67.0  # of an extended frame without data, with the gap behind it
 _STUFFING = 1.04  # assumed: one stuff bit in 25; at random bits one in 32, at worst one in 4
@@ -30,13 +30,13 @@ class Wire:
     def __init__(self, queue_frames: int = QUEUE_FRAMES) -> None:
         self.queue_frames = queue_frames
         self.cut = False
-        """Nobody at the other end: frames leave the queue one by one and are lost."""
+        """No receiver at the other end: frames leave the queue one by one and are lost."""
         self.overflows = 0
         self._starts_s: deque[float] = deque()  # of frames that wait in the queue
         self._free_s = 0.0
 
     def offer(self, data_bytes: int, now_s: float) -> float | None:
-        """A frame from the host: when it arrives; None when it does not."""
+        """A frame from the host: the time in s at which it arrives; None when it does not."""
         if self.queued(now_s) >= self.queue_frames:
             self.overflows += 1
             return None
@@ -46,7 +46,7 @@ class Wire:
         return None if self.cut else self._free_s
 
     def carry(self, data_bytes: int, now_s: float) -> float | None:
-        """A frame from a positioner: when the gateway has it; None when never."""
+        """A frame from a positioner: the time in s at which the gateway has it; None when never."""
         if self.cut:
             return None
         self._free_s = max(now_s, self._free_s) + frame_s(data_bytes)

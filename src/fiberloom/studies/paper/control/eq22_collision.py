@@ -54,7 +54,10 @@ class Found:
 
 
 def blocked(seed: int, law: str, axis: str, n_units: int = UNITS, phases: int = PHASES) -> Found:
-    """Blocks the rotor in full motion at several moments, each on fresh units of the seed."""
+    """Blocks the rotor in full motion at several moments, each on fresh units of the `seed`.
+
+    `law`: which watches act; `axis`: alpha or beta; `n_units` for each of the `phases` moments.
+    """
     found = [_one(seed, law, axis, n_units, 0.9 + 0.0037 * phase) for phase in range(phases)]
     return Found(
         np.concatenate([f.delay_ms for f in found]),

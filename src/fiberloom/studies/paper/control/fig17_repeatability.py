@@ -52,7 +52,7 @@ class Visits:
 
 
 def visit(bench: Bench, axis: int, visits: int) -> Visits:
-    """Sends one axis to the three targets in turn, `visits` times; the other one stands."""
+    """Sends one axis to the three targets in turn, `visits` times; the other one does not move."""
     return finish(_visit(bench, axis, visits))
 
 

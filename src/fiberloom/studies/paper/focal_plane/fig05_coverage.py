@@ -37,7 +37,7 @@ class Coverage:
 
     @property
     def mean(self) -> float:
-        """Fibres per point."""
+        """Mean count of fibres per point."""
         return float(self.count.mean())
 
 
@@ -58,7 +58,7 @@ def hexagonal(instrument: Instrument) -> FocalPlane:
 
 
 def cover(plane: FocalPlane, rows: NDArray[np.intp], step_mm: float) -> Coverage:
-    """Counts who reaches each point of four pitches of the middle, by Eq. 2 and the axes' ranges."""
+    """Counts the fibres that reach each point of four pitches of the middle, by Eq. 2 and the ranges."""
     half = 2.0 * plane.instrument.layout.pitch_mm
     x, y = (np.arange(-side, side, step_mm) + 0.5 * step_mm for side in (half, half * np.sqrt(0.75)))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -97,7 +97,7 @@ def run(settings: Settings) -> Outcome:
 
 
 def area_ratio(instrument: Instrument) -> float:
-    """Mean number of fibres per point: area of the annulus over the area per positioner."""
+    """Mean number of fibres per point, a ratio: area of the annulus over the area per positioner."""
     l_alpha, l_beta = instrument.positioner.l_alpha_mm, instrument.positioner.points[METROLOGY].x_mm
     annulus = np.pi * ((l_alpha + l_beta) ** 2 - (l_alpha - l_beta) ** 2)
     return float(annulus / (instrument.layout.pitch_mm**2 * np.sqrt(0.75)))

@@ -55,7 +55,10 @@ def target_angles_deg(bench: Bench, n_targets: int) -> Floats:
 
 
 def iterate(bench: Bench, maps: TransmissionMaps, goals_deg: Floats, *, moves: int, filtered: bool) -> Errors:
-    """Visits the goals (targets, N, 2) one after the other, with `moves` moves each."""
+    """Visits the goals `goals_deg` (targets, N, 2) one after the other, with `moves` moves each.
+
+    `bench` with N units and their `maps`; `filtered`: a Kalman filter on the offset, else Eq. 25.
+    """
     return finish(_iterate(bench, maps, goals_deg, moves, filtered))
 
 
@@ -66,7 +69,7 @@ async def _iterate(
     await bench.client.set_precise_moves(bench.ids, on=True)
     shape = (len(goals_deg), moves, len(bench.plane))
     errors = Errors(np.empty(shape), np.empty(shape))
-    everybody = np.ones(len(bench.plane), dtype=bool)
+    active = np.ones(len(bench.plane), dtype=bool)
     for target, goal_deg in enumerate(goals_deg):
         loop = CorrectionLoop(bench.plane, goal_deg, filtered=filtered)
         command_deg = goal_deg
@@ -76,7 +79,7 @@ async def _iterate(
             errors.measured_um[target, move] = _off_um(seen_mm, loop.target_mm)
             errors.true_um[target, move] = _off_um(bench.twin.fibre_xy(), loop.target_mm)
             wire_deg, _ = await bench.client.positions_deg(bench.ids)
-            command_deg = loop.update(maps.to_output(wire_deg), seen_mm, everybody)
+            command_deg = loop.update(maps.to_output(wire_deg), seen_mm, active)
     return errors
 
 
@@ -85,7 +88,11 @@ def _off_um(xy_mm: Floats, target_mm: Floats) -> Floats:
 
 
 def run_seed(seed: int, n_units: int, n_targets: int, visits: int, filtered: bool) -> Errors:
-    """The whole experiment on one set of units, their maps calibrated first."""
+    """The whole experiment on one set of units, their maps calibrated first.
+
+    `seed` draws `n_units` units and `n_targets` targets, each visited `visits` times; `filtered`: a
+    Kalman filter on the offset, else Eq. 25.
+    """
     bench = make_bench(seed, n_units)
     goals_deg = target_angles_deg(bench, n_targets)
     order = np.random.default_rng([seed, 19])

@@ -55,7 +55,10 @@ class Convergence:
 
 
 async def spread_out(bench: Bench, maps: TransmissionMaps, number: int, seed: int) -> tuple[Floats, Floats]:
-    """Angles by the maps and seen positions (N, S, 2) at configurations drawn evenly over both axes."""
+    """Angles in deg by the `maps` and seen positions in mm, both (N, S, 2), on a `bench`.
+
+    S = `number` configurations drawn evenly over both axes from the `seed`.
+    """
     rng = np.random.default_rng([seed, 20])
     mover = Mover(bench)
     await bench.client.set_precise_moves(bench.ids, on=True)
@@ -71,7 +74,11 @@ async def spread_out(bench: Bench, maps: TransmissionMaps, number: int, seed: in
 def errors(
     guess: FocalPlane, data: tuple[Floats, Floats], fit: FitSettings, truth: Floats, steps: tuple[int, ...]
 ) -> Convergence:
-    """Fits the first so many configurations, for each of the steps."""
+    """Fits the first so many configurations, for each of the `steps`.
+
+    `guess`: the layout before; `data`: angles in deg and places in mm, (N, S, 2); `fit`: settings;
+    `truth` (N, 6) in mm and rad.
+    """
     rows = []
     for number in steps:
         found = fit_focal_plane(guess, data[0][:, :number], data[1][:, :number], fit)

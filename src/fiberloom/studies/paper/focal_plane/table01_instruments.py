@@ -103,7 +103,7 @@ def instrument_of(row: Row) -> Instrument:
 
 @dataclass(frozen=True)
 class Run:
-    """True errors of the fibres with a target, um, after each move; and who went without."""
+    """True errors of the fibres with a target, um, after each move; and which positioners had no target."""
 
     error_um: list[Floats]
     assigned: int

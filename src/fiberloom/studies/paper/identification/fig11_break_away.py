@@ -34,7 +34,7 @@ def strongest_order(curve: BreakAway) -> int:
 
 
 def asymmetry(curve: BreakAway) -> float:
-    """Mean torque needed in the negative direction over that in the positive one."""
+    """Ratio of the mean torque needed in the negative direction to that in the positive one."""
     plus, minus = curve.spring_uNm + curve.coulomb_uNm, curve.spring_uNm - curve.coulomb_uNm
     return abs(minus / plus)
 

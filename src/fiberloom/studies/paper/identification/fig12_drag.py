@@ -44,7 +44,7 @@ def sweeps(found: Identified, row: int) -> list[Sweep]:
 
 
 def r_squared(x: Floats, y: Floats) -> float:
-    """Share of the variance of y that a straight line in x explains."""
+    """Share of the variance of `y` that a straight line in `x` explains; both of any unit."""
     return float(np.corrcoef(x, y)[0, 1] ** 2)
 
 

@@ -23,7 +23,8 @@ see, which every map gets wrong in its own way."""
 
 
 def followed(study: Study, name: str, ends_deg: float = 0.0) -> float:
-    """Slope of what the map changed by against what the gear did, first to last cycle: 1 is all of it.
+    """Slope (a ratio) of the change of the map over the change of the gear, first to last cycle: 1 is
+    all of it.
 
     Without the angles nearer than `ends_deg` to the ends of beta's range.
     """
@@ -36,7 +37,7 @@ def followed(study: Study, name: str, ends_deg: float = 0.0) -> float:
 
 
 def smooth(delta_deg: Floats) -> Floats:
-    """Running means along the last axis, ends left out."""
+    """Running means in deg along the last axis, ends left out."""
     mean = np.full(SMOOTH, 1.0 / SMOOTH)
     return np.apply_along_axis(np.convolve, -1, delta_deg, mean, mode="valid")
 

@@ -30,7 +30,7 @@ def run(settings: Settings) -> Outcome:
         smaller(settings),
         [
             "The improved estimator goes below a new calibration of 200 points within some cycles: it sees "
-            "the gear's ripple in the errors of normal operation, and nobody has to stop observing for it."
+            "the gear's ripple in the errors of normal operation, and observing does not have to stop for it."
         ],
     )
 

@@ -90,7 +90,7 @@ def test_the_library_is_read_from_its_instructions(tmp_path):
 
 
 def test_what_the_guide_shows_is_what_is_compiled():
-    guide = (build.ROOT / "docs" / "porting-firmware.md").read_text()
+    guide = (build.ROOT / "docs" / "firmware" / "porting.md").read_text()
     board = (build.BOARD / "board_stm32f405.c").read_text()
     blocks = re.findall(r"```c\n(.*?)```", guide, re.DOTALL)
     assert len(blocks) == 3

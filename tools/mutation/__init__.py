@@ -1,0 +1,1 @@
+"""Mutants made and tried."""

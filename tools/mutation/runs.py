@@ -1,0 +1,207 @@
+"""Tries mutants against tests, in copies of the code."""
+
+import enum
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+import coverage
+
+from tools.coverage_run import package_with, present, run
+from tools.layout import LANGUAGES, ROOT, SMALL, Target, files_below, group_of
+from tools.mutation.native import PRELUDE, Change, native_mutants, schema
+from tools.mutation.python import Mutant
+
+FOLDER = Path("build/mutate")
+PATIENCE, AT_LEAST_S = 4.0, 30.0
+"""A mutant may take so many times what all tests took without it, and this long in any case."""
+
+
+class Verdict(enum.Enum):
+    """What the tests made of a mutant."""
+
+    KILLED = "killed"
+    SURVIVED = "survived"
+    TIMEOUT = "timeout"
+
+
+class TestsFail(Exception):
+    """The tests fail, or cannot be run, without any mutant."""
+
+    __test__ = False
+
+
+class Runs(Protocol):
+    """A target made ready, and its mutants tried one by one."""
+
+    target: Target
+    mutants: list[Mutant]
+
+    def prepare(self) -> None:
+        """Copies, builds, runs the tests once without any change; TestsFail where that fails."""
+
+    def try_one(self, mutant: Mutant) -> Verdict:
+        """Runs tests on one mutant."""
+
+
+class Pytest:
+    """Runs the tests of a target on a package elsewhere."""
+
+    def __init__(self, root: Path, folder: Path, tests: Sequence[str]) -> None:
+        self.root, self.folder, self.tests = root, folder, list(tests)
+        self.site = folder / "site"
+        self.limit_s = 3600.0
+
+    def run(self, options: Sequence[str] = (), **extra: str) -> Verdict:
+        """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
+        # the script of the sanitized build: it takes an editable installation out of the way
+        command = [sys.executable, "tests/sanitized.py", str(self.site), "-p", "tools.quickest_first", "-x"]
+        # no bytecode: two mutants within a second may have files of the same size
+        own = {"PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1", "CI": "1"}
+        environment = {**os.environ, **own, "FL_TIMES": str(self.folder / "times.json"), **extra}
+        with self._log.open("w") as out:
+            process = subprocess.Popen(
+                [*command, "-m", SMALL, *options, *self.tests],
+                cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True,
+            )  # fmt: skip
+            try:
+                code = process.wait(self.limit_s)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+                return Verdict.TIMEOUT
+        # 3, 4, 5: internal error, wrong usage, no tests; negative: a signal, as after a bad index in C
+        if code in (3, 4, 5):
+            raise TestsFail(f"pytest ended with {code}: {self._log}")
+        return Verdict.KILLED if code else Verdict.SURVIVED
+
+    @property
+    def _log(self) -> Path:
+        return self.folder / "pytest.log"
+
+    def only(self, tests: Sequence[str]) -> Verdict:
+        """Those of the tests that are named by their node ids."""
+        chosen = self.folder / "chosen.txt"
+        chosen.write_text("\n".join(tests), encoding="utf-8")
+        return self.run(FL_CHOSEN=str(chosen))
+
+    def baseline(self, options: Sequence[str] = (), **extra: str) -> None:
+        """Must pass; notes how long each test takes, and sets how long a mutant may take."""
+        (self.folder / "times.json").unlink(missing_ok=True)
+        start_s = time.monotonic()
+        if self.run(options, **extra) is not Verdict.SURVIVED:
+            raise TestsFail(f"the tests fail without any change: {self._log}")
+        self.limit_s = max(AT_LEAST_S, PATIENCE * (time.monotonic() - start_s))
+
+
+class PythonRuns:
+    """Mutants of a package of the host, in a copy of the whole package."""
+
+    def __init__(self, root: Path, target: Target, mutants: list[Mutant]) -> None:
+        self.root, self.target, self.mutants = root, target, mutants
+        self.pytest = Pytest(root, root / FOLDER / target.name, present(root, target.tests))
+        self._reached: dict[Path, dict[int, list[str]]] = {}
+
+    def prepare(self) -> None:
+        """Copies the package; learns which test reaches which line, and how long each takes."""
+        site = package_with(self.root, compiled_folder(), self.pytest.site)
+        data = self.pytest.folder / "coverage"
+        data.unlink(missing_ok=True)
+        code = [f"--cov={site / Path(c).relative_to('src')}" for c in self.target.code]
+        self.pytest.baseline([*code, "--cov-context=test", "--cov-report="], COVERAGE_FILE=str(data))
+        self._reached = reached(data, site, self.root / "src")
+
+    def try_one(self, mutant: Mutant) -> Verdict:
+        """The tests that reach the line; then, if need be, all."""
+        path = self.pytest.site / mutant.path.relative_to("src")
+        original = path.read_bytes()
+        path.write_bytes(mutant.text)
+        try:
+            nearest = self._reached.get(self.root / mutant.path, {}).get(mutant.line, [])
+            if nearest and (verdict := self.pytest.only(nearest)) is not Verdict.SURVIVED:
+                return verdict
+            return self.pytest.run()
+        finally:
+            path.write_bytes(original)
+
+
+def compiled_folder() -> Path:
+    """Where this Python's fiberloom has its compiled module."""
+    return Path(str(importlib.import_module("fiberloom._core").__file__)).parent
+
+
+def reached(data: Path, copy: Path, original: Path) -> dict[Path, dict[int, list[str]]]:
+    """Node ids of the tests that ran each line, by the file of the checkout."""
+    read = coverage.CoverageData(str(data))
+    read.read()
+    found = {}
+    for name in read.measured_files():
+        lines = read.contexts_by_lineno(name).items()
+        ids = {line: sorted({c.partition("|")[0] for c in contexts if c}) for line, contexts in lines}
+        found[original / Path(name).relative_to(copy)] = ids
+    return found
+
+
+class NativeRuns:
+    """Mutants of C, all of them in one build."""
+
+    def __init__(self, root: Path, target: Target, files: Sequence[Path]) -> None:
+        self.root, self.target = root, target
+        self.folder = root / FOLDER / target.name
+        self.pytest = Pytest(root, self.folder, present(root, target.tests))
+        groups = {p: group_of(p) for p in files_below(root)}
+        sources = [p for p, g in groups.items() if g is not None and LANGUAGES[p.suffix] != "Python"]
+        self._changes: list[tuple[Mutant, Change]] = [
+            c for f in files for c in native_mutants(root, f, sources)
+        ]
+        self.mutants = [m for m, _ in self._changes]
+        # 0 is no mutant
+        self._number = {m.key: i for i, m in enumerate(self.mutants, 1)}
+
+    def prepare(self) -> None:
+        """Copies the sources, builds them with every mutant inside, runs the tests with none chosen."""
+        tree, build = self.folder / "tree", self.folder / "build"
+        self._copy(tree)
+        prelude = self.folder / "fl_mutant.h"
+        prelude.write_text(PRELUDE)
+        flags = f"-include {prelude}"
+        options = [f"-DCMAKE_C_FLAGS={flags}", f"-DCMAKE_CXX_FLAGS={flags}", "-DFIBERLOOM_WERROR=OFF"]
+        options += [f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Release"]
+        for command in (["cmake", "-S", str(tree), "-B", str(build), "-G", "Ninja", *options],
+                        ["cmake", "--build", str(build)]):  # fmt: skip
+            if not run(command, self.root):
+                raise TestsFail("the sources with the mutants inside do not build; above: why")
+        package_with(self.root, build, self.pytest.site)
+        self.pytest.baseline()
+
+    def _copy(self, tree: Path) -> None:
+        """The sources, those that are mutated with every mutant inside. What is the same keeps its time."""
+        changed = {m.path for m in self.mutants}
+        tops = {p.parent.name for p in self.root.glob("*/CMakeLists.txt")}
+        own = {p for p in files_below(self.root) if p.parts[0] in tops or p == Path("CMakeLists.txt")}
+        for gone in set(files_below(tree)) - own:
+            (tree / gone).unlink()
+        for path in own:
+            content = (self.root / path).read_bytes()
+            if path in changed:
+                content = schema(
+                    content, [(self._number[m.key], c) for m, c in self._changes if m.path == path]
+                )
+            write_if_new(tree / path, content)
+
+    def try_one(self, mutant: Mutant) -> Verdict:
+        """All tests of the target."""
+        return self.pytest.run(FL_MUTANT=str(self._number[mutant.key]))
+
+
+def write_if_new(path: Path, content: bytes) -> None:
+    """Writes a file unless it has that content: what is the same is not built again."""
+    if not path.exists() or path.read_bytes() != content:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
