@@ -8,7 +8,7 @@ Wire (SDSS-V positioner protocol): positions are counts of the *motor* angle as 
 """
 
 import math
-from typing import overload
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,9 @@ COUNTS_PER_TURN = 2**30
 COUNTS_PER_DEG = COUNTS_PER_TURN / 360.0
 COUNTS_PER_MOTOR_TURN = 2**20
 """The firmware counts the motor so; a test compares this and TICK_S with `_core`."""
+AXES: tuple[Literal["alpha"], Literal["beta"]] = ("alpha", "beta")
+"""Names of the two axes, in the order of every array over axes."""
+
 GEAR = COUNTS_PER_TURN / COUNTS_PER_MOTOR_TURN
 """Motor turns per output turn as the wire counts them. The gear of an instrument is that of its axes;
 this is what firmware and twin drive, and they refuse another."""

@@ -45,7 +45,7 @@ def test_a_fixed_rule_never_ends_early():
 
 def test_presets_have_the_rules_of_their_instruments():
     rules = {name: StopRule.of(load_instrument(name).operation) for name in ("sdssv", "pfs", "desi")}
-    assert rules["sdssv"] == StopRule("percentile", 90.0, 30.0)
+    assert rules["sdssv"] == StopRule("percentile", 90.0, 5.0)
     assert rules["pfs"] == StopRule("positioner", 100.0, 5.0)
     assert rules["desi"].kind == "fixed"
     operation = load_instrument("sdssv").operation.model_copy(update={"stop_below_um": None})
@@ -103,10 +103,10 @@ def within(loop, move):
 
 
 def test_the_telescopes_limit_ends_after_the_blind_move_and_the_requirement_after_a_correction(field):
-    blind = observed(field)
+    blind = observed(field, stop_below_um=30.0)
     assert len(blind.moves) == 1
     assert "within the limit of 30 um" in blind.stopped
-    near = observed(field, stop_below_um=None, corrections_max=6)
+    near = observed(field, corrections_max=6)
     assert 1 < len(near.moves) < 7
     assert np.nanpercentile(near.moves[-1].measured_error_um, 90) <= 5.0
     assert np.nanpercentile(near.moves[-2].measured_error_um, 90) > 5.0

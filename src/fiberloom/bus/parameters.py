@@ -21,6 +21,7 @@ from fiberloom.bus.outcome import Outcome, Result, Results, result_of
 from fiberloom.bus.protocol import COMMANDS, Command, Response, Status
 from fiberloom.errors import InputError
 from fiberloom.typing import Flags
+from fiberloom.units import AXES
 
 _SET = (Command.SET_PARAMETER_ALPHA, Command.SET_PARAMETER_BETA)
 _GET = (Command.GET_PARAMETER_ALPHA, Command.GET_PARAMETER_BETA)
@@ -208,7 +209,7 @@ async def write_parameters(client: Client, wanted: Mapping[int, AxisParameters])
     for number, values in wanted.items():
         for axis, p, value in out_of_range(values):
             raise InputError(
-                f"positioner {number}, {('alpha', 'beta')[axis]} {p.name} = {value:g} {p.unit}: "
+                f"positioner {number}, {AXES[axis]} {p.name} = {value:g} {p.unit}: "
                 f"must be {p.low:g} to {p.high:g}"
             )
     before = await read_parameters(client, wanted)
@@ -294,7 +295,7 @@ class _Writer:
     def _difference(self, number: int, state: ParameterState) -> str:
         if state.reason:
             return state.reason
-        for axis, name in enumerate(("alpha", "beta")):
+        for axis, name in enumerate(AXES):
             for p in PARAMETERS:
                 meant, found = self._wanted[number][axis][p.name], state.values[axis][p.name]
                 if meant.tobytes() != found.tobytes():

@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from fiberloom.units import AXES as AXES
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
-
-AXES: tuple[Literal["alpha"], Literal["beta"]] = ("alpha", "beta")
-"""Names of the two axes, in the order of every array over axes."""
 
 METROLOGY = "metrology"
 """Name of the point that the camera sees, in every plane that has one."""

@@ -22,6 +22,7 @@ from fiberloom.calibration.commissioning.derive import Derivation, derive
 from fiberloom.calibration.commissioning.measured import Quantities
 from fiberloom.calibration.commissioning.own import calibrate_itself
 from fiberloom.instruments import FocalPlane
+from fiberloom.units import AXES
 
 
 @dataclass(frozen=True)
@@ -120,5 +121,5 @@ def parameter_file(values: AxisParameters) -> dict[str, dict[str, float]]:
     """(2,) records as a parameter file for flashing has them: by axis and name, SI units."""
     return {
         axis: {name: float(np.float32(row[name])) for name in PARAMETERS_DTYPE.names or ()}
-        for axis, row in zip(("alpha", "beta"), values, strict=True)
+        for axis, row in zip(AXES, values, strict=True)
     }
