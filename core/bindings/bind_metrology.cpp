@@ -140,17 +140,19 @@ void bind_metrology(nb::module_ &m) {
              "threshold: brightest pixel over the noise. fwhm_px: a hint for the first look, 0 for none.");
     // an image may have pixels of several types, which a C++ signature cannot tell a type checker
 #define FL_NUMBERS "numpy.typing.NDArray[numpy.float64]"
-#define FL_FIND "image: numpy.typing.NDArray[typing.Any], fits: bool, settings: Settings, profile: " FL_NUMBERS
+#define FL_FIND                                                                                              \
+    "image: numpy.typing.NDArray[typing.Any], fits: bool, settings: Settings, profile: " FL_NUMBERS
 #define FL_TABLE "tuple[" FL_NUMBERS ", numpy.typing.NDArray[numpy.uint32], " FL_NUMBERS ", float, float]"
-    g.def("find_spots", &find, nb::sig("def find_spots(" FL_FIND ") -> " FL_TABLE), nb::arg("image"), nb::arg("fits"), nb::arg("settings"), nb::arg("profile"),
+    g.def("find_spots", &find, nb::sig("def find_spots(" FL_FIND ") -> " FL_TABLE), nb::arg("image"),
+          nb::arg("fits"), nb::arg("settings"), nb::arg("profile"),
           "Table (N, 9), flags (N,), profile, background and noise in ADU. The image is uint16, float32 or "
           "float64, or with `fits` the bytes of a FITS file as uint16 or uint32. profile: empty, or one that "
           "this function returned.");
     g.def("find_expected", &expected,
-          nb::sig("def find_expected(" FL_FIND ", expected_xy_px: " FL_NUMBERS ", radius_px: float) -> " FL_TABLE),
-          nb::arg("image"), nb::arg("fits"), nb::arg("settings"),
-          nb::arg("profile"), nb::arg("expected_xy_px"), nb::arg("radius_px"),
-          "As find_spots, one row per expected position.");
+          nb::sig("def find_expected(" FL_FIND ", expected_xy_px: " FL_NUMBERS
+                  ", radius_px: float) -> " FL_TABLE),
+          nb::arg("image"), nb::arg("fits"), nb::arg("settings"), nb::arg("profile"),
+          nb::arg("expected_xy_px"), nb::arg("radius_px"), "As find_spots, one row per expected position.");
     g.def("fwhm", &widths, nb::arg("profile"), nb::arg("xy_px"), "FWHM of the profile at positions.");
     g.def("render_spots", &render, nb::arg("image"), nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
           "Adds pixel-integrated spots (x, y, flux, S_xx, S_xy, S_yy, parameter) to a float32 image.");

@@ -33,6 +33,11 @@ TestPlant new_plant(Doubles plant, Doubles transmission, Input1<double> output_r
     return {Plant(units_of(plant, transmission), start, seed, kernel.c_str(), substeps)};
 }
 
+size_t known(const TestPlant &p, size_t axis) {
+    if (axis >= p.plant.axis_count()) throw nb::index_error("no such axis");
+    return axis;
+}
+
 void set_duty(Plant &plant, const double *duty) {
     for (size_t i = 0; i < plant.axis_count(); ++i)
         for (size_t k = 0; k < 3; ++k)
@@ -128,22 +133,24 @@ void bind_test_plant(nb::module_ &m) {
         .def(
             "state",
             [](TestPlant &p, size_t axis) {
-                const AxisState s = p.plant.state(axis);
+                const AxisState s = p.plant.state(known(p, axis));
                 return std::make_tuple(s.theta_rad, s.momentum_Nms, s.gear_rad, s.output_rad);
             },
             nb::arg("axis"), "Motor rad, momentum N m s, gear rad, output rad.")
         .def(
             "set_state",
             [](TestPlant &p, size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
-                p.plant.set_state(axis, theta_rad, momentum_Nms, gear_rad);
+                p.plant.set_state(known(p, axis), theta_rad, momentum_Nms, gear_rad);
             },
             nb::arg("axis"), nb::arg("theta_rad"), nb::arg("momentum_Nms"), nb::arg("gear_rad"))
         .def(
             "set_external_torque",
-            [](TestPlant &p, size_t axis, double torque_Nm) { p.plant.set_external_torque(axis, torque_Nm); },
+            [](TestPlant &p, size_t axis, double torque_Nm) {
+                p.plant.set_external_torque(known(p, axis), torque_Nm);
+            },
             nb::arg("axis"), nb::arg("torque_Nm"), "At the output, positive towards positive angles.")
         .def(
-            "backlash_rad", [](TestPlant &p, size_t axis) { return p.plant.backlash_rad(axis); },
+            "backlash_rad", [](TestPlant &p, size_t axis) { return p.plant.backlash_rad(known(p, axis)); },
             nb::arg("axis"), "Where the gear is, motor rad.")
         .def_prop_ro("kernel", [](TestPlant &p) { return p.plant.kernel_name(); });
 }

@@ -21,7 +21,7 @@ def finish(task: Coroutine[Any, Any, Result]) -> Result:
         asyncio.get_running_loop()
     except RuntimeError:
         return asyncio.run(task)
-    name = task.cr_code.co_name
+    name = getattr(task, "__name__", "observe")
     task.close()  # it was never begun, and nothing will
     raise InputError(
         f"an event loop is running here, as in Jupyter: write `await field.{name}(...)` "

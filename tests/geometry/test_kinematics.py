@@ -83,3 +83,23 @@ def test_the_jacobian_is_the_derivative(alpha, beta):
     )
     exact = geometry.jacobian(ARM, POINT, np.array([[alpha, beta]]))[0]
     np.testing.assert_allclose(exact, numeric, atol=1e-7)
+
+
+def test_more_turns_of_alpha_than_are_kept_are_left_out():
+    wide = np.array([[0.0, 7 * 2 * np.pi], [-np.pi, np.pi]])
+    xy = forward(1.0, 1.2)
+    angles, count, gap = geometry.inverse(ARM, POINT, xy[None], wide)
+    assert gap[0] == 0.0
+    assert count[0] == geometry.MAX_SOLUTIONS == 4
+    np.testing.assert_allclose([forward(*a) for a in angles[0]], np.broadcast_to(xy, (4, 2)), atol=1e-12)
+
+
+def test_a_folded_or_straight_arm_has_one_elbow():
+    # arms of 8 and 15 mm along x, without offsets: exact numbers, so that the edges are met to the bit
+    arm, point = np.array([[0.0, 0.0, 8.0, 0.0, 0.0]]), np.array([[15.0, 0.0]])
+    once = np.array([[0.0, 6.0], [-np.pi, np.pi]])
+    for x, beta in ((23.0, 0.0), (-7.0, np.pi)):
+        angles, count, gap = geometry.inverse(arm, point, np.array([[x, 0.0]]), once)
+        assert (count[0], gap[0]) == (1, 0.0)
+        assert abs(abs(angles[0, 0, 1]) - beta) < 1e-12
+        np.testing.assert_allclose(forward(*angles[0, 0], arm, point), [x, 0.0], atol=1e-12)

@@ -6,35 +6,33 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fiberloom.operation import loop as operation
+from fiberloom.operation import motion as operation
 
 N = 4
 
 
-class Field:
-    """Stands in for a loop whose moves are interrupted as many times as asked."""
+GOALS = SimpleNamespace(angles_deg=np.full((N, 2), 90.0), approach_deg=None)
 
-    def __init__(self, recoveries, interrupted_times):
-        self.settings = SimpleNamespace(recoveries=recoveries, seed=7)
+
+class Field:
+    """Stands in for a motion whose moves are interrupted as many times as asked."""
+
+    def __init__(self, interrupted_times):
         self.interrupted_times = interrupted_times
         self.labels, self.events = [], []
-        self.mobile = np.ones(N, dtype=bool)
-        self.goal_deg, self.here_deg = np.full((N, 2), 90.0), np.zeros((N, 2))
-        self.assignment = SimpleNamespace(approach_deg=None)
-        self.maps = None
+        self.state = SimpleNamespace(
+            mobile=np.ones(N, dtype=bool),
+            here_deg=np.zeros((N, 2)),
+            obstacles=lambda: None,
+            book_blocked=lambda planned: None,
+        )
         self.recorder = SimpleNamespace(event=lambda kind, text, *which: self.events.append((kind, text)))
 
     def progress(self, label):
         pass
 
-    def obstacles(self):
-        return None
-
-    def _book_blocked(self, planned):
-        pass
-
-    async def _move(self, move, label, planned, maps):
-        self.labels.append((move, label, planned))
+    async def move(self, number, label, planned, goals):
+        self.labels.append((number, label, planned))
         return np.arange(N) < (2 if len(self.labels) <= self.interrupted_times else 0)
 
 
@@ -44,8 +42,8 @@ class Field:
 )
 def test_an_interrupted_move_is_planned_again(monkeypatch, recoveries, interrupted_times, n_moves, n_events):
     monkeypatch.setattr(operation, "plan", lambda plane, here, goal, *, seed, approach_deg: seed)
-    field = Field(recoveries, interrupted_times)
-    asyncio.run(operation.Loop.blind_move(field))
+    field = Field(interrupted_times)
+    asyncio.run(operation.FieldMotion.go(field, GOALS, seed=7, recoveries=recoveries))
     labels = ["blind", *(f"{operation.ROUND_FAULTS} {i}" for i in range(1, n_moves))]
     # each plan has a seed of its own, and all of it is move 1
     assert field.labels == [(1, label, 7 + i) for i, label in enumerate(labels)]
@@ -55,7 +53,7 @@ def test_an_interrupted_move_is_planned_again(monkeypatch, recoveries, interrupt
 def test_what_cannot_move_is_planned_to_stay(monkeypatch):
     goals = []
     monkeypatch.setattr(operation, "plan", lambda plane, here, goal, **settings: goals.append(goal))
-    field = Field(0, 0)
-    field.mobile[1] = False
-    asyncio.run(operation.Loop.blind_move(field))
+    field = Field(0)
+    field.state.mobile[1] = False
+    asyncio.run(operation.FieldMotion.go(field, GOALS, recoveries=0))
     np.testing.assert_array_equal(goals[0][:, 0], [90.0, 0.0, 90.0, 90.0])

@@ -86,10 +86,6 @@ double segment_distance(const Segment &first, const Segment &second) {
     return std::sqrt(nearest2);
 }
 
-double segment_distance(Vec2 a0, Vec2 a1, Vec2 b0, Vec2 b1) {
-    return segment_distance(Segment{a0, a1}, Segment{b0, b1});
-}
-
 Segment beta_segment(const Arm &arm, double from_mm, double to_mm, Angles angles) {
     const Vec2 e = elbow(arm, angles.alpha_rad);
     const double turn = angles.alpha_rad + arm.alpha_off_rad + angles.beta_rad + arm.beta_off_rad;

@@ -8,11 +8,13 @@
 
 namespace fl {
 
+// A place or a direction in a plane; mm where nothing else is said.
 struct Vec2 {
     double x = 0.0;
     double y = 0.0;
 };
 
+// Output angles of the two axes of a positioner, rad.
 struct Angles {
     double alpha_rad = 0.0;
     double beta_rad = 0.0;
@@ -28,6 +30,7 @@ struct Arm {
     double beta_off_rad = 0.0;
 };
 
+// The angles that the axes may have, rad. @pre each minimum is not above its maximum.
 struct Limits {
     double alpha_min_rad, alpha_max_rad, beta_min_rad, beta_max_rad;
 };
@@ -46,16 +49,18 @@ struct Solutions {
 inline constexpr double edge_tolerance_mm = 1e-9;
 inline constexpr double limit_tolerance_rad = 1e-9;
 
-// Where the point (x, y of the beta arm's frame) is in the focal plane. Eq. 1.
+// Where a point of the beta arm (x, y of its frame, mm) is in the focal plane, mm. Eq. 1. Any angles.
 Vec2 forward(const Arm &arm, Vec2 point_mm, Angles angles);
 
-// Both elbow branches of Eq. 2 that lie inside the limits.
+// Both elbow branches of Eq. 2 that lie inside the limits, for the point of the beta arm and its target in
+// the focal plane, mm. More than Solutions::max_count solutions are left out: the limits of alpha span more
+// than two turns then.
 Solutions inverse(const Arm &arm, Vec2 point_mm, Vec2 target_mm, const Limits &limits);
 
-// d(x, y) / d(alpha, beta) in mm/rad, row-major: {dx/da, dx/db, dy/da, dy/db}.
+// d(x, y) / d(alpha, beta) of `forward` in mm/rad, row-major: {dx/da, dx/db, dy/da, dy/db}.
 std::array<double, 4> jacobian(const Arm &arm, Vec2 point_mm, Angles angles);
 
-// The beta axis, where the two arms meet.
+// The beta axis, where the two arms meet, mm in the focal plane.
 Vec2 elbow(const Arm &arm, double alpha_rad);
 
 } // namespace fl

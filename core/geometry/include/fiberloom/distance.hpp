@@ -6,6 +6,7 @@
 
 namespace fl {
 
+// A straight line from a to b, mm; a point where they coincide.
 struct Segment {
     Vec2 a;
     Vec2 b;
@@ -24,14 +25,15 @@ struct Closest {
 // The point of a segment nearest to p. on_first is p itself.
 Closest closest_point(Vec2 p, const Segment &segment);
 
+// The nearest points of two segments, degenerate ones included; of several pairs one is returned.
 Closest closest_points(const Segment &first, const Segment &second);
 
+// The distance of p from a segment, mm.
 double point_segment_distance(Vec2 p, const Segment &segment);
 
 // The same number as closest_points().distance_mm, without the points: what planner and twin call
 // most. Exact up to rounding for every input, degenerate segments included.
 double segment_distance(const Segment &first, const Segment &second);
-double segment_distance(Vec2 a0, Vec2 a1, Vec2 b0, Vec2 b1);
 
 // The centre line of a beta arm's capsule: from x = from_mm to x = to_mm of the beta arm's frame.
 Segment beta_segment(const Arm &arm, double from_mm, double to_mm, Angles angles);

@@ -6,6 +6,7 @@
 
 namespace fl::metrology {
 
+// What a pixel makes of its electrons. @pre gain_e_adu > 0.
 struct Detector {
     double gain_e_adu = 1;
     double read_noise_e = 0;

@@ -12,6 +12,8 @@ namespace fl::metrology {
 // BITPIX = 16 with BZERO = 32768 the sign bit stands for the offset. A memory-mapped file is read as it is.
 enum class PixelType { U16, U16Fits, F32, F32Fits, F64 };
 
+// Pixels in memory of the caller, which must stay while the view is used.
+// @pre data holds height rows of width pixels of the type, row_bytes from one to the next.
 struct ImageView {
     const std::byte *data = nullptr;
     std::ptrdiff_t row_bytes = 0;

@@ -5,6 +5,7 @@
 
 namespace fl::metrology {
 
+// How the light of a spot falls off.
 enum class PsfKind {
     Gaussian, // exp(-q / 2)
     Moffat,   // (1 + q)^-parameter
@@ -16,7 +17,8 @@ constexpr int spot_columns = 7;
 
 // Adds flux * (profile integrated over the pixel) out to `radius_q`, the ellipse where a spot ends, by
 // Gauss-Legendre quadrature: 4 x 4 points in the core (error below 1e-6 of the peak for FWHM >= 2 px), fewer
-// in the wings.
+// in the wings. What lies outside the image is left out.
+// @pre the image has width x height pixels, spots a multiple of spot_columns numbers; S is positive definite.
 void render_spots(std::span<float> image, int width, int height, std::span<const double> spots, PsfKind kind,
                   double radius_q);
 

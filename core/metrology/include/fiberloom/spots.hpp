@@ -16,6 +16,7 @@
 
 namespace fl::metrology {
 
+// What is the matter with a spot; flags add up.
 enum SpotFlag : std::uint32_t {
     saturated = 1,   // pixels at the saturation level, left out of the fit
     blended = 2,     // another spot within two FWHM
@@ -26,6 +27,8 @@ enum SpotFlag : std::uint32_t {
     shared = 64,     // guided mode: two expected positions found the same spot
 };
 
+// One spot: its centre and flux with their variances, the background under it (ADU), and its flags. Every
+// number is NaN where nothing was found.
 struct Spot {
     double x_px = std::numeric_limits<double>::quiet_NaN();
     double y_px = std::numeric_limits<double>::quiet_NaN();
@@ -54,10 +57,13 @@ struct Profile {
     double misfit = 0; // rms of the residuals beyond noise over the brightness of the pixel
     int n_spots = 0;   // spots that it was measured on; 0 means not measured
 
+    // Whether it was measured in an image.
     bool measured() const { return n_spots > 0; }
-    double fwhm_px(double x_px, double y_px) const; // geometric mean of the two axes
+    // Full width at half maximum at a place of the image, px: the geometric mean of the two axes.
+    double fwhm_px(double x_px, double y_px) const;
 };
 
+// What is known of the camera, and what counts as a spot. @pre gain_e_adu > 0, threshold > 0.
 struct Settings {
     double gain_e_adu = 1; // electrons per digital unit
     double saturation_adu = std::numeric_limits<double>::infinity();
@@ -66,6 +72,7 @@ struct Settings {
     int max_profile_spots = 150;
 };
 
+// What an image showed.
 struct Result {
     std::vector<Spot> spots;
     Profile profile;
@@ -74,10 +81,11 @@ struct Result {
 };
 
 // Every spot in the image, in rows from the top. A measured profile is used as it is; otherwise it is
-// measured.
+// measured. @pre the image has at least 8 x 8 pixels.
 Result find_spots(const ImageView &image, const Settings &settings, const Profile &known = {});
 
-// One spot per expected position (x, y), the nearest within `radius_px`; not_found where there is none.
+// One spot per expected position, pairs of x and y in px: the nearest within `radius_px`; not_found where
+// there is none. @pre as find_spots; positions are finite.
 Result find_expected(const ImageView &image, const Settings &settings, std::span<const double> expected_xy_px,
                      double radius_px, const Profile &known = {});
 

@@ -13,6 +13,7 @@
 
 namespace fl::planning {
 
+// All points within a radius of a line.
 struct Capsule {
     Segment line;
     double radius_mm = 0.0;
@@ -28,76 +29,86 @@ struct Bodies {
     std::vector<Capsule> obstacles;
 };
 
-// The motion of one positioner: straight between points in both angles. One point: it stands still.
+// The motion of one positioner: straight between points in both angles. One point: it does not move.
 struct Motion {
     std::vector<double> time_s;
     std::vector<Angles> angles;
 };
 
+// Speeds of the axes, the search grid, and how hard the planner tries.
 struct Settings {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
     double grid_rad = 0.0;        // widest step of the search grid
     double tick_s = 0.0005;       // times are multiples of this
     double clearance_mm = 0.001;  // kept beyond touching, for rounding on the bus
-    double first_deadline = 1.05; // of the time the longest way needs
+    double first_deadline = 1.05; // of the time the longest path needs
     double last_deadline = 2.0;   // beyond this a positioner is given up
-    double effort = 1.0;          // scales how long the repair goes on before somebody is given up
+    double effort = 1.0;          // scales how long the repair goes on before one is given up
     std::uint64_t seed = 0;
 };
 
-// Where each positioner is and shall be, how far above the goal its last leg starts on both axes, who does
-// not move at all, and the room the axes have.
+// What a plan must do; one row for each of Bodies::arms. travel: the room that the axes have.
 struct Task {
     std::vector<Angles> start;
     std::vector<Angles> goal;
-    std::vector<double> approach_rad;
-    std::vector<std::uint8_t> fixed;
+    std::vector<double> approach_rad; // how far above the goal the last leg starts, on both axes
+    std::vector<std::uint8_t> fixed;  // not 0: cannot move
     Limits travel{};
 };
 
 // The common clock of a plan. A step lasts four quarters; all times are multiples of a quarter, and
-// a quarter of the tick of the bus.
+// a quarter is a multiple of the tick of the bus.
 struct Clock {
     double quarter_s = 0.0;
     double grid_rad = 0.0; // widest move in a step
     int leg_quarters = 0;  // how long each third of the approach lasts
 
     // The shortest steps of about settings.grid_rad that speed and acceleration allow.
+    // @pre speed, acceleration, grid and tick are above 0.
     Clock(const Settings &settings, double highest_approach_rad);
+    // The same for the highest approach of a task.
     Clock(const Settings &settings, const Task &task);
+    // Duration of a step, s.
     double step_s() const { return 4 * quarter_s; }
 };
 
-// Why a positioner does not arrive. `other` is the positioner in its way, -1 if none.
+// Why a positioner does not arrive.
 enum class Refusal { goal_beyond_travel, goal_blocked, goal_taken, no_way_alone, no_way, start_blocked };
+
+// The reason as the end of a sentence that begins with the positioner's name.
 const char *to_string(Refusal reason);
 
+// A positioner (row) that does not arrive, and the positioner in its way, -1 if there is none.
 struct Refused {
     int robot = -1;
     Refusal reason = Refusal::no_way;
     int other = -1;
 };
 
+// What a plan took.
 struct Statistics {
     std::int64_t searches = 0;
-    std::int64_t expansions = 0;
+    std::int64_t expansions = 0; // of nodes, over all searches
     std::int64_t repairs = 0;
-    int straight_conflicts = 0;
-    int first_conflicts = 0;
-    int bound_steps = 0;
-    int steps = 0;
+    int first_conflicts = 0; // pairs, before any repair
+    int bound_steps = 0;     // that the longest path needs if nothing is in its way
+    int steps = 0;           // until the approach begins
     double step_s = 0.0;
 };
 
+// One motion for each row of the task, the rows that do not arrive, and what the plan took.
 struct PlanResult {
     std::vector<Motion> motions;
     std::vector<Refused> refused;
     Statistics statistics;
 };
 
-// Plans for all positioners at once. Whoever cannot arrive is named in `refused` and gets a place where
-// he is in nobody's way. The caller verifies what comes back (verify.hpp).
+// Plans for all positioners at once. One that cannot arrive is named in `refused` and gets a place where it
+// blocks no other; in the worst case none moves. The same arguments give the same bits. The caller verifies
+// what comes back (verify.hpp).
+// @pre start, goal, approach_rad and fixed have as many rows as bodies.arms; approach_rad is not negative; as
+// for Clock.
 PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings);
 
 } // namespace fl::planning

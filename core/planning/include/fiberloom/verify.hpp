@@ -12,6 +12,7 @@
 
 namespace fl::planning {
 
+// What may be wrong with a plan.
 enum class Fault {
     robots,           // two positioners, at least one of which moves, come too close
     obstacle,         // a positioner that moves comes too close to a fiducial or guide camera
@@ -25,10 +26,12 @@ enum class Fault {
     goal,             // does not end where it shall
     approach,         // does not end with the approach
 };
+
+// The name of the enumerator.
 const char *to_string(Fault fault);
 
-// depth: mm below the clearance, or rad, rad/s, rad/s^2 beyond the limit. other: the positioner, or the index
-// of the obstacle; -1 if there is none.
+// One fault of one positioner (row) at one time. depth: mm below the clearance, or rad, rad/s, rad/s^2 beyond
+// the limit. other: the positioner, or the index of the obstacle; -1 if there is none.
 struct Violation {
     Fault fault;
     int robot = -1;
@@ -37,19 +40,21 @@ struct Violation {
     double depth = 0.0;
 };
 
+// What motions are held to.
 struct Rules {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
     Limits travel{};
     double rounding_rad = 0.0; // how far angles may be off by rounding
-    // empty: not checked. goal: only for those whose flag in `arrives` is set.
+    // One row for each positioner; empty: not checked. goal: only where the flag in `arrives` is set.
     std::vector<Angles> start;
     std::vector<Angles> goal;
     std::vector<std::uint8_t> arrives;
     std::vector<double> approach_rad;
 };
 
-// The smallest gap between surfaces found, and where; 1e-4 mm true.
+// The smallest gap between surfaces found, true to 1e-4 mm, and where: a positioner (row), and the other or
+// the obstacle. -1 where nothing came near.
 struct Gap {
     double gap_mm = 1e9;
     double time_s = 0.0;
@@ -57,6 +62,7 @@ struct Gap {
     int other = -1;
 };
 
+// What is wrong, and how near to wrong the rest is.
 struct Verification {
     std::vector<Violation> violations;
     Gap robots;
@@ -66,6 +72,10 @@ struct Verification {
     double top_jump_rad_s = 0.0; // largest change of speed at a point
 };
 
+// Checks points, speeds, accelerations, travel and ends of every motion, and the gaps of all bodies in
+// continuous time. Motions whose points are not sound (Fault::points) end the check: nothing else has a
+// meaning then.
+// @pre one motion for each of bodies.arms, and as many rows in the rules that are not empty.
 Verification verify(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules);
 
 } // namespace fl::planning

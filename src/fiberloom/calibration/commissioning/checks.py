@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.bus.parameters import AxisParameters
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.commissioning.derive import FACTORY, CrossCheck, Derivation
 from fiberloom.calibration.commissioning.measured import BACKLASH, PUSHED_DRAG, Quantities
-from fiberloom.units import GEAR, RAD_PER_DEG
+from fiberloom.units import AXES, GEAR, RAD_PER_DEG
 
 RAD_S_PER_RPM = np.pi / 30.0
 COLLISION_DEG = (90.0, 180.0)

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from fiberloom.bus.parameters import PARAMETERS, PARAMETERS_BY_NAME, AxisParameters
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.calibration.commissioning.measured import Quantities
-from fiberloom.units import GEAR, RAD_PER_DEG
+from fiberloom.units import AXES, GEAR, RAD_PER_DEG
 
 MEASURED, DERIVED, OWN, FACTORY = "measured", "derived", "self-calibrated", "factory"
 

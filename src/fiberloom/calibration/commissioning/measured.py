@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from fiberloom.calibration.bench.estimate import Estimate
-from fiberloom.calibration.bench.torque import AXES, data_sheet_scale
+from fiberloom.calibration.bench.torque import data_sheet_scale
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.units import AXES
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ from fiberloom.calibration import (
 )
 from fiberloom.calibration.bench.acceptance import AcceptanceSettings
 from fiberloom.calibration.bench.rig import BenchRig
-from fiberloom.calibration.bench.torque import AXES
 from fiberloom.calibration.commissioning.commission import (
     Before,
     Commissioned,
@@ -56,6 +55,7 @@ from fiberloom.report.commissioning import commissioning_html, limits_text, numb
 from fiberloom.report.estimates import estimate_records
 from fiberloom.report.outputs import marks
 from fiberloom.store.calibrations import record_calibration
+from fiberloom.units import AXES
 
 TRANSMISSION = "transmission"
 FIRMWARE_QUANTITIES = ("torque at full voltage", "inertia", "drag", "drag of the pushes", "Coulomb friction",

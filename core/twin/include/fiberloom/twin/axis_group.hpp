@@ -21,6 +21,7 @@ inline constexpr int lane_count = 2 * lane_group_size;
 inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
 inline constexpr double tick_s = 0.0005; // 2 kHz control
 
+// State, coefficients and signals of the axes of a group, one array of lanes each.
 struct alignas(64) AxisGroup {
     using Exact = double[lane_count];
     using Lanes = float[lane_count];
@@ -73,16 +74,16 @@ struct TickEvents {
     uint32_t left_cell = 0;
 };
 
-// One build of the inner loops for one instruction set. All builds do the same operations in the same
-// order without contraction, so they agree to the bit.
 struct LawBatch;
 
+// One build of the inner loops for one instruction set. All builds do the same operations in the same
+// order without contraction, so they agree to the bit.
 struct Kernel {
     const char *name;
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, int substeps);
-    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane_group, law_batch.hpp
+    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
     void (*drive_law)(LawBatch &batch);
 };
 

@@ -35,6 +35,7 @@
 
 namespace fl::twin {
 
+// Configuration, state, input and output of the laws of one axis of a lane group, field by field.
 struct alignas(64) LawBatch {
     using Floats = float[lane_group_size];
     using Ints = int32_t[lane_group_size];

@@ -11,12 +11,15 @@
 
 namespace fl::twin {
 
-struct Obstacle { // a capsule that does not move; a disc when both ends coincide
+// A capsule that does not move; a disc when both ends coincide.
+struct Obstacle {
     Segment centre_line_mm;
     double radius_mm = 0.0;
 };
 
-struct Body { // the beta arm's capsule: what is there, not the buffer that planning keeps
+// The beta arm's capsule: what is there, not the buffer that planning keeps. From x = from_mm to x = to_mm of
+// the arm's frame.
+struct Body {
     double from_mm = 0.0, to_mm = 14.7, radius_mm = 1.5;
 };
 
@@ -26,11 +29,13 @@ struct Give {
     double speed_limit_rad_s[2] = {0.0, 0.0}; // of the output
 };
 
+// Two bodies began to touch in this tick.
 struct Touch {
     uint64_t tick;
     uint32_t first, second; // positioners; second = positioner_count + k is obstacle k
 };
 
+// Torque on the two axes of a positioner, Nm at the output.
 struct Push {
     double torque_Nm[2] = {0.0, 0.0}; // alpha, beta
     bool operator==(const Push &) const = default;
@@ -48,9 +53,11 @@ struct Contact {
     Vec2 force_N;   // on the keeper
 };
 
+// Contact forces of all arms of a focal plane.
 class Neighbours {
   public:
     Neighbours() = default;
+    // One row of `gives` for each arm. @pre arms and gives have the same size.
     Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body, std::vector<Give> gives);
 
     // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
@@ -58,7 +65,9 @@ class Neighbours {
     // then those of this. Any thread, one call per positioner at a time.
     Push push(size_t i, const std::vector<Pose> &poses, uint64_t tick, std::vector<Contact> &contacts);
 
+    // Memory of one positioner, with the longest list of neighbours.
     size_t bytes_per_positioner() const;
+    // Number of arms.
     size_t positioner_count() const { return arms_.size(); }
 
   private:

@@ -12,7 +12,8 @@
 
 namespace fl::twin {
 
-struct Unit { // one true axis
+// One true axis.
+struct Unit {
     PlantParams params;
     Transmission transmission;
 };
@@ -25,13 +26,16 @@ struct AxisFaults {
     // share of the gear's way that the arm makes, towards larger and smaller angles (a slipping coupling)
     double follows_up = 1.0, follows_down = 1.0;
 
+    // Whether the coupling slips in either direction.
     bool slips() const { return follows_up != 1.0 || follows_down != 1.0; }
 };
 
+// Motor angle, momentum of what moves with the rotor, gear angle, output angle.
 struct AxisState {
     double theta_rad, momentum_Nms, gear_rad, output_rad;
 };
 
+// The hardware of many axes, in groups. An axis is a number below axis_count(); others are not checked for.
 class Plant {
   public:
     // Axes rest at output_rad in negative contact. Throws std::invalid_argument that names the axis
@@ -39,53 +43,76 @@ class Plant {
     Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
           const char *kernel = "", int substeps = 10);
 
+    // Number of axes.
     size_t axis_count() const { return axes_.size(); }
+    // Number of groups.
     size_t group_count() const { return groups_.size(); }
+    // Instruction set of the inner loops.
     const char *kernel_name() const { return kernel_->name; }
 
-    // One tick of one group: hall counts; then, once the duties are set, 0.5 ms of physics. Groups are
-    // independent: any thread may run any of them.
+    // One tick of one group begins with the hall counts. Groups are independent: any thread may run any of
+    // them.
     void sense(size_t group, uint32_t tick) { kernel_->sense(groups_[group], tick); }
+    // Then, once the duties are set, 0.5 ms of physics.
     void step(size_t group);
 
+    // Memory of one axis.
     size_t bytes_per_axis() const { return sizeof(Axis) + sizeof(AxisGroup) / lane_count; }
 
-    // Axis 2 i is alpha of positioner i, 2 i + 1 its beta.
+    // A lane of a group.
     struct Place {
         size_t group;
         int lane;
     };
+    // Where an axis is kept: axis 2 i is alpha of positioner i, 2 i + 1 its beta.
     static Place place(size_t axis) {
         const size_t positioner = axis / 2;
         return {positioner / lane_group_size,
                 static_cast<int>(axis % 2 * lane_group_size + positioner % lane_group_size)};
     }
+    // The inner loops.
     const Kernel &kernel() const { return *kernel_; }
+    // The lanes of a group.
     AxisGroup &group(size_t index) { return groups_[index]; }
+    // The true parameters of an axis.
     const PlantParams &params(size_t axis) const { return axes_[axis].unit.params; }
+    // What tells whether a tick has changed anything.
     struct Rotor {
         double theta_rad = 0.0, momentum_Nms = 0.0, gear_rad = 0.0;
         bool operator==(const Rotor &) const = default;
     };
+    // Of one axis, now.
     Rotor rotor(size_t axis) const {
         return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms),
                 lane(axis, &AxisGroup::gear_rad)};
     }
+    // Motor angle, rad.
     double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
 
+    // All of it, now.
     AxisState state(size_t axis) const;
+    // Puts rotor and gear somewhere: motor rad, N m s, gear rad.
     void set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad);
-    double output_rad(size_t axis) const;         // where the arm is, deflected by outside torque, Eq. 5a
-    double output_at_rest_rad(size_t axis) const; // the same without the deflection
-    double deflection_rad(size_t axis) const;     // the deflection
-    double backlash_rad(size_t axis) const;       // B where the gear is
-    double speed_limit_rad_s(size_t axis) const;  // of the rotor: nothing drives it faster
+    // Where the arm is, deflected by outside torque, Eq. 5a.
+    double output_rad(size_t axis) const;
+    // The same without the deflection.
+    double output_at_rest_rad(size_t axis) const;
+    // The deflection by outside torque and stops, at the output.
+    double deflection_rad(size_t axis) const;
+    // B where the gear is, motor rad.
+    double backlash_rad(size_t axis) const;
+    // Of the rotor: nothing drives it faster.
+    double speed_limit_rad_s(size_t axis) const;
+    // Deflection of the output for a torque there, Eq. 5a.
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }
 
-    // At the output, positive towards positive angles.
+    // From outside, at the output, positive towards positive angles.
     void set_external_torque(size_t axis, double torque_Nm);
+    // As last set.
     double external_torque_Nm(size_t axis) const { return axes_[axis].torque_Nm; }
+    // As last set.
     const AxisFaults &faults(size_t axis) const { return axes_[axis].faults; }
+    // Breaks or repairs an axis. An arm whose coupling closes again stays where it is.
     void set_faults(size_t axis, AxisFaults faults);
     // The gear wears: only at rest.
     void set_transmission(size_t axis, const Transmission &transmission);

@@ -40,12 +40,14 @@ namespace fl::twin {
     X(hall_noise, "cnt", 0, 200, 3, "rms noise of a sample of either channel")
 // clang-format on
 
+// The parameters of one axis, SI and rad.
 struct PlantParams {
 #define X(name, unit, min, max, def, doc) double name = def;
     FL_PLANT_PARAMS(X)
 #undef X
 };
 
+// One line of the list.
 struct PlantParamInfo {
     const char *name, *unit;
     double min, max, def;

@@ -23,11 +23,15 @@ class Lateness {
     static constexpr double bin_s = 10e-6;
     static constexpr size_t bins = 2000; // up to 20 ms; what is later counts in the last one
 
+    // Counts so many ticks that were late_s late.
     void note(double late_s, bool kept, uint64_t ticks = 1);
     // The smallest bin edge that at least `share` of the ticks do not exceed; s.
     double quantile_s(double share) const;
+    // Ticks noted.
     uint64_t ticks() const { return ticks_; }
+    // Of them, kept.
     uint64_t kept() const { return kept_; }
+    // The latest of them, s.
     double worst_s() const { return worst_s_; }
 
   private:
@@ -36,6 +40,7 @@ class Lateness {
     double worst_s_ = 0.0;
 };
 
+// How the twin keeps up with the wall clock.
 struct Pace {
     Lateness busy;         // ticks in which a positioner was awake
     uint64_t resting = 0;  // ticks that needed no computation: every positioner rested
@@ -49,9 +54,12 @@ struct QueuedFrame {
     uint64_t tick;
 };
 
+// Runs a twin against the wall clock from its construction to stop(). The twin must outlive it, and may be
+// touched only between hold() and release().
 class RealTime {
   public:
-    // speed: virtual seconds per second. wake_fd: gets a byte when frames wait to be taken; -1 for none.
+    // speed: virtual seconds per second, above 0. wake_fd: gets a byte when frames wait to be taken; -1 for
+    // none.
     RealTime(Twin &twin, double speed, int wake_fd);
     ~RealTime();
     RealTime(const RealTime &) = delete;
@@ -66,11 +74,13 @@ class RealTime {
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
     double tick_now() const;
+    // As of the last exchange of frames.
     Pace pace() const;
     // Ends the thread; the clock of the twin stops.
     void stop();
     // Between hold and release, on one thread, no tick is computed: the twin may be touched.
     void hold();
+    // Lets the clock run again; as often as hold() was called.
     void release();
 
   private:

@@ -23,6 +23,7 @@ inline constexpr std::array<int, 9> harmonic_orders = {1, 2, 3, 35, 36, 37, 72, 
 inline constexpr int harmonic_count = static_cast<int>(harmonic_orders.size());
 inline constexpr int wear_count = 8;
 
+// Amplitudes of one harmonic.
 struct Harmonic {
     double cos = 0.0, sin = 0.0;
 };
@@ -32,6 +33,7 @@ struct Wear {
     double centre_rad = 0.0, width_rad = 0.0, height_rad = 0.0;
 };
 
+// The deviations of one gear, Eq. 6 and 7; orders of the series in harmonic_orders.
 struct Transmission {
     std::array<Harmonic, harmonic_count> delta_rad{};    // output angle
     std::array<Harmonic, harmonic_count> backlash_rad{}; // motor angle
@@ -40,6 +42,7 @@ struct Transmission {
 };
 static_assert(sizeof(Transmission) == (4 * harmonic_count + 1 + 3 * wear_count) * sizeof(double));
 
+// Gear angle T- and backlash B at a node, motor rad.
 struct Node {
     double gear_rad = 0.0, backlash_rad = 0.0;
 };
@@ -54,15 +57,19 @@ struct Cell {
     double backlash_1 = 0.0;
 };
 
+// Node `index`, which lies at the output angle index 2 pi / nodes_per_turn.
 Node transmission_node(const Transmission &t, double gear_ratio, int32_t index);
+// From node `index` to the next.
 Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index);
 
-// The cell that holds a gear angle, sought from a cell of the same gear; an output angle's is known at once.
+// The cell that holds a gear angle, sought from a cell of the same gear.
 Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near);
+// The cell that holds an output angle.
 Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad);
 
 // T-: gear angle of an output angle, without outside torque.
 double gear_of_output(const Cell &cell, double output_rad);
+// The output angle of a gear angle, the inverse.
 double output_of_gear(const Cell &cell, double gear_rad);
 
 // Everywhere rising in both contacts, and B never negative: nullptr, or what is wrong.
