@@ -7,7 +7,7 @@ from fiberloom.calibration.adaptive.calibration import (
     Update,
 )
 from fiberloom.calibration.bench.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
-from fiberloom.calibration.bench.bench import Bench
+from fiberloom.calibration.bench.bench import TorqueActuator
 from fiberloom.calibration.bench.estimate import Estimate
 from fiberloom.calibration.bench.friction import (
     BreakAway,
@@ -74,7 +74,6 @@ __all__ = [
     "Arms",
     "ArmsData",
     "ArmsSettings",
-    "Bench",
     "BreakAway",
     "Calibration",
     "CalibrationReport",
@@ -93,6 +92,7 @@ __all__ = [
     "StiffnessSettings",
     "SweepData",
     "SweepSettings",
+    "TorqueActuator",
     "TorqueScale",
     "TorqueScaleData",
     "TorqueScaleSettings",

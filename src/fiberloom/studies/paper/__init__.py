@@ -1,11 +1,11 @@
 """The paper's figures and numbers on the twin, ours beside theirs.
 
-Each figure is one module with `run(settings) -> Outcome`. Experiments go through the same firmware,
+Each figure is one module with `run(settings) -> FigureOutcome`. Experiments go through the same firmware,
 bus, camera and calibration code as an operator's; nothing here is imported by the rest.
 """
 
 from fiberloom.studies.paper import numbers
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.studies.paper.registry import FIGURES, Figure, chosen
 from fiberloom.studies.paper.runner import reproduce
@@ -15,8 +15,8 @@ __all__ = [
     "Bound",
     "Drawing",
     "Figure",
+    "FigureOutcome",
     "Kind",
-    "Outcome",
     "Quantity",
     "Settings",
     "chosen",
