@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from fiberloom.bus import Client, Trajectory
+from fiberloom.bus import Client, WireTrajectory
 from fiberloom.bus.parameters import read_parameters
 from fiberloom.calibration import (
     StiffnessSettings,
@@ -122,7 +122,7 @@ async def _track(plane: FocalPlane, units: Units, seed: int, axis: int) -> tuple
     for row, number in enumerate(client.ids):
         wire = [units.transmission(row, k, START_DEG)[0][0] + np.zeros_like(path_deg) for k in (0, 1)]
         wire[axis] = wire[axis] + path_deg
-        paths[number] = Trajectory.from_deg(time_s, *wire)
+        paths[number] = WireTrajectory.from_deg(time_s, *wire)
     await client.send_trajectories(paths)
     scopes = [twin.scope(row, axis) for row in range(len(plane))]
     await client.start()

@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from fiberloom.bus import CanNetTransport, Client, Trajectory
+from fiberloom.bus import CanNetTransport, Client, WireTrajectory
 from fiberloom.twin.server.address import addresses_of
 from fiberloom.twin.server.server import device_count
 
@@ -45,7 +45,7 @@ async def drive(positioners: int, seconds: float, moving: bool) -> dict[str, flo
             continue
         here, goal = (HOME, AWAY) if there else (AWAY, HOME)
         start = time.monotonic()
-        path = Trajectory.from_deg([0.1, 3.2], *zip(here, goal, strict=True))
+        path = WireTrajectory.from_deg([0.1, 3.2], *zip(here, goal, strict=True))
         sent = await client.send_trajectories(dict.fromkeys(ids, path))
         load_s = time.monotonic() - start
         assert sent.ok.all(), sent

@@ -8,7 +8,7 @@ from fakes import FakeBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiberloom.bus import Client, Command, Frame, Outcome, Response, Status, Trajectory
+from fiberloom.bus import Client, Command, Frame, Outcome, Response, Status, WireTrajectory
 from fiberloom.bus.identifier import decode, encode
 from fiberloom.errors import InputError
 
@@ -25,7 +25,7 @@ def outcomes(results):
 
 
 def ramp(end_deg, n=5, duration_s=2.0):
-    return Trajectory.from_deg(
+    return WireTrajectory.from_deg(
         np.linspace(0.1, duration_s, n), np.linspace(0, end_deg, n), np.linspace(0, -end_deg, n)
     )
 
@@ -278,7 +278,7 @@ def test_trajectories_arrive_point_by_point_and_run():
 
 def test_trajectory_data_is_the_same_bytes_as_recorded():
     bus, client = setup(1)
-    trajectory = Trajectory(np.array([[2982616, 200]]), np.array([[-1, 4000]]))
+    trajectory = WireTrajectory(np.array([[2982616, 200]]), np.array([[-1, 4000]]))
     asyncio.run(client.send_trajectories({1: trajectory}))
     frames = [(decode(i)[1], d.hex()) for i, d in bus.sent]
     assert frames == [
@@ -371,13 +371,13 @@ def test_concurrent_requests_keep_their_own_deadlines():
 
 def test_unfit_trajectories_are_named():
     with pytest.raises(InputError, match="alpha: times must grow"):
-        Trajectory.from_deg([0.1, 0.1001], [0, 1], [0, 1])
+        WireTrajectory.from_deg([0.1, 0.1001], [0, 1], [0, 1])
     with pytest.raises(InputError, match="at least one"):
-        Trajectory.from_deg([], [], [])
+        WireTrajectory.from_deg([], [], [])
     with pytest.raises(InputError, match="720"):
-        Trajectory.from_deg([0.1, 1.0], [0, 800], [0, 1])
+        WireTrajectory.from_deg([0.1, 1.0], [0, 800], [0, 1])
     with pytest.raises(InputError, match="2 times but 3 angles"):
-        Trajectory.from_deg([0.1, 1.0], [0, 1, 2], [0, 1])
+        WireTrajectory.from_deg([0.1, 1.0], [0, 1, 2], [0, 1])
 
 
 @settings(deadline=None, max_examples=50)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from fiberloom.bus import Command, Response, Status
 from fiberloom.bus.identifier import decode, encode
-from fiberloom.bus.protocol import COMMANDS, Flag, counts_of_deg, goto_duration_s
+from fiberloom.bus.protocol import COMMANDS, CommandFlag, counts_of_deg, goto_duration_s
 from fiberloom.errors import InputError
 from fiberloom.units import COUNTS_PER_DEG, COUNTS_PER_TURN
 
@@ -43,12 +43,12 @@ def test_every_command_has_exactly_one_row():
 
 
 def test_broadcast_and_safe_flags_are_those_of_the_protocol():
-    broadcast = {c.value for c, s in COMMANDS.items() if s.flags & Flag.BROADCAST}
+    broadcast = {c.value for c, s in COMMANDS.items() if s.flags & CommandFlag.BROADCAST}
     assert broadcast == {1, 2, 3, 14, 15}
-    moves = {c.value for c, s in COMMANDS.items() if s.flags & Flag.MOVE}
+    moves = {c.value for c, s in COMMANDS.items() if s.flags & CommandFlag.MOVE}
     assert {10, 11, 12, 14, 20, 30, 31, 33, 41} <= moves
     assert moves.isdisjoint({13, 15, 3, 32, 40})
-    again = {c.value for c, s in COMMANDS.items() if s.flags & Flag.REPEATABLE}
+    again = {c.value for c, s in COMMANDS.items() if s.flags & CommandFlag.REPEATABLE}
     assert again.isdisjoint({10, 11, 12, 14, 20, 23, 26, 30, 31, 47, 200, 201})
 
 

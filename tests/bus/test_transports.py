@@ -8,7 +8,7 @@ from fakes import FakeBus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.bus import Client, Command, Frame, Outcome, PythonCanTransport, Trajectory
+from fiberloom.bus import Client, Command, Frame, Outcome, PythonCanTransport, WireTrajectory
 from fiberloom.bus.cannet import CanNetTransport, frame_to_line, line_to_frame
 from fiberloom.bus.identifier import encode
 from fiberloom.errors import InputError
@@ -116,7 +116,7 @@ def test_positioners_are_found_and_spoken_to_on_their_own_port():
         client = Client(transport)
         ids = await client.discover()
         t = [0.1, 0.2, 0.3]
-        plan = {i: Trajectory.from_deg(t, [0, 1, 2], [0, 0, i]) for i in ids}
+        plan = {i: WireTrajectory.from_deg(t, [0, 1, 2], [0, 0, i]) for i in ids}
         return ids, await client.send_trajectories(plan)
 
     gateways = []

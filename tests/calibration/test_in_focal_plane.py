@@ -206,11 +206,11 @@ def place_random(plane, k):
 def test_everybody_can_stand_in_a_placed_configuration():
     wide = PLANE.with_collision_buffer(2.5)
     theta, _ = designed(wide, 3)
-    from fiberloom.planning import Plan, Robot
+    from fiberloom.planning import Plan, Trajectory
 
     for k in range(3):
         robots = [
-            Robot(int(p), np.array([0.0]), theta[i, k, :1], theta[i, k, 1:])
+            Trajectory(int(p), np.array([0.0]), theta[i, k, :1], theta[i, k, 1:])
             for i, p in enumerate(wide.positioner_id)
         ]
         standing = Plan(wide.instrument.name, 2.5, tuple(robots), {}, {})

@@ -5,7 +5,7 @@ import asyncio
 import numpy as np
 
 from fiberloom._core import twin as core
-from fiberloom.bus import Client, Outcome, Trajectory
+from fiberloom.bus import Client, Outcome, WireTrajectory
 from fiberloom.calibration import calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, draw_units
@@ -61,7 +61,8 @@ def test_trajectories_run_on_the_twin():
         time_s = np.linspace(0.5, 6.0, 30)
         rise = 0.5 * (1 - np.cos(np.pi * (time_s - 0.5) / 5.5))
         plan = {
-            i: Trajectory.from_deg(time_s, start[0] + 30.0 * rise, start[1] - 30.0 * rise) for i in ids[:4]
+            i: WireTrajectory.from_deg(time_s, start[0] + 30.0 * rise, start[1] - 30.0 * rise)
+            for i in ids[:4]
         }
         return ids, await client.run_trajectories(plan), await client.positions_deg()
 

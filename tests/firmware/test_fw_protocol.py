@@ -7,7 +7,7 @@ import pytest
 from fiberloom import units
 from fiberloom._core import firmware as fw
 from fiberloom.bus import Command, Response, Status
-from fiberloom.bus.protocol import COMMANDS, Flag
+from fiberloom.bus.protocol import COMMANDS, CommandFlag
 
 ROWS = {row["name"]: row for row in fw.command_table()}
 RAW = {Command.SEND_FIRMWARE_DATA: (1, 8), Command.COLLISION_DETECTED: (0, 8)}
@@ -34,7 +34,7 @@ def test_payloads_have_the_same_length(command):
 
 def test_the_same_commands_may_be_broadcast():
     firmware = {name for name, row in ROWS.items() if row["broadcast"]}
-    assert firmware == {c.name for c, spec in COMMANDS.items() if spec.flags & Flag.BROADCAST}
+    assert firmware == {c.name for c, spec in COMMANDS.items() if spec.flags & CommandFlag.BROADCAST}
 
 
 def test_response_codes_have_the_same_names_and_numbers():

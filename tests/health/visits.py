@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.health.monitor import Passage
+from fiberloom.health.monitor import ObservedMove
 from fiberloom.instruments import FocalPlane
 
 RIPPLE_DEG = 0.025
@@ -63,7 +63,7 @@ class Visits:
                 self.lost[t.row, t.axis] += t.size
         seen = self._seen()
         asked = np.ones(len(self.plane), dtype=bool)
-        return Passage(before, self.believed.copy(), seen, asked, asked, effort=self._effort())
+        return ObservedMove(before, self.believed.copy(), seen, asked, asked, effort=self._effort())
 
     def active(self):
         """Troubles that have begun."""

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiberloom.errors import InputError
-from fiberloom.planning import Plan, Robot, read_configuration, read_plans, write_configuration
+from fiberloom.planning import Plan, Trajectory, read_configuration, read_plans, write_configuration
 
 PLANE = field(7)
 IDS = [int(p) for p in PLANE.positioner_id]
@@ -58,7 +58,7 @@ number = st.floats(-400.0, 400.0)
 
 @given(st.lists(st.lists(st.tuples(number, number, number), min_size=1, max_size=4), max_size=4))
 def test_a_plan_survives_json_bit_for_bit(tables):
-    robots = tuple(Robot(k, *np.array(table).T) for k, table in enumerate(tables))
+    robots = tuple(Trajectory(k, *np.array(table).T) for k, table in enumerate(tables))
     made = Plan("sdssv", 2.0, robots, {0: "positioner 0: why"})
     back = Plan.from_json(made.to_json())
     assert back.to_json() == made.to_json()

@@ -11,7 +11,7 @@ from fiberloom.errors import InputError
 from fiberloom.planning import (
     Plan,
     PlanSettings,
-    Robot,
+    Trajectory,
     plan,
     plan_corrections,
     random_configuration,
@@ -78,7 +78,7 @@ def test_every_move_ends_with_the_approach_after_everything_else():
 def test_rounding_to_the_integers_of_the_bus_changes_nothing():
     plane, start_deg, goal_deg, made = solved(100, 0)
     rounded = [
-        Robot(
+        Trajectory(
             r.positioner_id,
             ticks_to_s(s_to_ticks(r.time_s)),
             counts_to_deg(deg_to_counts(r.alpha_deg)),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fiberloom._core import planning as core
-from fiberloom.planning import Plan, Robot, verify
+from fiberloom.planning import Plan, Trajectory, verify
 
 PLANE = replace(field(2), fiducials=np.zeros((0, 3)), guide_cameras=np.zeros((0, 5)))
 """Two neighbours and nothing else."""
@@ -21,7 +21,7 @@ SLOW = {"speed_deg_s": 1e9, "acceleration_deg_s2": 1e12}
 
 def plan_of(*motions) -> Plan:
     """One (time, alpha, beta) table per positioner."""
-    robots = [Robot(p, *np.array(m, dtype=float).T) for p, m in zip(BOTH, motions, strict=True)]
+    robots = [Trajectory(p, *np.array(m, dtype=float).T) for p, m in zip(BOTH, motions, strict=True)]
     return Plan("sdssv", 2.0, tuple(robots))
 
 
@@ -124,7 +124,7 @@ def test_an_obstacle_in_the_way_is_found_and_named():
     row, disc = np.unravel_index(np.argmin((gaps**2).sum(axis=2)), gaps.shape[:2])
     alone = plane.select([row])
     turn = [(0.0, 0.0, 30.0), (30.0, 360.0, 30.0)]  # sweeps its whole surroundings
-    plan = Plan("sdssv", 2.0, (Robot(int(alone.positioner_id[0]), *np.array(turn).T),))
+    plan = Plan("sdssv", 2.0, (Trajectory(int(alone.positioner_id[0]), *np.array(turn).T),))
     found = verify(alone, plan)
     assert "obstacle" in kinds(found)
     assert f"fiducial {disc}" in {v.other for v in found.collisions}
@@ -133,13 +133,13 @@ def test_an_obstacle_in_the_way_is_found_and_named():
 def test_guide_cameras_are_bodies():
     x, y = PLANE.centres_mm[0]
     camera = replace(FREE, guide_cameras=np.array([[x + 25.0, y - 40, x + 25.0, y + 40, 3.0]]))
-    plan = Plan("sdssv", 2.0, (Robot(BOTH[0], *np.array([(0, 0, 0), (35.0, 360.0, 0.0)]).T),))
+    plan = Plan("sdssv", 2.0, (Trajectory(BOTH[0], *np.array([(0, 0, 0), (35.0, 360.0, 0.0)]).T),))
     assert verify(FREE, plan, **SLOW).ok
     assert {v.other for v in verify(camera, plan, **SLOW).collisions} == {"guide camera 0"}
 
 
 def alone(*points) -> Plan:
-    return Plan("sdssv", 2.0, (Robot(int(FREE.positioner_id[0]), *np.array(points, float).T),))
+    return Plan("sdssv", 2.0, (Trajectory(int(FREE.positioner_id[0]), *np.array(points, float).T),))
 
 
 RAMP = [(0.0, 50.0, 150.0), (0.25, 50.5, 150.5), (0.5, 52.0, 152.0), (0.75, 52.5, 152.5)]

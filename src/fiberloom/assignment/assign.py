@@ -10,7 +10,7 @@ from fiberloom.assignment.choose import LEVEL_WEIGHT, conflicts, levels_of, pack
 from fiberloom.assignment.clearance import sweep
 from fiberloom.assignment.demanded import place_demanded
 from fiberloom.assignment.park import park
-from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.assignment.placement import Placement, Rules
 from fiberloom.assignment.reasons import explain
 from fiberloom.assignment.screen import screen, screen_placed
 from fiberloom.instruments import FocalPlane
@@ -111,26 +111,26 @@ def assign(
         approach_deg = plane.instrument.approach_deg
     rules = Rules.of(plane, approach_deg, margin_mm)
     rng = np.random.default_rng(seed)
-    floor = Floor(plane, np.full(plane.n, approach_deg))
+    placement = Placement(plane, np.full(plane.n, approach_deg))
     found = find_candidates(plane, targets)
     block = np.full(len(found), Block.NONE, dtype=np.int64)
     mine = targets.positioner_id[found.target] != FREE
-    block[mine] = place_demanded(floor, found.select(mine), targets, rules, rng)
-    block[~mine] = _place_free(floor, found.select(~mine), targets, rules, rng)
-    rest = np.flatnonzero(~floor.placed)
-    given_up = park(floor, rest, rules, _worth(floor, targets))
-    unassigned = explain(floor, targets, found, block, given_up, rules.pair_mm)
-    return _result(floor, unassigned, targets, given_up, rules)
+    block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng)
+    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng)
+    rest = np.flatnonzero(~placement.placed)
+    given_up = park(placement, rest, rules, _worth(placement, targets))
+    unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
+    return _result(placement, unassigned, targets, given_up, rules)
 
 
 def _place_free(
-    floor: Floor, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
+    placement: Placement, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
 ) -> Ints:
     """Place targets that any positioner may take; (C,) what blocks each candidate."""
-    plane = floor.plane
+    plane = placement.plane
     segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
     block = screen(plane, found, segments, rules.approach_deg, rules)
-    screen_placed(floor, found, segments, block, rules.pair_mm)
+    screen_placed(placement, found, segments, block, rules.pair_mm)
     open_ = np.flatnonzero(block == Block.NONE)
     level = levels_of(targets.priority)[found.target]
     ok = open_[shortlist(found.positioner[open_], level[open_], rng)]
@@ -138,9 +138,9 @@ def _place_free(
     pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)
     chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng)
     if not proven or len(ok) < len(open_):
-        floor.notes.append("the choice of targets is good, but not proven to be the best")
+        placement.notes.append("the choice of targets is good, but not proven to be the best")
     rows = ok[chosen]
-    floor.put(
+    placement.put(
         found.positioner[rows],
         found.goal_deg[rows],
         segments[rows],
@@ -151,40 +151,40 @@ def _place_free(
     return block
 
 
-def _worth(floor: Floor, targets: TargetList) -> Floats:
+def _worth(placement: Placement, targets: TargetList) -> Floats:
     """(N,) what it costs to send each positioner elsewhere; nearly nothing if it is parked."""
-    has = floor.target >= 0
-    worth = np.full(floor.plane.n, 1e-3)
-    worth[has] = LEVEL_WEIGHT ** levels_of(targets.priority)[floor.target[has]]
+    has = placement.target >= 0
+    worth = np.full(placement.plane.n, 1e-3)
+    worth[has] = LEVEL_WEIGHT ** levels_of(targets.priority)[placement.target[has]]
     demanded = has.copy()
-    demanded[has] = targets.positioner_id[floor.target[has]] != FREE
+    demanded[has] = targets.positioner_id[placement.target[has]] != FREE
     worth[demanded] *= 1e20
     return worth
 
 
 def _result(
-    floor: Floor,
+    placement: Placement,
     unassigned: dict[int, str],
     targets: TargetList,
     given_up: dict[int, int],
     rules: Rules,
 ) -> Assignment:
-    short = floor.approach_deg < rules.approach_deg
-    names = ", ".join(map(str, floor.plane.positioner_id[short & (floor.target >= 0)]))
-    notes = list(floor.notes)
+    short = placement.approach_deg < rules.approach_deg
+    names = ", ".join(map(str, placement.plane.positioner_id[short & (placement.target >= 0)]))
+    notes = list(placement.notes)
     if names:
-        least = floor.approach_deg[short].min()
+        least = placement.approach_deg[short].min()
         notes.append(f"approach of {least:.3f} deg instead of {rules.approach_deg:g} where the "
                      f"demanded places leave no room: positioners {names}")  # fmt: skip
     notes += [f"target {targets.target_id[row]}: {unassigned[row]}" for row in given_up]
-    alpha, beta = floor.goal_deg.T.copy()
+    alpha, beta = placement.goal_deg.T.copy()
     return Assignment(
-        target=floor.target,
-        fibre=floor.fibre,
+        target=placement.target,
+        fibre=placement.fibre,
         alpha_deg=alpha,
         beta_deg=beta,
-        approach_deg=np.where(floor.plane.offline, 0.0, floor.approach_deg),
-        clearance_mm=floor.clearance_mm(),
+        approach_deg=np.where(placement.plane.offline, 0.0, placement.approach_deg),
+        clearance_mm=placement.clearance_mm(),
         unassigned=unassigned,
         notes=notes,
     )

@@ -8,7 +8,7 @@ from fiberloom.assignment.candidates import Block, Candidates
 from fiberloom.assignment.choose import conflicts, levels_of, pack
 from fiberloom.assignment.clearance import dip_mm, obstacles, sweep
 from fiberloom.assignment.escape import Escape
-from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.assignment.placement import Placement, Rules
 from fiberloom.assignment.screen import screen
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
@@ -25,16 +25,16 @@ def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
 
 
 def place_demanded(
-    floor: Floor, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
+    placement: Placement, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
 ) -> Ints:
     """Place the targets that demand their positioner; (C,) what blocks each candidate (`Block`).
 
-    `floor` is changed; `found`: the C candidates of these targets, rows of `targets`; `rules`:
+    `placement` is changed; `found`: the C candidates of these targets, rows of `targets`; `rules`:
     distances to keep; `rng` decides between equally good choices. The operator chose these places, so
     they need the collision buffer and no margin. Where the approach is too long for that, it shrinks to
     what closes the backlash.
     """
-    plane = floor.plane
+    plane = placement.plane
     bare = replace(
         rules,
         pair_mm=2 * plane.collision_buffer_mm + dip_mm(plane, rules.approach_deg),
@@ -52,7 +52,7 @@ def place_demanded(
     chosen, proven = pack(some.positioner, some.target, level, pairs, rng)
     block[ok[~chosen]] = Block.ARM
     rows = ok[chosen]
-    floor.put(
+    placement.put(
         found.positioner[rows],
         found.goal_deg[rows],
         segments[rows],
@@ -61,7 +61,7 @@ def place_demanded(
         found.fibre[rows],
     )
     if not proven:
-        floor.notes.append("demanded targets: the choice among colliding ones may not be the best")
+        placement.notes.append("demanded targets: the choice among colliding ones may not be the best")
     return block
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from fiberloom.assignment.candidates import inside_stops
 from fiberloom.assignment.clearance import obstacle_gap_mm, sweep
-from fiberloom.assignment.placement import NOBODY, Floor, Rules
+from fiberloom.assignment.placement import NO_TARGET, Placement, Rules
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats, Ints
 
@@ -12,34 +12,34 @@ STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
 """Grid of places to try."""
 
 
-def park(floor: Floor, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int]:
+def park(placement: Placement, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int]:
     """Place positioners without a target. Returns the targets given up, and for which positioner (row)
     each was.
 
-    `floor` is changed; `rows`: the positioners to place; `rules`: distances to keep. First come all
+    `placement` is changed; `rows`: the positioners to place; `rules`: distances to keep. First come all
     that are free in the folded place of the instrument, then one by one the first free place of a grid.
     Where none is free, the neighbours in the way of the place that costs least (`worth` (N,) of each
     neighbour, dimensionless weights, summed) make room and are parked in their turn.
     """
-    queue = _park_folded(floor, rows, rules)
+    queue = _park_folded(placement, rows, rules)
     worth = worth.copy()
     given_up: dict[int, int] = {}
     while queue:
         row = queue.pop(0)
-        goals, segments = _places(floor.plane, row, rules)
-        near, hit = floor.hits(row, segments, rules.pair_mm)
+        goals, segments = _places(placement.plane, row, rules)
+        near, hit = placement.hits(row, segments, rules.pair_mm)
         best = _cheapest(row, goals, hit @ worth[near], rules)
         if best is None:
-            _leave_folded(floor, row)
+            _leave_folded(placement, row)
             continue
         for other in near[hit[best]].tolist():
-            target = floor.take_away(other)
-            if target != NOBODY:
+            target = placement.take_away(other)
+            if target != NO_TARGET:
                 given_up[target] = row
             # so that two of them cannot push each other out for ever
             worth[other] *= 10.0
             queue.append(other)
-        floor.put(row, goals[best], segments[best], rules.approach_deg)
+        placement.put(row, goals[best], segments[best], rules.approach_deg)
     return given_up
 
 
@@ -61,27 +61,27 @@ def _cheapest(row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None
     return None
 
 
-def _leave_folded(floor: Floor, row: int) -> None:
+def _leave_folded(placement: Placement, row: int) -> None:
     """Nothing that moves could help: the positioner is walled in by what does not move."""
-    plane = floor.plane
+    plane = placement.plane
     goal = np.array([plane.instrument.positioner.park_deg])
-    floor.put(row, goal[0], sweep(plane, np.array([row]), goal, 0.0)[0], 0.0)
-    floor.notes.append(
+    placement.put(row, goal[0], sweep(plane, np.array([row]), goal, 0.0)[0], 0.0)
+    placement.notes.append(
         f"positioner {plane.positioner_id[row]}: no place free of fiducials, guide cameras and "
         "offline neighbours; left folded, in collision"
     )
 
 
-def _park_folded(floor: Floor, rows: Ints, rules: Rules) -> list[int]:
+def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
     """Fold every positioner that can be folded; returns the others."""
-    plane = floor.plane
+    plane = placement.plane
     goals = np.tile(plane.instrument.positioner.park_deg, (len(rows), 1))
     segments = sweep(plane, rows, goals, rules.approach_deg)
     free = obstacle_gap_mm(plane, rows, segments, rules.bodies) >= rules.gap_mm
     others = []
     for k, row in enumerate(rows.tolist()):
-        if free[k] and not floor.hits(row, segments[k : k + 1], rules.pair_mm)[1].any():
-            floor.put(row, goals[k], segments[k], rules.approach_deg)
+        if free[k] and not placement.hits(row, segments[k : k + 1], rules.pair_mm)[1].any():
+            placement.put(row, goals[k], segments[k], rules.approach_deg)
         else:
             others.append(row)
     return others

@@ -18,7 +18,7 @@ from fiberloom.assignment.clearance import (
 from fiberloom.assignment.escape import Escape
 from fiberloom.instruments import FocalPlane
 
-NOBODY = -1
+NO_TARGET = -1
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Rules:
 
 
 @dataclass
-class Floor:
+class Placement:
     """Arrays over the N positioners. Offline ones are placed from the start."""
 
     plane: FocalPlane
@@ -73,7 +73,7 @@ class Floor:
         self.goal_deg = np.where(plane.offline[:, None], plane.offline_position_deg, 0.0)
         self.segments = standing(plane, self.goal_deg)
         self.placed = plane.offline.copy()
-        self.target = np.full(n, NOBODY)
+        self.target = np.full(n, NO_TARGET)
         self.fibre = np.full(n, "", dtype=f"<U{max(map(len, plane.points))}")
         pairs = plane.neighbour_pairs(1.0)
         both = np.vstack([pairs, pairs[:, ::-1]])
@@ -86,14 +86,14 @@ class Floor:
         goal_deg: Floats,
         segments: Floats,
         approach: float | Floats,
-        target: int | Ints = NOBODY,
+        target: int | Ints = NO_TARGET,
         fibre: str | np.ndarray = "",
     ) -> None:
         """Place positioners.
 
         `row`: one, or (n,); `goal_deg` (n, 2); `segments` (n, POSES, 4) mm: centre lines at the goal
         and on the approach; `approach`: overshoot in deg, one or (n,); `target`: row of the target
-        list, NOBODY without one; `fibre`: its name.
+        list, NO_TARGET without one; `fibre`: its name.
         """
         self.goal_deg[row], self.segments[row], self.placed[row] = goal_deg, segments, True
         self.approach_deg[row], self.target[row], self.fibre[row] = approach, target, fibre
@@ -101,7 +101,7 @@ class Floor:
     def take_away(self, row: int) -> int:
         """Remove a positioner from its place; the target that it had."""
         target = int(self.target[row])
-        self.placed[row], self.target[row], self.fibre[row] = False, NOBODY, ""
+        self.placed[row], self.target[row], self.fibre[row] = False, NO_TARGET, ""
         return target
 
     def hits(self, row: int, segments: Floats, limit_mm: float) -> tuple[Ints, Flags]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from fiberloom.assignment.candidates import Block, Candidates
 from fiberloom.assignment.clearance import sweep
-from fiberloom.assignment.placement import Floor
+from fiberloom.assignment.placement import Placement
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
@@ -20,7 +20,7 @@ WORDS = {
 
 
 def explain(
-    floor: Floor,
+    placement: Placement,
     targets: TargetList,
     found: Candidates,
     block: np.ndarray,
@@ -29,13 +29,13 @@ def explain(
 ) -> dict[int, str]:
     """The reason for each target without a positioner, by its row in `targets`.
 
-    `floor`: the placement; `found`: all C candidates; `block` (C,): what blocks each (`Block`);
+    `placement`: the placement; `found`: all C candidates; `block` (C,): what blocks each (`Block`);
     `given_up`: target row -> positioner row that needed its place; `limit_mm`: least distance of two
     centre lines.
     """
-    plane = floor.plane
+    plane = placement.plane
     taken = np.zeros(len(targets), dtype=bool)
-    taken[floor.target[floor.target >= 0]] = True
+    taken[placement.target[placement.target >= 0]] = True
     by_target = np.argsort(found.target, kind="stable")
     ends = np.searchsorted(found.target[by_target], np.arange(len(targets) + 1))
     out = {}
@@ -50,7 +50,7 @@ def explain(
             out[row] = _blocked(plane, found, block, mine)
         else:
             open_ = mine[block[mine] == Block.NONE]
-            out[row] = _lost(floor, targets, found.select(open_), limit_mm)
+            out[row] = _lost(placement, targets, found.select(open_), limit_mm)
     return out
 
 
@@ -85,28 +85,30 @@ def _blocked(plane: FocalPlane, found: Candidates, block: np.ndarray, mine: np.n
     return f"positioner {positioner} {WORDS[Block(block[nearest])]}{more}"
 
 
-def _lost(floor: Floor, targets: TargetList, mine: Candidates, limit_mm: float) -> str:
+def _lost(placement: Placement, targets: TargetList, mine: Candidates, limit_mm: float) -> str:
     """Positioners that could take it have another target, or are kept off by a neighbour."""
-    plane = floor.plane
-    idle = np.flatnonzero(floor.target[mine.positioner] < 0)
+    plane = placement.plane
+    idle = np.flatnonzero(placement.target[mine.positioner] < 0)
     for k in idle.tolist():
         row = int(mine.positioner[k])
         segments = sweep(plane, mine.positioner[k : k + 1], mine.goal_deg[k : k + 1],
-                         floor.approach_deg[row])  # fmt: skip
-        near, hit = floor.hits(row, segments, limit_mm)
+                         placement.approach_deg[row])  # fmt: skip
+        near, hit = placement.hits(row, segments, limit_mm)
         if hit.any():
             other = int(near[np.argmax(hit[0])])
             return (
                 f"collision: positioner {plane.positioner_id[row]} would touch positioner "
-                f"{plane.positioner_id[other]}{_busy_with(floor, targets, other)}"
+                f"{plane.positioner_id[other]}{_busy_with(placement, targets, other)}"
             )
-    best = int(np.argmax(targets.priority[floor.target[mine.positioner]]))
+    best = int(np.argmax(targets.priority[placement.target[mine.positioner]]))
     row = int(mine.positioner[best])
-    return f"lost to another target: positioner {plane.positioner_id[row]}" + _busy_with(floor, targets, row)
+    return f"lost to another target: positioner {plane.positioner_id[row]}" + _busy_with(
+        placement, targets, row
+    )
 
 
-def _busy_with(floor: Floor, targets: TargetList, row: int) -> str:
-    target = int(floor.target[row])
+def _busy_with(placement: Placement, targets: TargetList, row: int) -> str:
+    target = int(placement.target[row])
     if target < 0:
         return ", which is parked"
     return f", which has {targets.target_id[target]} (priority {targets.priority[target]:g})"

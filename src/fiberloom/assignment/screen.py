@@ -4,7 +4,7 @@ import numpy as np
 
 from fiberloom.assignment.candidates import Block, Candidates, inside_stops
 from fiberloom.assignment.clearance import obstacle_gap_mm, places, too_near
-from fiberloom.assignment.placement import Floor, Rules
+from fiberloom.assignment.placement import Placement, Rules
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats, Ints
 
@@ -28,18 +28,20 @@ def screen(
     return block
 
 
-def screen_placed(floor: Floor, found: Candidates, segments: Floats, block: Ints, limit_mm: float) -> None:
+def screen_placed(
+    placement: Placement, found: Candidates, segments: Floats, block: Ints, limit_mm: float
+) -> None:
     """Block also candidates that are taken, or too near to a positioner that is placed already.
 
-    `floor`: the placement; `found`: C candidates; `segments` (C, POSES, 4) mm: their centre lines;
+    `placement`: the placement; `found`: C candidates; `segments` (C, POSES, 4) mm: their centre lines;
     `block` (C,) is changed; `limit_mm`: least distance of two centre lines.
     """
-    moving = floor.placed & ~floor.plane.offline
+    moving = placement.placed & ~placement.plane.offline
     block[(block == Block.NONE) & moving[found.positioner]] = Block.BUSY
     ok = np.flatnonzero(block == Block.NONE)
-    near = [floor.neighbours[row][moving[floor.neighbours[row]]] for row in range(floor.plane.n)]
+    near = [placement.neighbours[row][moving[placement.neighbours[row]]] for row in range(placement.plane.n)]
     mine = np.repeat(ok, [len(near[row]) for row in found.positioner[ok]])
     others = np.concatenate([*(near[row] for row in found.positioner[ok]), np.empty(0, np.int64)])
     others = others.astype(np.int64)
-    bad = too_near(places(segments), mine, places(floor.segments), others, limit_mm)
+    bad = too_near(places(segments), mine, places(placement.segments), others, limit_mm)
     block[np.unique(mine[bad])] = Block.ARM

@@ -4,7 +4,7 @@ from fiberloom.bus.cannet import CanNetTransport
 from fiberloom.bus.client import Client, Collision
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.bus.protocol import Command, Response, Status
-from fiberloom.bus.trajectory import Trajectory
+from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.bus.transport import Frame, PythonCanTransport, Transport, TransportLost
 
 __all__ = [
@@ -19,7 +19,7 @@ __all__ = [
     "Result",
     "Results",
     "Status",
-    "Trajectory",
     "Transport",
     "TransportLost",
+    "WireTrajectory",
 ]

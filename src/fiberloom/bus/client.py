@@ -20,13 +20,13 @@ from fiberloom.bus.protocol import (
     COMMANDS,
     MAX_SPEED_RPM,
     Command,
+    CommandFlag,
     CommandSpec,
-    Flag,
     Response,
     Status,
     counts_of_deg,
 )
-from fiberloom.bus.trajectory import Trajectory, upload
+from fiberloom.bus.trajectory import WireTrajectory, upload
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.errors import InputError
 
@@ -114,7 +114,7 @@ class Client:
         payloads = [spec.pack(*row) for row in zip(*columns, strict=True)] or [spec.pack()] * len(ids)
         timeout_s = spec.timeout_s if timeout_s is None else timeout_s
         results = await self._unicast(command, ids, payloads, timeout_s)
-        for _ in range(self.retries if spec.flags & Flag.REPEATABLE else 0):
+        for _ in range(self.retries if spec.flags & CommandFlag.REPEATABLE else 0):
             await self._again(command, ids, payloads, timeout_s, results)
         return results
 
@@ -153,14 +153,14 @@ class Client:
         Those that do not answer a repeatable command are asked once more, one by one.
         """
         spec = COMMANDS[command]
-        if not spec.flags & Flag.BROADCAST:
+        if not spec.flags & CommandFlag.BROADCAST:
             raise ValueError(f"{command.name} cannot be broadcast")
         chosen = self._chosen(ids)
         timeout_s = spec.timeout_s if timeout_s is None else timeout_s
         replies = await self.exchange.broadcast(command, spec.pack(), timeout_s, chosen)
         lost = self.exchange.lost is not None
         results = Results({i: result_of(i, command, replies.get(i), lost) for i in chosen})
-        if spec.flags & Flag.REPEATABLE and self.retries:
+        if spec.flags & CommandFlag.REPEATABLE and self.retries:
             await self._again(command, chosen, [spec.pack()] * len(chosen), timeout_s, results)
         return results
 
@@ -290,7 +290,7 @@ class Client:
         return await self.broadcast(Command.STOP_TRAJECTORY, ids)
 
     async def send_trajectories(
-        self, trajectories: Mapping[int, Trajectory], timeout_s: float = 5.0
+        self, trajectories: Mapping[int, WireTrajectory], timeout_s: float = 5.0
     ) -> Results:
         """Loads a trajectory into each positioner, all at once; failures are tried once more.
 
@@ -365,7 +365,7 @@ class Client:
 
     async def run_trajectories(
         self,
-        trajectories: Mapping[int, Trajectory],
+        trajectories: Mapping[int, WireTrajectory],
         *,
         partial: bool = False,
         margin_s: float = 3.0,
@@ -399,7 +399,7 @@ class Client:
 
     async def _check_ends(
         self,
-        trajectories: Mapping[int, Trajectory],
+        trajectories: Mapping[int, WireTrajectory],
         ids: list[int],
         results: Results,
         tolerance_deg: float,

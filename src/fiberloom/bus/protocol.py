@@ -163,7 +163,7 @@ class Command(IntEnum):
     BENCH_TORQUE_STEP_BETA = 246
 
 
-class Flag(IntFlag):
+class CommandFlag(IntFlag):
     """What a command is and may."""
 
     NONE = 0
@@ -178,7 +178,7 @@ class CommandSpec:
     """One row of the command table; `request` and `reply` are struct formats without byte order."""
 
     command: Command
-    flags: Flag
+    flags: CommandFlag
     request: str = ""
     reply: str = ""
     timeout_s: float = 5.0
@@ -198,8 +198,8 @@ class CommandSpec:
         return layout.unpack_from(data) if len(data) >= layout.size else None
 
 
-B, S, M, R = Flag.BROADCAST, Flag.SAFE, Flag.MOVE, Flag.REPEATABLE
-NONE = Flag.NONE
+B, S, M, R = CommandFlag.BROADCAST, CommandFlag.SAFE, CommandFlag.MOVE, CommandFlag.REPEATABLE
+NONE = CommandFlag.NONE
 C = Command
 
 # command, flags, request payload, reply payload, reply timeout in s (default 5). A row is

@@ -16,7 +16,7 @@ from fiberloom.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class Trajectory:
+class WireTrajectory:
     """Points of both axes: rows of (position in counts, time in ticks), straight in between.
 
     Times count from the start signal and grow strictly. The axes may have different points.
@@ -36,7 +36,7 @@ class Trajectory:
                 )
 
     @classmethod
-    def from_deg(cls, time_s: ArrayLike, alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Trajectory:
+    def from_deg(cls, time_s: ArrayLike, alpha_deg: ArrayLike, beta_deg: ArrayLike) -> WireTrajectory:
         """Rounds wire positions in deg and times in s to counts and ticks."""
         return cls(_points("alpha", time_s, alpha_deg), _points("beta", time_s, beta_deg))
 
@@ -64,7 +64,7 @@ def _points(name: str, time_s: ArrayLike, angle_deg: ArrayLike) -> NDArray[np.in
 
 async def upload(
     exchange: Exchange,
-    trajectories: Mapping[int, Trajectory],
+    trajectories: Mapping[int, WireTrajectory],
     bite: int,
     timeout_s: float,
 ) -> Results:
@@ -111,7 +111,7 @@ async def _step(
 
 async def _send_points(
     exchange: Exchange,
-    trajectories: Mapping[int, Trajectory],
+    trajectories: Mapping[int, WireTrajectory],
     alive: list[int],
     bite: int,
     timeout_s: float,

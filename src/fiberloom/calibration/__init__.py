@@ -12,7 +12,7 @@ if TYPE_CHECKING:
         Update,
     )
     from fiberloom.calibration.bench.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
-    from fiberloom.calibration.bench.bench import Bench
+    from fiberloom.calibration.bench.bench import TorqueActuator
     from fiberloom.calibration.bench.estimate import Estimate
     from fiberloom.calibration.bench.friction import (
         BreakAway,
@@ -79,7 +79,6 @@ __all__ = [
     "Arms",
     "ArmsData",
     "ArmsSettings",
-    "Bench",
     "BreakAway",
     "Calibration",
     "CalibrationReport",
@@ -98,6 +97,7 @@ __all__ = [
     "StiffnessSettings",
     "SweepData",
     "SweepSettings",
+    "TorqueActuator",
     "TorqueScale",
     "TorqueScaleData",
     "TorqueScaleSettings",

@@ -7,21 +7,21 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.health.monitor import Passage
-from fiberloom.health.status import Status
+from fiberloom.health.monitor import ObservedMove
+from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.store import Store
 from fiberloom.store.run import START
 
 Columns = dict[str, NDArray]
 
-_NOT_ARRIVED = (Status.DEAD, Status.BLOCKED, Status.OFFLINE)
+_NOT_ARRIVED = (FibreStatus.DEAD, FibreStatus.BLOCKED, FibreStatus.OFFLINE)
 _NEAR_DEG = 1.0
 """A report farther than this from the command is no arrival: gears are linear to 0.6 deg."""
 _STAYS_DEG = 1e-6
 
 
-def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[Passage]:
+def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedMove]:
     """The moves of one run in order. Positioners that the plane does not have are left out."""
     columns = store.measurements(run_id)
     before = np.full((len(plane), 2), np.nan)
@@ -48,18 +48,18 @@ class _Move:
         self.believed_deg = self._pair("alpha_deg", "beta_deg")
         self.wire_deg = self._pair("wire_alpha_deg", "wire_beta_deg")
 
-    def passage(self, before_deg: NDArray[np.float64]) -> Passage:
+    def passage(self, before_deg: NDArray[np.float64]) -> ObservedMove:
         """What operation saw of it."""
         seen_mm = self._pair("x_mm", "y_mm")
         seen_mm[self.rows[~self._columns["seen"].astype(bool)]] = np.nan
         stays = np.all(np.abs(self.believed_deg - before_deg) < _STAYS_DEG, axis=1)
-        status = np.full(self.n, str(Status.OFFLINE), dtype=object)
+        status = np.full(self.n, str(FibreStatus.OFFLINE), dtype=object)
         status[self.rows] = self._columns["status"]
         near = np.all(np.abs(self.wire_deg - self.believed_deg) < _NEAR_DEG, axis=1)
         arrived = near & ~np.isin(status.astype(str), [str(s) for s in _NOT_ARRIVED])
-        gave_up = status.astype(str) == str(Status.DEAD)
+        gave_up = status.astype(str) == str(FibreStatus.DEAD)
         asked = self.known & ~stays
-        return Passage(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
+        return ObservedMove(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
 
     def _pair(self, first: str, second: str) -> NDArray[np.float64]:
         out = np.full((self.n, 2), np.nan)

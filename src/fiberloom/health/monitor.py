@@ -72,7 +72,7 @@ _WORKS = {
 
 
 @dataclass(frozen=True)
-class Passage:
+class ObservedMove:
     """One move as operation saw it. Rows are positioners."""
 
     before_deg: Floats
@@ -144,7 +144,7 @@ class HealthMonitor:
 
     # one move
 
-    def update(self, passage: Passage) -> None:
+    def update(self, passage: ObservedMove) -> None:
         """Learn from one move."""
         self.moves += 1
         seen: Flags = np.all(np.isfinite(passage.seen_mm), axis=1)
@@ -160,7 +160,7 @@ class HealthMonitor:
         self._seen_sd_deg = np.where(changed, image_sd_deg, self._seen_sd_deg)
         self._book()
 
-    def _miss_deg(self, passage: Passage, seen: Flags) -> tuple[Floats, Floats]:
+    def _miss_deg(self, passage: ObservedMove, seen: Flags) -> tuple[Floats, Floats]:
         """(N, 2) seen minus believed angles; NaN where nothing is seen or the fibre does not tell.
 
         And what the image alone makes them scatter by.
@@ -193,7 +193,7 @@ class HealthMonitor:
     def _jacobian(self, at_deg: Floats, rows: Rows) -> Floats:
         return self.plane.jacobian(at_deg[:, 0], at_deg[:, 1], METROLOGY, index=rows)
 
-    def _far_miss_deg(self, passage: Passage, rows: Rows) -> Floats:
+    def _far_miss_deg(self, passage: ObservedMove, rows: Rows) -> Floats:
         """Where the linear way does not hold: both angles anew."""
         found = self.plane.inverse(passage.seen_mm[rows], METROLOGY, index=rows)
         miss = np.column_stack([found.alpha_deg, found.beta_deg]) - passage.believed_deg[rows]
@@ -201,7 +201,7 @@ class HealthMonitor:
         sees = found.reachable & self._regular(found.beta_deg)
         return np.where(sees[:, None], miss, np.nan)
 
-    def _ways(self, passage: Passage, miss_deg: Floats, image_sd_deg: Floats) -> None:
+    def _ways(self, passage: ObservedMove, miss_deg: Floats, image_sd_deg: Floats) -> None:
         """What the way from the last image to this one tells."""
         way = passage.believed_deg - passage.before_deg
         gain = miss_deg - (self._seen_deg - passage.before_deg)
@@ -227,7 +227,7 @@ class HealthMonitor:
         """(N, 2) deg by which one axis moves the fibre as far as one coordinate of a 2-D rms."""
         return rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / self._lever_mm)
 
-    def _rests(self, passage: Passage) -> Flags:
+    def _rests(self, passage: ObservedMove) -> Flags:
         """(N,) reports arrival, and its fibre is seen where it was: needs no angles."""
         before, after = passage.before_deg, passage.believed_deg
         way_mm = self.plane.forward(after[:, 0], after[:, 1]) - self.plane.forward(before[:, 0], before[:, 1])
@@ -252,7 +252,7 @@ class HealthMonitor:
         self.stills_in_a_row = np.where(asked, again, self.stills_in_a_row)
         return still
 
-    def _collisions(self, passage: Passage) -> None:
+    def _collisions(self, passage: ObservedMove) -> None:
         """A way that ends as a collision may be a neighbour's fault once; hardly four times."""
         if passage.collided is not None:
             self.blocked.add(of_event(passage.collided, *self.settings.blocked), passage.asked)
@@ -272,7 +272,7 @@ class HealthMonitor:
         self._way.add(way, gain, long)
 
     def _jumps(
-        self, passage: Passage, miss_deg: Floats, gain: Floats, sd: Floats, told: Flags, far: Flags
+        self, passage: ObservedMove, miss_deg: Floats, gain: Floats, sd: Floats, told: Flags, far: Flags
     ) -> None:
         """A sudden miss that stays at the next place is a slip; one that goes belongs to the place."""
         s, moved_on = self.settings, told & far[:, None]
@@ -285,13 +285,13 @@ class HealthMonitor:
         known_deg = self._slip_deg + self.geometry.offsets_deg()
         self._places(passage, (miss_deg - known_deg) / sd, moved_on)
 
-    def _apart_mm(self, passage: Passage) -> Floats:
+    def _apart_mm(self, passage: ObservedMove) -> Floats:
         """(N,) from where a fibre is seen to where it should be, by all slips so far; 0 if not seen."""
         at = passage.believed_deg + self._slip_deg
         off_mm = passage.seen_mm - self.plane.forward(at[:, 0], at[:, 1], METROLOGY)
         return np.nan_to_num(np.hypot(off_mm[:, 0], off_mm[:, 1]))
 
-    def _places(self, passage: Passage, value: Floats, told: Flags) -> None:
+    def _places(self, passage: ObservedMove, value: Floats, told: Flags) -> None:
         """The place on the turn at which a miss was seen."""
         place = (passage.believed_deg // self.settings.tooth_deg).astype(np.int64) % self.n_bins
         ratio = of_shift(np.abs(value), self.settings.tooth_sd)
@@ -300,7 +300,7 @@ class HealthMonitor:
         self.tooth.add(chart)
         self.everywhere.add(ratio, told)
 
-    def _geometry(self, passage: Passage, miss_deg: Floats, told: Flags) -> None:
+    def _geometry(self, passage: ObservedMove, miss_deg: Floats, told: Flags) -> None:
         """Offsets of both angles and the length of the beta arm, from the last moves together."""
         at = passage.believed_deg + self._slip_deg
         near = np.abs(miss_deg - self._slip_deg).max(axis=1) < self.settings.fit_deg
@@ -324,7 +324,7 @@ class HealthMonitor:
         camera_mm2 = 0.5 * (self.noise.camera_um * MM_PER_UM) ** 2 + self.settings.camera_floor_mm2
         return scaled @ scaled.transpose(0, 2, 1) + camera_mm2 * np.eye(2)
 
-    def _scatters(self, passage: Passage, gain: Floats, sd: Floats, small: Flags) -> None:
+    def _scatters(self, passage: ObservedMove, gain: Floats, sd: Floats, small: Flags) -> None:
         """What small moves miss by, along the beta arm and across, against what is expected."""
         rows = np.flatnonzero(small)
         at = passage.believed_deg[rows]
@@ -339,7 +339,7 @@ class HealthMonitor:
         self.scatter.add(of_spread(square, 1, self.settings.scatter_ratio))
         self._wobble_mm2[rows] += self.settings.wobble_memory * (off**2 - self._wobble_mm2[rows])
 
-    def _torques(self, passage: Passage) -> None:
+    def _torques(self, passage: ObservedMove) -> None:
         """Torque over a positioner's own habit, and over what all need today (the temperature)."""
         if passage.effort is None:
             return

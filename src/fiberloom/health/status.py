@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 
-class Status(StrEnum):
+class FibreStatus(StrEnum):
     """State of one positioner after one move."""
 
     ON_TARGET = "on_target"  # within the requirement, as measured
@@ -19,4 +19,4 @@ class Status(StrEnum):
     OFFLINE = "offline"  # switched off before the observation
 
 
-FAULTS = frozenset({Status.DARK, Status.LYING, Status.ASTRAY, Status.DEAD})
+FAULTS = frozenset({FibreStatus.DARK, FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})

@@ -164,7 +164,7 @@ class Metrology(Table):
     """Name of the point it sees."""
 
 
-class Camera(Table):
+class CameraTable(Table):
     """What the host knows of the camera before it has seen an image; the rest it finds in images."""
 
     width_px: Annotated[int, Field(ge=64)]
@@ -334,7 +334,7 @@ class Instrument(Table):
     beta: Axis
     bodies: Bodies
     metrology: Metrology
-    camera: Camera | None = None
+    camera: CameraTable | None = None
     """Of the images; an instrument without this table is measured by a noise model alone."""
     operation: Operation
     acceptance: Acceptance | None = None

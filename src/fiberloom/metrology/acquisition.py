@@ -132,7 +132,7 @@ def acquire(
     Raises AcquisitionError where too few are found or two answers are as good.
     """
     s = settings or AcquisitionSettings()
-    hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
+    hunt = _Search(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.help = _finite(expected_mm)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
     hunt.terms, hunt.radius_mm = _sets(terms), radius_mm or hunt.field_radius_mm
@@ -158,7 +158,7 @@ def refine(
     """
     s = settings or AcquisitionSettings()
     geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
-    hunt = _Hunt(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
+    hunt = _Search(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
     hunt.terms, hunt.radius_mm = _sets(terms), start.radius_mm
     grown = hunt.polish(start)
@@ -167,7 +167,7 @@ def refine(
     return grown
 
 
-class _Hunt:
+class _Search:
     """One search."""
 
     def __init__(

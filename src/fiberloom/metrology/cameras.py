@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import Instrument
-from fiberloom.instruments.model import Camera
+from fiberloom.instruments.model import CameraTable
 from fiberloom.metrology.acquisition import AcquisitionSettings, CameraGeometry
 from fiberloom.metrology.pipeline import ReductionSettings
 
@@ -19,7 +19,7 @@ ROTATOR_DEG, SHIFT_MM = 15.0, 20.0
 """How far a camera may hang from where it should, in the loop."""
 
 
-def camera_of(instrument: Instrument) -> Camera:
+def camera_of(instrument: Instrument) -> CameraTable:
     """The camera of an instrument that has one for images."""
     if instrument.camera is None:
         raise InputError(
@@ -36,7 +36,7 @@ def geometry_of(instrument: Instrument) -> CameraGeometry:
     )
 
 
-def reduction_settings(camera: Camera | None, geometry: CameraGeometry) -> ReductionSettings:
+def reduction_settings(camera: CameraTable | None, geometry: CameraGeometry) -> ReductionSettings:
     """How images of this camera become positions; the turn that is searched is that of a rotator."""
     loose = replace(geometry, rotation_tolerance_deg=ROTATOR_DEG, shift_tolerance_mm=SHIFT_MM)
     if camera is None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome
-from fiberloom.health.status import Status
+from fiberloom.health.status import FibreStatus
 from fiberloom.typing import Flags, Floats
 
 ASTRAY_MM = 0.5
@@ -33,7 +33,7 @@ class Evidence:
     goal_mm: Floats
 
 
-def judge(evidence: Evidence) -> list[Status | None]:
+def judge(evidence: Evidence) -> list[FibreStatus | None]:
     """Fault of each positioner, None for the healthy ones (also those that were interrupted)."""
     apart = np.hypot(*(evidence.measured_mm - evidence.reported_mm).T)
     asked = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
@@ -45,13 +45,13 @@ def judge(evidence: Evidence) -> list[Status | None]:
     ]
 
 
-def _judge_one(outcome: Outcome, seen: bool, apart: bool, still: bool) -> Status | None:
+def _judge_one(outcome: Outcome, seen: bool, apart: bool, still: bool) -> FibreStatus | None:
     if outcome in (Outcome.REFUSED, Outcome.TIMED_OUT, Outcome.DISCONNECTED):
-        return Status.DEAD
+        return FibreStatus.DEAD
     if not seen:
-        return Status.DARK
+        return FibreStatus.DARK
     if apart:
-        return Status.LYING if still else Status.ASTRAY
+        return FibreStatus.LYING if still else FibreStatus.ASTRAY
     if outcome is Outcome.COLLIDED and still:
-        return Status.DEAD  # the motor is blocked where it stands
+        return FibreStatus.DEAD  # the motor is blocked where it stands
     return None

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
-from fiberloom.health.status import FAULTS, Status
+from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.metrology import Measurement
 from fiberloom.operation.move import Move, Recorder
 from fiberloom.typing import Floats, Ints
@@ -19,7 +19,7 @@ from fiberloom.typing import Floats, Ints
 Keep = Callable[[AdaptiveCalibration, Ints], None]
 """Stores the states of these rows."""
 
-_TELL_NOTHING = FAULTS | {Status.OFFLINE}
+_TELL_NOTHING = FAULTS | {FibreStatus.OFFLINE}
 
 
 class LearningRecorder:

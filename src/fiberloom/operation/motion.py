@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Results
-from fiberloom.bus.trajectory import Trajectory
+from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
-from fiberloom.health.status import Status
+from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.planning import Plan, Robot, plan, verify
+from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
-NOT_WHERE_IT_SAYS = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
+NOT_WHERE_IT_SAYS = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
 
 ROUND_FAULTS = "blind, round faults"
 """Label of a blind move after one that was stopped."""
@@ -49,7 +49,9 @@ class FieldState:
 
     def __init__(self, plane: FocalPlane, recorder: Recorder) -> None:
         self.plane, self.recorder = plane, recorder
-        self.faults: list[Status | None] = [Status.OFFLINE if offline else None for offline in plane.offline]
+        self.faults: list[FibreStatus | None] = [
+            FibreStatus.OFFLINE if offline else None for offline in plane.offline
+        ]
         self.blocked = np.zeros(len(plane), dtype=bool)
         self.here_deg = plane.offline_position_deg.copy()
         """(N, 2) angles as reported, through the maps; as seen where the report is not trusted."""
@@ -58,7 +60,7 @@ class FieldState:
     @property
     def mobile(self) -> Flags:
         """Positioners that go where they are told; a dark one does, though its fibre is not seen."""
-        return np.array([fault in (None, Status.DARK) for fault in self.faults])
+        return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults])
 
     @property
     def healthy(self) -> Flags:
@@ -75,7 +77,7 @@ class FieldState:
         """(N, 2) metrology fibres of the layout at these angles."""
         return self.plane.forward(angles_deg[:, 0], angles_deg[:, 1], METROLOGY)
 
-    def flag(self, row: int, fault: Status, why: str) -> None:
+    def flag(self, row: int, fault: FibreStatus, why: str) -> None:
         """Books a fault."""
         self.faults[row] = fault
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
@@ -124,9 +126,9 @@ class FieldState:
                 "check the back-illumination"
             )
         for i in np.flatnonzero(dark):
-            self.flag(int(i), Status.DARK, "its fibre is not seen")
+            self.flag(int(i), FibreStatus.DARK, "its fibre is not seen")
 
-    def status(self, has_target: Flags, error_um: Floats) -> list[Status]:
+    def status(self, has_target: Flags, error_um: Floats) -> list[FibreStatus]:
         """What can be said of every positioner, its fibre being this far from its target."""
         requirement_um = self.plane.instrument.operation.requirement_um
         return [
@@ -134,15 +136,15 @@ class FieldState:
             for i in range(len(self.plane))
         ]
 
-    def _status_of(self, row: int, has_target: bool, within: bool) -> Status:
+    def _status_of(self, row: int, has_target: bool, within: bool) -> FibreStatus:
         fault = self.faults[row]
         if fault is not None:
             return fault
         if self.blocked[row]:
-            return Status.BLOCKED
+            return FibreStatus.BLOCKED
         if not has_target:
-            return Status.PARKED
-        return Status.ON_TARGET if within else Status.OFF_TARGET
+            return FibreStatus.PARKED
+        return FibreStatus.ON_TARGET if within else FibreStatus.OFF_TARGET
 
 
 class FieldMotion:
@@ -174,7 +176,7 @@ class FieldMotion:
             )
         for i in np.flatnonzero(state.mobile):
             if known[i] not in found:
-                state.flag(int(i), Status.DEAD, "does not answer on the bus")
+                state.flag(int(i), FibreStatus.DEAD, "does not answer on the bus")
         await self._read_positions(self.plane.positioner_id[state.mobile])
         image = self.look()
         self.recorder.start(state.here_deg, state.wire_deg, image)
@@ -261,10 +263,10 @@ class FieldMotion:
         self.state.wire_deg[rows] = wire_deg[answered]
         self.state.here_deg[rows] = self.maps.to_output(wire_deg[answered], index=rows)
 
-    def _on_the_wire(self, robot: Robot) -> Trajectory:
+    def _on_the_wire(self, robot: Trajectory) -> WireTrajectory:
         row = int(self.plane.index_of(robot.positioner_id))
         wire_deg = self.maps.path_to_wire(row, robot.points_deg)
-        return Trajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
+        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
 
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
         miss_mm = np.hypot(*(image.xy_mm - self.state.metrology_mm(goals.angles_deg)).T)

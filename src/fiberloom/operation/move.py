@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
-from fiberloom.health.status import Status
+from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan
@@ -56,7 +56,7 @@ class Move:
     """Seen minus wanted metrology fibre; NaN without target or light."""
     true_mm: Floats | None
     """The science fibre (metrology fibre where parked); a twin only."""
-    status: list[Status]
+    status: list[FibreStatus]
     interrupted: bool = False
     """Stopped before its end, because a positioner collided or did not go."""
     comparison: bool = False

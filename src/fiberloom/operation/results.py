@@ -14,7 +14,7 @@ from astropy.table import QTable, Table, vstack
 
 from fiberloom.assignment import Assignment
 from fiberloom.errors import InputError
-from fiberloom.health.status import FAULTS, Status
+from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
 from fiberloom.report.figures import new_axes
@@ -39,7 +39,7 @@ MARKS = ("version", "seed", "instrument", "config_hash", "utc")
 
 _UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
 
-NOT_COUNTED = FAULTS | {Status.PARKED, Status.OFFLINE, Status.BLOCKED}
+NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
 
 
 @dataclass(frozen=True)
@@ -387,7 +387,7 @@ def _percentile(values: Floats, share: float) -> float | None:
 def _faults(observed: Observation, move: Move) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for positioner, status in zip(observed.plane.positioner_id, move.status, strict=True):
-        if status in FAULTS or status is Status.BLOCKED:
+        if status in FAULTS or status is FibreStatus.BLOCKED:
             found.setdefault(status.value, []).append(int(positioner))
     return found
 
@@ -451,7 +451,7 @@ def _picture(observed: Observation) -> FieldPicture:
     final = observed.final
     error = observed.error_um(final)
     counted = observed.counted(final)
-    flagged = np.array([s in FAULTS or s is Status.BLOCKED for s in final.status])
+    flagged = np.array([s in FAULTS or s is FibreStatus.BLOCKED for s in final.status])
     within = int((error[counted] <= observed.requirement_um).sum())
     title = (
         f"{within} of {int(counted.sum())} fibres within {observed.requirement_um:g} µm "

@@ -31,7 +31,7 @@ from fiberloom.calibration.focal_plane.survey_data import SurveyData
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
-from fiberloom.health.status import Status
+from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion
 from fiberloom.operation.move import Goals, Move, Recorder
@@ -41,7 +41,7 @@ from fiberloom.store import Store
 from fiberloom.store.database import Columns
 from fiberloom.typing import Floats
 
-_UNTOLD = frozenset({Status.LYING, Status.ASTRAY, Status.DEAD})
+_UNTOLD = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
 """Their motors do not say where the arms are: nothing to be learnt of the arms."""
 
 

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from fiberloom.planning.configuration import read_configuration, write_configuration
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
-    from fiberloom.planning.trajectories import Plan, Robot, read_plans
+    from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
     from fiberloom.planning.verification import Verification, Violation, verify
 
 __all__ = [
     "Plan",
     "PlanSettings",
-    "Robot",
+    "Trajectory",
     "Verification",
     "Violation",
     "plan",

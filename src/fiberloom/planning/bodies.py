@@ -24,7 +24,7 @@ the output's by the non-linearity (up to 0.6 deg accepted) and the backlash (0.2
 
 
 @dataclass(frozen=True)
-class Bodies:
+class CollisionBodies:
     """First arguments of `_core.planning`."""
 
     arms: Floats
@@ -33,7 +33,7 @@ class Bodies:
     obstacles: Floats
 
     @classmethod
-    def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "Bodies":
+    def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "CollisionBodies":
         """The bodies of a plane; its own collision buffer when left out."""
         discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
         radius = plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm

@@ -9,7 +9,7 @@ from fiberloom._core import geometry
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import Bodies, approach_rad
+from fiberloom.planning.bodies import CollisionBodies, approach_rad
 from fiberloom.planning.planner import PlanSettings, plan
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
@@ -85,7 +85,7 @@ class _Drawing:
         collision_buffer_mm: float | None,
     ) -> None:
         self.plane, self.rng = plane, rng
-        bodies = Bodies.of(plane, collision_buffer_mm)
+        bodies = CollisionBodies.of(plane, collision_buffer_mm)
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pair_mm = bodies.radius_mm + margin_mm / 2
         self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import Bodies, approach_rad
+from fiberloom.planning.bodies import CollisionBodies, approach_rad
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -45,7 +45,7 @@ class _Placing:
     def __init__(self, plane: FocalPlane, candidates_deg: Floats, margin_mm: float) -> None:
         self.plane = plane
         self.goals = deg_to_rad(candidates_deg)
-        bodies = Bodies.of(plane)
+        bodies = CollisionBodies.of(plane)
         self.pair_mm = bodies.radius_mm + margin_mm / 2
         self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)
         self.approach = float(approach_rad(plane, None).max(initial=0.0))

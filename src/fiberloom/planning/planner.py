@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import Bodies, angles_rad, approach_rad, travel_rad
-from fiberloom.planning.trajectories import Plan, Robot
+from fiberloom.planning.bodies import CollisionBodies, angles_rad, approach_rad, travel_rad
+from fiberloom.planning.trajectories import Plan, Trajectory
 from fiberloom.planning.verification import Verification, verify
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
@@ -92,8 +92,8 @@ class _Task:
         return cls(plane, start, goal, approach, (settings or PlanSettings()).of(plane))
 
     @property
-    def bodies(self) -> Bodies:
-        return Bodies.of(self.plane, self.settings.collision_buffer_mm)
+    def bodies(self) -> CollisionBodies:
+        return CollisionBodies.of(self.plane, self.settings.collision_buffer_mm)
 
     @property
     def moving(self) -> Flags:
@@ -208,7 +208,7 @@ def _assembled(
     robots = []
     for number, points in zip(task.plane.positioner_id, motions, strict=True):
         alpha_deg, beta_deg = np.round(rad_to_deg(points[:, 1:]), DECIMALS_DEG).T
-        robots.append(Robot(int(number), np.round(points[:, 0], 6), alpha_deg, beta_deg))
+        robots.append(Trajectory(int(number), np.round(points[:, 0], 6), alpha_deg, beta_deg))
     return Plan(
         instrument=task.plane.instrument.name,
         collision_buffer_mm=task.bodies.radius_mm,

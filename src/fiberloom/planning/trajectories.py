@@ -17,7 +17,7 @@ KEYS = ("time_s", "alpha_deg", "beta_deg")
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Trajectory:
     """The trajectory of one positioner: linear between points; one point if it does not move."""
 
     positioner_id: int
@@ -61,7 +61,7 @@ class Plan:
 
     instrument: str
     collision_buffer_mm: float
-    robots: tuple[Robot, ...]
+    robots: tuple[Trajectory, ...]
     refused: dict[int, str] = field(default_factory=dict)
     """Reason for each positioner that does not arrive, by positioner_id. It stays, or goes out of the way."""
     cpu_s: float = 0.0
@@ -267,7 +267,7 @@ def _get(document: Mapping[str, Any], key: str, kind: type | tuple[type, ...], w
     return value
 
 
-def _robot(entry: Any, where: str) -> Robot:
+def _robot(entry: Any, where: str) -> Trajectory:
     number = int(_get(entry, "positioner_id", int, where))
     where = f"{where} (positioner {number})"
     time_s, alpha_deg, beta_deg = (_array(entry, key, where) for key in KEYS)
@@ -276,7 +276,7 @@ def _robot(entry: Any, where: str) -> Robot:
             f"{where}: {len(time_s)} times, {len(alpha_deg)} alphas, {len(beta_deg)} betas; "
             "there must be as many of each, at least one"
         )
-    return Robot(number, time_s, alpha_deg, beta_deg)
+    return Trajectory(number, time_s, alpha_deg, beta_deg)
 
 
 def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import ROUNDING_RAD, Bodies, angles_rad, approach_rad, travel_rad
+from fiberloom.planning.bodies import ROUNDING_RAD, CollisionBodies, angles_rad, approach_rad, travel_rad
 from fiberloom.planning.trajectories import Plan
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
@@ -141,7 +141,7 @@ def verify(
     >>> fl.verify(plane, made, goal_deg=assigned.goal_deg).ok
     True
     """
-    bodies = Bodies.of(
+    bodies = CollisionBodies.of(
         plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
     )
     axes = plane.instrument.axes

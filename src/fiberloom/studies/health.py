@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
-from fiberloom.health.monitor import Ailment, HealthMonitor, Passage, State
+from fiberloom.health.monitor import Ailment, HealthMonitor, ObservedMove, State
 from fiberloom.studies.lifetime import LifetimeSettings, calibrate
 from fiberloom.studies.years import Visit, Years
 from fiberloom.twin.bench import bench_units
@@ -117,7 +117,7 @@ class _Trial:
         self.believed = np.where(visit.done[:, None], wanted_deg, before)
         asked = np.ones(len(self.plane), dtype=bool)
         self.monitor.update(
-            Passage(
+            ObservedMove(
                 before_deg=before,
                 believed_deg=self.believed.copy(),
                 seen_mm=visit.measured_mm,

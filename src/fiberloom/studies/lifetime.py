@@ -101,7 +101,7 @@ class LifetimeSettings:
         return [c for c in self.snapshots if c in self.simulated]
 
 
-class Source(Protocol):
+class MotorMap(Protocol):
     """What turns angles into wire positions."""
 
     def to_wire(self, theta_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
@@ -163,7 +163,7 @@ class _Test:
             }
         target = self._draw_targets()
         fine = replace(self.settings, points=FINER * self.settings.points, repeats=1)
-        ways: dict[str, tuple[Source, FocalPlane]] = {
+        ways: dict[str, tuple[MotorMap, FocalPlane]] = {
             "linear": (self.first.linear(), self.first_plane),
             "fixed": (self.first, self.first_plane),
             "recalibrated": (maps, plane),
@@ -191,7 +191,9 @@ class _Test:
         off = reach[:, None] * np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=1)
         return self.layout.centres_mm[..., None] + off
 
-    def _approach(self, source: Source, plane: FocalPlane, target_mm: Floats, corrections: int) -> _Approach:
+    def _approach(
+        self, source: MotorMap, plane: FocalPlane, target_mm: Floats, corrections: int
+    ) -> _Approach:
         """Blind moves to (N, 2, M) targets, and corrections by Eq. 25; all images, (moves, N, 2, M)."""
         command, made = target_mm, []
         for _ in range(1 + corrections):

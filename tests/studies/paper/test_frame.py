@@ -14,8 +14,8 @@ from fiberloom.studies.paper import (
     Bound,
     Drawing,
     Figure,
+    FigureOutcome,
     Kind,
-    Outcome,
     Settings,
     chosen,
     numbers,
@@ -45,13 +45,15 @@ def figures(monkeypatch):
 
     def works(settings):
         settings.say("at work")
-        return Outcome(quantities(), [Drawing("curve", "a curve", PNG)], "as told", "half the size", ["more"])
+        return FigureOutcome(
+            quantities(), [Drawing("curve", "a curve", PNG)], "as told", "half the size", ["more"]
+        )
 
     def interrupted(settings):
         raise KeyboardInterrupt
 
     def ends_well(settings):
-        return Outcome([quantity("fig17.rms", "rms", 160.0, "nm", paper=160.0)], [], "as told")
+        return FigureOutcome([quantity("fig17.rms", "rms", 160.0, "nm", paper=160.0)], [], "as told")
 
     for name, run in {"works": works, "interrupted": interrupted, "ends_well": ends_well}.items():
         module = types.ModuleType(f"fiberloom.studies.paper.{name}")

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fiberloom.bus import CanNetTransport, Client, Command, Outcome, Status, Trajectory
+from fiberloom.bus import CanNetTransport, Client, Command, Outcome, Status, WireTrajectory
 from fiberloom.bus.identifier import encode
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
@@ -84,7 +84,7 @@ def test_found_moved_and_where_they_say():
     async def scenario(server, client):
         assert await client.discover() == sorted(IDS)
         done = await arrive(client, IDS, 22.5, 160.0)
-        trajectories = {i: Trajectory.from_deg([0.1, 2.0], [22.5, 30.0], [160.0, 150.0]) for i in IDS}
+        trajectories = {i: WireTrajectory.from_deg([0.1, 2.0], [22.5, 30.0], [160.0, 150.0]) for i in IDS}
         followed = await client.run_trajectories(trajectories)
         angles, ok = await client.positions_deg(IDS)
         return done, followed, angles, ok, server.report()

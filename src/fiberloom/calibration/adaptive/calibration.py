@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from fiberloom.calibration.adaptive import knots as lines
 from fiberloom.calibration.adaptive import map_filter
 from fiberloom.calibration.adaptive import nearest_knot as printed
-from fiberloom.calibration.adaptive.map_filter import Block, FilterState, Spline, Weighing
+from fiberloom.calibration.adaptive.map_filter import FilterState, MeasurementBlock, Spline, Weighing
 from fiberloom.calibration.adaptive.nearest_knot import CommandSigmas
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
@@ -242,7 +242,9 @@ class AdaptiveCalibration:
         self._use(rows)
         return used, surprise, miss
 
-    def _block(self, rows: Ints, wire: Floats, xy: Floats, sigma_mm: Floats) -> tuple[Block, Floats]:
+    def _block(
+        self, rows: Ints, wire: Floats, xy: Floats, sigma_mm: Floats
+    ) -> tuple[MeasurementBlock, Floats]:
         n, m, _ = wire.shape
         at = np.nan_to_num(wire).swapaxes(1, 2)
         k, t = lines.locate(self.wire_deg[rows], at)
@@ -258,7 +260,7 @@ class AdaptiveCalibration:
         variance = np.square(self.settings.arrival_deg) + self.settings.finest_deg**2
         scatter = (jacobian * variance) @ jacobian.swapaxes(1, 2)
         noise = scatter.reshape(n, m, 2, 2) + np.nan_to_num(sigma_mm)[..., None, None] ** 2 * np.eye(2)
-        block = Block(
+        block = MeasurementBlock(
             innovation=np.nan_to_num(innovation),
             jacobian=jacobian.reshape(n, m, 2, 2),
             arms=arms.reshape(n, m, 2, 4),
@@ -271,7 +273,7 @@ class AdaptiveCalibration:
         )
         return block, np.where(seen, 1e3 * miss_mm, np.nan)
 
-    def _doubt(self, state: FilterState, block: Block, gated: Flags) -> None:
+    def _doubt(self, state: FilterState, block: MeasurementBlock, gated: Flags) -> None:
         """A spot that surprises is not believed, but its place is: next time it will be.
 
         So one wrong spot does no harm, and a broken tooth is followed from the second image on. When

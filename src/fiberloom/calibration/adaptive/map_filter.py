@@ -91,7 +91,7 @@ class Spline:
 
 
 @dataclass(frozen=True)
-class Block:
+class MeasurementBlock:
     """Measurements of n positioners, M each, and how they depend on the state."""
 
     innovation: Floats
@@ -112,7 +112,7 @@ class Block:
     """(n, M)"""
 
 
-def design(block: Block, size: int) -> Floats:
+def design(block: MeasurementBlock, size: int) -> Floats:
     """(n, M, 2, D): d(x, y)/d(state) without the ripple; mm/deg for angles, mm/mm for the arms."""
     n, m = block.counts.shape
     h = np.zeros((n, m, size, 2))
@@ -123,7 +123,7 @@ def design(block: Block, size: int) -> Floats:
     return h.swapaxes(2, 3)
 
 
-def _ripple_gain(block: Block, variance: Floats) -> Floats:
+def _ripple_gain(block: MeasurementBlock, variance: Floats) -> Floats:
     """(n, 2 axes, 2 sides, M, M', 2): covariance of measurement M' with the fine knot of M, mm deg."""
     own = np.stack([lines.pick(variance, block.k), lines.pick(variance, block.k + 1)], axis=2)
     at = np.stack([block.k, block.k + 1], axis=2)  # (n, 2, 2, M)
@@ -146,7 +146,7 @@ class Weighing:
     """(n, 2M, 2M) of the innovations."""
 
     @classmethod
-    def of(cls, state: FilterState, block: Block) -> Weighing:
+    def of(cls, state: FilterState, block: MeasurementBlock) -> Weighing:
         """Of a block whose rows are those of the state."""
         n, m = block.counts.shape
         h = design(block, state.mean.shape[1]).reshape(n, 2 * m, -1)
@@ -171,13 +171,13 @@ class Weighing:
         return blocks[:, each, :, each].swapaxes(0, 1)
 
 
-def surprise(weighing: Weighing, block: Block) -> Floats:
+def surprise(weighing: Weighing, block: MeasurementBlock) -> Floats:
     """(n, M) squared innovation relative to its covariance, dimensionless: 2 on average."""
     solved = np.linalg.solve(weighing.own(), block.innovation[..., None])[..., 0]
     return np.where(block.counts, (block.innovation * solved).sum(axis=-1), np.nan)
 
 
-def weigh(state: FilterState, block: Block, w: Weighing) -> None:
+def weigh(state: FilterState, block: MeasurementBlock, w: Weighing) -> None:
     """The Kalman update with all measurements that count; changes `state`, which has block's rows."""
     n, m = block.counts.shape
     ignore = np.repeat(~block.counts, 2, axis=1) * _UNSEEN

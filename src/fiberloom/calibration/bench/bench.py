@@ -32,7 +32,7 @@ BENCH_MARGIN_DEG = 30
 _POLL_S = 0.02
 
 
-class Bench(Protocol):
+class TorqueActuator(Protocol):
     """Applies a known torque to an arm. By hand: a weight on a thread, and a key pressed."""
 
     tolerance: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench.bench import Bench
+from fiberloom.calibration.bench.bench import TorqueActuator
 from fiberloom.metrology import Camera
 
 
@@ -18,4 +18,4 @@ class BenchRig:
     close_up: Camera
     close_up_um: float
     """Two-dimensional rms of `close_up`."""
-    weights: Bench
+    weights: TorqueActuator

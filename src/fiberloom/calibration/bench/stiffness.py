@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.client import Client
-from fiberloom.calibration.bench.bench import Bench, Operator, Progress, joined
+from fiberloom.calibration.bench.bench import Operator, Progress, TorqueActuator, joined
 from fiberloom.calibration.bench.estimate import Estimate, estimate
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -106,7 +106,7 @@ def _refusal(axis: str, count: int, mean_deg: float, error_deg: float) -> str:
 async def measure_stiffness(
     client: Client,
     camera: Camera,
-    bench: Bench,
+    bench: TorqueActuator,
     plane: FocalPlane,
     settings: StiffnessSettings | None = None,
     progress: Progress | None = None,
@@ -141,7 +141,7 @@ def _stretched_deg(plane: FocalPlane) -> float:
     return float(np.clip(30.0, low, high))
 
 
-async def _pairs(operator: Operator, bench: Bench, axis: int, settings: StiffnessSettings) -> Floats:
+async def _pairs(operator: Operator, bench: TorqueActuator, axis: int, settings: StiffnessSettings) -> Floats:
     xy = np.full((operator.plane.n, settings.repeats, 2, 2), np.nan)
     for repeat in range(settings.repeats):
         for side in range(2):

@@ -19,9 +19,9 @@ from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import (
     APPROACH_DEG,
     BENCH_MARGIN_DEG,
-    Bench,
     Operator,
     Progress,
+    TorqueActuator,
     joined,
 )
 from fiberloom.calibration.bench.estimate import Estimate, estimate, least_squares, standard_errors
@@ -100,7 +100,7 @@ def measured_scale(found: Estimate) -> TorqueScale:
 async def measure_torque_scale(
     client: Client,
     camera: Camera | None,
-    bench: Bench,
+    bench: TorqueActuator,
     plane: FocalPlane,
     settings: TorqueScaleSettings | None = None,
     progress: Progress | None = None,
@@ -133,7 +133,7 @@ async def measure_torque_scale(
 
 
 async def _loaded(
-    operator: Operator, bench: Bench, axis: int, torque_mNm: float, settings: TorqueScaleSettings
+    operator: Operator, bench: TorqueActuator, axis: int, torque_mNm: float, settings: TorqueScaleSettings
 ) -> list[Windows]:
     limits = operator.plane.limits_deg
     place = np.array([low + 0.8 * (high - low) for low, high in limits])

@@ -63,7 +63,7 @@ _GAINS = "Eq. 21 to 23 from the inertia (gains.py)"
 
 
 @dataclass(frozen=True)
-class Finding:
+class FoundParameter:
     """One parameter of one axis."""
 
     axis: int
@@ -142,7 +142,7 @@ class Derivation:
     """All parameters of a positioner, and whether they may be written."""
 
     positioner_id: int
-    findings: tuple[Finding, ...]
+    findings: tuple[FoundParameter, ...]
     checks: tuple[CrossCheck, ...] = ()
     others: tuple[str, ...] = ()
     """Why something that no parameter follows from (arms, stiffness, maps) could not be measured."""
@@ -153,7 +153,7 @@ class Derivation:
         own = [f"{AXES[f.axis]} {f.name}: {f.reason}" for f in self.findings if f.reason]
         return own + [c.reason for c in self.checks if c.reason] + list(self.others)
 
-    def of(self, axis: int, name: str) -> Finding:
+    def of(self, axis: int, name: str) -> FoundParameter:
         """The finding of a parameter."""
         return next(f for f in self.findings if f.axis == axis and f.name == name)
 
@@ -181,23 +181,23 @@ def derive(
     return Derivation(positioner_id, tuple(findings))
 
 
-def _of_axis(axis: int, found: Quantities, factory: np.void, now: np.void) -> Iterator[Finding]:
+def _of_axis(axis: int, found: Quantities, factory: np.void, now: np.void) -> Iterator[FoundParameter]:
     blanks = {p.name: _kept(axis, p.name, float(factory[p.name]), float(now[p.name])) for p in PARAMETERS}
     made = {name: _measured(blanks[name], found, float(now["u_dc"])) for name in _RULES}
     made |= {f.name: f for f in _gains(blanks, made["inertia"])}
     yield from (blanks | made).values()
 
 
-def _kept(axis: int, name: str, factory: float, now: float) -> Finding:
+def _kept(axis: int, name: str, factory: float, now: float) -> FoundParameter:
     p = PARAMETERS_BY_NAME[name]
     own = OWN_CALIBRATION.get(name, "") if now != factory else ""
-    return Finding(
+    return FoundParameter(
         axis, name, p.unit, p.low, p.high, factory, now, None, OWN if own else FACTORY,
         own or "factory default, not measured",
     )  # fmt: skip
 
 
-def _measured(blank: Finding, found: Quantities, u_dc: float) -> Finding:
+def _measured(blank: FoundParameter, found: Quantities, u_dc: float) -> FoundParameter:
     rule = _RULES[blank.name]
     quantity = found.get(f"{AXES[blank.axis]} {rule.quantity}")
     if quantity is None:
@@ -213,11 +213,11 @@ def _measured(blank: Finding, found: Quantities, u_dc: float) -> Finding:
     return _refused(finding, reason) if reason else finding
 
 
-def _refused(finding: Finding, reason: str) -> Finding:
+def _refused(finding: FoundParameter, reason: str) -> FoundParameter:
     return replace(finding, value=None, reason=reason)
 
 
-def _fault(finding: Finding, value: float, error: float, rule: _Rule) -> str:
+def _fault(finding: FoundParameter, value: float, error: float, rule: _Rule) -> str:
     """Why a measured value is not taken: range, error, distance from the nominal unit; empty where it is."""
     told = f"{value:.4g} +- {error:.2g} {finding.unit}"
     if not (np.isfinite(value) and finding.low <= value <= finding.high):
@@ -238,7 +238,7 @@ def _fault(finding: Finding, value: float, error: float, rule: _Rule) -> str:
     return ""
 
 
-def _gains(blanks: Mapping[str, Finding], inertia: Finding) -> Iterator[Finding]:
+def _gains(blanks: Mapping[str, FoundParameter], inertia: FoundParameter) -> Iterator[FoundParameter]:
     """Derived from a measured inertia; else the factory's."""
     if inertia.origin == FACTORY:
         return

@@ -1,6 +1,6 @@
 """The paper's figures and numbers on the twin, ours beside theirs.
 
-Each figure is one module with `run(settings) -> Outcome`. Experiments go through the same firmware,
+Each figure is one module with `run(settings) -> FigureOutcome`. Experiments go through the same firmware,
 bus, camera and calibration code as an operator's; nothing here is imported by the rest.
 """
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fiberloom.lazy import on_use
 
 if TYPE_CHECKING:
-    from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings
+    from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
     from fiberloom.studies.paper.quantity import Bound, Kind, Quantity
     from fiberloom.studies.paper.registry import FIGURES, Figure, chosen
     from fiberloom.studies.paper.runner import reproduce
@@ -19,8 +19,8 @@ __all__ = [
     "Bound",
     "Drawing",
     "Figure",
+    "FigureOutcome",
     "Kind",
-    "Outcome",
     "Quantity",
     "Settings",
     "chosen",

@@ -41,7 +41,7 @@ def paper_plane(seed: int, n: int) -> FocalPlane:
 
 
 @dataclass(frozen=True)
-class Bench:
+class PaperBench:
     """A bus, a camera, and (for instruments that a host does not have) the twin behind them."""
 
     plane: FocalPlane
@@ -71,7 +71,7 @@ def make_bench(
     noise_um: float | None = None,
     change: Callable[[Units], None] | None = None,
     start_deg: ArrayLike | None = None,
-) -> Bench:
+) -> PaperBench:
     """A bench with `n` units of this `seed`; `change` may alter them before power-up.
 
     `noise_um`: of the camera, rms; the instrument's when None; `start_deg` (N, 2): where the arms are
@@ -84,7 +84,7 @@ def make_bench(
     twin = Twin(plane, units, seed=seed, neighbours=False, start_deg=start_deg)
     rms_um = plane.instrument.metrology.noise_rms_um if noise_um is None else noise_um
     client = Client(TwinTransport(twin))
-    bench = Bench(plane, units, twin, client, NoiseCamera(twin, rms_um, seed + 1))
+    bench = PaperBench(plane, units, twin, client, NoiseCamera(twin, rms_um, seed + 1))
     finish(client.discover())
     return bench
 
@@ -99,7 +99,7 @@ def calibrated(seed: int, n: int, n_points: int = 200) -> Calibration:
 class Mover:
     """Moves a whole bench and waits for it, with as few questions on the bus as it takes."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: PaperBench) -> None:
         self._client, self._ids = bench.client, bench.ids
         self._overrun_s = 0.0
 

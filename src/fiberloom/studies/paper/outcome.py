@@ -47,7 +47,7 @@ class Drawing:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FigureOutcome:
     """What came out of a figure."""
 
     quantities: list[Quantity]

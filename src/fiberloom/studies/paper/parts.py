@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import BaseModel, ValidationError
 
 from fiberloom.errors import InputError
-from fiberloom.studies.paper.outcome import Outcome, Settings
+from fiberloom.studies.paper.outcome import FigureOutcome, Settings
 from fiberloom.studies.paper.quantity import Quantity
 from fiberloom.studies.paper.registry import FIGURES, Figure
 from fiberloom.version import __version__
@@ -37,7 +37,7 @@ class Part(BaseModel):
 
 
 def keep(
-    figure: Figure, outcome: Outcome, settings: Settings, out: Path, *, seconds: float, cpu_s: float
+    figure: Figure, outcome: FigureOutcome, settings: Settings, out: Path, *, seconds: float, cpu_s: float
 ) -> Part:
     """Writes the part of one `figure` and its pictures to `out`.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
-    from fiberloom.studies.paper.outcome import Outcome, Settings
+    from fiberloom.studies.paper.outcome import FigureOutcome, Settings
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Figure:
         return self.key.replace("eq", "Equation ").replace("table", "Table ")
 
     @property
-    def run(self) -> Callable[[Settings], Outcome]:
+    def run(self) -> Callable[[Settings], FigureOutcome]:
         """The experiment; its module is loaded now."""
         module = importlib.import_module(f"fiberloom.studies.paper.{self.module}")
-        return cast("Callable[[Settings], Outcome]", module.run)
+        return cast("Callable[[Settings], FigureOutcome]", module.run)
 
 
 FIGURES: tuple[Figure, ...] = (

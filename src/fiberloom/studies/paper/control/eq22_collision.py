@@ -9,8 +9,8 @@ import numpy as np
 
 from fiberloom.blocking import finish
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.bench import Bench, make_bench
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.bench import PaperBench, make_bench
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import Fault, Units
 from fiberloom.typing import Floats
@@ -45,7 +45,7 @@ LAWS = {"Eq. 22": paper_law, "Eq. 22 with drag allowance": allowed_drag, "as shi
 
 
 @dataclass(frozen=True)
-class Found:
+class StopsFound:
     """What became of blocked rotors."""
 
     delay_ms: Floats
@@ -55,25 +55,25 @@ class Found:
     """Collisions reported before anything was blocked."""
 
 
-def blocked(seed: int, law: str, axis: str, n_units: int = UNITS, phases: int = PHASES) -> Found:
+def blocked(seed: int, law: str, axis: str, n_units: int = UNITS, phases: int = PHASES) -> StopsFound:
     """Blocks the rotor in full motion at several moments, each on fresh units of the `seed`.
 
     `law`: which watches act; `axis`: alpha or beta; `n_units` for each of the `phases` moments.
     """
     found = [_one(seed, law, axis, n_units, 0.9 + 0.0037 * phase) for phase in range(phases)]
-    return Found(
+    return StopsFound(
         np.concatenate([f.delay_ms for f in found]),
         sum(f.trials for f in found),
         sum(f.false for f in found),
     )
 
 
-def _one(seed: int, law: str, axis: str, n_units: int, after_s: float) -> Found:
+def _one(seed: int, law: str, axis: str, n_units: int, after_s: float) -> StopsFound:
     bench = make_bench(seed, n_units, change=LAWS[law], start_deg=START_DEG)
     return finish(_block(bench, axis, after_s))
 
 
-async def _block(bench: Bench, axis: str, after_s: float) -> Found:
+async def _block(bench: PaperBench, axis: str, after_s: float) -> StopsFound:
     client = bench.client
     home = bench.rest_wire_deg(START_DEG)
     await client.set_speed(bench.ids, SPEED_RPM, SPEED_RPM)
@@ -85,24 +85,24 @@ async def _block(bench: Bench, axis: str, after_s: float) -> Found:
         bench.twin.inject(Fault("blocked", number, "alpha" if axis == "alpha" else "beta"))
     await _ticks(bench, 0.08)
     after = client.collisions[false:]
-    return Found(1e3 * np.array([c.time_s - blocked_s for c in after]), len(bench.ids), false)
+    return StopsFound(1e3 * np.array([c.time_s - blocked_s for c in after]), len(bench.ids), false)
 
 
-async def _ticks(bench: Bench, duration_s: float) -> None:
+async def _ticks(bench: PaperBench, duration_s: float) -> None:
     """Tick by tick, so that a report is booked at its own time."""
     end_s = bench.client.time_s + duration_s
     while bench.client.time_s < end_s:
         await bench.client.sleep(TICK_S)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 16 ms at most and no false collision."""
-    found: dict[tuple[str, str], list[Found]] = {(law, axis): [] for law in LAWS for axis in AXES}
+    found: dict[tuple[str, str], list[StopsFound]] = {(law, axis): [] for law in LAWS for axis in AXES}
     for seed in settings.seeds:
         settings.say(f"Equation 22: seed {seed}")
         for law, axis in found:
             found[law, axis].append(blocked(seed, law, axis))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(found)],
         how=(
@@ -119,7 +119,7 @@ def run(settings: Settings) -> Outcome:
     )
 
 
-def _quantities(found: dict[tuple[str, str], list[Found]]) -> list[Quantity]:
+def _quantities(found: dict[tuple[str, str], list[StopsFound]]) -> list[Quantity]:
     every = [f for runs in found.values() for f in runs]
     trials = sum(f.trials for f in every)
     return [
@@ -152,7 +152,7 @@ def _quantities(found: dict[tuple[str, str], list[Found]]) -> list[Quantity]:
     ]
 
 
-def _latest(key: str, axis: str, law: str, runs: list[Found], beyond: bool) -> Quantity:
+def _latest(key: str, axis: str, law: str, runs: list[StopsFound], beyond: bool) -> Quantity:
     return quantity(
         key,
         f"{axis}: {law}, latest of all trials",
@@ -165,7 +165,7 @@ def _latest(key: str, axis: str, law: str, runs: list[Found], beyond: bool) -> Q
     )
 
 
-def _draw(found: dict[tuple[str, str], list[Found]]) -> Drawing:
+def _draw(found: dict[tuple[str, str], list[StopsFound]]) -> Drawing:
     canvas, axes = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
     labels = []
     for row, ((law, axis), runs) in enumerate(found.items()):

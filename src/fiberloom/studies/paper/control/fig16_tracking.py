@@ -9,9 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.blocking import finish
-from fiberloom.bus import Trajectory
-from fiberloom.studies.paper.bench import Bench, make_bench
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.bus import WireTrajectory
+from fiberloom.studies.paper.bench import PaperBench, make_bench
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.twin import Units
 from fiberloom.typing import Floats
@@ -100,7 +100,7 @@ def track(seed: int, controller: str, n_units: int = UNITS) -> Tracking:
     return finish(_track(bench, controller == OPEN_LOOP))
 
 
-async def _track(bench: Bench, open_loop: bool) -> Tracking:
+async def _track(bench: PaperBench, open_loop: bool) -> Tracking:
     if open_loop:
         await bench.client.set_loop(closed=False, collision_detection=False)
     home_deg = bench.rest_wire_deg(START_DEG)
@@ -108,7 +108,7 @@ async def _track(bench: Bench, open_loop: bool) -> Tracking:
     stay = np.zeros_like(path_deg)
     await bench.client.send_trajectories(
         {
-            number: Trajectory.from_deg(time_s, home[0] + stay, home[1] + path_deg)
+            number: WireTrajectory.from_deg(time_s, home[0] + stay, home[1] + path_deg)
             for number, home in zip(bench.ids, home_deg, strict=True)
         }
     )
@@ -123,14 +123,14 @@ async def _track(bench: Bench, open_loop: bool) -> Tracking:
     )
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 55 deg in open loop and 15 deg with feedforward and PI."""
     found: dict[str, list[Tracking]] = {name: [] for name in CONTROLLERS}
     for seed in settings.seeds:
         for name in CONTROLLERS:
             settings.say(f"Figure 16: seed {seed}, {name}")
             found[name].append(track(seed, name))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw({name: runs[0] for name, runs in found.items()})],
         how=(

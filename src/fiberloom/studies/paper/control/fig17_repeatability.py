@@ -9,8 +9,8 @@ import numpy as np
 
 from fiberloom.blocking import finish
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.bench import CLOSE_UP_UM, Bench, Mover, make_bench
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.bench import CLOSE_UP_UM, Mover, PaperBench, make_bench
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.twin import Units
 from fiberloom.typing import Floats
@@ -51,12 +51,12 @@ class Visits:
         return np.linalg.norm(np.diff(self.xy_um.mean(axis=0), axis=0), axis=-1).T
 
 
-def visit(bench: Bench, axis: int, visits: int) -> Visits:
+def visit(bench: PaperBench, axis: int, visits: int) -> Visits:
     """Sends one axis to the three targets in turn, `visits` times; the other one does not move."""
     return finish(_visit(bench, axis, visits))
 
 
-async def _visit(bench: Bench, axis: int, visits: int) -> Visits:
+async def _visit(bench: PaperBench, axis: int, visits: int) -> Visits:
     home_deg = bench.rest_wire_deg(START_DEG)
     step_deg = float(rad_to_deg(1.0 / UM_PER_MM / LEVER_MM[axis]))
     mover = Mover(bench)
@@ -71,7 +71,7 @@ async def _visit(bench: Bench, axis: int, visits: int) -> Visits:
     return Visits(axis, UM_PER_MM * (xy - xy[0, 0]))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 160 nm (alpha) and 130 nm (beta)."""
     found: dict[int, list[Visits]] = {0: [], 1: []}
     exact: dict[int, list[Visits]] = {0: [], 1: []}
@@ -82,7 +82,7 @@ def run(settings: Settings) -> Outcome:
             found[axis].append(visit(bench, axis, VISITS))
             perfect = make_bench(seed, UNITS, noise_um=0.0, change=_exact_gears, start_deg=START_DEG)
             exact[axis].append(visit(perfect, axis, VISITS // 6))
-    return Outcome(
+    return FigureOutcome(
         quantities=[q for axis in (0, 1) for q in _quantities(axis, found[axis], exact[axis])],
         drawings=[_scatter(found[0][0], found[1][0])],
         how=(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fiberloom.instruments import FocalPlane, Instrument, generate
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.studies.paper.bench import paper_instrument
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.typing import Floats
 
@@ -77,7 +77,7 @@ def every_second(plane: FocalPlane) -> NDArray[np.intp]:
     return np.flatnonzero((q + r // 2) % 2 == 0)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's two maps: full coverage, and almost full coverage."""
     instrument = paper_instrument()
     plane = hexagonal(instrument)
@@ -85,7 +85,7 @@ def run(settings: Settings) -> Outcome:
     settings.say("Figure 5: coverage")
     one = cover(plane, np.arange(len(plane)), step_mm)
     half = cover(plane, every_second(plane), step_mm)
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(instrument, one, half),
         drawings=[_draw(plane, one, half)],
         how=(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.twin import static_fibre_um
 from fiberloom.twin.camera.models import camera_model
@@ -36,7 +36,7 @@ def look(name: str, images: int, seed: int) -> Static:
     return Static(xy, 1e3 * stated_um)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 101 nm close up and 669 nm over the whole workspace."""
     images = MANY_IMAGES if settings.full else IMAGES
     found: dict[str, list[Static]] = {name: [] for name in PAPER_NM}
@@ -49,7 +49,7 @@ def run(settings: Settings) -> Outcome:
         averaged.append(
             1e3 * float(np.sqrt(np.mean(np.sum(static_fibre_um(four, images, seed)[0] ** 2, axis=1))))
         )
-    return Outcome(
+    return FigureOutcome(
         quantities=[
             *(q for name in PAPER_NM for q in _quantities(name, found[name])),
             _average(found, averaged),

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fiberloom.blocking import finish
 from fiberloom.calibration import TransmissionMaps
 from fiberloom.operation.correction import CorrectionLoop
-from fiberloom.studies.paper.bench import Bench, Mover, calibrated, make_bench
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.bench import Mover, PaperBench, calibrated, make_bench
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -38,7 +38,7 @@ class Errors:
         return tuple(np.sqrt(np.mean(e**2, axis=(0, 2))) for e in (self.measured_um, self.true_um))
 
 
-def target_angles_deg(bench: Bench, n_targets: int) -> Floats:
+def target_angles_deg(bench: PaperBench, n_targets: int) -> Floats:
     """(n_targets, N, 2): targets evenly over the workspace of each unit, as the layout believes."""
     inner, outer = bench.plane.instrument.reach_mm
     k = (np.arange(n_targets) + 0.5) / n_targets
@@ -55,7 +55,9 @@ def target_angles_deg(bench: Bench, n_targets: int) -> Floats:
     return out
 
 
-def iterate(bench: Bench, maps: TransmissionMaps, goals_deg: Floats, *, moves: int, filtered: bool) -> Errors:
+def iterate(
+    bench: PaperBench, maps: TransmissionMaps, goals_deg: Floats, *, moves: int, filtered: bool
+) -> Errors:
     """Visits the goals `goals_deg` (targets, N, 2) one after the other, with `moves` moves each.
 
     `bench` with N units and their `maps`; `filtered`: a Kalman filter on the offset, else Eq. 25.
@@ -64,7 +66,7 @@ def iterate(bench: Bench, maps: TransmissionMaps, goals_deg: Floats, *, moves: i
 
 
 async def _iterate(
-    bench: Bench, maps: TransmissionMaps, goals_deg: Floats, moves: int, filtered: bool
+    bench: PaperBench, maps: TransmissionMaps, goals_deg: Floats, moves: int, filtered: bool
 ) -> Errors:
     mover = Mover(bench)
     await bench.client.set_precise_moves(bench.ids, on=True)
@@ -102,7 +104,7 @@ def run_seed(seed: int, n_units: int, n_targets: int, visits: int, filtered: boo
     return iterate(bench, maps, goals_deg[path], moves=MOVES, filtered=filtered)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 10.36 um blind, 1.12 um at move 3, 0.9 um in the end."""
     visits, few = (VISITS, TARGETS) if settings.full else (1, TARGETS // 3)
     plain, filtered = [], []
@@ -112,7 +114,7 @@ def run(settings: Settings) -> Outcome:
         settings.say(f"Figure 19: seed {seed}, filtered")
         filtered.append(run_seed(seed, UNITS, few, visits, True))
     bench = make_bench(settings.seed, 1)
-    return Outcome(
+    return FigureOutcome(
         quantities=[*_paper_quantities(plain), *_true_quantities(plain, filtered)],
         drawings=[
             _workspace(bench, target_angles_deg(bench, TARGETS)[:, 0]),
@@ -199,7 +201,7 @@ def _at(errors: list[Errors], moves: slice, measured: bool) -> list[float]:
     return [float(np.sqrt(np.mean(e**2))) for e in kept]
 
 
-def _workspace(bench: Bench, goals_deg: Floats) -> Drawing:
+def _workspace(bench: PaperBench, goals_deg: Floats) -> Drawing:
     canvas, axes = plt.subplots(figsize=(6, 5.6), layout="constrained")
     base, arms = bench.plane.centres_mm[0], bench.plane.arms[0]
     turn = goals_deg[:, 0] * np.pi / 180 + arms[3]

@@ -13,9 +13,9 @@ from fiberloom.calibration import TransmissionMaps, calibrate_transmission
 from fiberloom.calibration.focal_plane.fit import FitSettings, fit_focal_plane, layout_parameters
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.survey import SurveySettings, survey
-from fiberloom.studies.paper.bench import Bench, Mover, calibrated, make_bench, paper_plane
+from fiberloom.studies.paper.bench import Mover, PaperBench, calibrated, make_bench, paper_plane
 from fiberloom.studies.paper.no_record import NoRecord
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
 from fiberloom.twin import bench_hardware, draw_units, field_hardware
 from fiberloom.twin.draw import misplaced
@@ -55,7 +55,9 @@ class Convergence:
         return float(np.exp(logs[last] + share * (logs[last + 1] - logs[last])))
 
 
-async def spread_out(bench: Bench, maps: TransmissionMaps, number: int, seed: int) -> tuple[Floats, Floats]:
+async def spread_out(
+    bench: PaperBench, maps: TransmissionMaps, number: int, seed: int
+) -> tuple[Floats, Floats]:
     """Angles in deg by the `maps` and seen positions in mm, both (N, S, 2), on a `bench`.
 
     S = `number` configurations drawn evenly over both axes from the `seed`.
@@ -119,7 +121,7 @@ def _truth(plane: FocalPlane, arms: Floats) -> Floats:
     return layout_parameters(replace(plane, arms=arms))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 80 configurations for 1 um."""
     n_field = MANY_UNITS if settings.full else FIELD_UNITS
     printed, better = [], []
@@ -128,7 +130,7 @@ def run(settings: Settings) -> Outcome:
         printed.append(as_printed(seed))
         settings.say(f"Figure 20: seed {seed}, survey of a field")
         better.append(designed(seed, n_field))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(printed, better),
         drawings=[_draw(printed, better)],
         how=(

@@ -20,7 +20,7 @@ from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Move
 from fiberloom.studies.paper.focal_plane.fig05_coverage import cover, hexagonal
 from fiberloom.studies.paper.no_record import NoRecord
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
@@ -104,7 +104,7 @@ def instrument_of(row: Row) -> Instrument:
 
 
 @dataclass(frozen=True)
-class Run:
+class InstrumentRun:
     """True errors of the fibres with a target, um, after each move; and which positioners had no target."""
 
     error_um: list[Floats]
@@ -113,7 +113,7 @@ class Run:
     collisions: int
 
 
-def observe(row: Row, seed: int, n_units: int) -> Run:
+def observe(row: Row, seed: int, n_units: int) -> InstrumentRun:
     """Units drawn, maps calibrated on a bench, targets assigned, planned, verified, moved, corrected."""
     plane = generate(instrument_of(row), seed, n_positioners=n_units)
     units = draw_units(plane, seed)
@@ -126,7 +126,7 @@ def observe(row: Row, seed: int, n_units: int) -> Run:
     moves = 1 + plane.instrument.operation.corrections_max
     motion = FieldMotion(plane, maps, hardware, NoRecord())
     finish(_whole(Loop(motion, assignment, LoopSettings(moves=moves, seed=seed))))
-    return Run(
+    return InstrumentRun(
         [_true_error_um(move, targets, assignment.target) for move in motion.moves],
         assignment.n_assigned,
         n_units,
@@ -158,15 +158,15 @@ def _true_error_um(move: Move, targets: TargetList, target: NDArray[np.int64]) -
     return UM_PER_MM * np.hypot(*(move.true_mm[has] - targets.xy_mm[target[has]]).T)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the requirement of each instrument."""
     n_units = MANY_UNITS if settings.full else UNITS
-    found: dict[str, list[Run]] = {row.key: [] for row in TABLE_1}
+    found: dict[str, list[InstrumentRun]] = {row.key: [] for row in TABLE_1}
     for row in TABLE_1:
         for seed in settings.seeds:
             settings.say(f"Table 1: {row.name}, seed {seed}")
             found[row.key].append(observe(row, seed, n_units))
-    return Outcome(
+    return FigureOutcome(
         quantities=[_stringent(), *(q for row in TABLE_1 for q in _quantities(row, found[row.key]))],
         drawings=[_draw(found)],
         how=(
@@ -192,7 +192,7 @@ def _stringent() -> Quantity:
     )
 
 
-def _quantities(row: Row, runs: Sequence[Run]) -> list[Quantity]:
+def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
     plane = hexagonal(instrument_of(row))
     coverage = cover(plane, np.arange(len(plane)), row.pitch_mm / 40.0)
     key = f"table1.{row.key}"
@@ -225,7 +225,7 @@ def _quantities(row: Row, runs: Sequence[Run]) -> list[Quantity]:
     ]
 
 
-def _note(row: Row, runs: Sequence[Run]) -> str:
+def _note(row: Row, runs: Sequence[InstrumentRun]) -> str:
     within = sum(int((r.error_um[-1] <= row.requirement_um).sum()) for r in runs)
     assigned, all_units = sum(r.assigned for r in runs), sum(r.positioners for r in runs)
     collisions = sum(r.collisions for r in runs)
@@ -237,7 +237,7 @@ def _note(row: Row, runs: Sequence[Run]) -> str:
     )
 
 
-def _draw(found: dict[str, list[Run]]) -> Drawing:
+def _draw(found: dict[str, list[InstrumentRun]]) -> Drawing:
     canvas, axes = plt.subplots(figsize=(8, 4.6), layout="constrained")
     for k, row in enumerate(TABLE_1):
         for shift, which, colour in ((-0.18, 0, "tab:blue"), (0.18, -1, "tab:green")):

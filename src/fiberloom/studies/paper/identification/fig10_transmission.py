@@ -10,7 +10,7 @@ import numpy as np
 from fiberloom.calibration import NEGATIVE, POSITIVE, TransmissionMaps
 from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import calibrated, make_bench
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.twin import Units
 from fiberloom.typing import Floats
@@ -23,7 +23,7 @@ _TEETH = (12, 100)
 
 
 @dataclass(frozen=True)
-class Gears:
+class GearCurves:
     """What the calibration of one seed's units says."""
 
     backlash_deg: Floats
@@ -34,10 +34,10 @@ class Gears:
     """(2,) rms error of the map of each axis against the true gear, a constant taken off."""
 
 
-def measure(seed: int, n_points: int, n_units: int = UNITS) -> Gears:
+def measure(seed: int, n_points: int, n_units: int = UNITS) -> GearCurves:
     """Calibrates `n_units` units with `n_points` points per axis and direction."""
     maps = calibrated(seed, n_units, n_points).maps
-    return Gears(_backlash_range(maps), _peaks(maps), _errors(maps, make_bench(seed, n_units).units))
+    return GearCurves(_backlash_range(maps), _peaks(maps), _errors(maps, make_bench(seed, n_units).units))
 
 
 def _backlash_range(maps: TransmissionMaps) -> Floats:
@@ -63,14 +63,14 @@ def _errors(maps: TransmissionMaps, units: Units) -> Floats:
     return 1e3 * np.sqrt(off.var(axis=-1).mean(axis=0))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 36 peaks and 40 to 250 motor degrees."""
     found, more = [], []
     for seed in settings.seeds:
         settings.say(f"Figure 10: seed {seed}")
         found.append(measure(seed, POINTS))
         more.append(measure(seed, MORE_POINTS))
-    return Outcome(
+    return FigureOutcome(
         quantities=[
             *_paper_quantities(found),
             *_errors_of(found, POINTS, False),
@@ -90,7 +90,7 @@ def run(settings: Settings) -> Outcome:
     )
 
 
-def _paper_quantities(found: list[Gears]) -> list[Quantity]:
+def _paper_quantities(found: list[GearCurves]) -> list[Quantity]:
     rows = [
         quantity(
             f"fig10.backlash.{word}_motor_deg",
@@ -115,7 +115,7 @@ def _paper_quantities(found: list[Gears]) -> list[Quantity]:
     return [*rows, peaks]
 
 
-def _errors_of(found: list[Gears], points: int, beyond: bool) -> list[Quantity]:
+def _errors_of(found: list[GearCurves], points: int, beyond: bool) -> list[Quantity]:
     return [
         quantity(
             f"fig10.map_{points}.{name}.error_mdeg",

@@ -7,7 +7,7 @@ import numpy as np
 
 from fiberloom.calibration import BreakAway, break_away
 from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 
 ALPHA = 0
@@ -39,13 +39,13 @@ def asymmetry(curve: BreakAway) -> float:
     return abs(minus / plus)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's double sinusoid that asks for more in the negative direction."""
     found = []
     for seed in settings.seeds:
         settings.say(f"Figure 11: seed {seed}")
         found.append(identified(seed))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(curves(found[0])[0])],
         how=(

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.studies.paper.identification.identified import RUN_RPM, UNITS, Identified, identified
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
 from fiberloom.units import GEAR, motor_to_output_deg
@@ -60,13 +60,13 @@ def _sorted(run: Sweep) -> tuple[Floats, Floats]:
     return ends, slope(ends)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's two straight lines."""
     found = []
     for seed in settings.seeds:
         settings.say(f"Figure 12: seed {seed}")
         found.append(identified(seed))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(sweeps(found[0], 0))],
         how=(

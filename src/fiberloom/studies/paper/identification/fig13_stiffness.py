@@ -7,20 +7,20 @@ import numpy as np
 
 from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 
 PAPER_MNM_PER_DEG = (337.0, 25.0)
 TORQUE_MNM = (11.8, 1.4)
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 337 and 25 mNm/deg."""
     found = []
     for seed in settings.seeds:
         settings.say(f"Figure 13: seed {seed}")
         found.append(identified(seed))
-    return Outcome(
+    return FigureOutcome(
         quantities=[q for axis in (0, 1) for q in _quantities(found, axis)],
         drawings=[_draw(found)],
         how=(

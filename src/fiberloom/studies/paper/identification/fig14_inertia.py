@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
 
@@ -40,13 +40,13 @@ def rise_ms(time_ms: Floats, rpm: Floats, ends_rpm: Floats) -> float:
     return float(np.interp(goal, np.maximum.accumulate(rpm[after]), time_ms[after]))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 600 to 5600 rpm in about 15 ms, and 0.035 g cm^2."""
     found = []
     for seed in settings.seeds:
         settings.say(f"Figure 14: seed {seed}")
         found.append(identified(seed))
-    return Outcome(
+    return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(found[0])],
         how=(

@@ -25,7 +25,7 @@ from fiberloom.calibration import (
     measure_torque_scale,
     measured_scale,
 )
-from fiberloom.studies.paper.bench import Bench, make_bench
+from fiberloom.studies.paper.bench import PaperBench, make_bench
 from fiberloom.twin import TwinWeights
 
 UNITS = 6
@@ -36,7 +36,7 @@ RUN_RPM = (500.0, 1000.0, 1500.0, 2000.0)
 class Identified:
     """Data and estimates of one seed's units, alpha first."""
 
-    bench: Bench
+    bench: PaperBench
     scale: tuple[TorqueScale, ...]
     friction_data: tuple[FrictionData, ...]
     friction: tuple[Friction, ...]
@@ -52,7 +52,7 @@ def identified(seed: int, n_units: int = UNITS) -> Identified:
     return finish(_identify(make_bench(seed, n_units), seed))
 
 
-async def _identify(bench: Bench, seed: int) -> Identified:
+async def _identify(bench: PaperBench, seed: int) -> Identified:
     client, camera, plane = bench.client, bench.camera, bench.plane
     weights = TwinWeights(bench.twin, seed=seed)
     # a weight on an arm is what the firmware's watch takes for a contact

@@ -7,7 +7,7 @@ import numpy as np
 
 from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.units import UM_PER_MM
 
@@ -25,10 +25,10 @@ def scatter_um(study: Study) -> float:
     return float(UM_PER_MM * np.sqrt(np.mean(off**2)))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's: within about one micrometre."""
     found = studies(settings, 21)
-    return Outcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
+    return FigureOutcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
 
 
 def _quantities(found: list[Study]) -> list[Quantity]:

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 
 PAPER_CHANGE_DEG = 0.15
@@ -18,10 +18,10 @@ def largest_change_deg(study: Study) -> float:
     return float(np.abs(seen[:, -1] - seen[:, 0]).max())
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's local changes of up to 0.15 deg."""
     found = studies(settings, 22)
-    return Outcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
+    return FigureOutcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
 
 
 def _quantities(found: list[Study]) -> list[Quantity]:

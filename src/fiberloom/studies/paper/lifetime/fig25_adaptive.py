@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Quantity, quantity
 from fiberloom.typing import Floats
 
@@ -48,10 +48,10 @@ def error_mdeg(study: Study, name: str) -> float:
     return float(1e3 * np.sqrt(np.mean(off**2)))
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's: it follows adequately."""
     found = studies(settings, 25)
-    return Outcome(
+    return FigureOutcome(
         _quantities(found),
         [_draw(found[0])],
         HOW,

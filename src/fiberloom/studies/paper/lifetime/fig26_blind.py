@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
-from fiberloom.studies.paper.outcome import Drawing, Outcome, Settings, drawing
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 
 PAPER_GAIN = 3.5
@@ -20,10 +20,10 @@ CURVES = {
 }
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's factor of 3.5, and an adaptive map nearly as good as a new one."""
     found = studies(settings, 26)
-    return Outcome(
+    return FigureOutcome(
         _quantities(found),
         [_draw(found)],
         HOW,
