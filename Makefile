@@ -7,6 +7,8 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
+# Shows how far a long step is; all that it prints is in build/*.log.
+PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
@@ -39,15 +41,19 @@ NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
           $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet -r constraints.txt
+	@echo "1 of 4: an environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PROGRESS) "2 of 4: Python packages" build/packages.log --of $(shell grep -c '^[a-zA-Z]' constraints.txt) -- \
+	    $(BIN)/pip install -r constraints.txt
 	@touch $@
 
 $(STAMP): $(VENV)/.dependencies $(NATIVE)
-	$(BIN)/pip install --quiet --no-build-isolation --no-deps --editable .
+	@$(PROGRESS) "3 of 4: firmware, core and bindings" build/setup.log -- \
+	    $(BIN)/pip install --verbose --no-build-isolation --no-deps --editable .
 	@touch $@
 
 run: setup
+	@echo "4 of 4: a field of 500 positioners; the first time their transmissions are calibrated"
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
 test: setup
@@ -92,6 +98,7 @@ sanitized: setup
 
 bench: setup
 	mkdir -p build/bench
+	$(BIN)/python benchmarks/startup.py --out build/bench/startup.json
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
 	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json

@@ -17,7 +17,8 @@ import time
 from pathlib import Path
 
 from fiberloom.bus import CanNetTransport, Client, WireTrajectory
-from fiberloom.twin.server.server import addresses_of, device_count
+from fiberloom.twin.server.address import addresses_of
+from fiberloom.twin.server.server import device_count
 
 LISTEN = "127.0.0.1:19328"
 HOME, AWAY = (10.0, 170.0), (45.0, 175.0)  # alpha turns at 1935 rpm for 3.1 s

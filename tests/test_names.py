@@ -29,7 +29,7 @@ def test_no_class_name_stands_for_two_things():
 
 
 def test_retired_names_do_not_come_back():
-    python = {p: RETIRED["python"] for p in PACKAGE.rglob("*.py")}
+    python = dict.fromkeys(PACKAGE.rglob("*.py"), RETIRED["python"])
     native = {
         p: RETIRED["native"]
         for folder in ("core", "firmware", "rig")

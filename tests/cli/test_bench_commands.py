@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fiberloom.cli.app import app
-from fiberloom.cli.steps import runs_step
 from fiberloom.errors import InputError
 from fiberloom.instruments import presets
+from fiberloom.store.listing import runs_below
 from fiberloom.tables import read_table
 
 PRESET = Path(presets.__path__[0]) / "sdssv.toml"
@@ -48,7 +48,7 @@ def test_each_identification_leaves_its_files(tmp_path, words, quantities):
     assert set(table.strings("quantity")) == unit["estimates"].keys()
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert "s.e." in found.output
-    (row,) = runs_step(str(tmp_path))
+    (row,) = runs_below(str(tmp_path))
     assert row["calibrations"] == f"{name} 1"
 
 

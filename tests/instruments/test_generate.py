@@ -7,7 +7,7 @@ from scipy.stats import kstest, truncnorm
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, instrument_names, load_instrument
-from fiberloom.instruments.generate import hexagon, spread
+from fiberloom.instruments.generated import hexagon, spread
 
 
 def test_the_array_of_sdssv(plane):

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiberloom.cli.metrology import CentroidRequest, MatchRequest, centroid, match
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
-from fiberloom.metrology import find_spots, write_image
+from fiberloom.metrology import find_spots, one_image, write_image
 from fiberloom.metrology.acquisition import AcquisitionError, CameraGeometry
+from fiberloom.metrology.images import read_image
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
-from fiberloom.metrology.spots import SpotSettings
-from fiberloom.planning import write_configuration
+from fiberloom.metrology.spots import SpotSettings, write_spots
+from fiberloom.planning import read_configuration, write_configuration
 from fiberloom.twin.camera.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, StillScene
 from fiberloom.twin.camera.models import camera_model
 
@@ -203,38 +203,44 @@ def files(small, tmp_path_factory):
     return folder
 
 
-def test_the_commands_lead_from_an_image_to_positions(small, files):
-    report = centroid(CentroidRequest(files / "image.fits", files / "spots.csv", plot=files / "spots.png"))
+def identified(plane, source, expected):
+    spots, width, height = one_image.read_source(source)
+    geometry = replace(
+        one_image.camera_geometry(plane.instrument, (width, height), scale_mm_px=0.2), flipped=True
+    )
+    return one_image.identify(plane, spots, geometry, expected)
+
+
+def test_from_an_image_to_positions(small, files):
+    image = read_image(files / "image.fits")
+    found = one_image.spots_of_image(image)
+    report = one_image.spots_report(image, found)
     assert report["gain_e_adu"] == 1.3
     assert 105 <= report["spots"] <= 121
-    assert (files / "spots.png").stat().st_size > 10_000
-    request = MatchRequest(
-        files / "spots.csv",
-        files / "positions.csv",
-        expected=files / "goal.csv",
-        scale_mm_px=0.2,
-        flipped=True,
-    )
-    matched = match(small, request)
+    write_spots(found.spots, files / "spots.csv", one_image.image_marks(image))
+    expected = small.forward(*read_configuration(files / "goal.csv", small).T)
+    made = identified(small, files / "spots.csv", expected)
+    one_image.write_positions(files / "positions.csv", made)
+    matched = one_image.match_report(made)
     assert matched["fiducials_found"] == "30 of 30"
     assert int(small.positioner_id[10]) in matched["dark"] + matched["ambiguous"]
     assert matched["matched"] > 80
     rows = (files / "positions.csv").read_text().splitlines()
     assert sum(not r.startswith("#") for r in rows) == 92
-    from_image = match(small, replace(request, source=files / "image.fits", out=files / "again.csv"))
+    from_image = one_image.match_report(identified(small, files / "image.fits", expected))
     assert from_image["matched"] == matched["matched"]
 
 
-def test_commands_refuse_in_one_line(small, files, tmp_path):
+def test_one_image_is_refused_in_one_line(small, files, tmp_path):
     with pytest.raises(InputError, match="no such file"):
-        centroid(CentroidRequest(files / "none.fits"))
-    with pytest.raises(InputError, match="cannot write"):
-        centroid(CentroidRequest(files / "image.fits", files / "goal.csv" / "x.csv"))
+        one_image.read_source(files / "none.fits")
     with pytest.raises(InputError, match="--scale"):
-        match(small, MatchRequest(files / "image.fits", tmp_path / "p.csv", scale_mm_px=-1.0))
+        one_image.camera_geometry(small.instrument, (100, 100), scale_mm_px=-1.0)
     (tmp_path / "s.csv").write_text("x_px,y_px\n1,2\n")
     with pytest.raises(InputError, match="1 spots"):
-        match(small, MatchRequest(tmp_path / "s.csv", tmp_path / "p.csv", scale_mm_px=0.2))
+        identified(small, tmp_path / "s.csv", np.full((len(small), 2), np.nan))
+    with pytest.raises(InputError, match="3 fiducials; at least 4"):
+        one_image.require_fiducials(replace(small, fiducials=small.fiducials[:3]))
 
 
 def test_plots_of_an_exposure(small, tmp_path):

@@ -10,12 +10,13 @@ import time
 import numpy as np
 import pytest
 
-from fiberloom.cli.focal_plane import FocalPlaneRequest, run_calibrate_focal_plane
-from fiberloom.cli.learnt import history_step, undo_step
-from fiberloom.cli.observe import ObserveRequest, run_observe
+from fiberloom.cli.calibrate.focal_plane import FocalPlaneOptions, focal_plane
+from fiberloom.cli.observe import CameraKind, ObservationOptions
+from fiberloom.cli.observe import observe as run_observe
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.store import Store
 from fiberloom.store.calibrations import digest_of
+from fiberloom.store.generations import go_back, learnt_generations
 from fiberloom.targets import random_targets, write_targets
 
 N, SEED = 12, 4  # the field of test_observe.py: its transmission is calibrated once for both
@@ -33,10 +34,17 @@ def field(tmp_path_factory):
 
 def observe(field, name, **asked):
     plane, folder = field
-    request = ObserveRequest(
-        targets=folder / "targets.csv", out=folder / name, seed=SEED, moves=2, quiet=True, **asked
-    )
-    return run_observe(plane, request)
+    options = ObservationOptions(
+        targets=folder / "targets.csv", out=folder / name, seed=SEED, moves=2, positioners=len(plane),
+        camera=CameraKind.noise, as_json=True, **asked,
+    )  # fmt: skip
+    run_observe(options)
+    return json.loads((folder / name / "summary.json").read_text())
+
+
+def surveyed(options):
+    focal_plane(options)
+    return json.loads((options.out / "focal_plane.json").read_text())
 
 
 def test_the_second_observation_knows_what_the_first_has_seen(field):
@@ -46,16 +54,16 @@ def test_the_second_observation_knows_what_the_first_has_seen(field):
     assert first["learnt"] == {"store": store, "generation": 1, "moves": 2 * N, "refused": 0}
     # the same targets: each measurement was made where it is needed now
     assert second["moves"][0]["true_rms_um"] < 0.25 * first["moves"][0]["true_rms_um"]
-    assert [g["moves_learnt"] for g in history_step(store, None)] == [2, 4]
-    back = undo_step(store, 0, None)
+    assert [g["moves_learnt"] for g in learnt_generations(store, None)] == [2, 4]
+    back = go_back(store, 0, None)
     assert (back["generation"], back["positioners"]) == (3, N)
     third = observe(field, "c", learnt=store)
     with Store.open(field[1] / "b" / "store.sqlite") as kept:
         assert kept.calibrated(1) == {"learnt": N, "transmission": N}
     assert third["moves"][0]["true_rms_um"] == pytest.approx(first["moves"][0]["true_rms_um"], rel=1e-3)
     assert "learnt" not in third  # reads what was learnt, and learns nothing
-    undo_step(store, 2, [int(field[0].positioner_id[0])])
-    assert history_step(store, int(field[0].positioner_id[0]))[-1]["moves_learnt"] == 4
+    go_back(store, 2, [int(field[0].positioner_id[0])])
+    assert learnt_generations(store, int(field[0].positioner_id[0]))[-1]["moves_learnt"] == 4
 
 
 def test_faults_teach_nothing(field):
@@ -63,16 +71,17 @@ def test_faults_teach_nothing(field):
     summary = observe(field, "faulty", adapt=True, learnt=store, faults="dark=1,lying=1")
     bad = summary["faults"]["dark"] + summary["faults"]["lying"]
     for positioner in bad:
-        assert history_step(store, positioner) == []
+        assert learnt_generations(store, positioner) == []
     assert summary["learnt"]["moves"] <= 2 * (N - 2)
 
 
 def test_the_survey_finds_the_arms_and_observe_uses_them(field):
     plane, folder = field
-    request = FocalPlaneRequest(
-        out=folder / "arms", seed=SEED, configurations=8, faults="dark=1,lying=1", quiet=True
-    )
-    summary = run_calibrate_focal_plane(plane, request)
+    options = FocalPlaneOptions(
+        out=folder / "arms", seed=SEED, positioners=len(plane), configurations=8, faults="dark=1,lying=1",
+        as_json=True,
+    )  # fmt: skip
+    summary = surveyed(options)
     assert summary["calibrated"] == N - 2
     assert len(summary["refused"]) == 2
     last = summary["convergence"][-1]
@@ -84,8 +93,8 @@ def test_the_survey_finds_the_arms_and_observe_uses_them(field):
     stamp = json.loads((folder / "arms" / "focal_plane.json").read_text())
     assert {"version", "seed", "instrument", "config_hash", "utc"} <= set(stamp)
     # the store alone gives the same arms (and the folded place as a ninth configuration)
-    again = dataclasses.replace(request, out=folder / "again", measured=folder / "arms" / "store.sqlite")
-    kept = run_calibrate_focal_plane(plane, again)
+    again = dataclasses.replace(options, out=folder / "again", measured=folder / "arms" / "store.sqlite")
+    kept = surveyed(again)
     assert kept["refused"].keys() == summary["refused"].keys()
     for name, error in kept["convergence"][-1]["error_um"].items():
         assert error == pytest.approx(last["error_um"][name], abs=0.3)
@@ -115,7 +124,7 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
     )
     try:
         end = time.monotonic() + 240.0
-        while not (learnt.exists() and history_step(str(learnt), None)):
+        while not (learnt.exists() and learnt_generations(str(learnt), None)):
             assert process.poll() is None, process.stderr.read()
             assert time.monotonic() < end
             time.sleep(0.2)
@@ -126,6 +135,6 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
         process.wait()
         process.stderr.close()
     assert process.returncode == 130, stderr
-    (kept,) = history_step(str(learnt), None)
+    (kept,) = learnt_generations(str(learnt), None)
     assert kept["positioners"] == N
     assert kept["moves_learnt"] >= 1

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from fiberloom.cli.observe import ObserveRequest, run_observe
+from fiberloom.cli.observe import CameraKind, Correction, ObservationOptions
+from fiberloom.cli.observe import observe as run_observe
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import read_plans, verify
@@ -30,9 +31,12 @@ def field(tmp_path_factory):
 def observe(field, name, **asked):
     plane, folder = field
     out = folder / name
-    asked.setdefault("moves", 3)
-    request = ObserveRequest(targets=folder / "targets.csv", out=out, seed=SEED, quiet=True, **asked)
-    return run_observe(plane, request), out
+    asked = {"camera": CameraKind.noise, "moves": 3} | asked
+    options = ObservationOptions(
+        targets=folder / "targets.csv", out=out, seed=SEED, positioners=len(plane), as_json=True, **asked
+    )
+    run_observe(options)
+    return json.loads((out / "summary.json").read_text()), out
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +95,7 @@ def test_the_same_seed_gives_the_same_bytes(field, plain):
 
 
 def test_the_plain_update_converges_too(field):
-    summary, _ = observe(field, "eq25", correction="plain", moves=4)
+    summary, _ = observe(field, "eq25", correction=Correction.plain, moves=4)
     assert summary["moves"][-1]["true_rms_um"] < 1.3  # the camera's 0.67 um, and more by chance
 
 
@@ -112,7 +116,7 @@ def test_a_fault_is_flagged_and_the_rest_goes_on(field, kind):
 
 @pytest.mark.slow
 def test_with_images_the_loop_ends_as_near_and_shows_what_it_saw(field):
-    summary, out = observe(field, "images", camera="image", moves=2)
+    summary, out = observe(field, "images", camera=CameraKind.image, moves=2)
     assert summary["n_within_requirement"] == summary["n_valid"] == N
     # one image of 0.8 um (photons 0.75, transform 0.27) after a correction: as with the noise camera
     assert summary["moves"][-1]["true_rms_um"] < 1.8

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiberloom.cli.twin import jaeger_config
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.twin.server.server import Address
+from fiberloom.twin.server.address import Address
+from fiberloom.twin.server.jaeger import jaeger_config
 
 ROOT = Path(__file__).resolve().parents[2]
 JAEGER_PYTHON = Path(os.environ.get("FIBERLOOM_JAEGER_PYTHON", ROOT / ".venv-jaeger" / "bin" / "python"))

@@ -5,12 +5,11 @@ import hashlib
 import pytest
 
 from fiberloom.cli.app import calibrate
-from fiberloom.cli.steps import runs_step
-from fiberloom.cli.transmission import run_calibrate_transmission
+from fiberloom.cli.calibrate.transmission import TransmissionOptions, transmission
 from fiberloom.errors import InputError
-from fiberloom.instruments import generate, load_instrument
 from fiberloom.store import Store
 from fiberloom.store.calibrations import STORE, record_calibration
+from fiberloom.store.listing import runs_below
 
 STAMP = {"instrument": "sdssv", "config_hash": "abc", "seed": 7}
 
@@ -47,12 +46,11 @@ def test_what_a_run_has_measured_is_booked_to_that_run(tmp_path):
     with Store.open(tmp_path / STORE) as store, store.start_run(command_line="x", instrument="sdssv"):
         pass
     record_calibration(file, "focal-plane", [1, 2, 3], STAMP, "x", same_run=True)
-    (row,) = runs_step(str(tmp_path))
+    (row,) = runs_below(str(tmp_path))
     assert row["calibrations"] == "focal-plane 3"
 
 
 def test_calibrate_transmission_leaves_rows_of_those_that_it_calibrated(tmp_path):
-    plane = generate(load_instrument("sdssv"), 1, n_positioners=2)
-    run_calibrate_transmission(plane, 1, 12, tmp_path, quiet=True)
-    (row,) = runs_step(str(tmp_path))
+    transmission(TransmissionOptions(seed=1, positioners=2, points=12, out=tmp_path, as_json=True))
+    (row,) = runs_below(str(tmp_path))
     assert (row["calibrations"], row["moves"], row["status"]) == ("transmission 2", 0, "finished")

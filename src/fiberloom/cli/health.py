@@ -2,55 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from fiberloom.assignment.relax import relaxed_planes
-from fiberloom.errors import InputError
-from fiberloom.health.history import passages
-from fiberloom.health.monitor import Finding, HealthMonitor, State
-from fiberloom.instruments import FocalPlane
-from fiberloom.store import Store
+from fiberloom.cli.options import JsonOptions, PlaneOptions
 
 
-def stores_below(where: str) -> list[str]:
-    """The store named, or all below a folder."""
-    if "://" in where or not Path(where).is_dir():
-        return [where]
-    found = sorted(map(str, Path(where).rglob("*.sqlite")))
-    if not found:
-        raise InputError(f"{where}: no store below this folder; `fiberloom observe` makes one")
-    return found
+@dataclass(frozen=True, kw_only=True)
+class HealthOptions(PlaneOptions, JsonOptions):
+    """Of `fiberloom health`."""
+
+    where: Annotated[str, typer.Argument(help="Store, database URL, or a folder with stores below it.")] = (
+        "runs"
+    )
 
 
-def health_report(where: str, plane: FocalPlane) -> dict[str, Any]:
-    """Follow all runs in the order in which they began; the state of everybody at the end."""
-    monitor, runs = HealthMonitor(plane), 0
-    for store, run_id in _runs(where, plane):
-        with Store.open(store, create=False) as opened:
-            for passage in passages(opened, run_id, plane):
-                monitor.update(passage)
-        runs += 1
-    if monitor.moves == 0:
-        raise InputError(
-            f"{where}: no run of this focal plane ({plane.instrument.name}, {len(plane)} positioners); "
-            "give the --instrument, --layout and --seed that it was observed with"
-        )
-    states = monitor.states()
-    return {
-        "runs": runs,
-        "moves": monitor.moves,
-        "states": {str(state): states.count(state) for state in State},
-        "findings": [_row(finding) for finding in monitor.findings()],
-    }
+def health(options: HealthOptions) -> int:
+    """Say which positioners are degraded, suspect or disabled by all that was observed; what to do."""
+    from fiberloom.store.find import stores_below
+
+    options.check_plane()
+    stores_below(options.where)
+    from fiberloom.health.past_runs import health_report
+
+    report = health_report(options.where, options.plane())
+    if options.as_json:
+        options.print_json(report)
+    else:
+        _print(report)
+    return 1 if report["findings"] else 0
 
 
-def print_health(report: dict[str, Any]) -> None:
-    """A table of whoever is not healthy, worst first, and one line about all."""
+def _print(report: dict[str, Any]) -> None:
+    """A table of every positioner that is not healthy, worst first, and one line about all."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from fiberloom.health.monitor import State
+
     console = Console()
     counts = ", ".join(f"{n} {state}" for state, n in report["states"].items() if n)
     console.print(f"{report['moves']} moves in {report['runs']} runs: {counts}")
@@ -62,29 +53,3 @@ def print_health(report: dict[str, Any]) -> None:
         cells = (row[k] for k in ("positioner_id", "state", "ailment", "axis", "evidence", "advice"))
         table.add_row(*map(str, cells))
     console.print(table)
-
-
-def _runs(where: str, plane: FocalPlane) -> Iterator[tuple[str, int]]:
-    """Runs of this plane, or of it with a smaller collision buffer, oldest first."""
-    hashes = {p.config_hash() for p in (plane, *relaxed_planes(plane))}
-    found = []
-    for store in stores_below(where):
-        with Store.open(store, create=False) as opened:
-            found += [
-                (run.utc_start, store, run.id)
-                for run in opened.runs()
-                if run.n_moves and run.config_hash in hashes
-            ]
-    yield from ((store, run_id) for _, store, run_id in sorted(found))
-
-
-def _row(finding: Finding) -> dict[str, Any]:
-    return {
-        "positioner_id": finding.positioner_id,
-        "state": str(finding.state),
-        "ailment": str(finding.ailment),
-        "axis": finding.axis,
-        "evidence": finding.evidence,
-        "since_move": finding.since_move,
-        "advice": finding.advice,
-    }

@@ -2,204 +2,111 @@
 
 from __future__ import annotations
 
-import datetime
-import json
-import os
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
+import typer
 
+from fiberloom.cli.options import JsonOptions, require_folder, require_instrument
 from fiberloom.cli.terminal import waiting
-from fiberloom.instruments import load_instrument
-from fiberloom.instruments.model import AXES
-from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime, rms
-from fiberloom.report.outputs import prepare_folder
-from fiberloom.studies import campaign
-from fiberloom.studies.campaign import Campaign
-from fiberloom.studies.lifetime import (
-    DELTAS,
-    MOVES_PER_CYCLE,
-    WAYS,
-    LifetimeSettings,
-    delta_angles_deg,
-    lifetime,
-)
-from fiberloom.twin.bench import bench_units
-from fiberloom.typing import Floats
-from fiberloom.version import __version__
+from fiberloom.errors import InputError
 
-WITHIN = 1.05
-"""The improved estimator's error over that of recalibration, at most."""
-MAP_GAIN = 3.0
-"""The linear ratio's error over that of a map, at least; the paper's factor is 3.5."""
+if TYPE_CHECKING:
+    from fiberloom.studies.campaign import Campaign, Rows
 
 
-@dataclass(frozen=True)
-class LifetimeRequest:
-    """What the command was asked for."""
+@dataclass(frozen=True, kw_only=True)
+class LifetimeOptions(JsonOptions):
+    """Of `fiberloom lifetime`."""
 
-    positioners: int
-    seed: int
-    settings: LifetimeSettings
-    out: Path
-    workers: int = 1
-    scheduler: str | None = None
-    quiet: bool = False
-
-
-def run_lifetime(request: LifetimeRequest) -> dict[str, Any]:
-    """Simulate, write lifetime.json and the figures, return the summary."""
-    load_instrument(request.settings.instrument)  # a wrong name is told before anything is started
-    prepare_folder(request.out)
-    study = Campaign(
-        "lifetime",
-        lifetime,
-        request.positioners,
-        request.seed,
-        request.settings,
-        chunk=_chunk(request.positioners),
+    cycles: Annotated[int, typer.Option(min=1, help="Of 15260 moves each, as the paper's.")] = 100
+    positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2
+    instrument: Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")] = "sdssv"
+    points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200
+    targets: Annotated[int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")] = (
+        1220
     )
-    with waiting(request.quiet) as wait:
-        wait.say(f"{request.settings.cycles} cycles of {request.positioners} positioners")
+    every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1
+    faults: Annotated[
+        str,
+        typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
+    ] = ""
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
+    out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")] = (
+        Path("runs/lifetime")
+    )
+
+
+def lifetime(options: LifetimeOptions) -> int:
+    """Wear positioners out, and compare ways to know their gears (Kronig 2020, Fig. 21 to 26)."""
+    _check(options)
+    from fiberloom.instruments import load_instrument
+    from fiberloom.studies import campaign
+    from fiberloom.studies.lifetime import LifetimeSettings
+    from fiberloom.studies.lifetime_results import lifetime_campaign, within_requirement, write_results
+
+    load_instrument(options.instrument)  # a broken file is told before anything is started
+    settings = LifetimeSettings(
+        instrument=options.instrument,
+        cycles=options.cycles,
+        points=options.points,
+        approaches=options.targets,
+        cycle_step=options.every,
+        faults=options.faults,
+    )
+    study = lifetime_campaign(options.positioners, options.seed, settings)
+    result = write_results(options.out, study, _run(options, study))
+    campaign.forget(study, options.out)
+    _print(options, result)
+    return 0 if within_requirement(result["summary"]) else 1
+
+
+def _check(options: LifetimeOptions) -> None:
+    from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.kinds import AGED
+
+    for request in parse_faults(options.faults, AGED):
+        if not 1 <= (request.positioner_id or 1) <= options.positioners:
+            raise InputError(
+                f"--faults {request}: no such positioner; they are 1 to {options.positioners} here"
+            )
+    require_instrument(options.instrument)
+    require_folder(options.out)
+
+
+def _run(options: LifetimeOptions, study: Campaign) -> Rows:
+    from fiberloom.studies import campaign
+
+    with waiting(options.as_json) as wait:
+        wait.say(f"{options.cycles} cycles of {options.positioners} positioners")
         try:
-            rows = campaign.run(
+            return campaign.run(
                 study,
-                request.out,
-                workers=request.workers,
-                scheduler=request.scheduler,
+                options.out,
+                workers=options.workers,
+                scheduler=options.scheduler,
                 progress=wait.count,
             )
         except KeyboardInterrupt:
             print(
-                f"what is finished is kept in {request.out}/chunks: the same command goes on", file=sys.stderr
+                f"what is finished is kept in {options.out}/chunks: the same command goes on",
+                file=sys.stderr,
             )
             raise
-    curves = _curves(request, rows)
-    result = _marks(request) | _result(request, rows) | {"summary": summarize(curves)}
-    _write(request.out / "lifetime.json", result)
-    plot_lifetime(request.out / "lifetime.png", curves)
-    plot_deltas(request.out / "delta.png", curves)
-    campaign.forget(study, request.out)
-    return result
 
 
-def _chunk(positioners: int) -> int:
-    """Units simulated side by side: the more, the cheaper each; by their number alone."""
-    return min(max(2, positioners // 8), 16)
+def _print(options: LifetimeOptions, result: dict[str, Any]) -> None:
+    from fiberloom.studies.lifetime_results import blind_errors
 
-
-def _curves(request: LifetimeRequest, rows: dict[str, NDArray]) -> LifetimeCurves:
-    plane, _ = bench_units(request.settings.instrument, request.seed, range(request.positioners))
-    return LifetimeCurves(
-        cycles=request.settings.simulated,
-        positioner_id=plane.positioner_id,
-        blind_um={way: rows["measured_um"][:, i] for i, way in enumerate(WAYS)},
-        arms_mm=rows["arms_mm"],
-        true_arms_mm=rows["true_arms_mm"],
-        delta_cycles=request.settings.kept,
-        delta_angles_deg=delta_angles_deg(plane),
-        delta_deg={name: rows["delta_deg"][:, :, i] for i, name in enumerate(DELTAS)},
-    )
-
-
-def _rms(per_unit_um: Floats) -> list[float | None]:
-    """Over positioners, by cycle."""
-    return [None if np.isnan(um) else round(float(um), 4) for um in rms(per_unit_um, axis=0)]
-
-
-def summarize(curves: LifetimeCurves) -> dict[str, float]:
-    """Ratios of the blind errors, rms over the later half of the cycles."""
-    late = slice(len(curves.cycles) // 2, None)
-    um = {way: float(rms(e[:, late])) for way, e in curves.blind_um.items()}
-    change = curves.delta_deg["true"][:, -1:] - curves.delta_deg["true"][:, :1]
-    arms_um = 1e3 * np.ptp(curves.arms_mm, axis=1)
-    return {
-        **{f"{way}_um": um[way] for way in WAYS},
-        "linear_over_recalibrated": um["linear"] / um["recalibrated"],
-        "fixed_over_recalibrated": um["fixed"] / um["recalibrated"],
-        "adaptive_paper_over_recalibrated": um["adaptive_paper"] / um["recalibrated"],
-        "adaptive_over_recalibrated": um["adaptive"] / um["recalibrated"],
-        "adaptive_over_recalibrated_fine": um["adaptive"] / um["recalibrated_fine"],
-        "largest_change_of_delta_deg": float(np.abs(change).max()),
-        "largest_span_of_an_arm_um": float(arms_um.max()),
-    }
-
-
-def within_requirement(summary: dict[str, float]) -> bool:
-    """Whether learning does what recalibrating would, and a map what it is for."""
-    return summary["adaptive_over_recalibrated"] <= WITHIN and summary["linear_over_recalibrated"] >= MAP_GAIN
-
-
-def _result(request: LifetimeRequest, rows: dict[str, NDArray]) -> dict[str, Any]:
-    settings = request.settings
-    by_way = {name: dict(zip(WAYS, np.swapaxes(rows[name], 0, 1), strict=True)) for name in
-              ("measured_um", "true_um", "corrected_um")}  # fmt: skip
-    corrected = {w: _rms(e) for w, e in by_way["corrected_um"].items() if np.isfinite(e).any()}
-    few = slice(0, 8)
-    return {
-        "cycles": settings.simulated.tolist(),
-        "blind_rms_um": {way: _rms(e) for way, e in by_way["measured_um"].items()},
-        "blind_true_rms_um": {way: _rms(e) for way, e in by_way["true_um"].items()},
-        "corrected_true_rms_um": corrected,
-        "moves_per_cycle": MOVES_PER_CYCLE,
-        "moves_to_targets": settings.approaches * (1 + settings.corrections),
-        "positioners": request.positioners,
-        "dropped_out": np.isnan(rows["true_um"][:, 0]).sum(axis=0).tolist(),
-        "settings": asdict(settings),
-        "put_in": {
-            "wear": asdict(settings.wear),
-            "note": "marks up to 0.15 deg and arms within 1 um given (Fig. 21, 22); their number, widths "
-            "and pace assumed",
-        },
-        "arms": {
-            "columns": list(AXES),
-            "calibrated_mm": rows["arms_mm"][few].round(6).tolist(),
-            "true_mm": rows["true_arms_mm"][few].round(6).tolist(),
-        },
-    }
-
-
-def _marks(request: LifetimeRequest) -> dict[str, Any]:
-    plane, units = bench_units(request.settings.instrument, request.seed, range(request.positioners))
-    return {
-        "version": __version__,
-        "seed": request.seed,
-        "instrument": plane.instrument.name,
-        "config_hash": plane.config_hash(),
-        "units": units.digest(),
-        "utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }
-
-
-def _write(path: Path, result: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    os.replace(part, path)
-
-
-_HEADS = {
-    "linear": "linear",
-    "fixed": "fixed",
-    "adaptive_paper": "as printed",
-    "adaptive": "adaptive",
-    "recalibrated": "recalib.",
-    "recalibrated_fine": "recalib. 4x",
-}
-
-
-def _um(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def table(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Blind errors at some cycles, for a terminal."""
-    cycles = result["cycles"]
-    shown = sorted({0, len(cycles) - 1, *(i for i, c in enumerate(cycles) if c in (2, 5, 10, 20, 50, 100))})
-    return [
-        {"cycle": cycles[i]} | {head: _um(result["blind_rms_um"][w][i]) for w, head in _HEADS.items()}
-        for i in shown
-    ]
+    if options.as_json:
+        options.print_json(result)
+        return
+    typer.echo("Blind moves, rms in um as measured:")
+    options.show(blind_errors(result))
+    options.show(result["summary"] | {"results": str(options.out)})

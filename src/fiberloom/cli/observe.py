@@ -5,87 +5,144 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from rich.console import Console
+import typer
 
+from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
+from fiberloom.cli.plan import TargetsArgument
 from fiberloom.cli.terminal import waiting
-from fiberloom.field import Field, ObserveOptions
-from fiberloom.instruments import FocalPlane
-from fiberloom.report.outputs import prepare_folder
-from fiberloom.report.tables import observation_table
-from fiberloom.targets import read_targets
 
 
-@dataclass(frozen=True)
-class ObserveRequest:
-    """What the command line asked for."""
+class Correction(StrEnum):
+    """How corrections weigh what the camera says."""
 
-    targets: Path
-    out: Path
-    seed: int = 0
-    moves: int | None = None
-    """Exactly so many, the blind one counted; None: the instrument's stop rule."""
-    correction: str | None = None
-    camera: str = "noise"
-    pages: str = "last"
-    save_images: bool = False
-    faults: str = ""
-    compare_linear: bool = False
-    calibration: Path | None = None
-    arms: Path | None = None
-    """File of `calibrate focal-plane`."""
-    adapt: bool = False
-    """Learn from every measured move."""
-    learnt: str | None = None
-    """Store of what was learnt; default with `adapt`: beside the maps."""
-    quiet: bool = False
-
-    @property
-    def corrections(self) -> int | None:
-        """Moves after the blind one."""
-        return None if self.moves is None else self.moves - 1
-
-    def options(self) -> ObserveOptions:
-        """What `Field.observe` takes by name."""
-        return {
-            "correction": self.correction,
-            "compare_linear": self.compare_linear,
-            "arms": self.arms,
-            "learnt": self.learnt,
-            "adapt": self.adapt,
-            "pages": self.pages,
-            "save_images": self.save_images,
-        }
+    filtered = "filtered"
+    plain = "plain"
 
 
-def run_observe(plane: FocalPlane, request: ObserveRequest) -> dict[str, Any]:
-    """Observe on the twin; returns summary.json's content and prints the closing table."""
+class CameraKind(StrEnum):
+    """Where measured positions come from."""
+
+    noise = "noise"
+    image = "image"
+
+
+class Pages(StrEnum):
+    """Exposures that get pages to look at."""
+
+    none = "none"
+    last = "last"
+    all = "all"
+
+
+FaultsOption = Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")]
+MapsOption = Annotated[
+    Path | None,
+    typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationOptions(PlaneOptions, JsonOptions):
+    """Of `fiberloom observe`."""
+
+    targets: TargetsArgument
+    moves: Annotated[
+        int | None,
+        typer.Option(min=1, help="Exactly so many, blind move counted; default: the instrument's stop rule."),
+    ] = None
+    correction: Annotated[
+        Correction | None,
+        typer.Option(help="Kalman filter, or Eq. 25 as printed; default: the instrument's."),
+    ] = None
+    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image
+    pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
+        Pages.last
+    )
+    save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False
+    faults: FaultsOption = ""
+    compare_linear: Annotated[
+        bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
+    ] = False
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/latest")
+    calibration: MapsOption = None
+    arms: Annotated[
+        Path | None, typer.Option(help="Arms of `calibrate focal-plane`, in place of the layout's.")
+    ] = None
+    adapt: Annotated[
+        bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
+    ] = False
+    learnt: Annotated[
+        str | None,
+        typer.Option(help="Store with what was learnt; default with --adapt: beside the maps."),
+    ] = None
+
+
+def observe(options: ObservationOptions) -> int:
+    """Put fibres on the targets of a list, and say how near each one came."""
     started_s = time.monotonic()
-    targets = read_targets(request.targets)
-    out = prepare_folder(request.out)
-    field = Field.twin(plane, request.seed, request.camera, request.faults, request.calibration)
+    check(options)
+    from fiberloom.targets import read_targets
+
+    targets = read_targets(options.targets)
+    require_folder(options.out)
+    from fiberloom.field import Field
+
+    field = Field.twin(
+        options.plane(), options.seed, options.camera.value, options.faults, options.calibration
+    )
     field.command_line = " ".join(sys.argv)
-    with waiting(request.quiet) as field.watcher:
-        seen = field.run.observe(targets, request.corrections, out=out, **request.options())
+    with waiting(options.as_json) as field.watcher:
+        seen = field.run.observe(
+            targets,
+            None if options.moves is None else options.moves - 1,
+            out=options.out,
+            correction=None if options.correction is None else options.correction.value,
+            compare_linear=options.compare_linear,
+            arms=options.arms,
+            learnt=options.learnt,
+            adapt=options.adapt,
+            pages=options.pages.value,
+            save_images=options.save_images,
+        )
     seen = replace(seen, wall_s=time.monotonic() - started_s)
-    seen.save(out)
+    seen.save(options.out)
     summary = seen.summary()
-    if not request.quiet:
-        _close(summary, out)
-    return summary
+    if options.as_json:
+        options.print_json(summary)
+    else:
+        _print(summary, options.out)
+    missed = summary["n_valid"] - summary["n_within_requirement"]
+    return 1 if missed or summary["collisions_verified"] else 0
 
 
-def _close(summary: dict[str, Any], out: Path) -> None:
+def check(options: Any) -> None:
+    """Refuses what can be refused before anything heavy is imported."""
+    from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.kinds import OBSERVED
+
+    parse_faults(options.faults, OBSERVED)
+    options.check_plane()
+    for name in ("calibration", "arms", "measured"):
+        require_file(getattr(options, name, None))
+
+
+def _print(summary: dict[str, Any], out: Path) -> None:
+    from rich.console import Console
+
+    from fiberloom.report.tables import observation_table
+
     console = Console()
     console.print(observation_table(summary))
-    console.print(f"corrections ended: {summary['stopped']}")
     console.print(
         f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, "
         f"{summary['collisions_verified']} collisions in verified trajectories; "
         f"everything took {summary['wall_s']:.0f} s"
     )
+    console.print(f"corrections ended: {summary['stopped']}")
     for note in summary["notes"]:
         console.print(f"note: {note}")
     if "learnt" in summary:

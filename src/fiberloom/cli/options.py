@@ -1,43 +1,138 @@
-"""What many commands of the command line share: options, the focal plane they name, printing."""
+"""Options of commands, each declared once: the fields of a dataclass are the parameters of a command.
+
+A command is a function of its options that returns its exit code; `add` puts it on the command line.
+"""
 
 from __future__ import annotations
 
+import inspect
 import json
+from collections.abc import Callable
+from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 from fiberloom.errors import InputError
 
-InstrumentOption = Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")]
-LayoutOption = Annotated[
-    Path | None, typer.Option(help="Folder with the layout: ours, or SDSS-V calibration files.")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="The one seed of everything random.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-PositionersOption = Annotated[
-    int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
-]
+if TYPE_CHECKING:
+    from fiberloom.instruments import FocalPlane
+
+Options = TypeVar("Options")
 
 
-def read_plane(instrument: str, layout: Path | None, seed: int, positioners: int | None = None) -> Any:
-    """The focal plane of a preset or file, or of a layout."""
-    from fiberloom.instruments import generate, load_instrument, read_layout
+def add(app: typer.Typer, run: Callable[[Options], int | None], name: str | None = None) -> None:
+    """Makes a command of `run`, a function of one dataclass whose fields carry typer's declarations.
 
-    model = load_instrument(instrument)
-    if layout is None:
-        return generate(model, seed, n_positioners=positioners)
-    if positioners is not None:
-        raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
-    return read_layout(layout, model)
+    The command has the name of the function unless told, and exits with what the function returns
+    (None: 0).
+    """
+    app.command(name)(_typer_function(run))
 
 
-def print_report(report: Any, as_json: bool) -> None:
-    """For people, or JSON."""
-    from fiberloom.report.tables import print_report as print_table
+def _typer_function(run: Callable[[Options], int | None]) -> Callable[..., None]:
+    (parameter,) = inspect.signature(run).parameters
+    options: Any = get_type_hints(run)[parameter]
+    hints = get_type_hints(options, include_extras=True)
 
-    if as_json:
+    def command(**values: Any) -> None:
+        if code := run(options(**values)):
+            raise typer.Exit(code)
+
+    command.__name__, command.__doc__ = run.__name__, run.__doc__
+    command.__annotations__ = hints
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [_parameter(field, hints[field.name]) for field in fields(options)]
+    )
+    return command
+
+
+def _parameter(field: Field[Any], hint: Any) -> inspect.Parameter:
+    default = inspect.Parameter.empty if field.default is MISSING else field.default
+    return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JsonOptions:
+    """Of a command that reports."""
+
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False
+
+    def show(self, report: Any) -> None:
+        """Prints a report: for people, or as JSON."""
+        if self.as_json:
+            self.print_json(report)
+        else:
+            from fiberloom.report.tables import print_report
+
+            print_report(report)
+
+    @staticmethod
+    def print_json(report: Any) -> None:
+        """Prints a report for machines."""
         typer.echo(json.dumps(report, indent=2, default=str))
-    else:
-        print_table(report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutOptions:
+    """Of a command that needs to know which positioners there are."""
+
+    instrument: Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")] = "sdssv"
+    layout: Annotated[
+        Path | None, typer.Option(help="Folder with the layout: ours, or SDSS-V calibration files.")
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
+
+    def check_plane(self) -> None:
+        """Refuses what can be refused before anything heavy is imported."""
+        if self.layout is not None and getattr(self, "positioners", None) is not None:
+            raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
+        if self.layout is not None and not self.layout.is_dir():
+            raise InputError(f"{self.layout}: no such directory; a layout is a folder of tables")
+        require_instrument(self.instrument)
+
+    def _plane(self, positioners: int | None) -> FocalPlane:
+        self.check_plane()
+        from fiberloom.instruments import generate, load_instrument, read_layout
+
+        model = load_instrument(self.instrument)
+        if self.layout is None:
+            return generate(model, self.seed, n_positioners=positioners)
+        return read_layout(self.layout, model)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneOptions(LayoutOptions):
+    """Of a command that works with a focal plane."""
+
+    positioners: Annotated[
+        int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
+    ] = None
+
+    def plane(self) -> FocalPlane:
+        """The focal plane of a preset or file, or of a layout."""
+        return self._plane(self.positioners)
+
+
+# what can be refused before anything heavy is imported
+
+
+def require_instrument(name: str) -> None:
+    """Refuses a name that is neither a preset nor a file."""
+    from fiberloom.instruments.names import check_name
+
+    check_name(name)
+
+
+def require_file(path: Path | None) -> None:
+    """Refuses a file that is not there."""
+    if path is not None and not path.is_file():
+        raise InputError(f"{path}: no such file")
+
+
+def require_folder(out: Path) -> None:
+    """Makes the folder of the results, or refuses one that cannot be written."""
+    from fiberloom.report.folder import prepare_folder
+
+    prepare_folder(out)

@@ -4,42 +4,60 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
+import typer
 
+from fiberloom.cli.options import JsonOptions, require_folder
 from fiberloom.cli.terminal import waiting
-from fiberloom.studies.paper import Settings, chosen, numbers
-from fiberloom.studies.paper import reproduce as run_figures
-from fiberloom.studies.paper.parts import Part
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from fiberloom.studies.paper.parts import Part
 
 
-@dataclass(frozen=True)
-class ReproduceRequest:
-    """What the command line asked for."""
+@dataclass(frozen=True, kw_only=True)
+class ReproduceOptions(JsonOptions):
+    """Of `fiberloom reproduce`."""
 
-    figures: tuple[str, ...]
-    out: Path
-    seed: int = 0
-    n_seeds: int = 3
-    full: bool = False
-    quiet: bool = False
+    figures: Annotated[
+        list[str] | None, typer.Argument(help="Figures of the paper, e.g. 16 19 eq22; default: all.")
+    ] = None
+    out: Annotated[Path, typer.Option(help="Folder for report, results and figures.")] = Path(
+        "runs/reproduce"
+    )
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds in a row give the spread.")] = 3
+    full: Annotated[bool, typer.Option("--full", help="The size of the paper's experiments.")] = False
 
 
-def run_reproduce(request: ReproduceRequest) -> list[dict[str, Any]]:
-    """Runs the figures; prints each as it is done; returns their records of results.json."""
-    figures = chosen(request.figures)
-    console = Console(quiet=request.quiet)
-    with waiting(request.quiet) as wait:
-        settings = Settings(request.seed, request.n_seeds, request.full, wait.say)
-        parts = run_figures(figures, request.out, settings, lambda part: _print(console, part))
-    console.print(_closing(parts, request.out))
-    return [q.model_dump(mode="json") for part in parts for q in part.quantities]
+def reproduce(options: ReproduceOptions) -> None:
+    """Make the paper's figures and numbers on the twin, ours beside theirs."""
+    from fiberloom.studies.paper import chosen
+
+    figures = chosen(tuple(options.figures or ()))
+    require_folder(options.out)
+    from rich.console import Console
+
+    from fiberloom.studies.paper import Settings
+    from fiberloom.studies.paper import reproduce as run_figures
+
+    console = Console(quiet=options.as_json)
+    with waiting(options.as_json) as wait:
+        settings = Settings(options.seed, options.seeds, options.full, wait.say)
+        parts = run_figures(figures, options.out, settings, lambda part: _print(console, part))
+    console.print(_closing(parts, options.out))
+    if options.as_json:
+        options.print_json([q.model_dump(mode="json") for part in parts for q in part.quantities])
 
 
 def _print(console: Console, part: Part) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from fiberloom.studies.paper import numbers
+
     title = f"{part.heading}: {part.title} ({part.seconds:.1f} s, processor {part.cpu_s:.1f} s)"
     table = Table(box=box.SIMPLE, title=title, title_justify="left", title_style="bold")
     for name in ("quantity", "paper", "ours", "unit", "ratio", "kind"):

@@ -1,35 +1,99 @@
-"""Talking to whoever waits: progress on stderr, only where somebody looks."""
+"""Progress on stderr: a bar on a terminal, else a line for each stage and one every ten seconds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+EVERY_S = 10.0
+"""Between two lines of one stage."""
 
 
-class Waiting:
-    """A line with a bar: `say` renames it, `count` fills it."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._task = progress.add_task("", total=None)
+class Waiting(Protocol):
+    """What is done now, and how much of it."""
 
     def say(self, text: str) -> None:
         """Name what is being done now."""
-        self._progress.update(self._task, description=text, completed=0, total=None)
 
     def count(self, done: int, total: int) -> None:
         """Tell how much of it is done."""
-        self._progress.update(self._task, completed=done, total=total)
+
+
+class Quiet:
+    """Says nothing."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def count(self, done: int, total: int) -> None:
+        """Nothing."""
+
+
+class Lines:
+    """Plain lines, for logs: `every_s` at the earliest after the last one of the same stage."""
+
+    def __init__(
+        self,
+        write: Callable[[str], object],
+        every_s: float = EVERY_S,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._write, self._every_s, self._clock_s = write, every_s, clock_s
+        self._text, self._last_s = "", clock_s()
+
+    def say(self, text: str) -> None:
+        """A line for each new stage."""
+        if text != self._text:
+            self._text = text
+            self._tell(text)
+
+    def count(self, done: int, total: int) -> None:
+        """A line now and then."""
+        if self._clock_s() - self._last_s >= self._every_s:
+            self._tell(f"{self._text}: {done} of {total}")
+
+    def _tell(self, line: str) -> None:
+        self._last_s = self._clock_s()
+        self._write(f"{line}\n")
+
+
+class Bar:
+    """One line with a bar, drawn again and again."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task = progress.add_task("", total=None, of="")
+
+    def say(self, text: str) -> None:
+        """Renames the line and empties the bar."""
+        self._progress.update(self._task, description=text, completed=0, total=None, of="")
+
+    def count(self, done: int, total: int) -> None:
+        """Fills the bar."""
+        self._progress.update(self._task, completed=done, total=total, of=f"{done} of {total}")
 
 
 @contextmanager
 def waiting(quiet: bool = False) -> Iterator[Waiting]:
-    """Show progress while the block runs; nothing when quiet or when stderr is no terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    hidden = quiet or not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
-        yield Waiting(progress)
+    """Shows progress while the block runs."""
+    if quiet:
+        yield Quiet()
+    elif not sys.stderr.isatty():
+        yield Lines(lambda line: print(line, end="", file=sys.stderr, flush=True))
+    else:
+        with _progress() as progress:
+            yield Bar(progress)
+
+
+def _progress() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[of]}"))
+    return Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True)

@@ -3,121 +3,131 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.errors import InputError
-from fiberloom.instruments import FocalPlane
-from fiberloom.twin import Twin, draw_units
-from fiberloom.twin.faults.schedule import troubles_of
-from fiberloom.twin.server.device import PORTS
-from fiberloom.twin.server.server import Address, TwinServer, addresses_of, device_count
+from fiberloom.cli.options import JsonOptions, PlaneOptions
+
+if TYPE_CHECKING:
+    from fiberloom.twin.server.address import Address
+    from fiberloom.twin.server.server import TwinServer
 
 
-@dataclass(frozen=True)
-class ServeRequest:
-    """What the command line asked for."""
+@dataclass(frozen=True, kw_only=True)
+class TwinOptions(PlaneOptions, JsonOptions):
+    """Of `fiberloom twin`."""
 
-    listen: str
-    devices: int | None = None
-    seed: int = 0
-    faults: str = ""
-    speed: float = 1.0
-    neighbours: bool = True
-    bootloader: bool = False
-    first: bool = False
-    report_every_s: float = 0.0
-    stop_after_s: float | None = None
-    jaeger_config: Path | None = None
-    as_json: bool = False
+    listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228"
+    devices: Annotated[
+        int | None, typer.Option(min=1, max=64, help="CAN@net devices; default: one for 84 positioners.")
+    ] = None
+    faults: Annotated[
+        str,
+        typer.Option(
+            help="What goes wrong: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."
+        ),
+    ] = ""
+    speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0
+    neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True
+    bootloader: Annotated[
+        bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
+    ] = False
+    first: Annotated[
+        bool, typer.Option("--first", help="Clock before all ordinary programs; the system must allow it.")
+    ] = False
+    jaeger_config: Annotated[
+        Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
+    ] = None
+    report_every_s: Annotated[
+        float,
+        typer.Option(
+            "--report-every", min=0.0, help="Seconds between reports of lateness; 0: at the end only."
+        ),
+    ] = 0.0
+    stop_after_s: Annotated[
+        float | None,
+        typer.Option("--stop-after", min=0.0, help="Stop after so many seconds; default: Ctrl-C, SIGTERM."),
+    ] = None
 
 
-def run_twin(plane: FocalPlane, request: ServeRequest) -> dict[str, Any]:
-    """Serves until Ctrl-C, SIGTERM or the time asked for; prints and returns the closing report."""
-    addresses = addresses_of(request.listen, request.devices or device_count(len(plane)))
+def twin(options: TwinOptions) -> None:
+    """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
+    from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.kinds import SERVED
+    from fiberloom.twin.server.address import addresses_of
+
+    parse_faults(options.faults, SERVED)
+    addresses_of(options.listen, 1)
+    options.check_plane()
+    from fiberloom.twin.server.server import device_count
+
+    plane = options.plane()
+    addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))
+    server = _server(options, plane, addresses)
+    if options.jaeger_config is not None:
+        from fiberloom.twin.server.jaeger import jaeger_config
+
+        folder = options.jaeger_config.resolve().parent
+        folder.mkdir(parents=True, exist_ok=True)
+        options.jaeger_config.write_text(jaeger_config(addresses, folder))
+    report = asyncio.run(_serve(server, options, _greeting(len(plane), addresses)))
+    if options.as_json:
+        options.print_json(report)
+    else:
+        typer.echo(_text(report))
+
+
+def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinServer:
+    from fiberloom.twin import Twin, draw_units
+    from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.schedule import schedule_faults
+    from fiberloom.twin.server.device import PORTS
+    from fiberloom.twin.server.server import TwinServer
+
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
-    troubles = troubles_of(request.faults, ids, places, request.seed)
-    units = draw_units(plane, request.seed)
+    schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)
+    units = draw_units(plane, options.seed)
     # one thread: ticks are short, and the other core is the host's
-    twin = Twin(plane, units, seed=request.seed, threads=1, neighbours=request.neighbours)
-    server = TwinServer(
-        twin,
+    made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
+    return TwinServer(
+        made,
         addresses,
-        speed=request.speed,
-        troubles=troubles,
-        seed=request.seed,
-        bootloader=request.bootloader,
-        first=request.first,
+        speed=options.speed,
+        schedule=schedule,
+        seed=options.seed,
+        bootloader=options.bootloader,
+        first=options.first,
     )
-    if request.jaeger_config is not None:
-        folder = request.jaeger_config.resolve().parent
-        folder.mkdir(parents=True, exist_ok=True)
-        request.jaeger_config.write_text(jaeger_config(addresses, folder))
-    report = asyncio.run(_serve(server, request, len(plane), addresses))
-    typer.echo(json.dumps(report, indent=2) if request.as_json else _text(report))
-    return report
 
 
-def jaeger_config(addresses: list[Address], folder: Path) -> str:
-    """What jaeger needs to know to drive this twin: its JAEGER_<OBSERVATORY>_CONFIG_PATH.
-
-    Logs, trajectories and snapshots go to `folder`.
-    """
-    if len({a.port for a in addresses}) > 1:
-        raise InputError(
-            "--jaeger-config: jaeger has one port for all devices; listen at a loopback address, where "
-            "devices get 127.0.0.1, 127.0.0.2, ..."
-        )
-    profile = {
-        "interface": "cannet",
-        "channels": [a.host for a in addresses],
-        "port": addresses[0].port,
-        "buses": list(PORTS),
-        "bitrate": 1_000_000,
-        "timeout": 1,
-        "status_interval": 5,
-    }
-    paths = {"snapshot_path": str(folder), "configuration_snapshot_path": str(folder)}
-    config = {
-        "profiles": {"default": "twin", "twin": profile},
-        "fps": {"use_lock": False, "skip_assignments_check": True, **paths},
-        "positioner": {"trajectory_dump_path": str(folder)},
-        "files": {"log_dir": str(folder)},
-    }
-    return json.dumps(config, indent=2) + "\n"  # which is YAML, too
-
-
-async def _serve(
-    server: TwinServer, request: ServeRequest, count: int, addresses: list[Address]
-) -> dict[str, Any]:
+async def _serve(server: TwinServer, options: TwinOptions, greeting: str) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
     await server.open()
     try:
-        if not request.as_json:
-            typer.echo(_greeting(count, addresses))
-        await _wait(server, request, stop)
+        if not options.as_json:
+            typer.echo(greeting)
+        await _wait(server, options, stop)
         return server.report() | {"load_average_1min": os.getloadavg()[0]}
     finally:
         server.close()
 
 
-async def _wait(server: TwinServer, request: ServeRequest, stop: asyncio.Event) -> None:
+async def _wait(server: TwinServer, options: TwinOptions, stop: asyncio.Event) -> None:
     """Until told to stop; reports in between."""
     loop = asyncio.get_running_loop()
-    end = None if request.stop_after_s is None else loop.time() + request.stop_after_s
+    end = None if options.stop_after_s is None else loop.time() + options.stop_after_s
     while not stop.is_set():
         left = None if end is None else max(end - loop.time(), 0.0)
-        wait = min((t for t in (request.report_every_s or None, left) if t is not None), default=None)
+        wait = min((t for t in (options.report_every_s or None, left) if t is not None), default=None)
         try:
             await asyncio.wait_for(stop.wait(), wait)
         except TimeoutError:
@@ -127,6 +137,8 @@ async def _wait(server: TwinServer, request: ServeRequest, stop: asyncio.Event) 
 
 
 def _greeting(count: int, addresses: list[Address]) -> str:
+    from fiberloom.twin.server.device import PORTS
+
     first, last = addresses[0], addresses[-1]
     where = f"{first}" if len(addresses) == 1 else f"{first} to {last}"
     devices = "1 device" if len(addresses) == 1 else f"{len(addresses)} devices"

@@ -1,10 +1,16 @@
 """Instruments and focal planes: what there is, where it is, and what it can reach."""
 
-from fiberloom.instruments.focal_plane import FocalPlane, Inverse
-from fiberloom.instruments.generate import generate
-from fiberloom.instruments.layout import read_layout, write_layout
-from fiberloom.instruments.load import instrument_names, load_instrument, parse_instrument
-from fiberloom.instruments.model import AXES, METROLOGY, Instrument
+from typing import TYPE_CHECKING
+
+from fiberloom.lazy import on_use
+
+if TYPE_CHECKING:
+    from fiberloom.instruments.focal_plane import FocalPlane, Inverse
+    from fiberloom.instruments.generated import generate
+    from fiberloom.instruments.layout import read_layout, write_layout
+    from fiberloom.instruments.load import load_instrument, parse_instrument
+    from fiberloom.instruments.model import AXES, METROLOGY, Instrument
+    from fiberloom.instruments.names import instrument_names
 
 __all__ = [
     "AXES",
@@ -19,3 +25,5 @@ __all__ = [
     "read_layout",
     "write_layout",
 ]
+
+__getattr__ = on_use(__name__)

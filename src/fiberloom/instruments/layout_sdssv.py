@@ -7,7 +7,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.focal_plane import FocalPlane
-from fiberloom.instruments.generate import guide_camera_capsules
+from fiberloom.instruments.generated import guide_camera_capsules
 from fiberloom.instruments.model import METROLOGY, Instrument
 from fiberloom.tables import TableFile, read_table
 from fiberloom.typing import Floats, Ints

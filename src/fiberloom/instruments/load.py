@@ -9,12 +9,7 @@ from pydantic import ValidationError
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import Instrument
-
-
-def instrument_names() -> list[str]:
-    """Names of the presets that come with fiberloom."""
-    folder = files("fiberloom.instruments.presets")
-    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+from fiberloom.instruments.names import check_name, instrument_names
 
 
 def load_instrument(name_or_path: str | Path) -> Instrument:
@@ -38,11 +33,8 @@ def parse_instrument(data: dict[str, Any], where: str) -> Instrument:
 def _read(name: str) -> tuple[str, str]:
     if name in instrument_names():
         return files("fiberloom.instruments.presets").joinpath(f"{name}.toml").read_text(), name
+    check_name(name)
     path = Path(name)
-    if not path.is_file():
-        raise InputError(
-            f"instrument '{name}': neither a preset ({', '.join(instrument_names())}) nor a TOML file"
-        )
     try:
         return path.read_text(encoding="utf-8"), str(path)
     except (OSError, UnicodeDecodeError) as error:

@@ -4,11 +4,16 @@
 docs/planning.md.
 """
 
-from fiberloom.planning.configuration import read_configuration, write_configuration
-from fiberloom.planning.fields import random_configuration, random_pair
-from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
-from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
-from fiberloom.planning.verification import Verification, Violation, verify
+from typing import TYPE_CHECKING
+
+from fiberloom.lazy import on_use
+
+if TYPE_CHECKING:
+    from fiberloom.planning.configuration import read_configuration, write_configuration
+    from fiberloom.planning.fields import random_configuration, random_pair
+    from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
+    from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
+    from fiberloom.planning.verification import Verification, Violation, verify
 
 __all__ = [
     "Plan",
@@ -25,3 +30,5 @@ __all__ = [
     "verify",
     "write_configuration",
 ]
+
+__getattr__ = on_use(__name__)

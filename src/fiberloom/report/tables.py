@@ -9,6 +9,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from fiberloom.instruments import Instrument
+
 
 def print_report(report: Any) -> None:
     """Print a mapping as two columns, a list of mappings as a table."""
@@ -103,3 +105,16 @@ def _headline(summary: Mapping[str, Any]) -> str:
 
 def _um(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
+
+
+def overview(i: Instrument) -> dict[str, Any]:
+    """What tells instruments apart: numbers, arms and pitch in mm, motor, requirement in um."""
+    return {
+        "name": i.name,
+        "positioners": i.layout.n_positioners,
+        "arms_mm": f"{i.positioner.l_alpha_mm:g} / {i.positioner.points[i.seen_point].x_mm:g}",
+        "pitch_mm": i.layout.pitch_mm,
+        "motor": i.alpha.kind,
+        "requirement_um": i.operation.requirement_um,
+        "images": "yes" if i.camera else "no",
+    }

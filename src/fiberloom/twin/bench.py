@@ -1,4 +1,4 @@
-"""Units alone on a bench, any number of them, each known by its index: what campaigns take."""
+"""The bench of the twin: units alone, any number of them, each known by its index; cameras and weights."""
 
 from __future__ import annotations
 
@@ -7,9 +7,38 @@ from functools import lru_cache
 
 import numpy as np
 
+from fiberloom.bus.client import Client
+from fiberloom.calibration.bench.rig import BenchRig
 from fiberloom.instruments import FocalPlane, generate, load_instrument
+from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units
+from fiberloom.twin.hardware import draw_faults
+from fiberloom.twin.transport import TwinTransport
+from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
+from fiberloom.twin.weights import TwinWeights
+
+CLOSE_UP_UM = 0.101
+"""Kronig 2020, Fig. 18: the camera close up, frames averaged; two-dimensional rms."""
+
+
+def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> BenchRig:
+    """Each of the `units` of a `plane` alone under the cameras, with weights.
+
+    `seed` decides noise, the weights' own errors and which positioners have the `faults`, a text of
+    `--faults`; InputError where it cannot be read.
+    """
+    twin = Twin(plane, units, seed=seed, neighbours=False)
+    for fault in draw_faults(plane, faults, seed):
+        twin.inject(fault)
+    noise_um = plane.instrument.metrology.noise_rms_um
+    return BenchRig(
+        Client(TwinTransport(twin)),
+        NoiseCamera(twin, noise_um, seed + 1),
+        NoiseCamera(twin, CLOSE_UP_UM, seed + 2),
+        CLOSE_UP_UM,
+        TwinWeights(twin, seed=seed),
+    )
 
 
 def bench_units(instrument: str, seed: int, units: range) -> tuple[FocalPlane, Units]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.model import AXES, Axis
 from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.camera.noise_camera import NoiseCamera
-from fiberloom.twin.faults.faults import Fault, FaultKind
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.grammar import parse_faults
+from fiberloom.twin.faults.kinds import OBSERVED
+from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import GEAR, Units
@@ -75,20 +76,7 @@ def _hardware(twin: Twin, seed: int, camera: str = "noise") -> Hardware:
 
 
 def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[Fault]:
-    """Faults of a "kind=count,..." text on positioners drawn by the seed, each on another one."""
-    wanted = [_fault_count(part) for part in text.split(",") if part.strip()]
-    total = sum(count for _, count in wanted)
+    """Faults of a text of `--faults`, on positioners that are drawn by the seed, each on another one."""
+    requests = parse_faults(text, OBSERVED)
     able = plane.positioner_id[~plane.offline]
-    if total > len(able):
-        raise InputError(f"--faults {text}: {total} faults for {len(able)} positioners")
-    chosen = iter(np.random.default_rng([seed, 0xFA17]).permutation(able)[:total])
-    return [Fault(kind, int(next(chosen))) for kind, count in wanted for _ in range(count)]
-
-
-def _fault_count(part: str) -> tuple[FaultKind, int]:
-    name, _, count = part.strip().partition("=")
-    try:
-        return FaultKind(name), max(int(count or 1), 0)
-    except ValueError:
-        kinds = ", ".join(sorted(FaultKind))
-        raise InputError(f"--faults {part}: write KIND=COUNT, with KIND one of {kinds}") from None
+    return [scheduled.fault for scheduled in schedule_faults(requests, able, (), seed)]

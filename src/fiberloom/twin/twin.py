@@ -14,7 +14,8 @@ from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES, METROLOGY
-from fiberloom.twin.faults.faults import Fault, FaultKind
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad, rad_to_deg

@@ -17,8 +17,10 @@ from fiberloom.bus.identifier import encode
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units
-from fiberloom.twin.faults.schedule import troubles_of
-from fiberloom.twin.server.server import BACKLOG_BYTES, Address, TwinServer, places_of
+from fiberloom.twin.faults.grammar import parse_faults
+from fiberloom.twin.faults.schedule import schedule_faults
+from fiberloom.twin.server.address import Address
+from fiberloom.twin.server.server import BACKLOG_BYTES, TwinServer, places_of
 
 PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=8)
 UNITS = draw_units(PLANE, seed=2)
@@ -32,9 +34,9 @@ SPEED = 10.0
 @contextlib.asynccontextmanager
 async def served(faults="", **kwargs):
     kwargs = {"speed": SPEED} | kwargs
-    troubles = troubles_of(faults, IDS, [(0, p) for p in (1, 2, 3, 4)], 0)
+    schedule = schedule_faults(parse_faults(faults), IDS, [(0, p) for p in (1, 2, 3, 4)], 0)
     twin = Twin(PLANE, UNITS, seed=1, threads=1, neighbours=False)
-    server = TwinServer(twin, [Address("127.0.0.1", 0)], troubles=troubles, **kwargs)
+    server = TwinServer(twin, [Address("127.0.0.1", 0)], schedule=schedule, **kwargs)
     await server.open()
     try:
         yield server

@@ -4,11 +4,15 @@ Each figure is one module with `run(settings) -> FigureOutcome`. Experiments go 
 bus, camera and calibration code as an operator's; nothing here is imported by the rest.
 """
 
-from fiberloom.studies.paper import numbers
-from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
-from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
-from fiberloom.studies.paper.registry import FIGURES, Figure, chosen
-from fiberloom.studies.paper.runner import reproduce
+from typing import TYPE_CHECKING
+
+from fiberloom.lazy import on_use
+
+if TYPE_CHECKING:
+    from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
+    from fiberloom.studies.paper.quantity import Bound, Kind, Quantity
+    from fiberloom.studies.paper.registry import FIGURES, Figure, chosen
+    from fiberloom.studies.paper.runner import reproduce
 
 __all__ = [
     "FIGURES",
@@ -20,7 +24,7 @@ __all__ = [
     "Quantity",
     "Settings",
     "chosen",
-    "numbers",
-    "quantity",
     "reproduce",
 ]
+
+__getattr__ = on_use(__name__)

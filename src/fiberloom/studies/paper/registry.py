@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from fiberloom.errors import InputError
-from fiberloom.studies.paper.outcome import FigureOutcome, Settings
+
+if TYPE_CHECKING:
+    from fiberloom.studies.paper.outcome import FigureOutcome, Settings
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Figure:
     def run(self) -> Callable[[Settings], FigureOutcome]:
         """The experiment; its module is loaded now."""
         module = importlib.import_module(f"fiberloom.studies.paper.{self.module}")
-        return cast(Callable[[Settings], FigureOutcome], module.run)
+        return cast("Callable[[Settings], FigureOutcome]", module.run)
 
 
 FIGURES: tuple[Figure, ...] = (

@@ -10,16 +10,17 @@ that differ between the directions by up to 0.28).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.errors import InputError
 from fiberloom.instruments.focal_plane import elbows_mm
-from fiberloom.twin.faults.faults import Fault, FaultKind
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.grammar import FaultRequest, parse_faults
+from fiberloom.twin.faults.kinds import AGED, AilmentKind, FaultKind
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
 from fiberloom.twin.wear import TOOTH_MARK
@@ -27,19 +28,6 @@ from fiberloom.typing import Flags, Floats
 from fiberloom.units import RAD_PER_DEG
 
 NEVER = np.iinfo(np.int64).max
-
-
-class AilmentKind(StrEnum):
-    """Ailments, and how they show."""
-
-    BROKEN_TOOTH = "broken_tooth"  # a jump of the map over one tooth pairing, at once
-    STUCK = "stuck"  # the axis does not move; the firmware reports a collision
-    NON_MOVES = "non_moves"  # some moves do not happen; the firmware reports arrival
-    LOOSE_ARM = "loose_arm"  # the beta arm's length differs from move to move, more and more
-    WEAK_HALL = "weak_hall"  # a hall channel fades: positions waver with the motor turn, then it stalls
-    SLIPPING = "slipping"  # the arm makes a share of the way, another one in each direction
-    FRICTION = "friction"  # grows until the motor stalls
-    DARK = "dark"  # the camera does not see the fibre
 
 
 HEALTHY = ""
@@ -217,27 +205,29 @@ def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) 
 
 
 def chosen_ailments(units: Units, seed: int, faults: str, onset: int) -> Ailments:
-    """Ailments of a "kind=count,..." text `faults` for `units` 0, 1, ... by their number, all from the
-    move `onset` on; sizes drawn from the `seed`.
+    """Ailments of the text `faults` of `--faults` in `units`, all from the move `onset` on.
+
+    Units by their number have them, from 1 on, in the order of the text but for those named; sizes are
+    drawn from the `seed`. Raises InputError that names the part of the text which cannot be read.
     """
-    wanted = [kind for part in faults.split(",") if part.strip() for kind in _fault_kinds(part)]
     ailments = draw_ailments(units, seed, AilmentModel(rate_per_year=0.0))
-    for kind in dict.fromkeys(wanted):
-        drawn = draw_ailments(units, seed, AilmentModel(weights={str(kind): 1.0})).table
-        places = [i for i, k in enumerate(wanted) if k == kind]
-        rows = np.isin(units.number, np.array(places) + 1)
+    for kind, numbers in _numbers(parse_faults(faults, AGED)).items():
+        drawn = draw_ailments(units, seed, AilmentModel(weights={kind: 1.0})).table
+        rows = np.isin(units.number, numbers)
         ailments.table[rows] = drawn[rows]
         ailments.table["onset"][rows] = onset
     return ailments
 
 
-def _fault_kinds(part: str) -> list[AilmentKind]:
-    name, _, count = part.strip().partition("=")
-    try:
-        return [AilmentKind(name)] * max(int(count or 1), 0)
-    except ValueError:
-        kinds = ", ".join(sorted(AilmentKind))
-        raise InputError(f"--faults {part}: write KIND=COUNT, with KIND one of {kinds}") from None
+def _numbers(requests: tuple[FaultRequest, ...]) -> dict[str, list[int]]:
+    """Numbers of the units that have each kind."""
+    named = {r.positioner_id for r in requests}
+    free = (number for number in itertools.count(1) if number not in named)
+    numbers: dict[str, list[int]] = {}
+    for r in requests:
+        hit = list(itertools.islice(free, r.count)) if r.positioner_id is None else [r.positioner_id]
+        numbers.setdefault(r.kind, []).extend(hit)
+    return numbers
 
 
 def draw_ailments(units: Units, seed: int, model: AilmentModel | None = None) -> Ailments:

@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Literal
 
 from fiberloom.instruments.model import AXES
-
-
-class FaultKind(StrEnum):
-    """Kinds of faults, and what acts."""
-
-    DEAD = "dead"  # no supply at the bridges: the motor does not turn
-    LYING = "lying"  # the motor turns, the arm does not follow: the firmware reports arrival
-    DARK = "dark"  # the camera does not see the fibre
-    STUCK_HALL = "stuck_hall"  # the hall channels repeat what they showed
-    BLOCKED = "blocked"  # the rotor cannot turn
-    DEAF = "deaf"  # frames to it are lost
-    MUTE = "mute"  # frames from it are lost
-
-
-PER_POSITIONER = frozenset({FaultKind.DARK, FaultKind.DEAF, FaultKind.MUTE})
+from fiberloom.twin.faults.kinds import PER_POSITIONER, FaultKind
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import heapq
-import ipaddress
 import socket
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -20,9 +19,11 @@ import numpy as np
 from fiberloom.bus.cannet import frame_to_line
 from fiberloom.bus.transport import Frame
 from fiberloom.errors import InputError
-from fiberloom.twin.faults.faults import FaultKind
-from fiberloom.twin.faults.schedule import BUS_OFF, LATE, LOST, POWER_CUT, Trouble
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import SHARES, FaultKind, ServiceKind
+from fiberloom.twin.faults.schedule import ScheduledFault
 from fiberloom.twin.real_time import RealTimeTwin
+from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.device import PORTS, Device, Port
 from fiberloom.twin.server.wire import QUEUE_FRAMES, Wire
 from fiberloom.twin.twin import Reply, Twin
@@ -53,40 +54,9 @@ class Traffic:
     refused_clients: int = 0
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where a device listens."""
-
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
-
-
 def device_count(positioners: int) -> int:
     """Devices needed for so many positioners."""
     return -(-positioners // POSITIONERS_PER_DEVICE)
-
-
-def addresses_of(text: str, devices: int) -> list[Address]:
-    """Where the devices listen: HOST:PORT, and what follows it.
-
-    jaeger has one port number for all of its devices, so loopback addresses are counted up and the port
-    stays (127.0.0.1, 127.0.0.2, ...); with any other host ports are counted up.
-    """
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"--listen {text}: write HOST:PORT with a port 1 to 65535")
-    try:
-        first = ipaddress.IPv4Address(host)
-    except ValueError:
-        first = None
-    if first is not None and first.is_loopback:
-        return [Address(str(first + k), int(port)) for k in range(devices)]
-    if int(port) + devices > 65536:
-        raise InputError(f"--listen {text}: {devices} devices need the ports up to {int(port) + devices - 1}")
-    return [Address(host, int(port) + k) for k in range(devices)]
 
 
 def places_of(positioners: int, devices: int) -> list[tuple[int, int]]:
@@ -222,7 +192,7 @@ class _Outgoing:
 
 
 class TwinServer:
-    """Serves a twin until `close`. `troubles` go wrong in the twin's time.
+    """Serves a twin until `close`. `schedule`: faults that begin and end in the twin's time.
 
     `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: all positioners begin
     there, as after power-on. `first`: the clock runs before all ordinary programs of the machine.
@@ -234,7 +204,7 @@ class TwinServer:
         addresses: Sequence[Address],
         *,
         speed: float = 1.0,
-        troubles: Iterable[Trouble] = (),
+        schedule: Iterable[ScheduledFault] = (),
         seed: int = 0,
         queue_frames: int = QUEUE_FRAMES,
         bootloader: bool = False,
@@ -247,17 +217,18 @@ class TwinServer:
         for listener in self.listeners:
             for port in listener.device.ports.values():
                 port.wire = Wire(queue_frames)
+        faults = tuple(schedule)
         self._due = sorted(
-            [(t.start_s, True, t) for t in troubles] + [(t.end_s, False, t) for t in troubles],
+            [(f.start_s, True, f) for f in faults] + [(f.end_s, False, f) for f in faults],
             key=lambda entry: entry[0],
         )
-        self._on_replies: list[Trouble] = []
+        self._on_replies: list[ScheduledFault] = []
         self._rng = np.random.default_rng([seed, 0x105E])
         self._heap: list[_Outgoing] = []
         self._order = 0
         self._inbox: list[tuple[int, bytes, int, float]] = []
         self._flush: asyncio.TimerHandle | None = None
-        self._trouble_timer: asyncio.TimerHandle | None = None
+        self._schedule_timer: asyncio.TimerHandle | None = None
         self.happened: list[str] = []
         """What went wrong so far, with the virtual time."""
         if bootloader:
@@ -289,13 +260,13 @@ class TwinServer:
             self.close()
             raise
         loop.add_reader(self.real.fileno(), self._take)
-        self._make_trouble()
+        self._follow_schedule()
 
     def close(self) -> None:
         """Hangs up and stops the clock."""
         for listener in self.listeners:
             listener.close()
-        for timer in (self._flush, self._trouble_timer):
+        for timer in (self._flush, self._schedule_timer):
             if timer is not None:
                 timer.cancel()
         if self.real is not None:
@@ -354,11 +325,11 @@ class TwinServer:
     def _delay_s(self) -> float | None:
         """Of one reply: None when it is lost."""
         delay_s = 0.0
-        for trouble in self._on_replies:
-            if self._rng.random() < trouble.share:
-                if trouble.kind == LOST:
+        for fault in self._on_replies:
+            if self._rng.random() < fault.share:
+                if fault.kind == ServiceKind.LOST:
                     return None
-                delay_s += trouble.late_s
+                delay_s += fault.late_s
         return delay_s
 
     def _write_due(self) -> None:
@@ -378,42 +349,41 @@ class TwinServer:
 
     # what goes wrong
 
-    def _make_trouble(self) -> None:
+    def _follow_schedule(self) -> None:
         now_s = self.time_s
         while self._due and self._due[0][0] <= now_s:
-            _, begins, trouble = self._due.pop(0)
-            self._apply(trouble, begins)
-            self.happened.append(f"{now_s:.1f} s: {trouble}{'' if begins else ' ends'}")
+            _, begins, fault = self._due.pop(0)
+            self._apply(fault, begins)
+            self.happened.append(f"{now_s:.1f} s: {fault}{'' if begins else ' ends'}")
         if self._due and np.isfinite(self._due[0][0]):
             wait_s = (self._due[0][0] - now_s) / self._speed
-            self._trouble_timer = asyncio.get_running_loop().call_later(wait_s, self._make_trouble)
+            self._schedule_timer = asyncio.get_running_loop().call_later(wait_s, self._follow_schedule)
 
-    def _apply(self, trouble: Trouble, begins: bool) -> None:
-        if trouble.kind in (LOST, LATE):
-            (self._on_replies.append if begins else self._on_replies.remove)(trouble)
-        elif trouble.kind == BUS_OFF:
-            device = self.listeners[trouble.place[0]].device
-            port = device.ports[trouble.place[1]]
+    def _apply(self, fault: ScheduledFault, begins: bool) -> None:
+        if fault.kind in SHARES:
+            (self._on_replies.append if begins else self._on_replies.remove)(fault)
+        elif fault.kind == ServiceKind.BUS_OFF:
+            device = self.listeners[fault.place[0]].device
+            port = device.ports[fault.place[1]]
             port.wire.cut = begins
             if begins:
                 device.break_down(port)
-        elif trouble.kind == POWER_CUT:
-            self._cut_power(trouble.positioner_id, begins)
+        elif fault.kind == ServiceKind.POWER_CUT:
+            self._cut_power(fault.positioner_id, begins)
         else:
-            self._break(trouble, begins)
+            self._break(fault, begins)
 
-    def _break(self, trouble: Trouble, begins: bool) -> None:
+    def _break(self, fault: ScheduledFault, begins: bool) -> None:
         assert self.real is not None
         with self.real.held() as twin:
-            (twin.inject if begins else twin.clear)(trouble.fault)
+            (twin.inject if begins else twin.clear)(fault.fault)
 
     def _cut_power(self, positioner_id: int, begins: bool) -> None:
         """Off: the firmware loses its memory; no field, no ears, no voice. On: it starts anew."""
         assert self.real is not None
         with self.real.held() as twin:
             for kind in _NO_POWER:
-                fault = Trouble(kind, positioner_id).fault
-                (twin.inject if begins else twin.clear)(fault)
+                (twin.inject if begins else twin.clear)(Fault(kind, positioner_id))
             twin.power_cycle(positioner_id, bootloader=True)
 
 

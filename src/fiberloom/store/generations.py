@@ -1,15 +1,15 @@
-"""`fiberloom calibrate history` and `undo`: what operation has taught, shown and undone."""
+"""What operation has taught the maps, generation by generation; and the way back."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from fiberloom.errors import InputError
-from fiberloom.store import Store
+from fiberloom.store.database import Store
 from fiberloom.store.learnt import LearntHistory, generations
 
 
-def history_step(learnt: str, positioner: int | None) -> list[dict[str, Any]]:
+def learnt_generations(learnt: str, positioner: int | None) -> list[dict[str, Any]]:
     """One row per generation, or per generation of one positioner."""
     with Store.open(learnt, create=False) as store:
         found = generations(store)
@@ -37,7 +37,7 @@ def _shown(g: Any, n_positioners: int, moves: int, shift_mdeg: float) -> dict[st
     }
 
 
-def undo_step(learnt: str, to: int, positioners: list[int] | None) -> dict[str, Any]:
+def go_back(learnt: str, to: int, positioners: list[int] | None) -> dict[str, Any]:
     """Goes back to a generation of the calibration that was learnt on last."""
     with Store.open(learnt, create=False) as store:
         found = generations(store)

@@ -1,0 +1,1 @@
+"""`fiberloom calibrate ...` and `acceptance`: what is particular to each positioner."""

@@ -1,0 +1,140 @@
+"""`fiberloom acceptance`: units on the bench, against the instrument's requirements."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from fiberloom.cli.calibrate.bench import UnitOptions, counting, on_bench
+from fiberloom.cli.terminal import waiting
+from fiberloom.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fiberloom.calibration.bench.acceptance import AcceptanceData, Check, UnitVerdict
+    from fiberloom.calibration.bench.bench import Progress
+    from fiberloom.calibration.bench.rig import BenchRig
+    from fiberloom.instruments import FocalPlane
+    from fiberloom.report.acceptance_records import Paperwork
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptanceOptions(UnitOptions):
+    """Of `fiberloom acceptance`."""
+
+    targets: Annotated[int, typer.Option(min=1, help="Random targets for blind moves.")] = 20
+    out: Annotated[Path, typer.Option(help="Folder for the reports.")] = Path("runs/acceptance")
+
+
+def acceptance(options: AcceptanceOptions) -> int:
+    """Put units on the bench and hold them against the instrument's requirements."""
+    options.check(options.out)
+    from fiberloom.calibration.bench.acceptance import AcceptanceSettings
+    from fiberloom.report.acceptance_records import Paperwork
+
+    plane = options.plane()
+    _refuse(plane, options.serial)
+    settings = AcceptanceSettings(n_points=options.points, n_targets=options.targets, visits=options.visits)
+    rig, _ = options.rig(plane)
+    papers = Paperwork(plane, options.seed, settings, rig.close_up_um, options.serial, options.engineer)
+    with waiting(options.as_json) as wait:
+        wait.say("acceptance")
+        found = on_bench(rig, lambda rig: acceptance_of(rig, papers, counting(wait.count)))
+    content, verdicts = write_acceptance(options.out, papers, found)
+    if options.as_json:
+        options.print_json(content)
+    else:
+        _print(verdicts, options.out)
+    return 0 if all(verdict.passed for verdict in verdicts) else 1
+
+
+def _refuse(plane: FocalPlane, serial: str) -> None:
+    if plane.instrument.acceptance is None:
+        raise InputError(
+            f"{plane.instrument.name}: no requirements; add [acceptance] to the instrument's file"
+        )
+    if serial and plane.n > 1:
+        raise InputError(f"--serial {serial}: {plane.n} units are on the bench; test one at a time")
+
+
+AcceptanceFound: TypeAlias = "tuple[AcceptanceData, dict[int, str]]"
+"""What was measured, and the firmware's versions by positioner."""
+
+
+async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) -> AcceptanceFound:
+    """Measures all units of a bench that is set up."""
+    from fiberloom.calibration.bench.acceptance import measure_acceptance
+
+    data = await measure_acceptance(
+        rig.client, rig.camera, rig.close_up, rig.close_up_um, papers.plane, papers.settings,
+        seed=papers.seed, progress=progress,
+    )  # fmt: skip
+    return data, await rig.client.firmware_versions()
+
+
+def write_acceptance(
+    out: Path, papers: Paperwork, found: AcceptanceFound
+) -> tuple[dict[str, Any], list[UnitVerdict]]:
+    """acceptance.json, the maps, and a page for each unit."""
+    from fiberloom.calibration.bench.acceptance import judge
+    from fiberloom.report.acceptance import acceptance_html
+    from fiberloom.report.acceptance_records import page_head, page_name, unit_record
+    from fiberloom.report.outputs import marks
+    from fiberloom.store.calibrations import record_calibration
+
+    data, firmware = found
+    verdicts = judge(data, papers.plane)
+    content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(papers.settings)}
+    content |= {"units": [unit_record(v, papers.serial) for v in verdicts]}
+    file = out / "acceptance.json"
+    file.write_text(json.dumps(content, indent=2) + "\n")
+    judged = [v.positioner_id for v in verdicts if not v.reason]
+    record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
+    data.maps.save(out / "transmission.npz")
+    for verdict in verdicts:
+        head = page_head(verdict, papers, firmware.get(verdict.positioner_id, "unknown"))
+        (out / page_name(verdict)).write_text(acceptance_html(verdict, data, head), encoding="utf-8")
+    return content, verdicts
+
+
+def _print(verdicts: Sequence[UnitVerdict], out: Path) -> None:
+    from rich.console import Console
+
+    from fiberloom.report.acceptance_records import page_name
+
+    console = Console()
+    for verdict in verdicts:
+        word = "accepted" if verdict.passed else "NOT accepted"
+        title = f"positioner {verdict.positioner_id}: {word}"
+        if verdict.reason:
+            console.print(f"{title}: {verdict.reason}", style="red")
+            continue
+        console.print(_table(title, verdict.checks))
+    passed = sum(v.passed for v in verdicts)
+    console.print(
+        f"{passed} of {len(verdicts)} accepted; reports in {out}/: "
+        f"{page_name(verdicts[0])}{', ...' if len(verdicts) > 1 else ''}, acceptance.json, transmission.npz"
+    )
+
+
+def _table(title: str, checks: Sequence[Check]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    from fiberloom.report.acceptance import found_text
+
+    table = Table(box=box.SIMPLE, title=title, title_justify="left")
+    for name, justify in (("requirement", "left"), ("found", "right"), ("at most", "right"), ("", "left")):
+        table.add_column(name, justify=justify, no_wrap=name != "requirement")  # type: ignore[arg-type]
+    for check in checks:
+        style = {"pass": "green", "fail": "red"}.get(check.verdict, "dim")
+        limit = "" if check.limit is None else f"{check.limit:g} {check.unit}"
+        table.add_row(check.name, found_text(check), limit, f"[{style}]{check.verdict}[/]")
+    return table

@@ -1,0 +1,90 @@
+"""What the commands of a bench share: units of a preset, alone under a camera, with weights."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from fiberloom.cli.options import JsonOptions, LayoutOptions, require_folder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from fiberloom.calibration.bench.bench import Progress
+    from fiberloom.calibration.bench.rig import BenchRig
+    from fiberloom.instruments import FocalPlane
+    from fiberloom.twin import Units
+    from fiberloom.twin.draw import Knowledge
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions(LayoutOptions, JsonOptions):
+    """Of every command of a bench."""
+
+    positioners: Annotated[
+        int | None,
+        typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre."),
+    ] = None
+    faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=1.")] = ""
+
+    def check(self, out: Path) -> None:
+        """Refuses what can be refused before anything heavy is imported."""
+        from fiberloom.twin.faults.grammar import parse_faults
+        from fiberloom.twin.faults.kinds import OBSERVED
+
+        parse_faults(self.faults, OBSERVED)
+        self.check_plane()
+        require_folder(out)
+
+    def plane(self) -> FocalPlane:
+        """One positioner of a preset, unless told otherwise."""
+        return self._plane(self.positioners if self.layout is not None else self.positioners or 1)
+
+    def rig(self, plane: FocalPlane, firmware: Knowledge = "identified") -> tuple[BenchRig, Units]:
+        """The bench, and for reports what its units really are; `firmware`: what theirs knows of them."""
+        from fiberloom.twin import draw_units
+        from fiberloom.twin.bench import bench_rig
+
+        units = draw_units(plane, self.seed, firmware=firmware)
+        return bench_rig(plane, units, self.seed, self.faults), units
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitOptions(BenchOptions):
+    """Of a command that says whether a unit is good."""
+
+    points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
+    visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
+    serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
+    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CreepOptions(BenchOptions):
+    """Of a command that measures friction."""
+
+    places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
+    span: Annotated[
+        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+    ] = None
+
+
+def on_bench(rig: BenchRig, work: Callable[[BenchRig], Awaitable[Found]]) -> Found:
+    """Finds the units that answer, and lets `work` measure them."""
+
+    async def connected() -> Found:
+        await rig.client.discover()
+        return await work(rig)
+
+    return asyncio.run(connected())
+
+
+def counting(count: Progress) -> Progress:
+    """Progress, not more often than a terminal is redrawn."""
+    return lambda done, total: count(done, total) if done % 8 == 0 or done == total else None

@@ -1,0 +1,29 @@
+"""`fiberloom runs`: what was observed, and how it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from fiberloom.cli.options import JsonOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunsOptions(JsonOptions):
+    """Of `fiberloom runs`."""
+
+    where: Annotated[str, typer.Argument(help="Store, database URL, or a folder with stores below it.")] = (
+        "runs"
+    )
+
+
+def runs(options: RunsOptions) -> None:
+    """Show what was observed, and how it ended."""
+    from fiberloom.store.find import stores_below
+
+    stores_below(options.where)
+    from fiberloom.store.listing import runs_below
+
+    options.show(runs_below(options.where))
