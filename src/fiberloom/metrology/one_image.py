@@ -88,7 +88,7 @@ def image_marks(image: CameraImage) -> dict[str, object]:
 
 
 @dataclass(frozen=True)
-class IdentifiedSpots:
+class MatchedImage:
     """Which spot is which fiducial or positioner."""
 
     plane: FocalPlane
@@ -136,9 +136,7 @@ def require_fiducials(plane: FocalPlane) -> None:
         raise InputError(f"this focal plane has {n} fiducials; at least {FEWEST_FIDUCIALS} are needed")
 
 
-def identify(
-    plane: FocalPlane, spots: Spots, geometry: CameraGeometry, expected_mm: Floats
-) -> IdentifiedSpots:
+def identify(plane: FocalPlane, spots: Spots, geometry: CameraGeometry, expected_mm: Floats) -> MatchedImage:
     """Which of the `spots` are fiducials, and which are positioners of the `plane`.
 
     `geometry`: what is known of the camera; `expected_mm` (N, 2): where the metrology fibres should be,
@@ -163,10 +161,10 @@ def identify(
     matched = match_spots(
         found.transform.to_mm(others.xy_px), expected_mm, plane.centres_mm, metrology_reach_mm(plane)
     )
-    return IdentifiedSpots(plane, found, matched, others)
+    return MatchedImage(plane, found, matched, others)
 
 
-def write_positions(path: Path, identified: IdentifiedSpots) -> None:
+def write_positions(path: Path, identified: MatchedImage) -> None:
     """One row for each positioner: position in mm and its error in um, status, spot."""
     plane, found, matched, spots = (
         identified.plane, identified.acquisition, identified.match, identified.spots
@@ -190,7 +188,7 @@ def write_positions(path: Path, identified: IdentifiedSpots) -> None:
             out.write(f"{head}{numbers},{status},{pixel}\n")
 
 
-def match_report(identified: IdentifiedSpots) -> dict[str, Any]:
+def match_report(identified: MatchedImage) -> dict[str, Any]:
     """How many of each, and how well the fiducials fit (um)."""
     plane, found, matched = identified.plane, identified.acquisition, identified.match
     base = found.transform.similarity

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Identification:
+class MeasuredUnit:
     """What a measurement gave."""
 
     estimates: Sequence[Estimate]
@@ -48,7 +48,7 @@ class Task:
     progress: Progress
 
 
-Work = Callable[[Task], Awaitable[Identification]]
+Work = Callable[[Task], Awaitable[MeasuredUnit]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,11 +93,11 @@ def friction_work(settings: FrictionSettings, weights: bool) -> Work:
     from fiberloom.calibration import identify_friction, measure_friction
     from fiberloom.report.identification import plot_friction
 
-    async def work(task: Task) -> Identification:
+    async def work(task: Task) -> MeasuredUnit:
         scales, found = await _scales(task, weights)
         data = await measure_friction(task.rig.client, None, task.plane, settings, task.progress)
         both = [identify_friction(d, s) for d, s in zip(data, scales, strict=True)]
-        return Identification(
+        return MeasuredUnit(
             [*found, *(e for axis in both for e in axis.estimates)],
             lambda file, row: plot_friction(file, task.plane, data, both, scales, row),
         )
@@ -127,11 +127,11 @@ def inertia_work(settings: InertiaSettings, weights: bool) -> Work:
     from fiberloom.calibration import identify_inertia, measure_inertia
     from fiberloom.report.identification import plot_inertia
 
-    async def work(task: Task) -> Identification:
+    async def work(task: Task) -> MeasuredUnit:
         scales, found = await _scales(task, weights)
         data = await measure_inertia(task.rig.client, None, task.plane, settings, task.progress)
         both = [identify_inertia(d, s) for d, s in zip(data, scales, strict=True)]
-        return Identification(
+        return MeasuredUnit(
             [*found, *(e for axis in both for e in (axis.inertia, axis.drag))],
             lambda file, row: plot_inertia(file, task.plane, data, both, scales, row),
         )
@@ -161,13 +161,13 @@ def stiffness_work(settings: StiffnessSettings) -> Work:
     from fiberloom.calibration import identify_stiffness, measure_stiffness
     from fiberloom.report.identification import plot_stiffness
 
-    async def work(task: Task) -> Identification:
+    async def work(task: Task) -> MeasuredUnit:
         rig = task.rig
         data = await measure_stiffness(
             rig.client, rig.camera, rig.weights, task.plane, settings, task.progress
         )
         both = [identify_stiffness(d) for d in data]
-        return Identification(both, lambda file, row: plot_stiffness(file, task.plane, data, both, row))
+        return MeasuredUnit(both, lambda file, row: plot_stiffness(file, task.plane, data, both, row))
 
     return work
 
@@ -194,10 +194,10 @@ def arms_work(settings: ArmsSettings) -> Work:
     from fiberloom.calibration import identify_arms, measure_arms
     from fiberloom.report.identification import plot_arms
 
-    async def work(task: Task) -> Identification:
+    async def work(task: Task) -> MeasuredUnit:
         data = await measure_arms(task.rig.client, task.rig.camera, task.plane, settings, task.progress)
         found = identify_arms(data)
-        return Identification(
+        return MeasuredUnit(
             list(found.estimates), lambda file, row: plot_arms(file, task.plane, data, found, row)
         )
 
@@ -226,11 +226,11 @@ def repeatability_work(settings: RepeatabilitySettings) -> Work:
     from fiberloom.calibration import identify_repeatability, measure_repeatability
     from fiberloom.report.identification import plot_repeatability
 
-    async def work(task: Task) -> Identification:
+    async def work(task: Task) -> MeasuredUnit:
         rig = task.rig
         data = await measure_repeatability(rig.client, rig.close_up, task.plane, settings, task.progress)
         both = [identify_repeatability(d, rig.close_up_um) for d in data]
-        return Identification(
+        return MeasuredUnit(
             [e for axis in both for e in (axis.measured, axis.own, axis.angle)],
             lambda file, row: plot_repeatability(file, task.plane, data, both, row),
         )
