@@ -2,6 +2,7 @@
 
 import enum
 import importlib
+import json
 import os
 import signal
 import subprocess
@@ -64,7 +65,7 @@ class Pytest:
         command = [sys.executable, "tests/sanitized.py", str(self.site), "-p", "tools.quickest_first", "-x"]
         # no bytecode: two mutants within a second may have files of the same size
         own = {"PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1", "CI": "1"}
-        environment = {**os.environ, **own, "FL_TIMES": str(self.folder / "times.json"), **extra}
+        environment = {**os.environ, **own, "FL_TIMES": str(self._times), **extra}
         with self._log.open("w") as out:
             process = subprocess.Popen(
                 [*command, "-m", SMALL, *options, *self.tests],
@@ -82,6 +83,10 @@ class Pytest:
         return Verdict.KILLED if code else Verdict.SURVIVED
 
     @property
+    def _times(self) -> Path:
+        return self.folder / "times.json"
+
+    @property
     def _log(self) -> Path:
         return self.folder / "pytest.log"
 
@@ -91,9 +96,13 @@ class Pytest:
         chosen.write_text("\n".join(tests), encoding="utf-8")
         return self.run(FL_CHOSEN=str(chosen))
 
+    def all_but(self, tests: Sequence[str]) -> list[str]:
+        """Node ids of the tests that ran without any change, less those named."""
+        return sorted(set(json.loads(self._times.read_text(encoding="utf-8"))) - set(tests))
+
     def baseline(self, options: Sequence[str] = (), **extra: str) -> None:
         """Must pass; notes how long each test takes, and sets how long a mutant may take."""
-        (self.folder / "times.json").unlink(missing_ok=True)
+        self._times.unlink(missing_ok=True)
         start_s = time.monotonic()
         if self.run(options, **extra) is not Verdict.SURVIVED:
             raise TestsFail(f"the tests fail without any change: {self._log}")
@@ -118,7 +127,7 @@ class PythonRuns:
         self._reached = reached(data, site, self.root / "src")
 
     def try_one(self, mutant: Mutant) -> Verdict:
-        """The tests that reach the line; then, if need be, all."""
+        """The tests that reach the line; then, if need be, the others."""
         path = self.pytest.site / mutant.path.relative_to("src")
         original = path.read_bytes()
         path.write_bytes(mutant.text)
@@ -126,7 +135,8 @@ class PythonRuns:
             nearest = self._reached.get(self.root / mutant.path, {}).get(mutant.line, [])
             if nearest and (verdict := self.pytest.only(nearest)) is not Verdict.SURVIVED:
                 return verdict
-            return self.pytest.run()
+            others = self.pytest.all_but(nearest)
+            return self.pytest.only(others) if others else Verdict.SURVIVED
         finally:
             path.write_bytes(original)
 
