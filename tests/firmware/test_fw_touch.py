@@ -135,7 +135,7 @@ def driven_rows(seed, ticks=6000):
     rows = np.zeros((ticks, 7))
     rows[:, 0] = 2e-3 * np.sin(40 * time_s) + rng.normal(0, 1e-6, ticks)
     rows[:, 1] = 1e-5 * push * np.sign(speed)
-    rows[:, 2] = rng.uniform(-3e-7, 5e-7)
+    rows[:, 2] = rng.uniform(-3e-8, 3e-8)
     rows[:, 3], rows[:, 4], rows[:, 5] = speed, np.where(speed < 0, -1, 1), np.gradient(speed) * 2000
     rows[:, 6] = np.linspace(0.4, 0.05, ticks)
     return rows
