@@ -17,7 +17,9 @@ _took_s: dict[str, float] = {}
 def pytest_configure() -> None:
     """One example that fails is enough: hypothesis does not look for the smallest."""
     phases = (Phase.explicit, Phase.generate)
-    settings.register_profile("mutants", settings.get_profile(settings.get_current_profile_name()), phases=phases)
+    settings.register_profile(
+        "mutants", settings.get_profile(settings.get_current_profile_name()), phases=phases
+    )
     settings.load_profile("mutants")
 
 

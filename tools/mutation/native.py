@@ -34,7 +34,7 @@ PRELUDE = """\
 #ifdef __cplusplus
 extern "C" {
 #endif
-__attribute__((weak)) int fl_mutant;
+__attribute__((weak, visibility("default"))) int fl_mutant;
 __attribute__((constructor)) static void fl_mutant_choose(void) {
     const char *chosen = getenv("FL_MUTANT");
     fl_mutant = chosen ? atoi(chosen) : 0;
@@ -139,10 +139,14 @@ def _change(raw: bytes, node: Node) -> Change | None:
     right = node.child_by_field_name("right")
     if node.type in ("binary_expression", "assignment_expression") and sign in SIGNS and right is not None:
         shown = SIGNS[sign].encode()
-        return Change(right.start_byte, right.end_byte, shown, "FL_SIGN(@) * (", ")", operator.start_byte, "sign")
+        return Change(
+            right.start_byte, right.end_byte, shown, "FL_SIGN(@) * (", ")", operator.start_byte, "sign"
+        )
     if node.type == "binary_expression" and sign in COMPARISONS:
         shown = TURNED[sign].encode()
-        return Change(node.start_byte, node.end_byte, shown, "((", ") != FL_ON(@))", operator.start_byte, "comparison")
+        return Change(
+            node.start_byte, node.end_byte, shown, "((", ") != FL_ON(@))", operator.start_byte, "comparison"
+        )
     if node.type == "unary_expression" and sign in "-!":
         closing = "))" if sign == "-" else ") != FL_ON(@))"
         kind = "sign" if sign == "-" else "condition"

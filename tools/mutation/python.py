@@ -77,9 +77,7 @@ class _Text:
     def row(self, at: int) -> int:
         return self.raw.count(b"\n", 0, at) + 1
 
-    def between(
-        self, left: ast.expr, right: ast.expr, change: tuple[str, str], kind: str
-    ) -> Iterator[Edit]:
+    def between(self, left: ast.expr, right: ast.expr, change: tuple[str, str], kind: str) -> Iterator[Edit]:
         """Replaces the operator between two operands."""
         pattern, new = change
         first, last = self.end(left), self.start(right)

@@ -61,22 +61,29 @@ class Pytest:
 
     def run(self, options: Sequence[str] = (), **extra: str) -> Verdict:
         """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
+        process = self.start(options, (), **extra)
+        try:
+            return self.verdict(process.wait(self.limit_s))
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return Verdict.TIMEOUT
+
+    def start(self, options: Sequence[str], fds: Sequence[int], **extra: str) -> subprocess.Popen[bytes]:
+        """Starts pytest; `fds` stay open in it."""
         # the script of the sanitized build: it takes an editable installation out of the way
         command = [sys.executable, "tests/sanitized.py", str(self.site), "-p", "tools.quickest_first", "-x"]
         # no bytecode: two mutants within a second may have files of the same size
         own = {"PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1", "CI": "1"}
         environment = {**os.environ, **own, "FL_TIMES": str(self._times), **extra}
         with self._log.open("w") as out:
-            process = subprocess.Popen(
+            return subprocess.Popen(
                 [*command, "-m", SMALL, *options, *self.tests],
-                cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True,
+                cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True, pass_fds=fds,
             )  # fmt: skip
-            try:
-                code = process.wait(self.limit_s)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-                return Verdict.TIMEOUT
+
+    def verdict(self, code: int) -> Verdict:
+        """What an exit code of pytest means."""
         # 3, 4, 5: internal error, wrong usage, no tests; negative: a signal, as after a bad index in C
         if code in (3, 4, 5):
             raise TestsFail(f"pytest ended with {code}: {self._log}")
@@ -107,6 +114,26 @@ class Pytest:
         if self.run(options, **extra) is not Verdict.SURVIVED:
             raise TestsFail(f"the tests fail without any change: {self._log}")
         self.limit_s = max(AT_LEAST_S, PATIENCE * (time.monotonic() - start_s))
+
+
+class Forks:
+    """The tests of a target collected once; a fork runs them for each mutant of C."""
+
+    def __init__(self, tests: Pytest) -> None:
+        self.tests = tests
+        (asked, ask), (answer, told) = os.pipe(), os.pipe()
+        tests.start(["-p", "tools.forked_tests"], (asked, told), FL_FORKS=f"{asked},{told}")
+        os.close(asked)
+        os.close(told)
+        self._ask, self._answer = os.fdopen(ask, "w", buffering=1), os.fdopen(answer)
+
+    def run(self, number: int) -> Verdict:
+        """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
+        print(number, self.tests.limit_s, file=self._ask)
+        told = self._answer.readline().strip()
+        if told == "timeout":
+            return Verdict.TIMEOUT
+        return self.tests.verdict(int(told or 3))
 
 
 class PythonRuns:
@@ -165,6 +192,7 @@ class NativeRuns:
         self.root, self.target = root, target
         self.folder = root / FOLDER / target.name
         self.pytest = Pytest(root, self.folder, present(root, target.tests))
+        self._prelude = self.folder / "fl_mutant.h"
         groups = {p: group_of(p) for p in files_below(root)}
         sources = [p for p, g in groups.items() if g is not None and LANGUAGES[p.suffix] != "Python"]
         self._changes: list[tuple[Mutant, Change]] = [
@@ -177,18 +205,17 @@ class NativeRuns:
     def prepare(self) -> None:
         """Copies the sources, builds them with every mutant inside, runs the tests with none chosen."""
         tree, build = self.folder / "tree", self.folder / "build"
+        write_if_new(self._prelude, PRELUDE.encode())
         self._copy(tree)
-        prelude = self.folder / "fl_mutant.h"
-        prelude.write_text(PRELUDE)
-        flags = f"-include {prelude}"
-        options = [f"-DCMAKE_C_FLAGS={flags}", f"-DCMAKE_CXX_FLAGS={flags}", "-DFIBERLOOM_WERROR=OFF"]
-        options += [f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Release"]
+        options = [f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Release"]
+        options.append("-DFIBERLOOM_WERROR=OFF")
         for command in (["cmake", "-S", str(tree), "-B", str(build), "-G", "Ninja", *options],
                         ["cmake", "--build", str(build)]):  # fmt: skip
             if not run(command, self.root):
                 raise TestsFail("the sources with the mutants inside do not build; above: why")
         package_with(self.root, build, self.pytest.site)
         self.pytest.baseline()
+        self._forks = Forks(self.pytest)
 
     def _copy(self, tree: Path) -> None:
         """The sources, those that are mutated with every mutant inside. What is the same keeps its time."""
@@ -200,14 +227,16 @@ class NativeRuns:
         for path in own:
             content = (self.root / path).read_bytes()
             if path in changed:
-                content = schema(
-                    content, [(self._number[m.key], c) for m, c in self._changes if m.path == path]
-                )
+                own_changes = [(self._number[m.key], c) for m, c in self._changes if m.path == path]
+                # here and not by a flag: what does not use the file is not built again
+                content = f'#include "{self._prelude}"\n'.encode() + schema(content, own_changes)
             write_if_new(tree / path, content)
 
     def try_one(self, mutant: Mutant) -> Verdict:
-        """All tests of the target."""
-        return self.pytest.run(FL_MUTANT=str(self._number[mutant.key]))
+        """All tests of the target; anew for what survives, for collecting them may run a law."""
+        number = self._number[mutant.key]
+        verdict = self._forks.run(number)
+        return self.pytest.run(FL_MUTANT=str(number)) if verdict is Verdict.SURVIVED else verdict
 
 
 def write_if_new(path: Path, content: bytes) -> None:
