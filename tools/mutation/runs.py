@@ -122,7 +122,7 @@ class Forks:
     def __init__(self, tests: Pytest) -> None:
         self.tests = tests
         (asked, ask), (answer, told) = os.pipe(), os.pipe()
-        tests.start(["-p", "tools.forked_tests"], (asked, told), FL_FORKS=f"{asked},{told}")
+        self._process = tests.start(["-p", "tools.forked_tests"], (asked, told), FL_FORKS=f"{asked},{told}")
         os.close(asked)
         os.close(told)
         self._ask, self._answer = os.fdopen(ask, "w", buffering=1), os.fdopen(answer)
@@ -233,10 +233,8 @@ class NativeRuns:
             write_if_new(tree / path, content)
 
     def try_one(self, mutant: Mutant) -> Verdict:
-        """All tests of the target; anew for what survives, for collecting them may run a law."""
-        number = self._number[mutant.key]
-        verdict = self._forks.run(number)
-        return self.pytest.run(FL_MUTANT=str(number)) if verdict is Verdict.SURVIVED else verdict
+        """All tests of the target."""
+        return self._forks.run(self._number[mutant.key])
 
 
 def write_if_new(path: Path, content: bytes) -> None:
