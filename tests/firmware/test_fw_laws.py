@@ -398,6 +398,21 @@ def test_hall_calibration_finds_offset_gain_and_phase(oa, ob, aa, ab, phase):
     assert residual < 3.5 / 800 + 1e-3
 
 
+@pytest.mark.parametrize("start", np.deg2rad([-110, -20, 70, 160]))
+@pytest.mark.parametrize("phase", [-0.3, 0.3])
+def test_hall_calibration_knows_the_ellipse_from_two_thirds_of_it(start, phase):
+    # the middle of the range is not the centre then, but 90 counts and more beside it
+    theta = np.linspace(start, start + 4 * np.pi / 3, 2000)
+    samples = adc(theta, (2000, 2100), (1500, 1200), phase)
+    middle = (samples.max(axis=0) / 2 + samples.min(axis=0) / 2) - (2000, 2100)
+    assert np.abs(middle).max() > 90
+    found = fw.hall_fit(samples)
+    # rounding of the converter, 0.3 counts rms on 2000 samples, and float32 sums
+    assert found[:2] == pytest.approx((2000, 2100), abs=0.5)
+    assert found[2:4] == pytest.approx((1500, 1200), abs=0.5)
+    assert found[4] == pytest.approx(phase, abs=5e-4)
+
+
 def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
 
