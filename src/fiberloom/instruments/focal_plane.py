@@ -178,7 +178,8 @@ class FocalPlane:
     @property
     def l_beta_mm(self) -> Floats:
         """(N,) from the beta axis to the metrology fibre."""
-        return np.hypot(*self.points[METROLOGY].T)
+        radius: Floats = np.hypot(*self.points[METROLOGY].T)
+        return radius
 
     @property
     def metrology_phi_rad(self) -> Floats:

@@ -28,7 +28,7 @@ from fiberloom.metrology.transform import (
     fit_similarity,
     fit_transform,
 )
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 _PAIRS = 16
 """Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""
@@ -285,7 +285,7 @@ class _Search:
         p, q = pairs[gap > near].T.astype(np.int64)
         return np.concatenate([p, q]), np.concatenate([q, p])
 
-    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Flags:
         g, nominal = self.geometry, self.geometry.similarity()
         off_deg = np.rad2deg(np.abs(np.angle(a / nominal.a)))
         ok = (off_deg <= g.rotation_tolerance_deg) & (
@@ -484,7 +484,8 @@ class _Map:
 
     def count(self, z: NDArray[np.complex128]) -> Ints:
         """How many of each row of points fall on a spot; the rim of the map is empty."""
-        return self.lit[self._index(z)].sum(axis=1)
+        n: Ints = self.lit[self._index(z)].sum(axis=1)
+        return n
 
 
 def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Similarity:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -25,7 +24,7 @@ from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, matc
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
 from fiberloom.metrology.transform import FieldTransform
 from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM
 
 
@@ -67,7 +66,7 @@ class Reduction:
     found: Found
     acquisition: Acquisition
     match: Match
-    spot_of_match: NDArray[np.int64]
+    spot_of_match: Ints
     """(N,) index into `found.spots`, -1 where not seen."""
     xy_mm: Floats
     """(N, 2); NaN where not seen."""

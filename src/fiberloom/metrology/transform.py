@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Array, Flags, Floats
 from fiberloom.units import UM_PER_MM
 
 _CLIP = 4.5
@@ -103,7 +103,8 @@ class FieldTransform:
     def to_mm(self, xy_px: ArrayLike) -> Floats:
         """Focal-plane positions (n, 2)."""
         s = self.similarity.to_mm(xy_px)
-        return s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+        mm: Floats = s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+        return mm
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
         """Pixel positions (n, 2), to 1e-7 px: the inverse, by Newton's method."""
@@ -121,16 +122,18 @@ class FieldTransform:
         s = self.similarity.to_mm(xy_px)
         bend = zhao_burge.basis_jacobian(s / self.radius_mm, self.terms) / self.radius_mm
         bent = np.einsum("k,kncd->ncd", self.coefficients_mm, bend)
-        return (np.eye(2) + bent) @ self.similarity.jacobian
+        jacobian: Floats = (np.eye(2) + bent) @ self.similarity.jacobian
+        return jacobian
 
     def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
         """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
         b = self._basis(self.similarity.to_mm(xy_px))
-        own = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
+        own: Floats = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
         if covariance_px2 is None:
             return own
         j = self.jacobian(xy_px)
-        return own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        both: Floats = own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        return both
 
     def distortion_mm(self, xy_px: ArrayLike) -> Floats:
         """(n, 2): what the terms beyond shift, scale and rotation add."""
@@ -138,7 +141,8 @@ class FieldTransform:
         keep = [k for k, t in enumerate(self.terms) if t not in zhao_burge.SIMILARITY_TERMS]
         terms = [self.terms[k] for k in keep]
         b = zhao_burge.basis(s / self.radius_mm, terms)
-        return np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
+        added: Floats = np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
+        return added
 
     def significant(self, sigma: float) -> tuple[int, ...]:
         """The terms whose coefficient is at least `sigma` standard errors (a ratio) from zero."""
@@ -228,7 +232,7 @@ def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
     return zhao_burge.SIMILARITY_TERMS
 
 
-def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[NDArray, ...]:
+def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Array, ...]:
     """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
     w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
     normal = a.T @ (a * w[:, None])

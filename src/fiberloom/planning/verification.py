@@ -1,16 +1,17 @@
 """Proof that a plan is safe: other code and another method than the planner's."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import ROUNDING_RAD, CollisionBodies, angles_rad, approach_rad, travel_rad
 from fiberloom.planning.trajectories import Plan
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _WHAT = {
@@ -169,7 +170,7 @@ def verify(
     )
 
 
-def _gap(found: dict) -> float:
+def _gap(found: dict[str, Any]) -> float:
     return float(found["gap_mm"]) if found["robot"] >= 0 else float("inf")
 
 
@@ -193,7 +194,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     return [m for m in motions if m is not None]
 
 
-def _arrives(plane: FocalPlane, plan: Plan) -> NDArray[np.bool_]:
+def _arrives(plane: FocalPlane, plan: Plan) -> Flags:
     arrives = ~plane.offline
     if plan.refused:
         arrives[plane.index_of(list(plan.refused))] = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Records
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 BODY_SHARE = 0.75
@@ -104,7 +104,7 @@ class Twin:
         """Instruction set of the inner loops."""
         return self._core.kernel
 
-    def send(self, frames: Iterable[Sequence]) -> None:
+    def send(self, frames: Iterable[Sequence[Any]]) -> None:
         """Puts frames (identifier, data, ...) on the bus now, in order."""
         for frame in frames:
             self._core.send(frame[0], bytes(frame[1]))
@@ -200,7 +200,7 @@ class Scope:
         self._core, self._index, self._axis = core, index, axis
         core.scope(index, axis, True)
 
-    def take(self) -> np.ndarray:
+    def take(self) -> Records:
         """The samples since the last call, and forgets them."""
         return self._core.take_scope(self._index, self._axis).view(SCOPE_DTYPE)[:, 0]
 

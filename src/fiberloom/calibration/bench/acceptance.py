@@ -23,10 +23,11 @@ from fiberloom.calibration.bench.repeatability import (
 )
 from fiberloom.calibration.transmission.evaluate import CalibrationReport, evaluate
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps, polyline
-from fiberloom.calibration.transmission.sweep import SweepData, SweepSettings, measure_sweeps
+from fiberloom.calibration.transmission.sweep import SweepSettings, measure_sweeps
+from fiberloom.calibration.transmission.sweep_data import SweepData
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.instruments.model import AXES, Acceptance
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
@@ -99,8 +100,9 @@ class Check:
     @property
     def marginal(self) -> bool:
         """Nearer to its limit than two standard errors."""
-        known = self.value is not None and self.limit is not None and self.error is not None
-        return bool(known and abs(self.value - self.limit) < 2.0 * self.error)  # type: ignore[operator]
+        if self.value is None or self.limit is None or self.error is None:
+            return False
+        return abs(self.value - self.limit) < 2.0 * self.error
 
 
 @dataclass(frozen=True)

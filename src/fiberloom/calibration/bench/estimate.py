@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from fiberloom.errors import InputError
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Estimate:
     """(N,); NaN where refused."""
     standard_error: Floats
     """(N,) everything included."""
-    n: NDArray[np.int64]
+    n: Ints
     """(N,) measurements used."""
     residuals: Floats
     """(N, M) measured minus fitted, NaN where not used."""
@@ -201,7 +201,7 @@ def least_squares(design: Floats, right: Floats, *, used: Flags | None = None, l
 
 def _long_run(score: Floats, lag: int) -> Floats:
     """(N, P, P) sums of products of scores up to `lag` apart, with falling weights."""
-    out = np.einsum("nmi,nmj->nij", score, score)
+    out: Floats = np.einsum("nmi,nmj->nij", score, score)
     for k in range(1, lag + 1):
         side = np.einsum("nmi,nmj->nij", score[:, k:], score[:, :-k])
         out += (1.0 - k / (lag + 1.0)) * (side + side.transpose(0, 2, 1))
@@ -211,4 +211,5 @@ def _long_run(score: Floats, lag: int) -> Floats:
 def standard_errors(fit: Fit) -> Floats:
     """(N, P) standard deviations of the fitted values, in their units."""
     variances = np.einsum("nii->ni", fit.covariance)
-    return np.sqrt(np.maximum(variances, 0.0))
+    errors: Floats = np.sqrt(np.maximum(variances, 0.0))
+    return errors

@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, BENCH_MARGIN_DEG, Operator, Progress, joined
@@ -145,7 +144,7 @@ def _refusals(data: FrictionData, windows: Windows, fit: Fit) -> list[str]:
 
 
 def _estimates(
-    axis: int, fit: Fit, full_uNm: NDArray, relative: NDArray | float, reason: list[str], design: Floats
+    axis: int, fit: Fit, full_uNm: Floats, relative: Floats | float, reason: list[str], design: Floats
 ) -> Friction:
     full = np.broadcast_to(full_uNm, len(reason)).astype(np.float64)
     residuals = fit.residuals * full[:, None]

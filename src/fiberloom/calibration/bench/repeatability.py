@@ -199,6 +199,7 @@ def _lever_mm(plane: FocalPlane, axis: int, beta_deg: float) -> Floats:
         return plane.l_beta_mm
     x, y = plane.points[METROLOGY].T
     turn = plane.beta_off_rad + np.deg2rad(beta_deg)
-    return np.hypot(
+    lever: Floats = np.hypot(
         plane.l_alpha_mm + x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
     )
+    return lever

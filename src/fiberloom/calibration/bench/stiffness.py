@@ -81,7 +81,8 @@ def turned_deg(data: StiffnessData) -> Floats:
     along = out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     shift = data.xy_mm[:, :, 1] - data.xy_mm[:, :, 0]
-    return np.rad2deg(np.einsum("nrc,nc->nr", shift, across) / data.lever_mm[:, None])
+    turn: Floats = np.rad2deg(np.einsum("nrc,nc->nr", shift, across) / data.lever_mm[:, None])
+    return turn
 
 
 def _mean(xy_mm: Floats) -> Floats:

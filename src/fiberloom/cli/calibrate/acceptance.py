@@ -131,8 +131,10 @@ def _table(title: str, checks: Sequence[Check]) -> Table:
     from fiberloom.report.acceptance import found_text
 
     table = Table(box=box.SIMPLE, title=title, title_justify="left")
-    for name, justify in (("requirement", "left"), ("found", "right"), ("at most", "right"), ("", "left")):
-        table.add_column(name, justify=justify, no_wrap=name != "requirement")  # type: ignore[arg-type]
+    table.add_column("requirement")
+    for name in ("found", "at most"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for check in checks:
         style = {"pass": "green", "fail": "red"}.get(check.verdict, "dim")
         limit = "" if check.limit is None else f"{check.limit:g} {check.unit}"

@@ -54,7 +54,7 @@ class Quantity(BaseModel):
     beyond: bool = False
     """Not in the paper: what fiberloom does beside it."""
 
-    @computed_field  # type: ignore[prop-decorator]
+    @computed_field  # type: ignore[prop-decorator]  # mypy has none on a property; pydantic wants it
     @property
     def ratio(self) -> float | None:
         """Ratio of ours to the paper's; None where the paper has no value, or zero."""

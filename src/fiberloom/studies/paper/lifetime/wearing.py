@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.studies.lifetime import DELTAS, WAYS, LifetimeSettings, delta_angles_deg, lifetime
 from fiberloom.studies.paper.outcome import Settings
 from fiberloom.twin.bench import bench_units
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats, Ints
 
 UNITS, CYCLES = 4, 100
 BETA = 1
@@ -36,10 +35,10 @@ class Study:
     settings: LifetimeSettings
     angles_deg: Floats
     """(points,) of beta at which delta is kept."""
-    rows: dict[str, NDArray]
+    rows: dict[str, Array]
 
     @property
-    def cycles(self) -> NDArray[np.int64]:
+    def cycles(self) -> Ints:
         """Simulated ones."""
         return self.settings.simulated
 
