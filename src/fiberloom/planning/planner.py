@@ -11,7 +11,7 @@ from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, angles_rad, approach_rad, travel_rad
 from fiberloom.planning.trajectories import Plan, Trajectory
-from fiberloom.planning.verification import Verification, verify
+from fiberloom.planning.verification import MotionLimits, Verification, verify
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -107,8 +107,7 @@ class _Task:
             start_deg=rad_to_deg(self.start),
             goal_deg=rad_to_deg(self.goal),
             approach_deg=rad_to_deg(self.approach),
-            speed_deg_s=self.settings.speed_deg_s,
-            acceleration_deg_s2=self.settings.acceleration_deg_s2,
+            limits=MotionLimits(self.settings.speed_deg_s, self.settings.acceleration_deg_s2),
         )
 
 

@@ -100,43 +100,52 @@ class Estimate:
         )
 
 
-def estimate(
-    name: str,
-    unit: str,
-    value: Floats,
-    standard_error: Floats,
-    residuals: Floats,
-    residual_unit: str,
-    reason: Sequence[str],
-    *,
-    systematic: ArrayLike = 0.0,
-    freedom: ArrayLike = np.inf,
-    n: ArrayLike | None = None,
-) -> Estimate:
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Values of N positioners as a fit gives them, in one unit."""
+
+    value: Floats
+    """(N,)"""
+    scatter: Floats
+    """(N,) standard error by the scatter of the measurements alone."""
+    systematic: ArrayLike = 0.0
+    """Part of the error that more measurements would not make smaller."""
+    freedom: ArrayLike = np.inf
+    """Degrees of freedom of the scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured minus fitted."""
+
+    value: Floats
+    """(N, M) NaN where not used."""
+    unit: str
+
+
+def estimate(name: str, unit: str, fitted: Fitted, residuals: Residuals, reason: Sequence[str]) -> Estimate:
     """An Estimate from the scatter's standard error, NaN where refused.
 
-    `name` and `unit` of the quantity (mm, deg, ...); `value`, `standard_error` (N,) in that unit;
-    `residuals` (N, M) in `residual_unit`; `reason` per positioner, empty where it has an estimate;
-    `systematic` part of the error in the same unit; `freedom`: degrees of freedom of the scatter; `n`
-    (N,): measurements used, the finite residuals when None. InputError when no positioner has data that
+    `name` and `unit` of the quantity (mm, deg, ...); `fitted` in that unit; `residuals` in their own;
+    `reason` per positioner, empty where it has an estimate. InputError when no positioner has data that
     support it.
     """
     reason = tuple(reason)
     refuse_if_all(name, reason)
     good = np.array([not r for r in reason])
-    systematic = np.broadcast_to(np.asarray(systematic, dtype=np.float64), value.shape)
-    counted = np.isfinite(residuals).sum(axis=1) if n is None else np.broadcast_to(n, value.shape)
+    value = fitted.value
+    systematic = np.broadcast_to(np.asarray(fitted.systematic, dtype=np.float64), value.shape)
     return Estimate(
         name,
         unit,
         np.where(good, value, np.nan),
-        np.where(good, np.hypot(standard_error, systematic), np.nan),
-        np.asarray(counted, dtype=np.int64),
-        residuals,
-        residual_unit,
+        np.where(good, np.hypot(fitted.scatter, systematic), np.nan),
+        np.asarray(np.isfinite(residuals.value).sum(axis=1), dtype=np.int64),
+        residuals.value,
+        residuals.unit,
         reason,
         systematic,
-        np.broadcast_to(np.asarray(freedom, dtype=np.float64), value.shape),
+        np.broadcast_to(np.asarray(fitted.freedom, dtype=np.float64), value.shape),
     )
 
 

@@ -22,7 +22,15 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
-from fiberloom.calibration.bench.estimate import Estimate, Fit, estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import (
+    Estimate,
+    Fit,
+    Fitted,
+    Residuals,
+    estimate,
+    least_squares,
+    standard_errors,
+)
 from fiberloom.calibration.bench.torque import _HALF_TICK_S, TorqueScale
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -103,11 +111,13 @@ def identify_inertia(data: InertiaData, scale: TorqueScale) -> Inertia:
 
     def make(what: str, unit: str, column: int, factor: float) -> Estimate:
         value = fit.value[:, column] * full_Nm * factor
-        return estimate(
-            f"{AXES[data.axis]} {what}", unit, value, error[:, column] * full_Nm * factor, off_deg,
-            "motor deg", reason,
-            systematic=np.abs(value) * scale.relative_error, freedom=fit.freedom,
-        )  # fmt: skip
+        fitted = Fitted(
+            value,
+            error[:, column] * full_Nm * factor,
+            np.abs(value) * scale.relative_error,
+            fit.freedom,
+        )
+        return estimate(f"{AXES[data.axis]} {what}", unit, fitted, Residuals(off_deg, "motor deg"), reason)
 
     return Inertia(
         data.axis,

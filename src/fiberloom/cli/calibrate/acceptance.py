@@ -70,12 +70,10 @@ AcceptanceFound: TypeAlias = "tuple[AcceptanceData, dict[int, str]]"
 
 async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) -> AcceptanceFound:
     """Measures all units of a bench that is set up."""
-    from fiberloom.calibration.bench.acceptance import measure_acceptance
+    from fiberloom.calibration.bench.acceptance import AcceptanceBench, measure_acceptance
 
-    data = await measure_acceptance(
-        rig.client, rig.camera, rig.close_up, rig.close_up_um, papers.plane, papers.settings,
-        seed=papers.seed, progress=progress,
-    )  # fmt: skip
+    bench = AcceptanceBench(rig.client, rig.camera, rig.close_up, rig.close_up_um)
+    data = await measure_acceptance(bench, papers.plane, papers.settings, seed=papers.seed, progress=progress)
     return data, await rig.client.firmware_versions()
 
 
