@@ -279,7 +279,7 @@ async def measure_acceptance(
 ) -> AcceptanceData:
     """The whole procedure, all N units of the `plane` at once.
 
-    `settings`: how much is measured; `seed` of the random targets; `progress` is called with (steps done,
+    `bench`: bus and cameras; `settings`: how much is measured; `seed` of the random targets; `progress` is called with (steps done,
     steps in all).
     """
     settings = settings or AcceptanceSettings()
