@@ -279,8 +279,8 @@ async def measure_acceptance(
 ) -> AcceptanceData:
     """The whole procedure, all N units of the `plane` at once.
 
-    `bench`: bus and cameras; `settings`: how much is measured; `seed` of the random targets; `progress` is called with (steps done,
-    steps in all).
+    `bench`: what is measured with; `settings`: how much; `seed` of the random targets; `progress` is called
+    with (steps done, steps in all).
     """
     settings = settings or AcceptanceSettings()
     sweep_settings = SweepSettings(settings.n_points)

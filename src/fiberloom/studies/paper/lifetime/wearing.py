@@ -86,10 +86,10 @@ def compared(
     quantities: Callable[[list[Study]], list[Quantity]],
     draw: Callable[[Study], Drawing],
 ) -> FigureOutcome:
-    """Every seed's test beside the paper's figure; the first seed is drawn.
+    """Every seed's test beside the paper's figure.
 
-    `settings` with the seeds, `figure` its number in the paper, `quantities` of all studies, `draw` for
-    the first one.
+    `settings` of the reproduction; `figure`: its number; `quantities` of all seeds' tests; `draw`: the
+    picture of the first seed's.
     """
     found = studies(settings, figure)
     return FigureOutcome(quantities(found), [draw(found[0])], HOW, smaller(settings))
