@@ -125,8 +125,9 @@ def _mutant(path: Path, text: _Text, function: str, edit: Edit) -> Mutant | None
 
 def _acting(node: ast.AST, function: str) -> Iterator[tuple[str, ast.AST]]:
     """Nodes that act when the program runs, with the function they are in: no annotation, no decorator."""
-    named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-    inner = f"{function}.{node.name}".lstrip(".") if named else function  # type: ignore[attr-defined]
+    inner = function
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        inner = f"{function}.{node.name}".lstrip(".")
     yield inner, node
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list"):
@@ -160,8 +161,8 @@ def _edits(text: _Text, node: ast.AST) -> Iterator[Edit]:
 
 
 def _number(node: ast.Constant) -> int | float | None:
-    plain = isinstance(node.value, int | float) and not isinstance(node.value, bool)
-    return node.value if plain else None  # type: ignore[return-value]
+    value = node.value
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def more(number: int | float) -> int | float:
