@@ -31,7 +31,7 @@ SHARED_WITH_CORE = r"tests/(planning|metrology|twin)/"
 
 # `make coverage`: the small tests for Python, and of those the ones that reach most of C and C++.
 SMALL = "not slow and not long and not jaeger"
-NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/geometry", "tests/planning",
+NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/bindings", "tests/geometry", "tests/planning",
                 "tests/metrology", "tests/twin")  # fmt: skip
 
 
