@@ -1,4 +1,4 @@
-"""Random configurations: free, uniform in area, the same from the same seed; refused where there is no room."""
+"""Random configurations: free, uniform in area, the same from a seed; refused where there is no room."""
 
 from dataclasses import replace
 
