@@ -119,6 +119,14 @@ def observe(options: ObservationOptions) -> int:
     return 1 if missed or summary["collisions_verified"] else 0
 
 
+_FILES = {
+    "calibration": "make one with 'fiberloom calibrate transmission'",
+    "arms": "make one with 'fiberloom calibrate focal-plane'",
+    "measured": "name the store of an earlier run",
+}
+"""Options that name files, and where the files come from."""
+
+
 def check(options: Any) -> None:
     """Refuses what can be refused before anything heavy is imported."""
     from fiberloom.twin.faults.grammar import parse_faults
@@ -126,8 +134,8 @@ def check(options: Any) -> None:
 
     parse_faults(options.faults, OBSERVED)
     options.check_plane()
-    for name in ("calibration", "arms", "measured"):
-        require_file(getattr(options, name, None))
+    for name, hint in _FILES.items():
+        require_file(getattr(options, name, None), hint)
 
 
 def _print(summary: dict[str, Any], out: Path) -> None:

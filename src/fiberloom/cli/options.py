@@ -125,10 +125,10 @@ def require_instrument(name: str) -> None:
     check_name(name)
 
 
-def require_file(path: Path | None) -> None:
-    """Refuses a file that is not there."""
+def require_file(path: Path | None, hint: str = "") -> None:
+    """Refuses a file that is not there; `hint`: what to do."""
     if path is not None and not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError(f"{path}: no such file{hint and '; ' + hint}")
 
 
 def require_folder(out: Path) -> None:
