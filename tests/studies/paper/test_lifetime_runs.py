@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from fiberloom.studies.lifetime import DELTAS, WAYS
 from fiberloom.studies.paper import Settings
@@ -47,19 +46,6 @@ def study(monkeypatch):
     return SimpleNamespace(asked=asked)
 
 
-@pytest.fixture
-def canvases(monkeypatch):
-    kept = []
-    original = Figure.savefig
-
-    def savefig(figure, *arguments, **how):
-        kept.append(figure)
-        return original(figure, *arguments, **how)
-
-    monkeypatch.setattr(Figure, "savefig", savefig)
-    return kept
-
-
 def made(figure, full=False):
     said = []
     outcome = figure.run(Settings(seed=2, n_seeds=2, full=full, say=said.append))
@@ -70,16 +56,16 @@ def made(figure, full=False):
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_the_size_of_the_test_is_asked_for_and_told(study, canvases, full):
+def test_the_size_of_the_test_is_asked_for_and_told(study, written, full):
     made(fig22, full)
     assert study.asked == [(seed, wearing.FULL if full else wearing.DEFAULT) for seed in (2, 3)]
 
 
-def test_figure_21_shows_two_units_with_two_arms_each(study, canvases):
+def test_figure_21_shows_two_units_with_two_arms_each(study, written):
     found = made(fig21)
     assert found["fig21.span_um"] == pytest.approx(0.1 * (len(CYCLES) - 1))
     assert found["fig21.calibration_um"] == pytest.approx(0.2)
-    (axes,) = canvases[0].axes
+    (axes,) = written[0].axes
     assert len(axes.lines) == 8
     true, seen = axes.lines[:2]
     assert true.get_ydata()[0] == 0.0
@@ -87,9 +73,9 @@ def test_figure_21_shows_two_units_with_two_arms_each(study, canvases):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("cycle", "change of length [µm]")
 
 
-def test_figure_22_shows_every_snapshot(study, canvases):
+def test_figure_22_shows_every_snapshot(study, written):
     assert made(fig22)["fig22.largest_change_deg"] == pytest.approx(0.15)
-    panels = canvases[0].axes
+    panels = written[0].axes
     assert [p.get_title() for p in panels] == ["unit 1", "unit 2"]
     for panel in panels:
         assert [line.get_label() for line in panel.lines] == [f"cycle {c}" for c in KEPT]
@@ -97,14 +83,14 @@ def test_figure_22_shows_every_snapshot(study, canvases):
     assert panels[1].get_xlabel() == "θ [deg]"
 
 
-def test_figure_25_tells_the_share_that_was_followed(study, canvases):
+def test_figure_25_tells_the_share_that_was_followed(study, written):
     found = made(fig25)
     assert found["fig25.followed"] == pytest.approx(0.5)
     assert found["fig25.followed_inside"] == pytest.approx(0.5)
     assert found["fig25.adaptive.followed"] == pytest.approx(1.0)
     assert found["fig25.adaptive.error_mdeg"] == pytest.approx(0.0, abs=1e-6)
     assert found["fig25.adaptive_paper.error_mdeg"] > 1.0
-    panels = canvases[0].axes
+    panels = written[0].axes
     assert panels[1].get_title() == f"cycle {KEPT[-1]}"
     for panel in panels:
         assert panel.lines[-1].get_label() == "true"
@@ -112,12 +98,12 @@ def test_figure_25_tells_the_share_that_was_followed(study, canvases):
     np.testing.assert_allclose(panels[1].lines[-1].get_ydata(), mark_deg(1.0), atol=1e-12)
 
 
-def test_figure_26_shows_every_way_with_its_rms(study, canvases):
+def test_figure_26_shows_every_way_with_its_rms(study, written):
     found = made(fig26)
     expected = {way: 10.0 + k for k, way in enumerate(WAYS)}
     ratio = expected["adaptive"] / expected["recalibrated_fine"]
     assert found["fig26.adaptive_over_fine"] == pytest.approx(ratio)
-    (axes,) = canvases[0].axes
+    (axes,) = written[0].axes
     assert len(axes.lines) == len(fig26.CURVES)
     for way, line in zip(fig26.CURVES, axes.lines, strict=True):
         np.testing.assert_allclose(line.get_ydata(), expected[way])

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from fiberloom.calibration.bench.estimate import estimate
 from fiberloom.calibration.bench.torque import TorqueScale, Windows
@@ -25,20 +24,6 @@ from fiberloom.studies.paper.identification import fig14_inertia as fig14
 from fiberloom.units import GEAR
 
 PNG = b"\x89PNG"
-
-
-@pytest.fixture
-def canvases(monkeypatch):
-    """Every canvas that is drawn."""
-    kept = []
-    original = Figure.savefig
-
-    def savefig(figure, *arguments, **how):
-        kept.append(figure)
-        return original(figure, *arguments, **how)
-
-    monkeypatch.setattr(Figure, "savefig", savefig)
-    return kept
 
 
 @pytest.fixture
@@ -63,7 +48,7 @@ def column(value, residual_unit="1"):
     return estimate("q", "u", np.full(n, value), np.full(n, 0.1), np.zeros((n, 2)), residual_unit, [""] * n)
 
 
-def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, canvases):
+def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, written):
     theta = np.broadcast_to(np.linspace(0.0, 360.0, 721), (2, 2, 2, 721)).copy()
     ripple = 0.01 * np.sin(np.deg2rad(36.0 * theta))
     gap = np.array([0.0, 100.0 / GEAR])[None, None, :, None]
@@ -77,7 +62,7 @@ def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, ca
     assert found["fig10.backlash.max_motor_deg"].ours == 200.0
     assert found["fig10.peaks_per_turn"].ours == found["fig10.peaks_per_turn"].paper == 36.0
     assert sum(q.beyond for q in found.values()) == 2
-    panels = canvases[0].axes
+    panels = written[0].axes
     assert [p.get_title() for p in panels[:2]] == ["alpha", "beta"]
     for panel in panels[2:]:
         backlash, *limits = panel.lines
@@ -98,7 +83,7 @@ def linear_runs(units=fig12.UNITS):
     return segments
 
 
-def test_figure_12_lines_explain_what_lies_on_lines(monkeypatch, settings, canvases):
+def test_figure_12_lines_explain_what_lies_on_lines(monkeypatch, settings, written):
     runs = linear_runs()
     silent = Windows(np.full((fig12.UNITS, 3), np.nan), *(runs[0][:3].motor_deg, runs[0][:3].rotor_deg),
                      runs[0][:3].speed_rad_s)  # fmt: skip
@@ -112,7 +97,7 @@ def test_figure_12_lines_explain_what_lies_on_lines(monkeypatch, settings, canva
     assert by_id["fig12.drag_uNms"].ours == pytest.approx(0.8)
     # -4 at 0 deg, -2 at 360 deg
     assert by_id["fig12.spring_0_over_360"].ours == pytest.approx(2.0)
-    left, right = canvases[0].axes
+    left, right = written[0].axes
     assert [line.get_label() for line in left.lines] == ["+500 rpm", "-500 rpm", "+2000 rpm", "-2000 rpm"]
     dots, *fitted = right.lines
     np.testing.assert_allclose(dots.get_ydata(), [25.0, -25.0, 40.0, -40.0], atol=1e-6)
@@ -121,7 +106,7 @@ def test_figure_12_lines_explain_what_lies_on_lines(monkeypatch, settings, canva
     assert (left.get_ylabel(), right.get_xlabel()) == ("torque [µNm]", "motor speed [rpm]")
 
 
-def test_figure_13_compares_every_unit_with_its_true_stiffness(monkeypatch, settings, canvases):
+def test_figure_13_compares_every_unit_with_its_true_stiffness(monkeypatch, settings, written):
     true_mNm_deg = np.array([300.0, 20.0])
     plant = np.zeros(fig13.UNITS, dtype=[("stiffness", float, (2,))])
     plant["stiffness"] = true_mNm_deg * 1e-3 * 180.0 / np.pi
@@ -133,7 +118,7 @@ def test_figure_13_compares_every_unit_with_its_true_stiffness(monkeypatch, sett
     assert by_id["fig13.alpha.stiffness"].paper == 337.0
     assert by_id["fig13.alpha.error_percent"].ours == pytest.approx(1.0)
     assert by_id["fig13.beta.error_percent"].ours == pytest.approx(1.0)
-    for panel, name, paper in zip(canvases[0].axes, ("alpha", "beta"), (337.0, 25.0), strict=True):
+    for panel, name, paper in zip(written[0].axes, ("alpha", "beta"), (337.0, 25.0), strict=True):
         assert panel.get_title() == name
         # units of both seeds
         assert len(panel.lines[0].get_xdata()) == 2 * fig13.UNITS
@@ -141,7 +126,7 @@ def test_figure_13_compares_every_unit_with_its_true_stiffness(monkeypatch, sett
         assert panel.get_xlabel() == "true stiffness [mNm/deg]"
 
 
-def test_figure_14_takes_the_rise_from_the_speeds(monkeypatch, settings, canvases):
+def test_figure_14_takes_the_rise_from_the_speeds(monkeypatch, settings, written):
     period_s, m, n = 5e-4, 120, fig14.UNITS
     time_s = period_s * (np.arange(m) - 40)
     tau_s = 0.004
@@ -165,12 +150,12 @@ def test_figure_14_takes_the_rise_from_the_speeds(monkeypatch, settings, canvase
     assert (by_id["fig14.low_rpm"].ours, by_id["fig14.high_rpm"].ours) == (600.0, 5600.0)
     # an exponential has 97 % of its change after 3.5 time constants
     assert by_id["fig14.rise_ms"].ours == pytest.approx(1e3 * tau_s * -np.log(0.03), rel=0.05)
-    (axes,) = canvases[0].axes
+    (axes,) = written[0].axes
     assert len(axes.lines) == n + len(fig14.PAPER_RPM)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time from the step [ms]", "motor speed [rpm]")
 
 
-def test_figure_16_compares_every_controller_with_the_full_law(monkeypatch, settings, canvases):
+def test_figure_16_compares_every_controller_with_the_full_law(monkeypatch, settings, written):
     level = {name: float(k + 1) for k, name in enumerate(fig16.CONTROLLERS)}
 
     def track(seed, name):
@@ -190,14 +175,14 @@ def test_figure_16_compares_every_controller_with_the_full_law(monkeypatch, sett
          (("speed", "speed"), ("break_away", "break-away"), ("inertia", "inertia"))}
     )  # fmt: skip
     assert "6 false collisions" in by_id["fig16.shipped.max_deg"].note
-    top, bottom = canvases[0].axes
+    top, bottom = written[0].axes
     labels = [line.get_label() for line in bottom.lines if not line.get_label().startswith("_")]
     assert labels == list(fig16.CONTROLLERS)
     assert (top.get_ylabel(), bottom.get_ylabel()) == ("command [motor turns]", "command - motor [deg]")
     assert top.lines[0].get_ydata()[0] == 0.0
 
 
-def test_figure_17_tells_repeatability_in_nm_of_each_axis(monkeypatch, settings, canvases):
+def test_figure_17_tells_repeatability_in_nm_of_each_axis(monkeypatch, settings, written):
     benches = []
 
     def make_bench(seed, units, *, noise_um, change=None, start_deg):
@@ -224,8 +209,8 @@ def test_figure_17_tells_repeatability_in_nm_of_each_axis(monkeypatch, settings,
         assert by_id[f"fig17.{name}.rms_nm"].ours == pytest.approx(rms, rel=0.01)
         assert by_id[f"fig17.{name}.apart_um"].ours == pytest.approx(1.0)
         assert by_id[f"fig17.{name}.control_nm"].ours < 20.0
-        assert canvases[0].axes[axis].get_title().startswith(f"{name}: {rms:.0f} nm rms")
-        assert len(canvases[0].axes[axis].lines) == 3
+        assert written[0].axes[axis].get_title().startswith(f"{name}: {rms:.0f} nm rms")
+        assert len(written[0].axes[axis].lines) == 3
     # a micrometre over 7.6 mm, through the gear
     step = np.rad2deg(1e-3 / fig17.LEVER_MM[0]) * GEAR
     assert by_id["fig17.alpha.step_motor_deg"].ours == pytest.approx(step)
@@ -233,7 +218,7 @@ def test_figure_17_tells_repeatability_in_nm_of_each_axis(monkeypatch, settings,
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_figure_18_counts_images_and_averages_four(monkeypatch, canvases, full):
+def test_figure_18_counts_images_and_averages_four(monkeypatch, written, full):
     asked = []
 
     def static(camera, images, seed):
@@ -247,13 +232,13 @@ def test_figure_18_counts_images_and_averages_four(monkeypatch, canvases, full):
     assert by_id["fig18.workspace.rms_nm"].ours == pytest.approx(1000.0)
     assert by_id["fig18.close_up.stated_over_seen"].ours == pytest.approx(0.9)
     assert by_id["fig18.four_images_over_one"].ours == pytest.approx(0.5)
-    for panel, name in zip(canvases[0].axes, fig18.PAPER_NM, strict=True):
+    for panel, name in zip(written[0].axes, fig18.PAPER_NM, strict=True):
         assert panel.get_title() == f"{name}: 1000 nm rms (paper: {fig18.PAPER_NM[name]:.0f})"
         assert panel.get_xlabel() == "x [nm]"
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_figure_20_tells_after_how_many_configurations(monkeypatch, canvases, full):
+def test_figure_20_tells_after_how_many_configurations(monkeypatch, written, full):
     sizes = []
 
     def curve(steps, scale):
@@ -273,7 +258,7 @@ def test_figure_20_tells_after_how_many_configurations(monkeypatch, canvases, fu
     assert by_id["fig20.designed.configurations"].ours == pytest.approx(16.0, rel=1e-3)
     assert by_id["fig20.at_80.centre_um"].ours == pytest.approx(9.0 / np.sqrt(80.0))
     assert by_id["fig20.at_80.arms_um"].ours == pytest.approx(4.5 / np.sqrt(80.0))
-    (axes,) = canvases[0].axes
+    (axes,) = written[0].axes
     labels = [line.get_label() for line in axes.lines if not line.get_label().startswith("_")]
     assert labels == [
         "Eq. 26: centre",
@@ -286,7 +271,7 @@ def test_figure_20_tells_after_how_many_configurations(monkeypatch, canvases, fu
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch, canvases, full):
+def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch, written, full):
     sizes = []
 
     def observe(row, seed, n_units):
@@ -310,7 +295,7 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
         assert ("no camera" in worst.note) == (not row.corrected)
         blind = by_id[f"table1.{row.key}.blind_rms_um"].ours
         assert blind == pytest.approx(np.sqrt(10.0) * row.requirement_um)
-    (axes,) = canvases[0].axes
+    (axes,) = written[0].axes
     assert [t.get_text() for t in axes.get_xticklabels()] == [row.name for row in table01.TABLE_1]
     # dots after the blind move, after the corrections where there are any, and the requirement
     assert len(axes.lines) == sum(3 if row.corrected else 2 for row in table01.TABLE_1)
