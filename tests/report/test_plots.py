@@ -370,10 +370,10 @@ def test_arms_show_radial_residuals_over_the_direction(few, tmp_path, written, r
 @pytest.mark.parametrize("row", [0, 2])
 def test_repeatability_shows_every_visit_along_and_across_the_way(few, tmp_path, written, row):
     lever = 20.0
-    # along the way 2 um, across it nothing: the fibre moves in y, the arm points along x
+    # along the way 2 um, across it nothing: the arm points along y, and turns towards -x
     shift = np.zeros((N, 3, 4, 2))
-    shift[..., 1] = 2e-3 * np.array([-1.0, 1.0, -1.0, 1.0])
-    data = RepeatabilityData(0, np.array([lever, 0.0]) + shift, np.zeros((N, 2)), np.full(N, lever), [""] * N)
+    shift[..., 0] = 2e-3 * np.array([-1.0, 1.0, -1.0, 1.0])
+    data = RepeatabilityData(0, np.array([0.0, lever]) + shift, np.zeros((N, 2)), np.full(N, lever), [""] * N)
     found = Repeatability(0, about("measured", "µm"), about("own", "µm", 1.5), about(), np.zeros((N, 2)))
     identification.plot_repeatability(tmp_path / "r.png", few, (data, data), [found, found], row)
     panel = written[0].axes[0]
@@ -382,7 +382,7 @@ def test_repeatability_shows_every_visit_along_and_across_the_way(few, tmp_path,
         return
     assert len(panel.lines) == 3
     along, across = panel.lines[0].get_data()
-    np.testing.assert_allclose(np.abs(along), 2.0, atol=1e-9)
+    np.testing.assert_allclose(along, [2.0, -2.0, 2.0, -2.0], atol=1e-9)
     np.testing.assert_allclose(across, 0.0, atol=1e-9)
     assert "lever 20.0 mm, rms: as measured 2 ± 0.1 µm" in panel.get_title()
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("along the way [µm]", "across [µm]")

@@ -50,6 +50,7 @@ def test_a_packed_file_is_the_same(tmp_path):
         ("THING 1 a {0 1", "line 10: braces { } do not match"),
         ("THING 1 a 0 1}", "line 10: braces { } do not match"),
         ("THING 1 a {0 {1}}", "line 10: braces { } do not match"),
+        ("THING 1 a {0 {1}", "line 10: braces { } do not match"),
         ('THING 1 "a {0 1}', 'line 10: a double quote (") is not closed'),
         ("THING 1 a", "line 10: 2 values, structure THING has 3"),
     ],
