@@ -30,6 +30,7 @@ from fiberloom.bus import Client, WireTrajectory
 from fiberloom.bus.parameters import read_parameters
 from fiberloom.calibration import (
     StiffnessSettings,
+    SweepSettings,
     calibrate_transmission,
     identify_friction,
     identify_inertia,
@@ -73,7 +74,7 @@ async def identified(twin: Twin, client: Client, seed: int) -> dict[int, Quantit
         inertia += [found.inertia, found.drag]
     pulled = await measure_stiffness(client, camera, weights, plane, StiffnessSettings(repeats=5))
     stiffness = [identify_stiffness(d) for d in pulled]
-    maps = (await calibrate_transmission(client, camera, plane, 60, seed=seed)).maps
+    maps = (await calibrate_transmission(client, camera, plane, SweepSettings(60), seed=seed)).maps
     return {
         int(number): merged(
             {

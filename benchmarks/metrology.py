@@ -30,6 +30,7 @@ from fiberloom.metrology import SpotSettings, find_expected, find_spots, fit_tra
 from fiberloom.metrology.acquisition import AcquisitionSettings, acquire
 from fiberloom.metrology.matching import match_spots
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
+from fiberloom.metrology.transform import Distortion, PlaceErrors
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
 from fiberloom.twin import static_fibre_um
 from fiberloom.twin.camera.imaging import ImagingCamera, StillScene
@@ -354,9 +355,9 @@ def chain_desi(n=5000, standing=720):
     start = time.process_time()
     found = find_spots(image.pixels, SpotSettings(image.gain_e_adu, image.saturation_adu)).spots
     geometry = replace(model.optics.geometry, rotation_tolerance_deg=1.5)
-    acquired = acquire(found.xy_px, fiducials, geometry, expected_mm=expected, radius_mm=420.0,
-                       covariance_px2=found.covariance_px2, sigma_mm=5e-3,
-                       settings=AcquisitionSettings(coarse_mm=8.0))  # fmt: skip
+    acquired = acquire(found.xy_px, fiducials, geometry, expected_mm=expected,
+                       errors=PlaceErrors(found.covariance_px2, 5e-3),
+                       settings=AcquisitionSettings(coarse_mm=8.0, radius_mm=420.0))  # fmt: skip
     free = np.setdiff1d(np.arange(len(found)), acquired.spot)
     spots_mm = acquired.transform.to_mm(found.xy_px[free])
     match = match_spots(spots_mm, expected, centres, field.reach)
@@ -416,8 +417,8 @@ def desi_spots():
     mm = np.array([table[r["LOCATION"], r["PINHOLE_ID"]] for r in spots])
     out = {"desimeter with distortion terms fitted": {"rms_um": 22.6}}
     for n in (13, 33):
-        terms = {} if n == 13 else {"terms": range(33)}
-        fit = fit_transform(px, mm, radius_mm=420.0, flipped=True, **terms)
+        distortion = Distortion(420.0) if n == 13 else Distortion(420.0, range(33))
+        fit = fit_transform(px, mm, distortion, flipped=True)
         out[f"fiberloom, {n} terms"] = {
             "rms_um": round(fit.rms_um, 2), "left_out_um": round(fit.leave_one_out_rms_um, 2),
         }  # fmt: skip

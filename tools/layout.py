@@ -49,7 +49,7 @@ class Target:
 MUTATED = (
     Target("operation", ("src/fiberloom/operation",), ("tests/operation",)),
     Target("health", ("src/fiberloom/health",), ("tests/health", "tests/operation")),
-    Target("calibration", ("src/fiberloom/calibration",), ("tests/calibration",)),
+    Target("calibration", ("src/fiberloom/calibration",), ("tests/calibration", "tests/commissioning")),
     Target("planning", ("src/fiberloom/planning",), ("tests/planning",)),
     Target("laws", ("firmware/law",), ("tests/firmware",), "C"),
 )

@@ -1,6 +1,6 @@
 """Changes the code in small ways and looks whether a test notices: `make mutate`.
 
-    python -m tools.mutate [--only NAME ...] [--sample N] [--seed S] [--match TEXT]
+    python -m tools.mutate [--only NAME ...] [--sample N] [--seed S] [--match TEXT] [--kind KIND]
 
 Works in copies below build/mutate. A mutant of Python runs the tests that reach its line, the quickest
 first, and where these do not notice all tests of its package; every mutant of C is in one build, and an
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tools.layout import MUTATED, ROOT, Target, files_below
-from tools.mutation.python import Mutant, mutants_of
+from tools.mutation.python import KINDS, Mutant, mutants_of
 from tools.mutation.runs import NativeRuns, PythonRuns, Runs, TestsFail, Verdict
 
 EXPLAINED = Path(__file__).with_name("mutants_explained.toml")
@@ -65,9 +65,9 @@ def mutate(runs: Runs, chosen: Sequence[Mutant], seen: Callable[[Result], None])
     return results
 
 
-def choose(mutants: Sequence[Mutant], n: int, seed: int, match: str) -> list[Mutant]:
-    """A sample in the order of the code; all of them where n is 0."""
-    fitting = [m for m in mutants if match in m.key]
+def choose(mutants: Sequence[Mutant], n: int, seed: int, match: str = "", kind: str = "") -> list[Mutant]:
+    """A sample in the order of the code; all of them where n is 0. `kind`: one of KINDS, or all."""
+    fitting = [m for m in mutants if match in m.key and kind in ("", m.kind)]
     if n == 0 or n >= len(fitting):
         return fitting
     picked = sorted(random.Random(seed).sample(range(len(fitting)), n))
@@ -113,13 +113,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sample", type=int, default=SAMPLE, metavar="N", help="of each package; 0: all")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose key contains it")
+    parser.add_argument("--kind", default="", choices=KINDS, help="only mutants of this kind")
     given = parser.parse_args(arguments)
     every_key: set[str] = set()
     results: list[Result] = []
     for target in (t for t in MUTATED if t.name in given.only and code_of(ROOT, t)):
         runs = runs_of(ROOT, target)
         every_key |= {m.key for m in runs.mutants}
-        chosen = choose(runs.mutants, given.sample, given.seed, given.match)
+        chosen = choose(runs.mutants, given.sample, given.seed, given.match, given.kind)
         print(f"{target.name}: {len(chosen)} of {len(runs.mutants)} mutants", flush=True)
         try:
             results += mutate(runs, chosen, lambda r: print(f"{r.verdict.value:9}{r.mutant.key}", flush=True))

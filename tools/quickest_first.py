@@ -9,8 +9,18 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import Phase, settings
 
 _took_s: dict[str, float] = {}
+
+
+def pytest_configure() -> None:
+    """One example that fails is enough: hypothesis does not look for the smallest."""
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile(
+        "mutants", settings.get_profile(settings.get_current_profile_name()), phases=phases
+    )
+    settings.load_profile("mutants")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

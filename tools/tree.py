@@ -48,12 +48,12 @@ def read_tree(root: Path) -> Tree:
     with_include = {group.top for path, group in groups.items() if "include" in path.parts}
     sources: dict[Group, list[Source]] = defaultdict(list)
     for path, group in groups.items():
-        sources[group].append(_read(root, path, group.top in with_include))
+        sources[group].append(read_source(root, path, group.top in with_include))
     tests: Counter[tuple[str, str]] = Counter()
     test_sources = []
     for path in files:
         if "tests" in path.parts and (top := top_under_test(path, _text(root / path))) is not None:
-            test = _read(root, path, top_has_include=True)
+            test = read_source(root, path, top_has_include=True)
             tests[top] += len(test.code)
             test_sources.append(test)
     return Tree(
@@ -75,7 +75,8 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace")
 
 
-def _read(root: Path, path: Path, top_has_include: bool) -> Source:
+def read_source(root: Path, path: Path, top_has_include: bool = True) -> Source:
+    """One file: its functions, code lines and public names."""
     if path.suffix == ".py":
         return read_python(root, path)
     return read_native(root, path, is_public_header(path, top_has_include))

@@ -118,6 +118,24 @@ Output<double, -1, 5> servo(Params params, Input2<double> rows, bool settling) {
     return out;
 }
 
+// Rows in: error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt. Rows
+// out: rise_Nm, limit_Nm, touched (0 or 1).
+Output<double, -1, 3> touch(Params params, Input2<double> rows) {
+    if (rows.shape(1) != 7) throw nb::value_error("rows: (n, 7)");
+    const auto axis = axis_of(params);
+    fl_touch_state_t *st = &axis->drive.touch;
+    auto out = new_array<double, -1, 3>({rows.shape(0), 3});
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        float r[7];
+        std::transform(rows.data() + 7 * i, rows.data() + 7 * i + 7, r, [](double x) { return float(x); });
+        const fl_touch_in_t in = {r[0], r[1], r[2], r[3], r[4], r[5], r[6]};
+        const bool touched = fl_touch_step(&axis->law.drive.touch, st, &in);
+        const double row[3] = {st->rise_Nm, st->limit_Nm, double(touched)};
+        std::copy_n(row, 3, out.data() + 3 * i);
+    }
+    return out;
+}
+
 // Rows out: position_cnt now, speed_rad_s and acceleration_rad_s2 over the coming tick.
 Output<double, -1, 3> smooth(Input1<int32_t> raw_cnt, int32_t start_cnt) {
     fl_smooth_state_t st;
@@ -250,6 +268,9 @@ void bind_laws(nb::module_ &m) {
     m.def("rotating_field", &rotating_field, nb::arg("u"), nb::arg("field_cnt"), "Duties (n, 3). Eq. 18.");
     m.def("servo", &servo, nb::arg("params"), nb::arg("rows"), nb::arg("settling") = false,
           "Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.");
+    m.def("touch", &touch, nb::arg("params"), nb::arg("rows"),
+          "(rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, "
+          "direction, acceleration_rad_s2, drag_doubt, from a leg's start.");
     m.def("smooth", &smooth, nb::arg("raw_cnt"), nb::arg("start_cnt"));
     m.def("profile", &profile, nb::arg("from_cnt"), nb::arg("to_cnt"), nb::arg("speed_rpm"),
           nb::arg("acceleration_rad_s2"));

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fiberloom.bus.transport import Transport
 from fiberloom.metrology import Camera
+from fiberloom.typing import Floats
 
 
 class Truth(Protocol):
     """Where the fibres really are: only a twin knows, and only reports may ask."""
 
-    def fibre_xy(self, fibre: str) -> NDArray[np.float64]:
+    def fibre_xy(self, fibre: str) -> Floats:
         """Position (N, 2) in mm of the named fibre of every positioner."""
         ...
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
+from fiberloom.typing import Array, Floats, Ints
 
 SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
 
@@ -49,7 +50,7 @@ class TableFile:
         cells = [_text(value) for value in self.columns[name]]
         return np.array(cells, dtype=np.str_)
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
+    def numbers(self, name: str) -> Floats:
         """A column as finite numbers, in the unit that its name gives (`x_mm`: mm); InputError with
         file, row and column else.
         """
@@ -59,7 +60,7 @@ class TableFile:
             raise self.error(bad[0], name, f"= {self.columns[name][bad[0]]} is not finite")
         return values
 
-    def integers(self, name: str) -> NDArray[np.int64]:
+    def integers(self, name: str) -> Ints:
         """A column as whole numbers."""
         return self._convert(name, _whole, np.int64, "a whole number")
 
@@ -72,8 +73,8 @@ class TableFile:
                 raise self.error(row, name, f"= {value} was used before, in {earlier}")
             first[value] = row
 
-    def _convert(self, name: str, kind: Callable, dtype: type, noun: str) -> NDArray:
-        out: NDArray = np.empty(len(self), dtype=dtype)
+    def _convert(self, name: str, kind: Callable[[Any], Any], dtype: type, noun: str) -> Array:
+        out: Array = np.empty(len(self), dtype=dtype)
         for row, value in enumerate(self.columns[name]):
             try:
                 out[row] = kind(value)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.calibration.bench.estimate import estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate, least_squares, standard_errors
 from fiberloom.errors import InputError
 
 
@@ -63,10 +63,8 @@ def test_units_do_not_matter(scale):
 
 
 def make(value, error, systematic=0.0, reason=("", ""), freedom=np.inf):
-    return estimate(
-        "thing", "uNm", np.array(value), np.array(error), np.zeros((2, 4)), "uNm", reason,
-        systematic=systematic, freedom=freedom,
-    )  # fmt: skip
+    fitted = Fitted(np.array(value), np.array(error), systematic, freedom)
+    return estimate("thing", "uNm", fitted, Residuals(np.zeros((2, 4)), "uNm"), reason)
 
 
 def test_errors_add_in_squares():

@@ -6,7 +6,7 @@ import numpy as np
 
 from fiberloom._core import twin as core
 from fiberloom.bus import Client, Outcome, WireTrajectory
-from fiberloom.calibration import calibrate_transmission
+from fiberloom.calibration import SweepSettings, calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, draw_units
 from fiberloom.twin.units import GEAR, plain
@@ -25,7 +25,7 @@ def test_the_calibration_finds_the_true_gear():
 
     async def run():
         await client.discover()
-        return await calibrate_transmission(client, camera, plane, 40)
+        return await calibrate_transmission(client, camera, plane, SweepSettings(40))
 
     found = asyncio.run(run())
     assert found.report.ok.all(), found.report.reason

@@ -18,8 +18,9 @@ def small_plane(n=12):
     return generate(load_instrument("sdssv"), seed=2, n_positioners=n)
 
 
-def calibrate(bench, plane=None, n_points=200, **kwargs):
-    return asyncio.run(calibrate_transmission(bench, bench, plane or bench.plane, n_points, **kwargs))
+def calibrate(bench, plane=None, n_points=200, images=1, **kwargs):
+    settings = SweepSettings(n_points, images)
+    return asyncio.run(calibrate_transmission(bench, bench, plane or bench.plane, settings, **kwargs))
 
 
 def truth(bench, theta, side):
@@ -162,7 +163,7 @@ def test_progress_is_told_and_images_are_averaged():
     found = calibrate(
         bench,
         n_points=50,
-        settings=SweepSettings(images=16),
+        images=16,
         progress=lambda done, total: steps.append((done, total)),
     )
     assert steps[0] == (1, 200)

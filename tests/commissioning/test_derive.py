@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiberloom.calibration.bench.estimate import estimate
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.calibration.commissioning.checks import Context, checked
 from fiberloom.calibration.commissioning.derive import DERIVED, FACTORY, MEASURED, OWN, derive
 from fiberloom.calibration.commissioning.gains import control_gains
@@ -203,7 +203,8 @@ def test_a_backlash_that_the_approach_does_not_close_is_refused():
 
 def test_quantities_come_from_estimates_and_the_drag_of_the_pushes_is_told_apart():
     def one(name, value):
-        return estimate(name, "uNm s/rad", np.array([value]), np.array([0.01]), np.ones((1, 9)), "uNm", [""])
+        fitted = Fitted(np.array([value]), np.array([0.01]))
+        return estimate(name, "uNm s/rad", fitted, Residuals(np.ones((1, 9)), "uNm"), [""])
 
     parts = {
         "friction": of_estimates([one("alpha drag", 0.8)], 0, "runs"),

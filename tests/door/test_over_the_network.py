@@ -8,7 +8,7 @@ import pytest
 import fiberloom as fl
 from fiberloom.store import Store
 from fiberloom.twin import NoiseCamera, Twin, draw_units
-from fiberloom.twin.server.server import Address, TwinServer
+from fiberloom.twin.server.server import Address, ServerSettings, TwinServer
 
 N, SPEED = 7, 10.0
 
@@ -31,7 +31,7 @@ def test_two_observations_through_a_gateway(desk):
     array = Twin(plane, draw_units(plane, 0), seed=0, threads=1)
 
     async def night():
-        server = TwinServer(array, [Address("127.0.0.1", 0)], speed=SPEED)
+        server = TwinServer(array, [Address("127.0.0.1", 0)], settings=ServerSettings(speed=SPEED))
         await server.open()
         try:
             bus = f"cannet://{server.listeners[0].address}"

@@ -139,6 +139,15 @@ def test_torque_has_the_sign_of_the_command_at_every_angle(voltage, sensor_gain)
         assert (np.sign(torque) == np.sign(voltage)).all()
 
 
+@pytest.mark.parametrize("strength", [-0.5, 0.3, 1.0, 1.5])
+def test_every_phase_is_that_of_equation_18_within_the_supply(strength):
+    field_cnt = np.arange(0, TURN, 1009, dtype=np.int32)
+    angle = field_cnt[:, None] / CNT_PER_RAD + np.deg2rad([120, -120, 0])
+    want = np.clip(strength / 2 * (1 + np.cos(angle)), 0, 1)
+    # the sine is good to 8e-7
+    assert np.abs(fw.rotating_field(strength, field_cnt) - want).max() < 2e-6
+
+
 def test_the_lead_turns_the_field_on():
     theta = np.linspace(0, 2 * np.pi, 97)
     rotor = np.stack([np.sin(theta), np.cos(theta)], axis=1).astype(np.float32)
@@ -230,6 +239,28 @@ def test_collision_between_the_errors_of_equation_23():
     assert first_hit(lowest + 1) > 0  # once the integral is full
     assert first_hit(highest + 1) == 0  # at once: the integral cannot hide it
     assert first_hit(20) is None
+
+
+# of a drive at speed: T_threshold and 8 % of the drag; a contact on the resisting side, 80 % more of it at
+# standstill, and 40 % of the drag while that is not learnt
+def most_feedback_Nm(speed_rad_s, feedback_sign, threshold=9e-5, contact=2e-5, drag=8e-7):
+    drag_Nm = drag * abs(speed_rad_s)
+    stuck_Nm = threshold + 0.08 * drag_Nm
+    if feedback_sign * speed_rad_s <= 0:
+        return stuck_Nm
+    slow = max(1 - abs(speed_rad_s) / 100, 0)
+    return min(stuck_Nm, contact * (1 + 0.8 * slow) + 0.4 * drag_Nm)
+
+
+@pytest.mark.parametrize("speed_rad_s", [-150.0, -60.0, -10.0, 0.0, 10.0, 60.0, 150.0])
+@pytest.mark.parametrize("feedback_sign", [-1.0, 1.0])
+def test_the_collision_threshold_at_every_speed_and_on_both_sides(speed_rad_s, feedback_sign):
+    p = alpha_params(collision_torque=9e-5, contact_torque=2e-5, drag=8e-7, k_i=0.0, drag_learning_time=0.0)
+    least = most_feedback_Nm(speed_rad_s, feedback_sign)
+    for share, hit in ((0.999, False), (1.001, True)):
+        error_cnt = feedback_sign * share * least / p[NAMES.index("k_p")] * CNT_PER_RAD
+        row = np.array([[round(error_cnt), 0.0, speed_rad_s, 0.0]])
+        assert fw.servo(p, row)[0, 4] == hit
 
 
 LEVEL = st.integers(1 - 2**30, 2**30 - 1)  # a step between two of them fits an int32
@@ -365,6 +396,21 @@ def test_hall_calibration_finds_offset_gain_and_phase(oa, ob, aa, ab, phase):
     assert (amplitude_a, amplitude_b) == pytest.approx((aa, ab), abs=0.8)
     assert angle == pytest.approx(phase, abs=1e-3)
     assert residual < 3.5 / 800 + 1e-3
+
+
+@pytest.mark.parametrize("start", np.deg2rad([-110, -20, 70, 160]))
+@pytest.mark.parametrize("phase", [-0.3, 0.3])
+def test_hall_calibration_knows_the_ellipse_from_two_thirds_of_it(start, phase):
+    # the middle of the range is not the centre then, but 90 counts and more beside it
+    theta = np.linspace(start, start + 4 * np.pi / 3, 2000)
+    samples = adc(theta, (2000, 2100), (1500, 1200), phase)
+    middle = (samples.max(axis=0) / 2 + samples.min(axis=0) / 2) - (2000, 2100)
+    assert np.abs(middle).max() > 90
+    found = fw.hall_fit(samples)
+    # rounding of the converter, 0.3 counts rms on 2000 samples, and float32 sums
+    assert found[:2] == pytest.approx((2000, 2100), abs=0.5)
+    assert found[2:4] == pytest.approx((1500, 1200), abs=0.5)
+    assert found[4] == pytest.approx(phase, abs=5e-4)
 
 
 def test_hall_calibration_refuses_a_dead_channel():

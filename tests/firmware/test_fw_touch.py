@@ -81,3 +81,73 @@ def test_grease_and_reversals_are_no_touch():
         unit.follow(points, [(t, x + 10.0) for t, x in points])
         unit.wait()
         assert not unit.unsolicited
+
+
+POLE = np.exp(-450 / 2000)
+OBSERVER = np.array([1 - POLE**3, 1.5 * (1 - POLE) ** 2 * (1 + POLE) * 2000, (1 - POLE) ** 3 * 2000**2])
+AHEAD = np.array([[1, 1 / 2000, 0.5 / 2000**2], [0, 1, 1 / 2000], [0, 0, 1]])
+
+
+def observed_Nm(inertia, drag, rows):
+    """The load of J e'' = L - (T - T_ff) - c e', by an observer with three equal poles at 450 rad/s."""
+    state, loads = np.zeros(3), []
+    for error, beyond, excess, _, direction, *_ in rows:
+        state = state + OBSERVER * (error - state[0])
+        loads.append(state[2] * inertia * direction)
+        known = (beyond + (drag + excess) * state[1]) / inertia
+        state = AHEAD @ (state - [0, 0, known]) + [0, 0, known]
+    return np.array(loads)
+
+
+def reference_touch(p, rows):
+    """The rise of the load over its mean and what is allowed, as fl_touch.h has it, in float64."""
+    v = dict(zip(rig.NAMES, p.astype(float), strict=True))
+    late, mean, mean_speed, follow = np.zeros(3), 0.0, 0.0, 0.0
+    surge, unrest, way, scatter, out = 0.0, 0.0, 0.0, 3 * v["touch_torque"], []
+    loads = observed_Nm(v["inertia"], v["drag"], rows)
+    for load, (_, _, excess, velocity, direction, acceleration, doubt) in zip(loads, rows, strict=True):
+        speed = abs(velocity)
+        way = way + velocity / 2000 if speed >= 50 and direction * way >= 0 else 0.0
+        watched = abs(way) > 16
+        surge = max(abs(acceleration), 0.97 * surge)
+        for k in range(3):
+            late[k] += (1 - POLE) * ((late[k - 1] if k else speed) - late[k])
+        faster, more = late[2] - mean_speed, load - mean
+        rise = more - excess * faster
+        unrest = max(0.0 if watched else abs(more), 0.97 * unrest)
+        limit = max(v["touch_torque"] * max(1, 2 - speed / 160), 3.5 * scatter) + unrest
+        limit += 3 * doubt * v["drag"] * abs(faster) + 0.12 * v["inertia"] * surge
+        follow = max(1 / 120, 0.98 * follow) if watched else 0.1
+        scatter += (abs(rise) - scatter) / 500 if watched else 0.0
+        mean, mean_speed = mean + follow * more, mean_speed + follow * faster
+        out.append((rise, limit, watched and rise > limit))
+    return np.array(out)
+
+
+def driven_rows(seed, ticks=6000):
+    """Forth and back at changing speeds, the noise of the sensors, a push now and then in the last half."""
+    rng = np.random.default_rng(seed)
+    corners = np.arange(0, ticks + 1, 500)
+    corner_rad_s = rng.uniform(70, 209, corners.size) * np.where((corners // 2000) % 2, -1, 1)
+    speed = np.interp(np.arange(ticks), corners, corner_rad_s)
+    time_s = np.arange(ticks) / 2000
+    push = (time_s > 1.4) * (np.sin(15 * time_s + seed) > 0.97)
+    rows = np.zeros((ticks, 7))
+    rows[:, 0] = 2e-3 * np.sin(40 * time_s) + rng.normal(0, 1e-6, ticks)
+    rows[:, 1] = 1e-5 * push * np.sign(speed)
+    rows[:, 2] = rng.uniform(-3e-8, 3e-8)
+    rows[:, 3], rows[:, 4], rows[:, 5] = speed, np.where(speed < 0, -1, 1), np.gradient(speed) * 2000
+    rows[:, 6] = np.linspace(0.4, 0.05, ticks)
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_watch_is_the_rule_of_its_header(seed):
+    p = rig.alpha_params(touch_torque=TOUCH_NM)
+    rows = driven_rows(seed)
+    got, want = fw.touch(p, rows), reference_touch(p, rows)
+    assert 0 < want[:, 2].sum() < 0.1 * len(rows)
+    assert (got[:, 2] == want[:, 2]).all()
+    # float32: 1e-7 of loads up to 8e-6 Nm and of limits ten times as large, and some sums of it
+    assert np.abs(got - want)[:, 0].max() < 1e-11
+    assert np.abs(got - want)[:, 1].max() < 3e-10

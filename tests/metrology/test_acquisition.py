@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from fiberloom.metrology import zhao_burge
-from fiberloom.metrology.acquisition import AcquisitionError, CameraGeometry, acquire, refine
+from fiberloom.metrology.acquisition import (
+    AcquisitionError,
+    AcquisitionSettings,
+    CameraGeometry,
+    acquire,
+    refine,
+)
 from fiberloom.metrology.transform import Similarity
 
 NOMINAL = CameraGeometry(6000, 6132, 0.1215, flipped=True)
@@ -43,7 +49,11 @@ class Sky:
     def acquire(self, tolerance=180.0, helped=True):
         geometry = replace(NOMINAL, rotation_tolerance_deg=tolerance)
         return acquire(
-            self.px, self.fiducials, geometry, expected_mm=self.expected if helped else None, radius_mm=330.0
+            self.px,
+            self.fiducials,
+            geometry,
+            expected_mm=self.expected if helped else None,
+            settings=AcquisitionSettings(radius_mm=330.0),
         )
 
     def check(self, found, at_least):

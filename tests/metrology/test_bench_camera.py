@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fiberloom.bus import Client
-from fiberloom.calibration import calibrate_transmission
+from fiberloom.calibration import SweepSettings, calibrate_transmission
 from fiberloom.instruments import generate
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.twin import BenchCamera, Twin, TwinTransport, draw_units, static_fibre_um
@@ -54,7 +54,7 @@ def test_figure_19_a_bench_that_sees_through_images(sdssv):
 
 async def _visit(plane, twin, client, camera, ids):
     await client.discover()
-    maps = (await calibrate_transmission(client, camera, plane, 60, seed=3)).maps
+    maps = (await calibrate_transmission(client, camera, plane, SweepSettings(60), seed=3)).maps
     await client.set_precise_moves(ids, on=True)
     rng = np.random.default_rng(5)
     measured, true = np.zeros((6, 5, 3)), np.zeros((6, 5, 3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fiberloom.metrology.acquisition import AcquisitionError, AcquisitionSettings, CameraGeometry, acquire
-from fiberloom.metrology.transform import fit_transform
+from fiberloom.metrology.transform import Distortion, fit_transform
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def pairs(spots, pinholes):
 def test_the_published_residual_is_reached(pairs):
     px, mm = pairs
     assert len(px) == 448
-    fit = fit_transform(px, mm, radius_mm=420.0, flipped=True)
+    fit = fit_transform(px, mm, Distortion(420.0), flipped=True)
     # desimeter with --zbfit: 22.6 um rms
     assert 22.0 < fit.rms_um < 23.0
     assert fit.leave_one_out_rms_um < 23.5
@@ -54,7 +54,7 @@ def test_the_published_residual_is_reached(pairs):
 
 def test_more_terms_leave_less_and_not_by_chance(pairs):
     px, mm = pairs
-    fit = fit_transform(px, mm, radius_mm=420.0, flipped=True, terms=range(33))
+    fit = fit_transform(px, mm, Distortion(420.0, range(33)), flipped=True)
     assert 14.5 < fit.rms_um < 15.5
     assert fit.leave_one_out_rms_um < 16.0
 
@@ -67,8 +67,8 @@ def test_fiducials_are_found_in_the_real_image_turned_by_any_angle(spots, pinhol
     c, s = np.cos(np.deg2rad(turn)), np.sin(np.deg2rad(turn))
     turned = (px - 3000) @ np.array([[c, s], [-s, c]]) + 3000
     geometry = CameraGeometry(6000, 6000, 0.155, rotation_deg=180.0, flipped=True)
-    settings = AcquisitionSettings(coarse_mm=6.0)
-    found = acquire(turned, table, geometry, radius_mm=420.0, settings=settings)
+    settings = AcquisitionSettings(coarse_mm=6.0, radius_mm=420.0)
+    found = acquire(turned, table, geometry, settings=settings)
     right = [names[k] == sorted(seen)[f] for f, k in zip(found.fiducial, found.spot, strict=True)]
     assert all(right)
     assert len(right) >= 440
@@ -77,5 +77,6 @@ def test_fiducials_are_found_in_the_real_image_turned_by_any_angle(spots, pinhol
 def test_the_wrong_handedness_is_refused(spots, pinholes):
     px, names = spots
     table = np.array([pinholes[name] for name in sorted({n for n in names if n in pinholes})])
+    geometry = CameraGeometry(6000, 6000, 0.155, flipped=False)
     with pytest.raises(AcquisitionError):
-        acquire(px, table, CameraGeometry(6000, 6000, 0.155, flipped=False), radius_mm=420.0)
+        acquire(px, table, geometry, settings=AcquisitionSettings(radius_mm=420.0))

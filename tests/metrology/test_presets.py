@@ -122,7 +122,7 @@ class Spotted:
         settings = reduction_settings(instrument.camera, geometry_of(instrument))
         found = acquire(
             self.px, self.plane.fiducials[:, :2], settings.geometry, expected_mm=self.expected,
-            radius_mm=settings.radius_mm, settings=settings.acquisition,
+            settings=settings.search,
         )  # fmt: skip
         free = np.setdiff1d(np.arange(len(self.px)), found.spot)
         match = match_spots(

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.transform import (
+    Distortion,
     FieldTransform,
+    PlaceErrors,
     Similarity,
     fit_similarity,
     fit_transform,
@@ -62,7 +64,7 @@ def test_the_jacobian_is_the_derivative():
 
 def test_a_distortion_is_recovered_exactly_without_noise():
     t, mm = truth(), fiducials()
-    fit = fit_transform(t.to_px(mm), mm, radius_mm=RADIUS, flipped=True)
+    fit = fit_transform(t.to_px(mm), mm, Distortion(RADIUS), flipped=True)
     # the fit holds another similarity, and evaluates the terms there: 0.64 mm moved by 0.64 mm
     elsewhere = fiducials(300, 9)
     assert fit.rms_um < 0.5
@@ -73,11 +75,11 @@ def test_a_distortion_is_recovered_exactly_without_noise():
 def test_left_out_residuals_are_those_of_leaving_out():
     t, mm, rng = truth(), fiducials(40), np.random.default_rng(1)
     px = t.to_px(mm) + rng.normal(0, 0.05, mm.shape)
-    whole = fit_transform(px, mm, radius_mm=RADIUS, flipped=True, robust=False)
+    whole = fit_transform(px, mm, Distortion(RADIUS), flipped=True, robust=False)
     for k in (0, 11, 39):
         keep = np.arange(len(mm)) != k
         # the same similarity: the fit is linear only with it held
-        part = fit_transform(px[keep], mm[keep], radius_mm=RADIUS, flipped=True, robust=False)
+        part = fit_transform(px[keep], mm[keep], Distortion(RADIUS), flipped=True, robust=False)
         left_out = mm[k] - part.transform.to_mm(px[k : k + 1])[0]
         np.testing.assert_allclose(whole.leave_one_out_mm[k], left_out, atol=2e-5)
 
@@ -89,7 +91,7 @@ def test_the_covariance_is_what_repeated_fits_scatter_by():
     places, stated = [], []
     for _ in range(150):
         px = t.to_px(mm) + rng.normal(0, sigma_px, mm.shape)
-        fit = fit_transform(px, mm, radius_mm=RADIUS, flipped=True, covariance_px2=cov)
+        fit = fit_transform(px, mm, Distortion(RADIUS), flipped=True, errors=PlaceErrors(cov))
         places.append(fit.transform.to_mm(at))
         stated.append(np.trace(fit.transform.covariance(at), axis1=1, axis2=2))
     scatter = np.var(places, axis=0).sum(axis=1)
@@ -104,7 +106,9 @@ def test_fiducial_errors_reach_the_fibres_by_a_third():
     at, error = t.to_px(fiducials(300, 6)), []
     for _ in range(20):
         wrong = mm + rng.normal(0, 8e-3, mm.shape)
-        fit = fit_transform(t.to_px(mm), wrong, radius_mm=RADIUS, flipped=True, sigma_mm=8e-3)
+        fit = fit_transform(
+            t.to_px(mm), wrong, Distortion(RADIUS), flipped=True, errors=PlaceErrors(sigma_mm=8e-3)
+        )
         error.append(fit.transform.to_mm(at) - t.to_mm(at))
     factor = np.sqrt(np.mean(np.square(error))) / 8e-3
     assert factor < 0.4  # sqrt(13 / 120) = 0.33
@@ -116,7 +120,7 @@ def test_the_inverse_of_the_camera_s_distortion_is_among_the_terms():
     mm = fiducials(400, 8)
     px = optics.to_px(mm)
     left = [
-        fit_transform(px, mm, radius_mm=RADIUS, flipped=True, terms=range(n), robust=False).rms_um
+        fit_transform(px, mm, Distortion(RADIUS, range(n)), flipped=True, robust=False).rms_um
         for n in (33, 34)
     ]
     assert left[0] > 0.3  # less than over the whole disc: these reach 320 of 330 mm
@@ -127,7 +131,7 @@ def test_a_term_counts_when_the_fiducials_prove_it():
     t, mm, rng = truth(), fiducials(), np.random.default_rng(4)
     cov = np.broadcast_to(np.eye(2) * 0.006**2, (len(mm), 2, 2))
     px = t.to_px(mm) + rng.normal(0, 0.006, mm.shape)
-    fit = fit_transform(px, mm, radius_mm=RADIUS, flipped=True, covariance_px2=cov)
+    fit = fit_transform(px, mm, Distortion(RADIUS), flipped=True, errors=PlaceErrors(cov))
     proven = set(fit.transform.significant(3.0))
     # 10 um and more against a scatter of 0.7 um over the root of 60
     assert {9, 20, 5, 28} <= proven
@@ -139,7 +143,7 @@ def test_a_fiducial_in_the_wrong_place_is_left_out():
     px = t.to_px(mm) + rng.normal(0, 0.01, mm.shape)
     wrong = mm.copy()
     wrong[[5, 17]] += [[0.2, 0.0], [0.0, -0.1]]
-    fit = fit_transform(px, wrong, radius_mm=RADIUS, flipped=True)
+    fit = fit_transform(px, wrong, Distortion(RADIUS), flipped=True)
     assert not fit.used[[5, 17]].any()
     assert fit.used.sum() >= 56
     np.testing.assert_allclose(fit.transform.to_mm(px), mm, atol=6e-3)
@@ -149,12 +153,12 @@ def test_few_fiducials_give_fewer_terms():
     t = truth()
     for n, terms in ((60, 33), (18, 13), (6, 4)):
         mm = fiducials(n)
-        fit = fit_transform(t.to_px(mm), mm, radius_mm=RADIUS, flipped=True, terms=range(33))
+        fit = fit_transform(t.to_px(mm), mm, Distortion(RADIUS, range(33)), flipped=True)
         assert len(fit.transform.terms) == terms
 
 
 def test_too_few_are_refused():
     with pytest.raises(InputError, match="at least 3"):
-        fit_transform([[0, 0], [1, 1]], [[0, 0], [1, 1]], radius_mm=1.0)
+        fit_transform([[0, 0], [1, 1]], [[0, 0], [1, 1]], Distortion(1.0))
     with pytest.raises(InputError, match="at least 2"):
         fit_similarity([[0, 0]], [[1, 1]])

@@ -49,6 +49,7 @@ def test_every_fibre_comes_within_the_requirement(plain):
     assert summary["n_assigned"] == summary["n_valid"] == summary["n_within_requirement"] == N
     assert summary["collisions_verified"] == 0
     blind, _, last, linear = summary["moves"]
+    assert [move["move"] for move in summary["moves"]] == [1, 2, 3, 4]
     # blind: the map's interpolation; the linear ratio: the whole non-linearity (tuned, docs/twin.md)
     assert 4.0 < blind["true_rms_um"] < 20.0
     assert linear["true_rms_um"] > 2.0 * blind["true_rms_um"]

@@ -8,7 +8,7 @@ import pytest
 from fiberloom.assignment import assign
 from fiberloom.bus.client import Client
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.calibration.transmission.sweep import calibrate_transmission
+from fiberloom.calibration.transmission.sweep import SweepSettings, calibrate_transmission
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.correction import whole_steps
 from fiberloom.operation.loop import Loop, LoopSettings
@@ -71,7 +71,7 @@ def field():
 
     async def maps() -> TransmissionMaps:
         await client.discover()
-        return (await calibrate_transmission(client, bench.camera, plane, 40, seed=SEED)).maps
+        return (await calibrate_transmission(client, bench.camera, plane, SweepSettings(40), seed=SEED)).maps
 
     return plane, units, asyncio.run(maps())
 

@@ -9,6 +9,7 @@ from fields import SDSSV, field, real_field, sampled_gaps
 
 from fiberloom.errors import InputError
 from fiberloom.planning import (
+    MotionLimits,
     Plan,
     PlanSettings,
     Trajectory,
@@ -59,7 +60,7 @@ def test_dense_sampling_in_numpy_agrees_with_the_verifier():
 
 def test_speed_acceleration_and_the_number_of_points_are_kept():
     plane, _, _, made = solved(100, 1)
-    found = verify(plane, made, speed_deg_s=11.7, acceleration_deg_s2=47.0)
+    found = verify(plane, made, limits=MotionLimits(11.7, 47.0))
     assert found.ok, found
     assert found.top_speed_deg_s > 11.69  # somebody uses what there is
     assert found.top_jump_deg_s < 6.0  # a full stop is cut into three corners
@@ -90,7 +91,7 @@ def test_rounding_to_the_integers_of_the_bus_changes_nothing():
         np.testing.assert_allclose(before.time_s, after.time_s, rtol=0, atol=1e-12)
     sent = replace(made, robots=tuple(rounded))
     # the start is where the positioner is: half a count beside it at most
-    found = verify(plane, sent, start_deg=start_deg, goal_deg=goal_deg, speed_deg_s=11.7)
+    found = verify(plane, sent, start_deg=start_deg, goal_deg=goal_deg, limits=MotionLimits(11.7))
     assert found.ok, found
     assert found.min_clearance_mm > 0.0
 
@@ -217,7 +218,7 @@ def test_a_slow_motor_takes_longer_and_keeps_its_limits():
     start_deg, goal_deg = random_pair(plane, 2)
     slow = PlanSettings(speed_deg_s=5.0, acceleration_deg_s2=8.0)
     made = plan(plane, start_deg, goal_deg, settings=slow)
-    found = verify(plane, made, speed_deg_s=5.0, acceleration_deg_s2=8.0)
+    found = verify(plane, made, limits=MotionLimits(5.0, 8.0))
     assert found.ok, found
     assert made.refused == {}
     assert made.duration_s > np.abs(goal_deg - start_deg).max() / 5.0

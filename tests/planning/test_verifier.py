@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fiberloom._core import planning as core
-from fiberloom.planning import Plan, Trajectory, verify
+from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
 
 PLANE = replace(field(2), fiducials=np.zeros((0, 3)), guide_cameras=np.zeros((0, 5)))
 """Two neighbours and nothing else."""
 BOTH = tuple(int(p) for p in PLANE.positioner_id)
 FREE = PLANE.select([0])
-SLOW = {"speed_deg_s": 1e9, "acceleration_deg_s2": 1e12}
+ANY = MotionLimits(speed_deg_s=1e9, acceleration_deg_s2=1e12)
 """Limits that nothing breaks: only the bodies are looked at."""
 
 
@@ -50,7 +50,7 @@ def table(steps) -> np.ndarray:
 def test_the_verifier_agrees_with_dense_sampling(first, second):
     """Samples can miss the deepest moment only by how far the arms go between two of them."""
     plan = plan_of(table(first), table(second))
-    found = verify(PLANE, plan, **SLOW)
+    found = verify(PLANE, plan, limits=ANY)
     gaps = sampled(plan, np.linspace(0.0, plan.duration_s, 4001))
     way = sum(
         np.abs(np.radians(np.diff(r.points_deg, axis=0)) @ [[22.5, 0], [15, 15]]).sum(axis=1).max()
@@ -93,7 +93,7 @@ def test_a_planted_collision_is_found_however_short_and_shallow(deeper_deg, dwel
     times = np.cumsum([0.0, 3.0, dwell_s / 2, dwell_s / 2, 3.0])
     first = np.column_stack([times, [away, alpha + 1e-4, at, alpha + 1e-4, away], np.zeros(5)])
     plan = plan_of(first, [(0.0, other, 180.0)])
-    found = verify(PLANE, plan, **SLOW)
+    found = verify(PLANE, plan, limits=ANY)
     assert not found.ok
     (hit,) = found.collisions
     assert {str(hit.positioner_id), hit.other} == {str(p) for p in BOTH}
@@ -105,7 +105,7 @@ def test_a_planted_collision_is_found_however_short_and_shallow(deeper_deg, dwel
 def test_coming_within_a_hair_is_no_collision():
     alpha, other = touching_alpha() + 1e-5, facing()[1]
     first = [(0.0, alpha + 20.0, 0.0), (3.0, alpha, 0.0), (6.0, alpha + 20.0, 0.0)]
-    found = verify(PLANE, plan_of(first, [(0.0, other, 180.0)]), **SLOW)
+    found = verify(PLANE, plan_of(first, [(0.0, other, 180.0)]), limits=ANY)
     assert found.ok
     assert 0.0 < found.min_robot_clearance_mm < 1e-4
 
@@ -134,8 +134,8 @@ def test_guide_cameras_are_bodies():
     x, y = PLANE.centres_mm[0]
     camera = replace(FREE, guide_cameras=np.array([[x + 25.0, y - 40, x + 25.0, y + 40, 3.0]]))
     plan = Plan("sdssv", 2.0, (Trajectory(BOTH[0], *np.array([(0, 0, 0), (35.0, 360.0, 0.0)]).T),))
-    assert verify(FREE, plan, **SLOW).ok
-    assert {v.other for v in verify(camera, plan, **SLOW).collisions} == {"guide camera 0"}
+    assert verify(FREE, plan, limits=ANY).ok
+    assert {v.other for v in verify(camera, plan, limits=ANY).collisions} == {"guide camera 0"}
 
 
 def alone(*points) -> Plan:
@@ -147,11 +147,11 @@ RAMP = [(0.0, 50.0, 150.0), (0.25, 50.5, 150.5), (0.5, 52.0, 152.0), (0.75, 52.5
 
 def test_limits_are_checked():
     """Slopes of 2, 6, 2 deg/s with 16 deg/s2 between them (and 8 at the ends)."""
-    assert verify(FREE, alone(*RAMP), speed_deg_s=6.001, acceleration_deg_s2=16.001).ok
-    found = verify(FREE, alone(*RAMP), speed_deg_s=5.9, acceleration_deg_s2=16.001)
+    assert verify(FREE, alone(*RAMP), limits=MotionLimits(6.001, 16.001)).ok
+    found = verify(FREE, alone(*RAMP), limits=MotionLimits(5.9, 16.001))
     assert kinds(found) == {"speed"}
     assert found.violations[0].depth == pytest.approx(0.1, abs=1e-9)
-    found = verify(FREE, alone(*RAMP), speed_deg_s=6.001, acceleration_deg_s2=15.9)
+    found = verify(FREE, alone(*RAMP), limits=MotionLimits(6.001, 15.9))
     assert kinds(found) == {"acceleration"}
     assert (found.top_speed_deg_s, found.top_jump_deg_s) == pytest.approx((6.0, 4.0))
     assert found.top_acceleration_deg_s2 == pytest.approx(16.0)

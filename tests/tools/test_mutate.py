@@ -3,14 +3,16 @@
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tools import mutate
+from tools.forked_tests import ended
 from tools.layout import ROOT, Target
 from tools.mutation.native import PRELUDE, native_mutants, schema
-from tools.mutation.python import Mutant, mutants_of
+from tools.mutation.python import KINDS, Mutant, mutants_of
 from tools.mutation.runs import PythonRuns, TestsFail, Verdict
 
 LAW = '''\
@@ -141,6 +143,25 @@ def test_a_sample_is_the_same_for_the_same_seed():
     assert one != mutate.choose(every, 10, seed=4, match="")
     assert [m.line for m in one] == sorted(m.line for m in one)
     assert mutate.choose(every, 0, seed=3, match=": 7 ") == [every[7]]
+
+
+def test_a_kind_of_change_is_chosen(tmp_path):
+    write(tmp_path, "law.py", LAW)
+    found = mutants_of(tmp_path, Path("law.py"))
+    kinds = {kind: {m.after for m in mutate.choose(found, 0, 0, kind=kind)} for kind in KINDS}
+    assert kinds["sign"] == {"return x + low", "x += 10", "def clip(x: float, low=LIMIT) -> float:"}
+    assert kinds["condition"] == {"if x > LIMIT or x < 100.0:"}
+    assert len(kinds["comparison"]) == 4
+    assert sum(len(k) for k in kinds.values()) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [("import sys; sys.exit(1)", "1"), ("import os; os.abort()", "-6"), ("while True: pass", "timeout")],
+)
+def test_how_a_fork_ended_is_told(program, told):
+    child = os.posix_spawn(sys.executable, [sys.executable, "-c", program], os.environ, setpgroup=0)
+    assert ended(child, limit_s=5.0 if told == "timeout" else 60.0) == told
 
 
 HEADER = """\

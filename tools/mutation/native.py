@@ -34,7 +34,7 @@ PRELUDE = """\
 #ifdef __cplusplus
 extern "C" {
 #endif
-__attribute__((weak)) int fl_mutant;
+__attribute__((weak, visibility("default"))) int fl_mutant;
 __attribute__((constructor)) static void fl_mutant_choose(void) {
     const char *chosen = getenv("FL_MUTANT");
     fl_mutant = chosen ? atoi(chosen) : 0;
@@ -58,6 +58,7 @@ class Change:
     closing: str
     at: int
     """Where a reader sees the change."""
+    kind: str
 
 
 def native_mutants(root: Path, path: Path, every_source: Iterable[Path]) -> list[tuple[Mutant, Change]]:
@@ -93,7 +94,7 @@ def _mutant(path: Path, raw: bytes, name: str, c: Change) -> Mutant:
     text = raw[: c.at] + c.shown + raw[c.at + _width(raw, c) :]
     row = raw.count(b"\n", 0, c.at) + 1
     before, after = (t.splitlines()[row - 1].decode().strip() for t in (raw, text))
-    return Mutant(path, row, f"{name}: {before} => {after}", before, after, text)
+    return Mutant(path, row, f"{name}: {before} => {after}", before, after, text, c.kind)
 
 
 def _width(raw: bytes, c: Change) -> int:
@@ -138,14 +139,19 @@ def _change(raw: bytes, node: Node) -> Change | None:
     right = node.child_by_field_name("right")
     if node.type in ("binary_expression", "assignment_expression") and sign in SIGNS and right is not None:
         shown = SIGNS[sign].encode()
-        return Change(right.start_byte, right.end_byte, shown, "FL_SIGN(@) * (", ")", operator.start_byte)
+        return Change(
+            right.start_byte, right.end_byte, shown, "FL_SIGN(@) * (", ")", operator.start_byte, "sign"
+        )
     if node.type == "binary_expression" and sign in COMPARISONS:
         shown = TURNED[sign].encode()
-        return Change(node.start_byte, node.end_byte, shown, "((", ") != FL_ON(@))", operator.start_byte)
+        return Change(
+            node.start_byte, node.end_byte, shown, "((", ") != FL_ON(@))", operator.start_byte, "comparison"
+        )
     if node.type == "unary_expression" and sign in "-!":
         closing = "))" if sign == "-" else ") != FL_ON(@))"
+        kind = "sign" if sign == "-" else "condition"
         opening = "(FL_SIGN(@) * (" if sign == "-" else "(("
-        return Change(node.start_byte, node.end_byte, b"", opening, closing, operator.start_byte)
+        return Change(node.start_byte, node.end_byte, b"", opening, closing, operator.start_byte, kind)
     return None
 
 
@@ -155,7 +161,7 @@ def _of_number(raw: bytes, start: int, end: int) -> Change | None:
         return None
     number, suffix = m.group(1).decode(), m.group(2).decode()
     new = f"{more(float(number) if any(c in number for c in '.e') else int(number))!r}{suffix}"
-    return Change(start, end, new.encode(), f"(FL_ON(@) ? {new} : ", ")", start)
+    return Change(start, end, new.encode(), f"(FL_ON(@) ? {new} : ", ")", start, "number")
 
 
 def _defines(raw: bytes) -> Iterator[tuple[str, Change]]:

@@ -4,7 +4,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 FLIPPED: dict[type[ast.cmpop], tuple[str, str]] = {
@@ -26,6 +26,7 @@ BOUNDS: dict[type[ast.cmpop], tuple[str, str]] = {
     ast.Gt: (r">", ">="),
     ast.GtE: (r">=", ">"),
 }
+KINDS = ("sign", "comparison", "condition", "number")
 SIGNS: dict[type[ast.operator], tuple[str, str]] = {ast.Add: (r"\+", "-"), ast.Sub: (r"-", "+")}
 
 
@@ -41,6 +42,8 @@ class Mutant:
     after: str
     text: bytes
     """The whole file after the change."""
+    kind: str = ""
+    """One of KINDS."""
 
     def __str__(self) -> str:
         return f"{self.path.as_posix()}:{self.line}\n    - {self.before}\n    + {self.after}"
@@ -53,6 +56,7 @@ class Edit:
     start: int
     end: int
     new: bytes
+    kind: str
 
 
 class _Text:
@@ -73,15 +77,16 @@ class _Text:
     def row(self, at: int) -> int:
         return self.raw.count(b"\n", 0, at) + 1
 
-    def between(self, left: ast.expr, right: ast.expr, pattern: str, new: str) -> Iterator[Edit]:
+    def between(self, left: ast.expr, right: ast.expr, change: tuple[str, str], kind: str) -> Iterator[Edit]:
         """Replaces the operator between two operands."""
+        pattern, new = change
         first, last = self.end(left), self.start(right)
         if (m := re.search(pattern.encode(), self.raw[first:last])) is not None:
-            yield Edit(first + m.start(), first + m.end(), new.encode())
+            yield Edit(first + m.start(), first + m.end(), new.encode(), kind)
 
     def around(self, node: ast.expr, before: str, after: str) -> Edit:
         first, last = self.start(node), self.end(node)
-        return Edit(first, last, before.encode() + self.raw[first:last] + after.encode())
+        return Edit(first, last, before.encode() + self.raw[first:last] + after.encode(), "condition")
 
 
 def mutants_of(root: Path, path: Path) -> list[Mutant]:
@@ -103,7 +108,7 @@ def numbered(mutants: Iterable[Mutant]) -> list[Mutant]:
     for m in mutants:
         seen[m.key] += 1
         key = m.key if seen[m.key] == 1 else f"{m.key} #{seen[m.key]}"
-        out.append(Mutant(m.path, m.line, key, m.before, m.after, m.text))
+        out.append(replace(m, key=key))
     return out
 
 
@@ -115,13 +120,14 @@ def _mutant(path: Path, text: _Text, function: str, edit: Edit) -> Mutant | None
     except SyntaxError:
         return None
     before, after = (t.splitlines()[row - 1].decode().strip() for t in (text.raw, raw))
-    return Mutant(path, row, f"{function}: {before} => {after}", before, after, raw)
+    return Mutant(path, row, f"{function}: {before} => {after}", before, after, raw, edit.kind)
 
 
 def _acting(node: ast.AST, function: str) -> Iterator[tuple[str, ast.AST]]:
     """Nodes that act when the program runs, with the function they are in: no annotation, no decorator."""
-    named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-    inner = f"{function}.{node.name}".lstrip(".") if named else function  # type: ignore[attr-defined]
+    inner = function
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        inner = f"{function}.{node.name}".lstrip(".")
     yield inner, node
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list"):
@@ -138,25 +144,25 @@ def _edits(text: _Text, node: ast.AST) -> Iterator[Edit]:
     if isinstance(node, ast.Compare):
         yield from _of_compare(text, node)
     elif isinstance(node, ast.BinOp) and type(node.op) in SIGNS:
-        yield from text.between(node.left, node.right, *SIGNS[type(node.op)])
+        yield from text.between(node.left, node.right, SIGNS[type(node.op)], "sign")
     elif isinstance(node, ast.AugAssign) and type(node.op) in SIGNS:
-        pattern, new = SIGNS[type(node.op)]
-        yield from text.between(node.target, node.value, pattern, new)
+        yield from text.between(node.target, node.value, SIGNS[type(node.op)], "sign")
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
-        yield Edit(text.start(node), text.start(node.operand), b"")
+        kind = "condition" if isinstance(node.op, ast.Not) else "sign"
+        yield Edit(text.start(node), text.start(node.operand), b"", kind)
     elif isinstance(node, ast.BoolOp):
-        pattern, new = (r"\band\b", "or") if isinstance(node.op, ast.And) else (r"\bor\b", "and")
+        change = (r"\band\b", "or") if isinstance(node.op, ast.And) else (r"\bor\b", "and")
         for left, right in zip(node.values, node.values[1:], strict=False):
-            yield from text.between(left, right, pattern, new)
+            yield from text.between(left, right, change, "condition")
     elif isinstance(node, ast.If | ast.While | ast.IfExp) and _is_plain(node.test):
         yield text.around(node.test, "not (", ")")
     elif isinstance(node, ast.Constant) and (number := _number(node)) is not None:
-        yield Edit(text.start(node), text.end(node), repr(more(number)).encode())
+        yield Edit(text.start(node), text.end(node), repr(more(number)).encode(), "number")
 
 
 def _number(node: ast.Constant) -> int | float | None:
-    plain = isinstance(node.value, int | float) and not isinstance(node.value, bool)
-    return node.value if plain else None  # type: ignore[return-value]
+    value = node.value
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def more(number: int | float) -> int | float:
@@ -167,10 +173,10 @@ def more(number: int | float) -> int | float:
 def _of_compare(text: _Text, node: ast.Compare) -> Iterator[Edit]:
     operands = [node.left, *node.comparators]
     for left, op, right in zip(operands, node.ops, operands[1:], strict=False):
-        yield from text.between(left, right, *FLIPPED[type(op)])
+        yield from text.between(left, right, FLIPPED[type(op)], "comparison")
         whole = any(isinstance(x, ast.Constant) and type(x.value) is int for x in (left, right))
         if whole and type(op) in BOUNDS:
-            yield from text.between(left, right, *BOUNDS[type(op)])
+            yield from text.between(left, right, BOUNDS[type(op)], "comparison")
 
 
 def _is_plain(test: ast.expr) -> bool:

@@ -2,6 +2,7 @@
 
 import enum
 import importlib
+import json
 import os
 import signal
 import subprocess
@@ -60,26 +61,37 @@ class Pytest:
 
     def run(self, options: Sequence[str] = (), **extra: str) -> Verdict:
         """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
+        process = self.start(options, (), **extra)
+        try:
+            return self.verdict(process.wait(self.limit_s))
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return Verdict.TIMEOUT
+
+    def start(self, options: Sequence[str], fds: Sequence[int], **extra: str) -> subprocess.Popen[bytes]:
+        """Starts pytest; `fds` stay open in it."""
         # the script of the sanitized build: it takes an editable installation out of the way
         command = [sys.executable, "tests/sanitized.py", str(self.site), "-p", "tools.quickest_first", "-x"]
         # no bytecode: two mutants within a second may have files of the same size
         own = {"PYTHONPATH": f"{self.site}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1", "CI": "1"}
-        environment = {**os.environ, **own, "FL_TIMES": str(self.folder / "times.json"), **extra}
+        environment = {**os.environ, **own, "FL_TIMES": str(self._times), **extra}
         with self._log.open("w") as out:
-            process = subprocess.Popen(
+            return subprocess.Popen(
                 [*command, "-m", SMALL, *options, *self.tests],
-                cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True,
+                cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True, pass_fds=fds,
             )  # fmt: skip
-            try:
-                code = process.wait(self.limit_s)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-                return Verdict.TIMEOUT
+
+    def verdict(self, code: int) -> Verdict:
+        """What an exit code of pytest means."""
         # 3, 4, 5: internal error, wrong usage, no tests; negative: a signal, as after a bad index in C
         if code in (3, 4, 5):
             raise TestsFail(f"pytest ended with {code}: {self._log}")
         return Verdict.KILLED if code else Verdict.SURVIVED
+
+    @property
+    def _times(self) -> Path:
+        return self.folder / "times.json"
 
     @property
     def _log(self) -> Path:
@@ -91,13 +103,37 @@ class Pytest:
         chosen.write_text("\n".join(tests), encoding="utf-8")
         return self.run(FL_CHOSEN=str(chosen))
 
+    def all_but(self, tests: Sequence[str]) -> list[str]:
+        """Node ids of the tests that ran without any change, less those named."""
+        return sorted(set(json.loads(self._times.read_text(encoding="utf-8"))) - set(tests))
+
     def baseline(self, options: Sequence[str] = (), **extra: str) -> None:
         """Must pass; notes how long each test takes, and sets how long a mutant may take."""
-        (self.folder / "times.json").unlink(missing_ok=True)
+        self._times.unlink(missing_ok=True)
         start_s = time.monotonic()
         if self.run(options, **extra) is not Verdict.SURVIVED:
             raise TestsFail(f"the tests fail without any change: {self._log}")
         self.limit_s = max(AT_LEAST_S, PATIENCE * (time.monotonic() - start_s))
+
+
+class Forks:
+    """The tests of a target collected once; a fork runs them for each mutant of C."""
+
+    def __init__(self, tests: Pytest) -> None:
+        self.tests = tests
+        (asked, ask), (answer, told) = os.pipe(), os.pipe()
+        self._process = tests.start(["-p", "tools.forked_tests"], (asked, told), FL_FORKS=f"{asked},{told}")
+        os.close(asked)
+        os.close(told)
+        self._ask, self._answer = os.fdopen(ask, "w", buffering=1), os.fdopen(answer)
+
+    def run(self, number: int) -> Verdict:
+        """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
+        print(number, self.tests.limit_s, file=self._ask)
+        told = self._answer.readline().strip()
+        if told == "timeout":
+            return Verdict.TIMEOUT
+        return self.tests.verdict(int(told or 3))
 
 
 class PythonRuns:
@@ -118,7 +154,7 @@ class PythonRuns:
         self._reached = reached(data, site, self.root / "src")
 
     def try_one(self, mutant: Mutant) -> Verdict:
-        """The tests that reach the line; then, if need be, all."""
+        """The tests that reach the line; then, if need be, the others."""
         path = self.pytest.site / mutant.path.relative_to("src")
         original = path.read_bytes()
         path.write_bytes(mutant.text)
@@ -126,7 +162,8 @@ class PythonRuns:
             nearest = self._reached.get(self.root / mutant.path, {}).get(mutant.line, [])
             if nearest and (verdict := self.pytest.only(nearest)) is not Verdict.SURVIVED:
                 return verdict
-            return self.pytest.run()
+            others = self.pytest.all_but(nearest)
+            return self.pytest.only(others) if others else Verdict.SURVIVED
         finally:
             path.write_bytes(original)
 
@@ -155,6 +192,7 @@ class NativeRuns:
         self.root, self.target = root, target
         self.folder = root / FOLDER / target.name
         self.pytest = Pytest(root, self.folder, present(root, target.tests))
+        self._prelude = self.folder / "fl_mutant.h"
         groups = {p: group_of(p) for p in files_below(root)}
         sources = [p for p, g in groups.items() if g is not None and LANGUAGES[p.suffix] != "Python"]
         self._changes: list[tuple[Mutant, Change]] = [
@@ -167,18 +205,17 @@ class NativeRuns:
     def prepare(self) -> None:
         """Copies the sources, builds them with every mutant inside, runs the tests with none chosen."""
         tree, build = self.folder / "tree", self.folder / "build"
+        write_if_new(self._prelude, PRELUDE.encode())
         self._copy(tree)
-        prelude = self.folder / "fl_mutant.h"
-        prelude.write_text(PRELUDE)
-        flags = f"-include {prelude}"
-        options = [f"-DCMAKE_C_FLAGS={flags}", f"-DCMAKE_CXX_FLAGS={flags}", "-DFIBERLOOM_WERROR=OFF"]
-        options += [f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Release"]
+        options = [f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Release"]
+        options.append("-DFIBERLOOM_WERROR=OFF")
         for command in (["cmake", "-S", str(tree), "-B", str(build), "-G", "Ninja", *options],
                         ["cmake", "--build", str(build)]):  # fmt: skip
             if not run(command, self.root):
                 raise TestsFail("the sources with the mutants inside do not build; above: why")
         package_with(self.root, build, self.pytest.site)
         self.pytest.baseline()
+        self._forks = Forks(self.pytest)
 
     def _copy(self, tree: Path) -> None:
         """The sources, those that are mutated with every mutant inside. What is the same keeps its time."""
@@ -190,14 +227,14 @@ class NativeRuns:
         for path in own:
             content = (self.root / path).read_bytes()
             if path in changed:
-                content = schema(
-                    content, [(self._number[m.key], c) for m, c in self._changes if m.path == path]
-                )
+                own_changes = [(self._number[m.key], c) for m, c in self._changes if m.path == path]
+                # here and not by a flag: what does not use the file is not built again
+                content = f'#include "{self._prelude}"\n'.encode() + schema(content, own_changes)
             write_if_new(tree / path, content)
 
     def try_one(self, mutant: Mutant) -> Verdict:
         """All tests of the target."""
-        return self.pytest.run(FL_MUTANT=str(self._number[mutant.key]))
+        return self._forks.run(self._number[mutant.key])
 
 
 def write_if_new(path: Path, content: bytes) -> None:

@@ -46,6 +46,11 @@ def servo(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C
     Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.
     """
 
+def touch(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]:
+    """
+    (rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt, from a leg's start.
+    """
+
 def smooth(raw_cnt: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], start_cnt: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]: ...
 
 def profile(from_cnt: int, to_cnt: int, speed_rpm: float, acceleration_rad_s2: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None,))]: ...

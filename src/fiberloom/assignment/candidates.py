@@ -108,4 +108,5 @@ def inside_stops(plane: FocalPlane, goal_deg: Floats, approach_deg: float | Floa
     """Do goal and start of the approach lie between the hard stops?"""
     low, high = plane.hard_stops_deg.T
     start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
-    return ((goal_deg >= low) & (start <= high)).all(axis=1)
+    inside: Flags = ((goal_deg >= low) & (start <= high)).all(axis=1)
+    return inside

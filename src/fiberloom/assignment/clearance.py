@@ -58,7 +58,8 @@ def point_segment_mm(point: Floats, segment: Floats) -> Floats:
     length2 = np.sum(along * along, axis=-1)
     t = np.sum(offset * along, axis=-1) / np.where(length2 > 0, length2, 1.0)
     nearest = offset - np.clip(t, 0.0, 1.0)[..., None] * along
-    return np.hypot(nearest[..., 0], nearest[..., 1])
+    depth: Floats = np.hypot(nearest[..., 0], nearest[..., 1])
+    return depth
 
 
 def segment_mm(a: Floats, b: Floats) -> Floats:
@@ -124,7 +125,8 @@ def pair_distance_mm(first: Floats, second: Floats) -> Floats:
     """(P,) smallest distance in mm of centre lines (P, POSES, 4) over all combinations of poses: one
     positioner may have arrived while the other is still on its way.
     """
-    return segment_mm(first[:, :, None], second[:, None, :]).min(axis=(1, 2))
+    gap: Floats = segment_mm(first[:, :, None], second[:, None, :]).min(axis=(1, 2))
+    return gap
 
 
 class Discs(NamedTuple):

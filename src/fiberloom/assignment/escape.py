@@ -8,6 +8,7 @@ serve them.
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from fiberloom.assignment.clearance import obstacle_gap_mm
@@ -27,7 +28,7 @@ class Escape:
     plane: FocalPlane
     bodies: Floats
     _turns: dict[int, bool] = field(default_factory=dict)
-    _regions: dict[int, Ints] = field(default_factory=dict)
+    _regions: dict[int, NDArray[np.int32]] = field(default_factory=dict)
 
     def can_fold(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """(C,) which of these free places (rows, goals) are connected to the folded place."""
@@ -58,7 +59,8 @@ class Escape:
         if home == 0:
             sizes = np.bincount(region.ravel(), minlength=2)
             home = 1 + int(sizes[1:].argmax())
-        return region[self._cells(goal_deg)] == home
+        free: Flags = region[self._cells(goal_deg)] == home
+        return free
 
     def _turns_folded(self, positioner: Ints) -> Flags:
         """Which positioners can turn alpha over its whole range with the arm folded?"""
@@ -69,10 +71,11 @@ class Escape:
         self._turns.update(zip(new.tolist(), free.tolist(), strict=True))
         return np.array([self._turns[r] for r in positioner.tolist()], dtype=bool)
 
-    def _flood(self, row: int) -> Ints:
+    def _flood(self, row: int) -> NDArray[np.int32]:
         alpha, beta = np.meshgrid(*self._axes(), indexing="ij")
         rows = np.full(alpha.size, row)
         gap = self._gap_mm(rows, alpha.reshape(-1, 1), beta.reshape(-1, 1))
+        region: NDArray[np.int32]
         region, _ = label((gap > 0).reshape(alpha.shape))
         return region
 

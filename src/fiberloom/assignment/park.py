@@ -55,7 +55,8 @@ def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
 
 def _cheapest(row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None:
     """The first of the cheapest places that can be left again."""
-    for k in np.argsort(cost, kind="stable").tolist():
+    order: list[int] = np.argsort(cost, kind="stable").tolist()
+    for k in order:
         if rules.escape.can_fold(np.array([row]), goals[k : k + 1])[0]:
             return k
     return None

@@ -3,11 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiberloom.assignment.clearance import (
-    Flags,
-    Floats,
-    Ints,
     dip_mm,
     obstacles,
     pair_distance_mm,
@@ -17,6 +15,7 @@ from fiberloom.assignment.clearance import (
 )
 from fiberloom.assignment.escape import Escape
 from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Flags, Floats, Ints
 
 NO_TARGET = -1
 
@@ -63,7 +62,7 @@ class Placement:
     """(N, POSES, 4) centre lines at the goal and on the way to it."""
     placed: Flags = field(init=False)
     target: Ints = field(init=False)
-    fibre: np.ndarray = field(init=False)
+    fibre: NDArray[np.str_] = field(init=False)
     notes: list[str] = field(default_factory=list)
     neighbours: list[Ints] = field(init=False)
     """Rows of the positioners that each one can touch."""
@@ -87,7 +86,7 @@ class Placement:
         segments: Floats,
         approach: float | Floats,
         target: int | Ints = NO_TARGET,
-        fibre: str | np.ndarray = "",
+        fibre: str | NDArray[np.str_] = "",
     ) -> None:
         """Place positioners.
 

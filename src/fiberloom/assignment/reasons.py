@@ -1,6 +1,7 @@
 """Why a target has no positioner, in words."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiberloom.assignment.candidates import Block, Candidates
 from fiberloom.assignment.clearance import sweep
@@ -8,6 +9,7 @@ from fiberloom.assignment.placement import Placement
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
+from fiberloom.typing import Floats, Ints
 
 WORDS = {
     Block.OFFLINE: "is offline",
@@ -23,7 +25,7 @@ def explain(
     placement: Placement,
     targets: TargetList,
     found: Candidates,
-    block: np.ndarray,
+    block: Ints,
     given_up: dict[int, int],
     limit_mm: float,
 ) -> dict[int, str]:
@@ -73,11 +75,11 @@ def _out_of_reach(plane: FocalPlane, targets: TargetList, row: int) -> str:
     return f"out of reach {whom}, gap {wanted[nearest]:.3f} mm"
 
 
-def _gaps(plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: np.ndarray) -> np.ndarray:
+def _gaps(plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: Ints) -> Floats:
     return plane.inverse(targets.xy_mm[row], fibre, rows).gap_mm
 
 
-def _blocked(plane: FocalPlane, found: Candidates, block: np.ndarray, mine: np.ndarray) -> str:
+def _blocked(plane: FocalPlane, found: Candidates, block: Ints, mine: NDArray[np.intp]) -> str:
     nearest = mine[np.argmax(block[mine])]
     positioner = plane.positioner_id[found.positioner[nearest]]
     others = len(np.unique(found.positioner[mine])) - 1

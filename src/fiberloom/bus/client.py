@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom import units
 from fiberloom.bus.exchange import Exchange
@@ -29,6 +29,7 @@ from fiberloom.bus.protocol import (
 from fiberloom.bus.trajectory import WireTrajectory, upload
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.errors import InputError
+from fiberloom.typing import Flags, Floats, Ints
 
 # The answer to a broadcast is not counted on for fewer positioners than this: unicast is as cheap.
 _BROADCAST_FROM = 4
@@ -180,9 +181,7 @@ class Client:
         """Where the positioners say they are: `values` are alpha and beta in counts."""
         return await self.command(Command.GET_ACTUAL_POSITION, ids)
 
-    async def positions_deg(
-        self, ids: Iterable[int] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    async def positions_deg(self, ids: Iterable[int] | None = None) -> tuple[Floats, Flags]:
         """Reported wire positions (n, 2) in deg, and which answered (n,); zeros for the others."""
         results = await self.positions(ids)
         return results.values_array(2) / units.COUNTS_PER_DEG, results.ok
@@ -257,9 +256,7 @@ class Client:
             return results
         return await self._goto_again(results, silent, counts)
 
-    async def _goto_again(
-        self, results: Results, silent: list[int], counts: tuple[NDArray[np.int64], ...]
-    ) -> Results:
+    async def _goto_again(self, results: Results, silent: list[int], counts: tuple[Ints, ...]) -> Results:
         """An absolute goal can be sent twice: a positioner in motion lost its reply and not the goal."""
         rows = [k for k, i in enumerate(results) if i in set(silent)]
         picked = (c[rows] if c.ndim else c for c in counts)
@@ -416,7 +413,7 @@ class Client:
                 results[i] = Result(i, Outcome.MISPLACED, values=where.values)
 
 
-def _counts(angle_deg: ArrayLike) -> NDArray[np.int64]:
+def _counts(angle_deg: ArrayLike) -> Ints:
     """Wire counts of one angle or of one for each positioner."""
     angles = np.asarray(angle_deg, dtype=float)
     counts = [counts_of_deg(a) for a in angles.ravel().tolist()]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.bus.protocol import COMMANDS, Command, Response
 from fiberloom.bus.transport import Frame
+from fiberloom.typing import Flags, Ints
 
 
 class Outcome(Enum):
@@ -58,11 +58,11 @@ class Results(dict[int, Result]):
         return [i for i, r in self.items() if r.ok]
 
     @property
-    def ok(self) -> NDArray[np.bool_]:
+    def ok(self) -> Flags:
         """Row by row: True where DONE."""
         return np.array([r.ok for r in self.values()], dtype=bool)
 
-    def values_array(self, width: int) -> NDArray[np.int64]:
+    def values_array(self, width: int) -> Ints:
         """The integers of the replies, one row per positioner; zeros where there is no reply."""
         rows = [r.values if r.ok and len(r.values) == width else (0,) * width for r in self.values()]
         return np.array(rows, dtype=np.int64).reshape(len(self), width)

@@ -9,14 +9,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom import units
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Results, result_of
 from fiberloom.bus.protocol import Command
 from fiberloom.errors import InputError
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 
 TRACE_SAMPLES = 1024
 FULL_VOLTAGE = 32767
@@ -32,7 +31,7 @@ _STEP = (Command.BENCH_TORQUE_STEP_ALPHA, Command.BENCH_TORQUE_STEP_BETA)
 class Trace:
     """One axis of n positioners; rows in the order of `positioner_id`, NaN beyond what each recorded."""
 
-    positioner_id: NDArray[np.int64]
+    positioner_id: Ints
     motor_deg: Floats
     """(n, M) motor angle at the start of each sample, zero at wire position zero."""
     voltage: Floats
@@ -78,7 +77,7 @@ async def _read_bite(
     client: Client,
     command: Command,
     ids: Sequence[int],
-    count: NDArray[np.int64],
+    count: Ints,
     span: tuple[int, int],
     out: Floats,
 ) -> None:

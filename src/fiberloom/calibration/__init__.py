@@ -63,12 +63,12 @@ if TYPE_CHECKING:
     )
     from fiberloom.calibration.transmission.sweep import (
         Calibration,
-        SweepData,
         SweepSettings,
         calibrate_transmission,
         measure_sweeps,
         wire_grid,
     )
+    from fiberloom.calibration.transmission.sweep_data import SweepData
 
 __all__ = [
     "NEGATIVE",

@@ -42,7 +42,7 @@ def _typer_function(run: Callable[[Options], int | None]) -> Callable[..., None]
 
     command.__name__, command.__doc__ = run.__name__, run.__doc__
     command.__annotations__ = hints
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # functions may have one
         [_parameter(field, hints[field.name]) for field in fields(options)]
     )
     return command

@@ -87,7 +87,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
     from fiberloom.twin.server.device import PORTS
-    from fiberloom.twin.server.server import TwinServer
+    from fiberloom.twin.server.server import ServerSettings, TwinServer
 
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
@@ -95,15 +95,8 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     units = draw_units(plane, options.seed)
     # one thread: ticks are short, and the other core is the host's
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
-    return TwinServer(
-        made,
-        addresses,
-        speed=options.speed,
-        schedule=schedule,
-        seed=options.seed,
-        bootloader=options.bootloader,
-        first=options.first,
-    )
+    settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
+    return TwinServer(made, addresses, schedule=schedule, settings=settings)
 
 
 async def _serve(server: TwinServer, options: TwinOptions, greeting: str) -> dict[str, Any]:

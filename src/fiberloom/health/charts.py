@@ -39,7 +39,8 @@ class Chart:
 
     def share(self) -> Floats:
         """(N,) the highest score of each positioner relative to the alarm: 1 is beyond chance."""
-        return self.score.reshape(len(self.score), -1).max(axis=1) / self.alarm
+        highest: Floats = self.score.reshape(len(self.score), -1).max(axis=1) / self.alarm
+        return highest
 
     def forget(self, rows: Rows) -> None:
         """Begin anew, after a repair."""
@@ -61,4 +62,5 @@ def of_shift(value: Floats, shift: Floats | float) -> Floats:
 
 def of_spread(square: Floats, numbers: int, ratio: float) -> Floats:
     """Ratio of a variance `ratio` times as large; `square` is the sum of `numbers` standard squares."""
-    return 0.5 * (square * (1.0 - 1.0 / ratio) - numbers * np.log(ratio))
+    gain: Floats = 0.5 * (square * (1.0 - 1.0 / ratio) - numbers * np.log(ratio))
+    return gain

@@ -67,7 +67,8 @@ class ArmFit:
         """(N,) log likelihood that an angle is off by more than the limit (N,)."""
         value, sd = self._solve()
         beyond = np.maximum(np.abs(value[:, :2]) - limit_deg[:, None], 0.0)
-        return 0.5 * ((beyond / sd[:, :2]) ** 2).max(axis=1)
+        doubt: Floats = 0.5 * ((beyond / sd[:, :2]) ** 2).max(axis=1)
+        return doubt
 
     def forget(self, rows: Rows) -> None:
         """Begin anew."""

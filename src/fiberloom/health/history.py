@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.health.monitor import ObservedMove
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.store import Store
 from fiberloom.store.run import START
+from fiberloom.typing import Array, Floats
 
-Columns = dict[str, NDArray]
+Columns = dict[str, Array]
 
 _NOT_ARRIVED = (FibreStatus.DEAD, FibreStatus.BLOCKED, FibreStatus.OFFLINE)
 _NEAR_DEG = 1.0
@@ -48,7 +48,7 @@ class _Move:
         self.believed_deg = self._pair("alpha_deg", "beta_deg")
         self.wire_deg = self._pair("wire_alpha_deg", "wire_beta_deg")
 
-    def passage(self, before_deg: NDArray[np.float64]) -> ObservedMove:
+    def passage(self, before_deg: Floats) -> ObservedMove:
         """What operation saw of it."""
         seen_mm = self._pair("x_mm", "y_mm")
         seen_mm[self.rows[~self._columns["seen"].astype(bool)]] = np.nan
@@ -61,7 +61,7 @@ class _Move:
         asked = self.known & ~stays
         return ObservedMove(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
 
-    def _pair(self, first: str, second: str) -> NDArray[np.float64]:
+    def _pair(self, first: str, second: str) -> Floats:
         out = np.full((self.n, 2), np.nan)
         out[self.rows] = np.column_stack([self._columns[first], self._columns[second]])
         return out

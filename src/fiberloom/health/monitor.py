@@ -315,7 +315,8 @@ class HealthMonitor:
     def _along(self, at_deg: Floats, fibre_mm: Floats, rows: Rows) -> Floats:
         """(n, 2) unit vectors from the beta axis to the fibre: where it goes if the beta arm grows."""
         elbow = self.plane.elbows_mm(at_deg[:, 0], rows)
-        return (fibre_mm - elbow) / np.hypot(*(fibre_mm - elbow).T)[:, None]
+        unit: Floats = (fibre_mm - elbow) / np.hypot(*(fibre_mm - elbow).T)[:, None]
+        return unit
 
     def _image_variance(self, angles: Floats, rows: Rows) -> Floats:
         """(n, 2, 2) mm^2: maps of both axes, and camera."""

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from fiberloom.lazy import on_use
 
 if TYPE_CHECKING:
-    from fiberloom.instruments.focal_plane import FocalPlane, Inverse
+    from fiberloom.instruments.arms import Inverse
+    from fiberloom.instruments.focal_plane import FocalPlane
     from fiberloom.instruments.generated import generate
     from fiberloom.instruments.layout import read_layout, write_layout
     from fiberloom.instruments.load import load_instrument, parse_instrument

@@ -21,7 +21,8 @@ def elbows_mm(arms: Floats, alpha_deg: ArrayLike) -> Floats:
     more = (None,) * (alpha.ndim - 1)
     turn = alpha + arms[(slice(None), ALPHA_OFF, *more)]
     along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
+    elbows: Floats = arms[(slice(None), CENTRE, *more)] + arms[(slice(None), L_ALPHA, None, *more)] * along
+    return elbows
 
 
 class Inverse(NamedTuple):
@@ -68,7 +69,8 @@ def pairs_within(centres_mm: Floats, reach_mm: Floats, extra_mm: float) -> Ints:
     i, j = pairs[:, 0], pairs[:, 1]
     gap = np.linalg.norm(centres_mm[i] - centres_mm[j], axis=1)
     near = pairs[gap < reach_mm[i] + reach_mm[j] + extra_mm].astype(np.int64)
-    return near[np.lexsort((near[:, 1], near[:, 0]))]
+    in_order: Ints = near[np.lexsort((near[:, 1], near[:, 0]))]
+    return in_order
 
 
 def rows_of(known: Ints, positioner_id: ArrayLike) -> Ints:
@@ -77,7 +79,7 @@ def rows_of(known: Ints, positioner_id: ArrayLike) -> Ints:
     if n == 0:
         raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
     order = np.argsort(known)
-    rows = order[np.searchsorted(known, wanted, sorter=order).clip(max=n - 1)]
+    rows: Ints = order[np.searchsorted(known, wanted, sorter=order).clip(max=n - 1)]
     wrong = known[rows] != wanted
     if np.any(wrong):
         raise InputError(

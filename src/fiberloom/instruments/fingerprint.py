@@ -5,7 +5,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fiberloom.typing import Array
 
 
 def mark_of(text: str, arrays: Iterable[tuple[str, Any]]) -> str:
@@ -17,7 +18,7 @@ def mark_of(text: str, arrays: Iterable[tuple[str, Any]]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _feed(digest: "hashlib._Hash", name: str, values: NDArray) -> None:
+def _feed(digest: "hashlib._Hash", name: str, values: Array) -> None:
     # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
     plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
     digest.update(name.encode())

@@ -178,7 +178,7 @@ class FocalPlane:
     @property
     def l_beta_mm(self) -> Floats:
         """(N,) from the beta axis to the metrology fibre."""
-        return np.hypot(*self.points[METROLOGY].T)
+        return np.asarray(np.hypot(*self.points[METROLOGY].T), dtype=np.float64)
 
     @property
     def metrology_phi_rad(self) -> Floats:
@@ -286,9 +286,7 @@ class FocalPlane:
         >>> bool((abs((reach**2).sum(axis=1) ** 0.5 - 21.7) < 0.1).all())
         True
         """
-        rows = self._rows(index)
-        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
-        return geometry.forward(self.arms[rows], self._point(fibre)[rows], angles)
+        return geometry.forward(*self._posed(alpha_deg, beta_deg, fibre, index))
 
     def jacobian(
         self,
@@ -324,10 +322,7 @@ class FocalPlane:
         >>> fl.FocalPlane.of("sdssv", n=7).jacobian(10.0, 90.0).shape
         (7, 2, 2)
         """
-        rows = self._rows(index)
-        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
-        per_rad = geometry.jacobian(self.arms[rows], self._point(fibre)[rows], angles)
-        return per_rad * RAD_PER_DEG
+        return geometry.jacobian(*self._posed(alpha_deg, beta_deg, fibre, index)) * RAD_PER_DEG
 
     def inverse(self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None) -> Inverse:
         """Angles inside the limits that put a fibre on its target. Kronig 2020, Eq. 2.
@@ -582,13 +577,17 @@ class FocalPlane:
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
         return mark_of(self.instrument.model_dump_json(), arrays)
 
+    def _posed(
+        self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None
+    ) -> tuple[Floats, Floats, Floats]:
+        rows = self._rows(index)
+        angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
+        return self.arms[rows], self._point(fibre)[rows], angles
+
     def _point(self, fibre: str) -> Floats:
-        try:
-            return self.points[fibre]
-        except KeyError:
-            raise InputError(
-                f"fibre '{fibre}': {self.instrument.name} has {', '.join(self.points)}"
-            ) from None
+        if fibre not in self.points:
+            raise InputError(f"fibre '{fibre}': {self.instrument.name} has {', '.join(self.points)}")
+        return self.points[fibre]
 
     def _rows(self, index: ArrayLike | None) -> Ints:
         if index is None:

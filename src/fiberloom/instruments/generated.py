@@ -4,12 +4,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fiberloom.errors import InputError
-from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA, FocalPlane
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
+from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.model import METROLOGY, Instrument, Layout, Scatter
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
 SQRT_3_2 = math.sqrt(3.0) / 2.0
@@ -122,8 +124,8 @@ class _Sites:
     """Holes of the whole field."""
 
     xy_mm: Floats
-    name: np.ndarray
-    fiducial: np.ndarray
+    name: NDArray[np.str_]
+    fiducial: Flags
     """(n,) taken by a fiducial, not a positioner."""
     turn_rad: Floats
     """(n,) of the petal that the hole is in."""
@@ -150,7 +152,7 @@ def _sites(layout: Layout) -> _Sites:
     )
 
 
-def _is_fiducial(holes: Holes, layout: Layout) -> np.ndarray:
+def _is_fiducial(holes: Holes, layout: Layout) -> Flags:
     """Holes on the sublattice spanned by (a, b) and its turn by 60 deg, (-b, a + b)."""
     if layout.fiducial_lattice is None:
         return np.zeros(len(holes.q), dtype=bool)
@@ -158,7 +160,8 @@ def _is_fiducial(holes: Holes, layout: Layout) -> np.ndarray:
     index = a * a + a * b + b * b
     first = (a + b) * holes.q + b * holes.r
     second = a * holes.r - b * holes.q
-    return (first % index == 0) & (second % index == 0)
+    fiducial: Flags = (first % index == 0) & (second % index == 0)
+    return fiducial
 
 
 def _nearest(xy: Floats, candidates: Ints, n: int) -> Ints:
@@ -192,7 +195,7 @@ def _draw_point(instrument: Instrument, name: str, stretch: Floats, rng: np.rand
     return xy
 
 
-def spread(n: int, fraction: float) -> np.ndarray:
+def spread(n: int, fraction: float) -> Flags:
     """(n,) round(n fraction) times True, as evenly as whole numbers allow."""
     count = round(n * fraction)
     steps = np.arange(n + 1) * count // n
@@ -210,7 +213,8 @@ def _sample(scatter: Scatter, n: int, rng: np.random.Generator) -> Floats:
     if scatter.sd == 0.0:
         return np.full(n, scatter.mean)
     low, high = (ndtr((b - scatter.mean) / scatter.sd) for b in scatter.bounds)
-    return scatter.mean + scatter.sd * ndtri(low + uniform * (high - low))
+    drawn: Floats = scatter.mean + scatter.sd * ndtri(low + uniform * (high - low))
+    return drawn
 
 
 def _fiducials(instrument: Instrument, layout: Layout, sites: _Sites) -> Floats:

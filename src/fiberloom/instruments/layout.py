@@ -10,7 +10,7 @@ from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.layout_sdssv import read_sdssv
 from fiberloom.instruments.model import AXES, Instrument
 from fiberloom.tables import TableFile, read_table
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 from fiberloom.version import __version__
 
@@ -52,8 +52,8 @@ _FIDUCIAL = ("x_mm", "y_mm", "radius_mm")
 _CAMERA = ("x0_mm", "y0_mm", "x1_mm", "y1_mm", "radius_mm")
 
 
-def _positioner_columns(plane: FocalPlane) -> dict[str, np.ndarray]:
-    columns: dict[str, np.ndarray] = {
+def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
+    columns: dict[str, Array] = {
         "positioner_id": plane.positioner_id,
         "hole": plane.hole,
         "centre_x_mm": plane.centres_mm[:, 0],
@@ -71,7 +71,7 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, np.ndarray]:
     return columns
 
 
-def _write(path: Path, columns: dict[str, np.ndarray]) -> None:
+def _write(path: Path, columns: dict[str, Array]) -> None:
     from astropy.table import Table
 
     Table(columns).write(path, format="ascii.ecsv", overwrite=True)

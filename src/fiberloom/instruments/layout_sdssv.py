@@ -4,6 +4,7 @@ hole, fiducial and guide camera, in the wok frame, which is our focal-plane fram
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.focal_plane import FocalPlane
@@ -115,7 +116,7 @@ def _frames(holes: TableFile) -> Floats:
     return frame
 
 
-def _points(table: TableFile, hole_type: np.ndarray) -> dict[str, Floats]:
+def _points(table: TableFile, hole_type: NDArray[np.str_]) -> dict[str, Floats]:
     points = {
         name: np.column_stack([table.numbers(f"{prefix}{c}") for c in "XY"])
         for name, prefix in POINTS.items()

@@ -21,13 +21,21 @@ if TYPE_CHECKING:
         read_spots,
         write_spots,
     )
-    from fiberloom.metrology.transform import FieldTransform, Similarity, TransformFit, fit_transform
+    from fiberloom.metrology.transform import (
+        Distortion,
+        FieldTransform,
+        PlaceErrors,
+        Similarity,
+        TransformFit,
+        fit_transform,
+    )
     from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
 
 __all__ = [
     "Camera",
     "CameraGeometry",
     "CameraImage",
+    "Distortion",
     "FieldTransform",
     "Flag",
     "Found",
@@ -35,6 +43,7 @@ __all__ = [
     "MatchSettings",
     "MatchStatus",
     "Measurement",
+    "PlaceErrors",
     "Profile",
     "Similarity",
     "SpotSettings",

@@ -22,13 +22,15 @@ from scipy.spatial import cKDTree
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.transform import (
+    Distortion,
     FieldTransform,
+    PlaceErrors,
     Similarity,
     TransformFit,
     fit_similarity,
     fit_transform,
 )
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 _PAIRS = 16
 """Pairs of fiducials that are tried: with a quarter dead, one in two is whole."""
@@ -108,6 +110,11 @@ class AcquisitionSettings:
     rms_below_um: float = 60.0
     """Residuals of a transform that is believed: spots of others happen to lie near, but not nearer."""
     seed: int = 0
+    terms: Sequence[int] | None = None
+    """Of the distortion; without them the default set and the full one are fitted, and the one with smaller
+    leave-one-out residuals is kept."""
+    radius_mm: float | None = None
+    """Of the field: it scales the terms; the outermost fiducial when left out."""
 
 
 def acquire(
@@ -116,26 +123,21 @@ def acquire(
     geometry: CameraGeometry,
     *,
     expected_mm: ArrayLike | None = None,
-    covariance_px2: ArrayLike | None = None,
-    sigma_mm: ArrayLike = 0.0,
-    terms: Sequence[int] | None = None,
-    radius_mm: float | None = None,
+    errors: PlaceErrors | None = None,
     settings: AcquisitionSettings | None = None,
 ) -> Acquisition:
     """Finds fiducials (m, 2) among spots (n, 2).
 
-    `xy_px`: the spots, with `covariance_px2` (n, 2, 2) where known; `fiducials_mm` (m, 2): the table,
-    known to `sigma_mm` per coordinate; `geometry`: what is known of the camera; `expected_mm`: where
-    fibres should be; they help to distinguish symmetric answers, and some may be wrong. `radius_mm`: of
-    the field, for the distortion's `terms`; without `terms` the default set and the full one are
-    fitted, and the one with smaller leave-one-out residuals is kept. `settings`: limits of the search.
-    Raises AcquisitionError where too few are found or two answers are as good.
+    `xy_px`: the spots; `fiducials_mm` (m, 2): the table; `geometry`: what is known of the camera;
+    `expected_mm`: where fibres should be; they help to distinguish symmetric answers, and some may be wrong.
+    `errors` of spots and table; `settings`: limits of the search, and the distortion to be fitted. Raises
+    AcquisitionError where too few are found or two answers are as good.
     """
     s = settings or AcquisitionSettings()
     hunt = _Search(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
     hunt.help = _finite(expected_mm)
-    hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = _sets(terms), radius_mm or hunt.field_radius_mm
+    hunt.errors = errors or PlaceErrors()
+    hunt.radius_mm = s.radius_mm or hunt.field_radius_mm
     return hunt.best(hunt.proposals())
 
 
@@ -144,23 +146,19 @@ def refine(
     fiducials_mm: ArrayLike,
     start: FieldTransform,
     *,
-    covariance_px2: ArrayLike | None = None,
-    sigma_mm: ArrayLike = 0.0,
-    terms: Sequence[int] | None = None,
+    errors: PlaceErrors | None = None,
     settings: AcquisitionSettings | None = None,
 ) -> Acquisition:
     """The fiducials again, from the transform of an earlier image.
 
-    `xy_px` (n, 2): the spots, with `covariance_px2` (n, 2, 2) where known; `fiducials_mm` (m, 2): the
-    table, known to `sigma_mm` per coordinate; `start`: the earlier transform; `terms` of the
-    distortion, as in `acquire`; `settings`: limits of the search. Raises AcquisitionError where the
+    `xy_px` (n, 2): the spots; `fiducials_mm` (m, 2): the table; `start`: the earlier transform, which gives
+    the radius of the field; `errors` and `settings` as in `acquire`. Raises AcquisitionError where the
     fiducials are not where `start` has them.
     """
     s = settings or AcquisitionSettings()
     geometry = CameraGeometry(1, 1, start.similarity.scale_mm_px, flipped=start.similarity.flipped)
     hunt = _Search(np.asarray(xy_px, float), np.asarray(fiducials_mm, float), geometry, s)
-    hunt.sigma_mm, hunt.covariance_px2 = sigma_mm, covariance_px2
-    hunt.terms, hunt.radius_mm = _sets(terms), start.radius_mm
+    hunt.errors, hunt.radius_mm = errors or PlaceErrors(), start.radius_mm
     grown = hunt.polish(start)
     if grown is None:
         raise AcquisitionError("the fiducials are not where the last transform has them; acquire them anew")
@@ -185,9 +183,8 @@ class _Search:
                 f"{len(px)} spots in the image, but no groups of them that could be the fiducials' pinholes"
             )
         self.help = np.zeros((0, 2))
-        self.sigma_mm: ArrayLike = 0.0
-        self.covariance_px2: ArrayLike | None = None
-        self.terms = _sets(None)
+        self.errors = PlaceErrors()
+        self.terms = _sets(s.terms)
         self.field_radius_mm = float(np.hypot(*(fiducials - fiducials.mean(0)).T).max()) or 1.0
         self.radius_mm = self.field_radius_mm
         self.needed = max(4, int(np.ceil(s.seen_at_least * len(fiducials))))
@@ -285,7 +282,7 @@ class _Search:
         p, q = pairs[gap > near].T.astype(np.int64)
         return np.concatenate([p, q]), np.concatenate([q, p])
 
-    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    def _allowed(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Flags:
         g, nominal = self.geometry, self.geometry.similarity()
         off_deg = np.rad2deg(np.abs(np.angle(a / nominal.a)))
         ok = (off_deg <= g.rotation_tolerance_deg) & (
@@ -399,9 +396,8 @@ class _Search:
         terms = tuple(t for t in (0, 1, 2, 9, 27) if t in self.terms[0]) or self.terms[0]
         if len(px) < 8:
             terms = zhao_burge.SIMILARITY_TERMS
-        return fit_transform(
-            px, mm, radius_mm=self.radius_mm, flipped=self.geometry.flipped, terms=terms
-        ).transform
+        distortion = Distortion(self.radius_mm, terms)
+        return fit_transform(px, mm, distortion, flipped=self.geometry.flipped).transform
 
     def polish(self, transform: FieldTransform) -> Acquisition | None:
         """Narrower and narrower gates, with all the terms."""
@@ -432,16 +428,12 @@ class _Search:
 
     def _fit(self, index: Ints, spot: Ints, flipped: bool, terms: tuple[int, ...]) -> TransformFit:
         return fit_transform(
-            self.px[spot], self.fiducials[index], radius_mm=self.radius_mm, flipped=flipped,
-            terms=terms, covariance_px2=self._covariance(spot), sigma_mm=self._sigma(index),
-        )  # fmt: skip
-
-    def _covariance(self, spot: Ints) -> Floats | None:
-        return None if self.covariance_px2 is None else np.asarray(self.covariance_px2)[spot]
-
-    def _sigma(self, index: Ints) -> ArrayLike:
-        sigma = np.asarray(self.sigma_mm)
-        return sigma if sigma.ndim == 0 else sigma[index]
+            self.px[spot],
+            self.fiducials[index],
+            Distortion(self.radius_mm, terms),
+            flipped=flipped,
+            errors=self.errors.of(spot, index),
+        )
 
     def _near(
         self, at_px: Floats, scale: float, gate_mm: float, tree: cKDTree | None = None
@@ -484,7 +476,8 @@ class _Map:
 
     def count(self, z: NDArray[np.complex128]) -> Ints:
         """How many of each row of points fall on a spot; the rim of the map is empty."""
-        return self.lit[self._index(z)].sum(axis=1)
+        n: Ints = self.lit[self._index(z)].sum(axis=1)
+        return n
 
 
 def _align(px: Floats, known_mm: Floats, base: Similarity, gate_mm: float) -> Similarity:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +20,11 @@ class Measurement:
 
     x_mm: Floats
     y_mm: Floats
-    seen: NDArray[np.bool_]
+    seen: Flags
     time_s: float
     covariance_mm2: Floats | None = None
     """(N, 2, 2) of the positions, where the camera knows it."""
-    ambiguous: NDArray[np.bool_] | None = None
+    ambiguous: Flags | None = None
     """(N,) not seen because its spot cannot be told from others; False: dark."""
 
     @property

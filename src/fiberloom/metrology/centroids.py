@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.metrology.images import CameraImage, read_image
 from fiberloom.metrology.spots import Spots, SpotSettings, find_spots
+from fiberloom.typing import Array
 
 _READ_AS_THEY_ARE = (np.uint16, np.float32, np.float64)
 
 
 def centroid(
-    image: str | Path | NDArray,
+    image: str | Path | Array,
     *,
     gain_e_adu: float | None = None,
     saturation_adu: float | None = None,
@@ -64,7 +64,7 @@ def centroid(
     return find_spots(taken.pixels, settings, fits_bytes=taken.fits_bytes).spots
 
 
-def _of_array(pixels: NDArray, gain_e_adu: float | None, saturation_adu: float | None) -> CameraImage:
+def _of_array(pixels: Array, gain_e_adu: float | None, saturation_adu: float | None) -> CameraImage:
     if pixels.dtype not in _READ_AS_THEY_ARE:
         pixels = pixels.astype(np.float64)
     full = 65535.0 if pixels.dtype == np.uint16 else np.inf

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
+from fiberloom.typing import Array
 
 
 @dataclass(frozen=True)
 class CameraImage:
     """Pixels with what is known about them."""
 
-    pixels: NDArray
+    pixels: Array
     fits_bytes: bool = False
     """The pixels are the bytes of a FITS file: big-endian; uint16 with the sign bit as offset."""
     gain_e_adu: float = 1.0
@@ -38,7 +38,7 @@ class CameraImage:
         """Rows, columns."""
         return self.pixels.shape
 
-    def array(self) -> NDArray:
+    def array(self) -> Array:
         """The pixels as numpy understands them: for plots. Copies where the bytes are FITS's."""
         if not self.fits_bytes:
             return self.pixels
@@ -137,7 +137,7 @@ def trouble(image: CameraImage) -> str:
     return "nothing exceeds the noise: is the back-illumination on?"
 
 
-def _mapped(path: Path, hdu: Any) -> NDArray | None:
+def _mapped(path: Path, hdu: Any) -> Array | None:
     """The bytes of an uncompressed image, if they are of a kind that is read in place."""
     header = hdu.header
     if type(hdu).__name__ == "CompImageHDU" or path.suffix in _PACKED:
@@ -153,14 +153,14 @@ def _mapped(path: Path, hdu: Any) -> NDArray | None:
     return np.memmap(path, dtype, "r", hdu._data_offset, tuple(hdu.shape))
 
 
-def _converted(hdu: Any) -> NDArray:
+def _converted(hdu: Any) -> Array:
     data = hdu.data
     if data.dtype.kind == "u" and data.dtype.itemsize == 2:
         return np.ascontiguousarray(data, dtype=np.uint16)
     return np.ascontiguousarray(data, dtype=np.float64 if data.dtype.itemsize > 4 else np.float32)
 
 
-def _ceiling(pixels: NDArray) -> float:
+def _ceiling(pixels: Array) -> float:
     return 65535.0 if pixels.dtype == np.uint16 else np.inf
 
 

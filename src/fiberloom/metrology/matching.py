@@ -86,7 +86,8 @@ class Match:
     @property
     def matched(self) -> Flags:
         """(N,) which positioners have a spot."""
-        return self.status == MatchStatus.MATCHED
+        matched: Flags = self.status == MatchStatus.MATCHED
+        return matched
 
 
 def match_spots(
@@ -154,7 +155,7 @@ class _Guess:
     @property
     def wrong(self) -> float:
         """Probability that the guess is wrong."""
-        return 1.0 / (1.0 + np.exp(min(self.doubt, 700.0)))
+        return float(1.0 / (1.0 + np.exp(min(self.doubt, 700.0))))
 
 
 class _Problem:
@@ -236,7 +237,8 @@ class _Problem:
         """Which points are in the outer reach of one of these positioners."""
         radius = float(self.reach[rows, 1].max()) + self.s.reach_margin_mm
         distance, _ = cKDTree(self.centres[rows]).query(points, distance_upper_bound=radius)
-        return np.isfinite(distance)
+        near: Flags = np.isfinite(distance)
+        return near
 
     def _links(self, rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
         """Pairs (index into rows, index into columns) inside reach."""
@@ -252,7 +254,8 @@ class _Problem:
     def _inside(self, radius_mm: Floats, rows: Ints) -> Flags:
         low, high = self.reach[rows].T
         margin = self.s.reach_margin_mm
-        return (radius_mm > low - margin) & (radius_mm < high + margin)
+        within: Flags = (radius_mm > low - margin) & (radius_mm < high + margin)
+        return within
 
     def _prices(self, rows: Ints, columns: Ints) -> Floats:
         """(rows, columns): what it costs that this spot is this positioner's."""

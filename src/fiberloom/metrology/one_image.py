@@ -25,6 +25,7 @@ from fiberloom.metrology.spots import (
     find_spots,
     read_spots,
 )
+from fiberloom.metrology.transform import PlaceErrors
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 from fiberloom.version import __version__
@@ -151,11 +152,8 @@ def identify(plane: FocalPlane, spots: Spots, geometry: CameraGeometry, expected
         plane.fiducials[:, :2],
         geometry,
         expected_mm=expected_mm,
-        covariance_px2=spots.covariance_px2,
-        sigma_mm=0.0,
-        terms=None,
-        radius_mm=known.radius_mm,
-        settings=known.acquisition,
+        errors=PlaceErrors(spots.covariance_px2),
+        settings=replace(known.search, terms=None),
     )
     others = spots.select(np.setdiff1d(np.arange(len(spots)), found.spot))
     matched = match_spots(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -23,9 +22,9 @@ from fiberloom.metrology.camera import Measurement
 from fiberloom.metrology.images import CameraImage, trouble
 from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
-from fiberloom.metrology.transform import FieldTransform
+from fiberloom.metrology.transform import FieldTransform, PlaceErrors
 from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM
 
 
@@ -58,6 +57,27 @@ class ReductionSettings:
     matching: MatchSettings = field(default_factory=MatchSettings)
     acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
 
+    @property
+    def search(self) -> AcquisitionSettings:
+        """How fiducials are looked for, with this distortion."""
+        return replace(self.acquisition, terms=self.terms, radius_mm=self.radius_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageHints:
+    """What is known before an image is looked at."""
+
+    expected_mm: Floats | None = None
+    """(N, 2) where the metrology fibres should be, NaN anywhere."""
+    previous_mm: Floats | None = None
+    """(N, 2) where they were seen last."""
+    standing_mm: Floats | None = None
+    """(N, 2) known places of positioners that do not move, NaN for the others; used against turbulence."""
+    profile: Profile | None = None
+    """Of an earlier image; it saves time, and is dropped where it does not hold."""
+    start: FieldTransform | None = None
+    """The transform of an earlier image, likewise."""
+
 
 @dataclass(frozen=True)
 class Reduction:
@@ -67,7 +87,7 @@ class Reduction:
     found: Found
     acquisition: Acquisition
     match: Match
-    spot_of_match: NDArray[np.int64]
+    spot_of_match: Ints
     """(N,) index into `found.spots`, -1 where not seen."""
     xy_mm: Floats
     """(N, 2); NaN where not seen."""
@@ -106,43 +126,34 @@ def reduce_image(
     image: CameraImage,
     plane: FocalPlane,
     settings: ReductionSettings,
-    *,
-    expected_mm: Floats | None = None,
-    previous_mm: Floats | None = None,
-    standing_mm: Floats | None = None,
-    profile: Profile | None = None,
-    start: FieldTransform | None = None,
+    hints: ImageHints,
 ) -> Reduction:
     """All steps from pixels to millimetres.
 
-    `image` of the `plane`; `settings`: camera geometry and those of each step; `expected_mm` (N, 2):
-    where the metrology fibres should be, NaN anywhere; `previous_mm` (N, 2): where they were seen last;
-    `standing_mm` (N, 2): known places of positioners that do not move, NaN for the others; used against
-    turbulence. `profile` and `start` (the transform) of an earlier image save time, and are dropped
-    where they do not hold.
+    `image` of the `plane`; `settings`: camera geometry and those of each step; `hints`: what is known before.
     """
     found = find_spots(
         image.pixels,
         SpotSettings(image.gain_e_adu, image.saturation_adu, settings.threshold),
-        profile=profile,
+        profile=hints.profile,
         fits_bytes=image.fits_bytes,
     )
     if len(found.spots) < 4:
         raise AcquisitionError(f"{len(found.spots)} spots in the image: {trouble(image)}")
-    expected = np.full((len(plane), 2), np.nan) if expected_mm is None else expected_mm
-    acquisition = _fiducials(found.spots, plane, settings, expected, start)
+    expected = np.full((len(plane), 2), np.nan) if hints.expected_mm is None else hints.expected_mm
+    acquisition = _fiducials(found.spots, plane, settings, expected, hints.start)
     free = np.setdiff1d(np.arange(len(found.spots)), acquisition.spot)
     others = found.spots.select(free)
     spots_mm = acquisition.transform.to_mm(others.xy_px)
     match = match_spots(
         spots_mm, expected, plane.centres_mm, metrology_reach_mm(plane),
-        previous_mm=previous_mm, settings=settings.matching,
+        previous_mm=hints.previous_mm, settings=settings.matching,
     )  # fmt: skip
     covariance = acquisition.transform.covariance(others.xy_px, others.covariance_px2)
     seen = match.spot >= 0
     xy, cov = np.full((len(plane), 2), np.nan), np.full((len(plane), 2, 2), np.nan)
     xy[seen], cov[seen] = spots_mm[match.spot[seen]], covariance[match.spot[seen]]
-    air = _calm(plane, settings, acquisition, standing_mm, xy, cov) if settings.turbulence else None
+    air = _calm(plane, settings, acquisition, hints.standing_mm, xy, cov) if settings.turbulence else None
     spot = np.where(seen, free[match.spot] if len(free) else -1, -1)
     return Reduction(image, found, acquisition, match, spot, xy, cov, expected, air)
 
@@ -160,19 +171,11 @@ def _fiducials(
     expected: Floats,
     start: FieldTransform | None,
 ) -> Acquisition:
-    sigma = settings.fiducial_sigma_um * MM_PER_UM
+    errors = PlaceErrors(spots.covariance_px2, settings.fiducial_sigma_um * MM_PER_UM)
     fiducials = plane.fiducials[:, :2]
     if start is not None:
         try:
-            return refine(
-                spots.xy_px,
-                fiducials,
-                start,
-                covariance_px2=spots.covariance_px2,
-                sigma_mm=sigma,
-                terms=settings.terms,
-                settings=settings.acquisition,
-            )
+            return refine(spots.xy_px, fiducials, start, errors=errors, settings=settings.search)
         except AcquisitionError:
             pass  # the camera has moved: look for them as on the first image
     return acquire(
@@ -180,11 +183,8 @@ def _fiducials(
         fiducials,
         settings.geometry,
         expected_mm=expected,
-        covariance_px2=spots.covariance_px2,
-        sigma_mm=sigma,
-        terms=settings.terms,
-        radius_mm=settings.radius_mm,
-        settings=settings.acquisition,
+        errors=errors,
+        settings=settings.search,
     )
 
 
@@ -249,16 +249,9 @@ class ImageCamera:
         image = self.source.expose()
         if image.pixels.ndim != 2:
             raise InputError("the camera delivered something that is no image")
-        return reduce_image(
-            image,
-            self.plane,
-            self.settings,
-            expected_mm=expected_mm,
-            previous_mm=self.previous_mm,
-            standing_mm=self.standing_mm,
-            profile=self.profile,
-            start=self.last.transform if self.last else None,
-        )
+        start = self.last.transform if self.last else None
+        hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm, self.profile, start)
+        return reduce_image(image, self.plane, self.settings, hints)
 
     def _remember(self, reduction: Reduction) -> None:
         self.last = reduction

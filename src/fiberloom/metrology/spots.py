@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from enum import IntFlag
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,7 @@ from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
 from fiberloom.tables import read_table
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Flags, Floats
 
 CSV_COLUMNS = ("x_px", "y_px", "x_err_px", "y_err_px", "flux_e", "flags")
 _NOT_MEASURED = np.zeros(0)
@@ -155,7 +156,7 @@ class Spots:
         """Standard error of y."""
         return np.sqrt(self.covariance_px2[:, 1, 1])
 
-    def has(self, flag: Flag) -> NDArray[np.bool_]:
+    def has(self, flag: Flag) -> Flags:
         """Which spots carry a flag.
 
         Parameters
@@ -176,7 +177,8 @@ class Spots:
         >>> fl.centroid(noise).has(Flag.SATURATED)
         array([], dtype=bool)
         """
-        return (self.flags & np.uint32(flag)) != 0
+        flagged: Flags = (self.flags & np.uint32(flag)) != 0
+        return flagged
 
     def select(self, which: ArrayLike) -> Spots:
         """Some of the spots.
@@ -213,7 +215,7 @@ class Found:
 
 
 def find_spots(
-    image: NDArray,
+    image: Array,
     settings: SpotSettings | None = None,
     *,
     profile: Profile | None = None,
@@ -231,7 +233,7 @@ def find_spots(
 
 
 def find_expected(
-    image: NDArray,
+    image: Array,
     expected_xy_px: ArrayLike,
     radius_px: float,
     settings: SpotSettings | None = None,
@@ -260,7 +262,7 @@ def _settings(s: SpotSettings) -> _core.Settings:
     return _core.Settings(s.gain_e_adu, s.saturation_adu, s.threshold, s.fwhm_px)
 
 
-def _pixels(image: NDArray) -> NDArray:
+def _pixels(image: Array) -> Array:
     if image.ndim != 2:
         raise InputError(f"image: {image.ndim} dimensions, 2 are needed")
     if min(image.shape) < 8:
@@ -268,7 +270,7 @@ def _pixels(image: NDArray) -> NDArray:
     return image
 
 
-def _found(result: tuple, s: SpotSettings) -> Found:
+def _found(result: tuple[Any, ...], s: SpotSettings) -> Found:
     table, flags, packed, background, noise = result
     x, y, xx, xy, yy, flux, flux_err, level, chi2 = table.T.copy()
     covariance = np.stack([np.stack([xx, xy], 1), np.stack([xy, yy], 1)], 1)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Array, Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
 _CLIP = 4.5
@@ -103,7 +103,8 @@ class FieldTransform:
     def to_mm(self, xy_px: ArrayLike) -> Floats:
         """Focal-plane positions (n, 2)."""
         s = self.similarity.to_mm(xy_px)
-        return s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+        mm: Floats = s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+        return mm
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
         """Pixel positions (n, 2), to 1e-7 px: the inverse, by Newton's method."""
@@ -121,16 +122,18 @@ class FieldTransform:
         s = self.similarity.to_mm(xy_px)
         bend = zhao_burge.basis_jacobian(s / self.radius_mm, self.terms) / self.radius_mm
         bent = np.einsum("k,kncd->ncd", self.coefficients_mm, bend)
-        return (np.eye(2) + bent) @ self.similarity.jacobian
+        jacobian: Floats = (np.eye(2) + bent) @ self.similarity.jacobian
+        return jacobian
 
     def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
         """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
         b = self._basis(self.similarity.to_mm(xy_px))
-        own = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
+        own: Floats = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
         if covariance_px2 is None:
             return own
         j = self.jacobian(xy_px)
-        return own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        both: Floats = own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        return both
 
     def distortion_mm(self, xy_px: ArrayLike) -> Floats:
         """(n, 2): what the terms beyond shift, scale and rotation add."""
@@ -138,7 +141,8 @@ class FieldTransform:
         keep = [k for k, t in enumerate(self.terms) if t not in zhao_burge.SIMILARITY_TERMS]
         terms = [self.terms[k] for k in keep]
         b = zhao_burge.basis(s / self.radius_mm, terms)
-        return np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
+        added: Floats = np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
+        return added
 
     def significant(self, sigma: float) -> tuple[int, ...]:
         """The terms whose coefficient is at least `sigma` standard errors (a ratio) from zero."""
@@ -173,31 +177,55 @@ class TransformFit:
         return _rms_um(self.leave_one_out_mm[self.used])
 
 
+@dataclass(frozen=True)
+class Distortion:
+    """What of a distortion is fitted."""
+
+    radius_mm: float
+    """Of the field: it scales the terms."""
+    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceErrors:
+    """What is known of the errors of spots and fiducials. Without any, all weigh the same."""
+
+    covariance_px2: ArrayLike | None = None
+    """(n, 2, 2) of the spots."""
+    sigma_mm: ArrayLike = 0.0
+    """Of the table of fiducials, per coordinate: one number or (m,)."""
+
+    def of(self, spot: Ints, fiducial: Ints) -> PlaceErrors:
+        """Of some spots and fiducials, by their rows."""
+        covariance, sigma = self.covariance_px2, np.asarray(self.sigma_mm)
+        return PlaceErrors(
+            None if covariance is None else np.asarray(covariance)[spot],
+            sigma if sigma.ndim == 0 else sigma[fiducial],
+        )
+
+
 def fit_transform(
     xy_px: ArrayLike,
     xy_mm: ArrayLike,
+    distortion: Distortion,
     *,
-    radius_mm: float,
     flipped: bool = False,
-    terms: Sequence[int] = zhao_burge.DEFAULT_TERMS,
-    covariance_px2: ArrayLike | None = None,
-    sigma_mm: ArrayLike = 0.0,
+    errors: PlaceErrors | None = None,
     robust: bool = True,
 ) -> TransformFit:
     """Fits fiducials seen at `xy_px` (m, 2) and known to be at `xy_mm`.
 
-    `radius_mm`: of the field, for the `terms` of the distortion; `flipped`: the image is mirrored;
-    `covariance_px2` (m, 2, 2) of the spots and `sigma_mm` of the table, per coordinate. Without any
-    variance all weigh the same. If `robust`, fiducials beyond 4.5 robust standard deviations are left
-    out. Where there are fewer than four more than half the number of terms, fewer terms are fitted.
+    `distortion`: what of it is fitted; `flipped`: the image is mirrored; `errors` of both places. If
+    `robust`, fiducials beyond 4.5 robust standard deviations are left out. Where there are fewer than four
+    more than half the number of terms, fewer terms are fitted.
     """
     px, mm = (np.asarray(a, dtype=np.float64) for a in (xy_px, xy_mm))
     if px.shape != mm.shape or len(px) < 3:
         raise InputError(f"{len(px)} fiducials seen: a transform needs at least 3")
-    terms = _affordable(tuple(terms), len(px))
+    terms, radius_mm = _affordable(tuple(distortion.terms), len(px)), distortion.radius_mm
     base = _robust_similarity(px, mm, flipped) if robust else fit_similarity(
         px, mm, flipped=flipped)  # fmt: skip
-    variance, known = _variance(base, len(px), covariance_px2, sigma_mm)
+    variance, known = _variance(base, len(px), errors or PlaceErrors())
     start = base.to_mm(px)
     a = zhao_burge.basis(start / radius_mm, terms).transpose(1, 2, 0).reshape(2 * len(px), -1)
     r = (mm - start).ravel()
@@ -228,7 +256,7 @@ def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
     return zhao_burge.SIMILARITY_TERMS
 
 
-def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[NDArray, ...]:
+def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Array, ...]:
     """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
     w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
     normal = a.T @ (a * w[:, None])
@@ -241,13 +269,11 @@ def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[NDArray
     return c, loo, residual, normal
 
 
-def _variance(
-    base: Similarity, n: int, covariance_px2: ArrayLike | None, sigma_mm: ArrayLike
-) -> tuple[Floats, bool]:
+def _variance(base: Similarity, n: int, errors: PlaceErrors) -> tuple[Floats, bool]:
     """Variance per coordinate of each fiducial, and whether anything is known about it."""
-    variance = np.broadcast_to(np.square(np.asarray(sigma_mm, dtype=np.float64)), (n,)).copy()
-    if covariance_px2 is not None:
-        trace = np.trace(np.asarray(covariance_px2), axis1=1, axis2=2)
+    variance = np.broadcast_to(np.square(np.asarray(errors.sigma_mm, dtype=np.float64)), (n,)).copy()
+    if errors.covariance_px2 is not None:
+        trace = np.trace(np.asarray(errors.covariance_px2), axis1=1, axis2=2)
         variance += 0.5 * trace * base.scale_mm_px**2
     if not (variance > 0).all():
         return np.ones(n), False

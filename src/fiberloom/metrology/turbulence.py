@@ -93,7 +93,8 @@ class _Process:
 
     def _kernel(self, places: Floats) -> Floats:
         square = cdist(places, self.at, "sqeuclidean")
-        return self.amplitude**2 * np.exp(-0.5 * square / self.length**2)
+        covariance: Floats = self.amplitude**2 * np.exp(-0.5 * square / self.length**2)
+        return covariance
 
     def predict(self, shift: Floats, places: Floats) -> tuple[Floats, Floats]:
         k = self._kernel(places)

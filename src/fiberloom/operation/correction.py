@@ -159,7 +159,8 @@ class CorrectionLoop:
         """(n, 2, 2) deg^2 by which the offsets have changed since the last image."""
         way_deg = np.nan_to_num(believed_deg[rows] - self._last_deg[rows])  # none before the first
         along = (self.noise.slope * way_deg)[:, :, None] ** 2 * np.eye(2)
-        return self._spread(self.noise.drift_um)[rows] + along
+        drift: Floats = self._spread(self.noise.drift_um)[rows] + along
+        return drift
 
     def _rows(self, rows: NDArray[np.intp]) -> Offsets:
         return Offsets(self.offsets.mean_deg[rows], self.offsets.covariance_deg2[rows])
@@ -193,7 +194,8 @@ class CorrectionLoop:
         out = xy_mm - self.plane.centres_mm[rows]
         reach = np.hypot(*out.T)
         low, high = np.abs(l_alpha - l_beta) + _INSIDE_MM, l_alpha + l_beta - _INSIDE_MM
-        return self.plane.centres_mm[rows] + out * (np.clip(reach, low, high) / reach)[:, None]
+        reached: Floats = self.plane.centres_mm[rows] + out * (np.clip(reach, low, high) / reach)[:, None]
+        return reached
 
     def _levers(self) -> Floats:
         """(2, N) mm: alpha arm, and beta axis to the metrology fibre."""

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Results
@@ -25,7 +24,7 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.planning import Plan, Trajectory, plan, verify
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
 NOT_WHERE_IT_SAYS = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
@@ -107,7 +106,8 @@ class FieldState:
         self._trust_the_camera(image)
         away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
-        return self.mobile & (away | unfinished)
+        again: Flags = self.mobile & (away | unfinished)
+        return again
 
     def _trust_the_camera(self, image: Measurement) -> None:
         """A positioner that is not where it says is where it is seen."""
@@ -257,7 +257,7 @@ class FieldMotion:
         await self.client.stop()
         await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
 
-    async def _read_positions(self, ids: NDArray[np.int64]) -> None:
+    async def _read_positions(self, ids: Ints) -> None:
         wire_deg, answered = await self.client.positions_deg(ids)
         rows = self.plane.index_of(ids[answered])
         self.state.wire_deg[rows] = wire_deg[answered]

@@ -279,7 +279,8 @@ class Observation:
         """
         if move.true_mm is None:
             return None
-        return UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
+        error: Floats = UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
+        return error
 
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one.

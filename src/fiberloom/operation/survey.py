@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.calibration.focal_plane.arms_file import save_arms
 from fiberloom.calibration.focal_plane.convergence import convergence
@@ -39,7 +38,7 @@ from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 
 _UNTOLD = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
 """Their motors do not say where the arms are: nothing to be learnt of the arms."""
@@ -105,9 +104,7 @@ def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> 
     return SurveyData(theta, xy, np.full((plane.n, N_GEOMETRY), np.nan))
 
 
-def _stored(
-    rows: Columns, move: NDArray[np.bool_], plane: FocalPlane, maps: TransmissionMaps
-) -> tuple[Floats, Floats]:
+def _stored(rows: Columns, move: Flags, plane: FocalPlane, maps: TransmissionMaps) -> tuple[Floats, Floats]:
     """As `_told`, from the rows of one move."""
     theta, xy = np.full((plane.n, 2), np.nan), np.full((plane.n, 2), np.nan)
     at = plane.index_of(rows["positioner_id"][move])

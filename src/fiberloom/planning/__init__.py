@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
     from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
-    from fiberloom.planning.verification import Verification, Violation, verify
+    from fiberloom.planning.verification import MotionLimits, Verification, Violation, verify
 
 __all__ = [
+    "MotionLimits",
     "Plan",
     "PlanSettings",
     "Trajectory",

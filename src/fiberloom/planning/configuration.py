@@ -3,16 +3,17 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.tables import read_table
+from fiberloom.typing import Floats
 
 COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 
 
-def read_configuration(path: str | Path, plane: FocalPlane) -> NDArray[np.float64]:
+def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
     """(N, 2) alpha and beta in deg, in the order of the plane.
 
     Every positioner once; offline ones may be left out and keep the angles of the plane.

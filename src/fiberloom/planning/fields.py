@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom._core import geometry
 from fiberloom._core import planning as core
@@ -11,7 +10,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, approach_rad
 from fiberloom.planning.planner import PlanSettings, plan
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _DRAWS = 400
@@ -93,7 +92,7 @@ class _Drawing:
         self.angles = deg_to_rad(plane.offline_position_deg)
         self.placed = plane.offline.copy()
 
-    def near_obstacles(self) -> NDArray[np.bool_]:
+    def near_obstacles(self) -> Flags:
         """(N,) which can touch a fiducial or guide camera."""
         n, k = self.plane.n, len(self.bodies.obstacles)
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
@@ -120,7 +119,7 @@ class _Drawing:
             raise InputError(f"positioner {self.plane.positioner_id[row]}: found no free place")
         return rad_to_deg(self.angles[row])
 
-    def _placed_near(self, row: int) -> NDArray[np.int64]:
+    def _placed_near(self, row: int) -> Ints:
         """Rows that have a place and can touch this one, nearest first."""
         gaps = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T)
         near = np.flatnonzero(self.placed & (gaps < 2.0 * self.plane.body_reach_mm.max() + 1.0))
@@ -155,7 +154,7 @@ class _Drawing:
             if low[1] <= angles[1] <= high[1]:
                 return angles
 
-    def _free(self, row: int, angles: Floats, near: NDArray[np.int64]) -> bool:
+    def _free(self, row: int, angles: Floats, near: Ints) -> bool:
         arm, here = self.plane.arms[[row]], angles[None]
         segment, radius, obstacles = self.bodies.arguments[1:]
         if not core.static_ok(arm, segment, radius, obstacles, here, self.approach)[0]:

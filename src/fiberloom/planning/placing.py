@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, approach_rad
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _TRIES = 48
@@ -56,7 +55,7 @@ class _Placing:
         self.clear = self._clear_of_obstacles()
         self.near = self._neighbours()
 
-    def _clear_of_obstacles(self) -> NDArray[np.bool_]:
+    def _clear_of_obstacles(self) -> Flags:
         n, count, _ = self.goals.shape
         arms = np.repeat(self.plane.arms, count, axis=0)
         segment, radius, obstacles = self.bodies.arguments[1:]
@@ -80,7 +79,7 @@ class _Placing:
                 self.angles[row], self.rank[row] = self.goals[row, order[free[0]]], free[0]
                 return
 
-    def _free(self, row: int, goals: Floats) -> NDArray[np.bool_]:
+    def _free(self, row: int, goals: Floats) -> Flags:
         near, count = self.near[row], len(goals)
         if len(near) == 0 or count == 0:
             return np.ones(count, dtype=bool)

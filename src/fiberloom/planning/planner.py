@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, angles_rad, approach_rad, travel_rad
 from fiberloom.planning.trajectories import Plan, Trajectory
-from fiberloom.planning.verification import Verification, verify
-from fiberloom.typing import Flags, Floats
+from fiberloom.planning.verification import MotionLimits, Verification, verify
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 SPEED_SHARE = 0.975
@@ -97,7 +97,8 @@ class _Task:
 
     @property
     def moving(self) -> Flags:
-        return ~self.plane.offline & (np.abs(self.goal - self.start).sum(axis=1) > 1e-12)
+        moving: Flags = ~self.plane.offline & (np.abs(self.goal - self.start).sum(axis=1) > 1e-12)
+        return moving
 
     def verify(self, plan: Plan) -> Verification:
         return verify(
@@ -106,8 +107,7 @@ class _Task:
             start_deg=rad_to_deg(self.start),
             goal_deg=rad_to_deg(self.goal),
             approach_deg=rad_to_deg(self.approach),
-            speed_deg_s=self.settings.speed_deg_s,
-            acceleration_deg_s2=self.settings.acceleration_deg_s2,
+            limits=MotionLimits(self.settings.speed_deg_s, self.settings.acceleration_deg_s2),
         )
 
 
@@ -198,7 +198,7 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     return _assembled(task, motions, unsafe | why, statistics)
 
 
-def _reason(names: NDArray[np.int64], row: int, why: str, other: int) -> str:
+def _reason(names: Ints, row: int, why: str, other: int) -> str:
     return f"positioner {names[row]}: {why}" + (f" (positioner {names[other]})" if other >= 0 else "")
 
 

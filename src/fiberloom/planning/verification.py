@@ -1,16 +1,17 @@
 """Proof that a plan is safe: other code and another method than the planner's."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import ROUNDING_RAD, CollisionBodies, angles_rad, approach_rad, travel_rad
 from fiberloom.planning.trajectories import Plan
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _WHAT = {
@@ -90,6 +91,16 @@ class Verification:
         return "; ".join([*found, *more]) or f"ok, clearance {self.min_clearance_mm:.4f} mm"
 
 
+@dataclass(frozen=True)
+class MotionLimits:
+    """What a plan must keep; what is left out is the instrument's, or the plan's own."""
+
+    speed_deg_s: float | None = None
+    acceleration_deg_s2: float | None = None
+    collision_buffer_mm: float | None = None
+    """Radius of the beta arms."""
+
+
 def verify(
     plane: FocalPlane,
     plan: Plan,
@@ -97,9 +108,7 @@ def verify(
     start_deg: ArrayLike | None = None,
     goal_deg: ArrayLike | None = None,
     approach_deg: ArrayLike | None = None,
-    speed_deg_s: float | None = None,
-    acceleration_deg_s2: float | None = None,
-    collision_buffer_mm: float | None = None,
+    limits: MotionLimits | None = None,
 ) -> Verification:
     """Prove in continuous time that a plan keeps clear of everything and within all limits.
 
@@ -117,10 +126,9 @@ def verify(
         (N, 2) deg; checked where given, goals not for positioners that the plan refuses.
     approach_deg : array_like, optional
         One number or (N,), deg; checked where given.
-    speed_deg_s, acceleration_deg_s2 : float, optional
-        Limits, deg/s and deg/s2; the instrument's when left out.
-    collision_buffer_mm : float, optional
-        Radius of the beta arms, mm; the plan's own when left out.
+    limits : MotionLimits, optional
+        Of speed (deg/s) and acceleration (deg/s2), the instrument's when left out; radius of the beta arms
+        (mm), the plan's own when left out.
 
     Returns
     -------
@@ -141,14 +149,16 @@ def verify(
     >>> fl.verify(plane, made, goal_deg=assigned.goal_deg).ok
     True
     """
-    bodies = CollisionBodies.of(
-        plane, plan.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
-    )
+    limits = limits or MotionLimits()
+    buffer_mm = limits.collision_buffer_mm
+    bodies = CollisionBodies.of(plane, plan.collision_buffer_mm if buffer_mm is None else buffer_mm)
     axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
     rules = core.Rules(
-        speed=float(deg_to_rad(speed_deg_s or min(a.speed_deg_s for a in axes))),
-        acceleration=float(deg_to_rad(acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))),
+        speed=float(deg_to_rad(limits.speed_deg_s or min(a.speed_deg_s for a in axes))),
+        acceleration=float(
+            deg_to_rad(limits.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))
+        ),
         rounding=ROUNDING_RAD,
         travel=travel_rad(plane),
     )
@@ -169,7 +179,7 @@ def verify(
     )
 
 
-def _gap(found: dict) -> float:
+def _gap(found: dict[str, Any]) -> float:
     return float(found["gap_mm"]) if found["robot"] >= 0 else float("inf")
 
 
@@ -193,7 +203,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     return [m for m in motions if m is not None]
 
 
-def _arrives(plane: FocalPlane, plan: Plan) -> NDArray[np.bool_]:
+def _arrives(plane: FocalPlane, plan: Plan) -> Flags:
     arrives = ~plane.offline
     if plan.refused:
         arrives[plane.index_of(list(plan.refused))] = False

@@ -42,6 +42,11 @@ def _figure(rows: int, title: str, plane: FocalPlane, row: int) -> tuple[Any, An
     return figure, panels
 
 
+def _label(panel: Any, title: str, xlabel: str, ylabel: str) -> None:
+    panel.set(title=title, xlabel=xlabel, ylabel=ylabel)
+    panel.title.set_fontsize(9)
+
+
 def _save(figure: Any, path: Path) -> None:
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -90,8 +95,7 @@ def _break_away(panel: Any, data: FrictionData, found: Friction, scale: TorqueSc
                 curve.rotor_deg[side], curve.torque_uNm[side], marker, ms=3, color=f"C{k}", label=label
             )
     words = f"Coulomb {said(found.coulomb, row)}, cogging {said(found.cogging, row)}"
-    panel.set(title=f"{AXES[data.axis]}: {words}", xlabel="rotor angle [motor deg]", ylabel="torque [µNm]")
-    panel.title.set_fontsize(9)
+    _label(panel, f"{AXES[data.axis]}: {words}", "rotor angle [motor deg]", "torque [µNm]")
     panel.legend(title="at", ncols=5, **_SMALL)
 
 
@@ -116,12 +120,8 @@ def _friction_residuals(panel: Any, data: FrictionData, found: Friction, row: in
         panel.plot(segment.motor_deg[row] / data.gear, left[begin:end], ".", ms=2, color=colour)
         begin = end
     rms = np.sqrt(np.nanmean(left**2))
-    panel.set(
-        xlabel="θ [deg]",
-        ylabel="measured − fitted [µNm]",
-        title=f"blue creeping, red running; rms {rms:.3g} µNm; drag {said(found.drag, row)}",
-    )
-    panel.title.set_fontsize(9)
+    title = f"blue creeping, red running; rms {rms:.3g} µNm; drag {said(found.drag, row)}"
+    _label(panel, title, "θ [deg]", "measured − fitted [µNm]")
 
 
 def plot_inertia(
@@ -150,13 +150,13 @@ def plot_inertia(
         levels = np.unique(np.round(np.abs(one.voltage[row][np.isfinite(one.voltage[row])]) * full))
         steps = " to ".join(f"{v:.0f}" for v in levels[levels > 0])
         before, end = j.speeds_rpm[row]
-        panels[0, axis].set(
-            title=f"{AXES[axis]}: {steps} µNm, {before:.0f} to {end:.0f} rpm, "
+        _label(
+            panels[0, axis],
+            f"{AXES[axis]}: {steps} µNm, {before:.0f} to {end:.0f} rpm, "
             f"10–90 % in {1e3 * j.rise_s[row]:.1f} ms\nJ = {said(j.inertia, row)}",
-            xlabel="time [ms]",
-            ylabel="speed [rpm]",
+            "time [ms]",
+            "speed [rpm]",
         )
-        panels[0, axis].title.set_fontsize(9)
         left = j.inertia.residuals[row].reshape(one.motor_deg.shape[1:])
         for residual in left:
             panels[1, axis].plot(time_ms, residual, lw=0.7)
@@ -184,13 +184,13 @@ def plot_stiffness(
         mean = 2e3 * data[axis].torque_mNm / k
         panel.axhline(mean, color="0.4", lw=1)
         panel.axhspan(mean * (1 - error / k), mean * (1 + error / k), color="0.85")
-        panel.set(
-            title=f"{AXES[axis]}: −{data[axis].torque_mNm:g} to +{data[axis].torque_mNm:g} mNm, "
+        _label(
+            panel,
+            f"{AXES[axis]}: −{data[axis].torque_mNm:g} to +{data[axis].torque_mNm:g} mNm, "
             f"k = {said(found[axis], row)}",
-            xlabel="repeat",
-            ylabel="turn of the axis [mdeg]",
+            "repeat",
+            "turn of the axis [mdeg]",
         )
-        panel.title.set_fontsize(9)
     _save(figure, path)
 
 
@@ -211,13 +211,13 @@ def plot_arms(path: Path, plane: FocalPlane, data: ArmsData, arms: Arms, row: in
             name = said((arms.l_alpha, arms.l_beta)[axis], row)
             panels[0, axis].axhline(0.0, color="0.6", lw=0.8)
             panels[0, axis].plot(direction, left, "o", ms=3)
-            panels[0, axis].set(
-                title=f"while {AXES[axis]} turned: radial rms {np.sqrt(np.nanmean(left**2)):.3f} µm; "
+            _label(
+                panels[0, axis],
+                f"while {AXES[axis]} turned: radial rms {np.sqrt(np.nanmean(left**2)):.3f} µm; "
                 f"l_{AXES[axis]} = {name}",
-                xlabel="direction from the middle [deg]",
-                ylabel="radial residual [µm]",
+                "direction from the middle [deg]",
+                "radial residual [µm]",
             )
-            panels[0, axis].title.set_fontsize(9)
     _save(figure, path)
 
 

@@ -12,10 +12,10 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
 
 from fiberloom.instruments.model import AXES
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 
 STYLES = {
     "linear": ("tab:blue", "-", "linear ratio"),
@@ -31,8 +31,8 @@ STYLES = {
 class LifetimeCurves:
     """What a lifetime test found, by positioner."""
 
-    cycles: NDArray[np.int64]
-    positioner_id: NDArray[np.int64]
+    cycles: Ints
+    positioner_id: Ints
     blind_um: dict[str, Floats]
     """(N, cycles) rms of blind moves as measured, by way."""
     arms_mm: Floats
@@ -75,7 +75,7 @@ def plot_lifetime(path: Path, curves: LifetimeCurves) -> None:
     plt.close(figure)
 
 
-def _plot_arms(panel: plt.Axes, curves: LifetimeCurves) -> None:
+def _plot_arms(panel: Axes, curves: LifetimeCurves) -> None:
     for row in range(min(2, len(curves.positioner_id))):
         for arm, name in enumerate(AXES):
             first = curves.true_arms_mm[row, 0, arm]

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select, update
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
@@ -26,8 +25,9 @@ from fiberloom.store.schema import (
     RunRow,
     SchemaRow,
 )
+from fiberloom.typing import Array
 
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, Array]
 
 
 _TRIES = 20
@@ -176,7 +176,7 @@ def _rows_of(table: type[Base], run_id: int) -> Any:
     return select(*columns).where(columns.run_id == run_id).order_by(columns.id)
 
 
-def _column(values: list[Any]) -> NDArray[Any]:
+def _column(values: list[Any]) -> Array:
     """None becomes NaN among numbers and empty among texts."""
     known = next((v for v in values if v is not None), None)
     if isinstance(known, str):

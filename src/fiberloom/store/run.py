@@ -214,4 +214,5 @@ def _plain(values: Any, n: int) -> list[Any]:
         return [v if v == v else None for v in array.tolist()]
     if array.dtype.kind == "O":
         return [None if v is None or v != v else str(v) for v in array.tolist()]
-    return array.tolist()
+    plain: list[Any] = array.tolist()
+    return plain

@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
+from fiberloom.typing import Array
 from fiberloom.version import __version__
 
-Rows = Mapping[str, NDArray]
+Rows = Mapping[str, Array]
 Experiment = Callable[[range, int, Any], Rows]
 Progress = Callable[[int, int], None]
 """Called with (units done, units in all)."""
@@ -69,7 +69,8 @@ class Campaign:
 
     def key(self) -> str:
         """16 hex digits that change with anything the rows depend on."""
-        settings = asdict(self.settings) if is_dataclass(self.settings) else self.settings  # type: ignore[arg-type]
+        given = self.settings
+        settings = asdict(given) if is_dataclass(given) and not isinstance(given, type) else given
         inputs = {
             "name": self.name,
             "experiment": f"{self.experiment.__module__}.{self.experiment.__qualname__}",
@@ -90,7 +91,7 @@ def run(
     workers: int = 1,
     scheduler: str | None = None,
     progress: Progress | None = None,
-) -> dict[str, NDArray]:
+) -> dict[str, Array]:
     """Rows of all units of the `campaign`, in their order: columns with the units that the experiment
     gives them (um, deg, ...).
 
@@ -124,7 +125,7 @@ def forget(campaign: Campaign, folder: Path) -> None:
         (folder / "chunks").rmdir()
 
 
-def _joined(parts: list[Rows]) -> dict[str, NDArray]:
+def _joined(parts: list[Rows]) -> dict[str, Array]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -192,7 +193,7 @@ def _cluster(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=CONNECT_S)
+        return Client(address, timeout=CONNECT_S)  # type: ignore[no-untyped-call]  # Dask has no types here
     except (OSError, ValueError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers there ({str(error) or type(error).__name__}); "
@@ -234,7 +235,7 @@ class _Store:
         part = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
             with part.open("wb") as file:
-                np.savez(file, **rows)  # type: ignore[arg-type]
+                np.savez(file, **rows)  # type: ignore[arg-type]  # mypy takes a row for allow_pickle
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(part, path)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.health.monitor import Ailment, HealthMonitor, ObservedMove, State
@@ -21,7 +20,7 @@ from fiberloom.twin.faults.ailments import NEVER, STALL_PER_INERTIA, AilmentMode
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
 from fiberloom.twin.wear import WearModel
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats
 from fiberloom.units import MM_PER_UM
 
 EFFORT_SD = 0.03
@@ -49,7 +48,7 @@ class TrialSettings:
                 raise InputError(f"health trial: {name} = {getattr(self, name)}, must be at least 1")
 
 
-def health_trial(units: range, seed: int, settings: TrialSettings) -> dict[str, NDArray]:
+def health_trial(units: range, seed: int, settings: TrialSettings) -> dict[str, Array]:
     """Rows, one for each unit; all numbers are counts of moves.
 
     `truth` the ailment, "" for the healthy; `onset` move at which that began (-1: never), `suspected`,
@@ -76,7 +75,7 @@ class _Trial:
         n = len(new)
         self.believed = np.zeros((n, 2))
         self.known = {int(p): row for row, p in enumerate(self.plane.positioner_id)}
-        self.rows: dict[str, NDArray] = {
+        self.rows: dict[str, Array] = {
             "truth": np.where(self.onset == NEVER, "", ailments.table["kind"]).astype("U16"),
             "suspected": np.full(n, -1),
             "found": np.full(n, -1),
@@ -86,7 +85,7 @@ class _Trial:
             "false_name": np.zeros(n, "U16"),
         }
 
-    def run(self) -> dict[str, NDArray]:
+    def run(self) -> dict[str, Array]:
         """All fields."""
         for k in range(self.settings.fields):
             self._field()
@@ -99,7 +98,8 @@ class _Trial:
         return self.rows
 
     def _seen(self, xy_mm: Floats) -> Floats:
-        return xy_mm + self.sigma_mm * self.draw.normal(*xy_mm.shape[1:])
+        seen: Floats = xy_mm + self.sigma_mm * self.draw.normal(*xy_mm.shape[1:])
+        return seen
 
     def _field(self) -> None:
         goal = self._goal()
@@ -132,11 +132,13 @@ class _Trial:
     def _effort(self, visit: Visit) -> Floats:
         plant = self.years.twin.units.plant
         stall = STALL_PER_INERTIA * (plant["inertia_motor"] + plant["inertia_gear"])
-        return visit.torque_Nm / stall + EFFORT_SD * self.draw.normal(2)
+        effort: Floats = visit.torque_Nm / stall + EFFORT_SD * self.draw.normal(2)
+        return effort
 
     def _goal(self) -> Floats:
         low, high = self.plane.limits_deg.T + np.array([[2.0, AXES_APART_DEG], [-2.0, -AXES_APART_DEG]])
-        return low + (high - low) * self.draw.uniform(2)
+        angles: Floats = low + (high - low) * self.draw.uniform(2)
+        return angles
 
     def _look(self) -> None:
         move = self.years.move - 1

@@ -18,7 +18,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
 from fiberloom.twin.units import Units
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Records
 from fiberloom.units import COUNTS_PER_DEG, GEAR, TICK_S, deg_to_rad, rpm_to_deg_s
 
 Rng = np.random.Generator
@@ -27,6 +27,8 @@ FULL_SPEED_DEG_S = rpm_to_deg_s(2000.0, GEAR)
 """Output speed at 2000 rpm of the motor, deg/s."""
 GREASE = (0.5, 2.0)
 """Viscous friction over its nominal value, between a warm and a cold night."""
+WirePaths = list[list[tuple[float, float]]]
+"""(time_s, wire_deg) of both axes."""
 _RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
 
 
@@ -108,7 +110,7 @@ def miscounted(twin: Twin) -> list[int]:
     return wrong
 
 
-def _path(kind: str, at: Floats, rng: Rng) -> list[list[tuple[float, float]]]:
+def _path(kind: str, at: Floats, rng: Rng) -> WirePaths:
     """(time_s, wire_deg) of both axes; what a go-to takes is its last point alone."""
     if kind == "goto":
         return [[(0.0, rng.uniform(*limits))] for limits in _RANGE_DEG]
@@ -132,7 +134,7 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
     return points
 
 
-def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
+def _carry_out(twin: Twin, paths: list[WirePaths], kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
     """One move of every positioner, from its first frame to the last rotor at rest."""
     ids = [int(i) for i in twin.plane.positioner_id]
     precise = {i for i, kind in zip(ids, kinds, strict=True) if kind == "correction"}
@@ -148,12 +150,12 @@ def _carry_out(twin: Twin, paths: list, kinds: NDArray[np.str_], before: Floats)
     return replies + twin.run(max(_longest_s(path, at) for path, at in zip(paths, before, strict=True)))
 
 
-def _longest_s(path: list[list[tuple[float, float]]], from_deg: Floats) -> float:
+def _longest_s(path: WirePaths, from_deg: Floats) -> float:
     """When a move has surely ended: at full speed and 0.25 s to reach it, precise ways and settling."""
     if len(path[0]) > 1:
         return max(axis[-1][0] for axis in path) + 2.0
     ways = [abs(axis[0][1] - x) for axis, x in zip(path, from_deg, strict=True)]
-    return max(ways) / FULL_SPEED_DEG_S + 2.0
+    return float(max(ways)) / FULL_SPEED_DEG_S + 2.0
 
 
 def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
@@ -163,7 +165,7 @@ def go_to(twin: Twin, number: int, wire_deg: list[float]) -> list[Reply]:
     return []
 
 
-def upload(twin: Twin, paths: dict[int, list[list[tuple[float, float]]]]) -> list[Reply]:
+def upload(twin: Twin, paths: dict[int, WirePaths]) -> list[Reply]:
     """Loads the trajectories of all, a frame of each in every tick: a mailbox holds 16 answers."""
     queues = {number: _trajectory_frames(number, axes) for number, axes in paths.items()}
     replies = []
@@ -176,7 +178,7 @@ def upload(twin: Twin, paths: dict[int, list[list[tuple[float, float]]]]) -> lis
     return replies
 
 
-def _trajectory_frames(number: int, axes: list[list[tuple[float, float]]]) -> list[tuple[int, bytes]]:
+def _trajectory_frames(number: int, axes: WirePaths) -> list[tuple[int, bytes]]:
     frames = [(encode(number, Command.SEND_NEW_TRAJECTORY, 1), struct.pack("<II", *map(len, axes)))]
     for points in axes:
         for time_s, angle_deg in points:
@@ -220,7 +222,7 @@ def cruise(plane: FocalPlane, *, axis: int, seed: int) -> Floats:
     return np.array([_load_Nm(s.take(), units.firmware[row, axis]) for row, s in enumerate(scopes)])
 
 
-def _load_Nm(log: np.ndarray, firmware: np.ndarray) -> Floats:
+def _load_Nm(log: Records, firmware: Records) -> Floats:
     error = deg_to_rad(log["tracking_deg"])
     torque = log["voltage"] * float(firmware["torque_per_volt"] * firmware["u_dc"])
     beyond = torque - log["feedforward_Nm"]
@@ -228,4 +230,5 @@ def _load_Nm(log: np.ndarray, firmware: np.ndarray) -> Floats:
     rate = (error[2:] - error[:-2]) / (2.0 * TICK_S)
     # a torque acts over the tick that follows its sample
     drive = 0.5 * (beyond[1:-1] + beyond[:-2])
-    return float(firmware["inertia"]) * bend + drive + float(firmware["drag"]) * rate
+    load: Floats = float(firmware["inertia"]) * bend + drive + float(firmware["drag"]) * rate
+    return load

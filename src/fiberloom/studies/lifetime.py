@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom.calibration import SweepData, SweepSettings, wire_grid
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration, AdaptiveSettings
@@ -31,16 +31,15 @@ from fiberloom.calibration.transmission.evaluate import CalibrationReport, evalu
 from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, Provenance, TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.operation.correction import plain_update
 from fiberloom.twin.bench import bench_units
 from fiberloom.twin.faults.ailments import chosen_ailments, loosened
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
-from fiberloom.twin.units import GEAR
 from fiberloom.twin.wear import Wear, WearModel
-from fiberloom.typing import Floats
-from fiberloom.units import MM_PER_UM, UM_PER_MM, deg_to_rad, rad_to_deg
+from fiberloom.typing import Array, Floats, Ints
+from fiberloom.units import GEAR, MM_PER_UM, UM_PER_MM, deg_to_rad, rad_to_deg
 
 WAYS = ("linear", "fixed", "adaptive_paper", "adaptive", "recalibrated", "recalibrated_fine")
 DELTAS = ("true", "recalibrated", "adaptive", "adaptive_paper")
@@ -86,7 +85,7 @@ class LifetimeSettings:
                 raise InputError(f"lifetime: {name} = {getattr(self, name)}, must be at least 1")
 
     @property
-    def simulated(self) -> NDArray[np.int64]:
+    def simulated(self) -> Ints:
         """Cycles that are simulated: the first and the last among them."""
         return np.unique(np.append(np.arange(1, self.cycles + 1, self.cycle_step), self.cycles))
 
@@ -109,7 +108,7 @@ class MotorMap(Protocol):
         ...
 
 
-def lifetime(units: range, seed: int, settings: LifetimeSettings) -> dict[str, NDArray]:
+def lifetime(units: range, seed: int, settings: LifetimeSettings) -> dict[str, Array]:
     """Rows of a campaign, one for each unit.
 
     (N, ways, cycles) `measured_um` and `true_um`, rms of the blind moves, and `corrected_um`, true rms
@@ -143,7 +142,7 @@ class _Test:
         self.sigma_mm = self.layout.instrument.metrology.noise_rms_um * MM_PER_UM / np.sqrt(2.0)
         self.learners: dict[str, AdaptiveCalibration] = {}
         n, c = len(new), len(settings.simulated)
-        self.rows: dict[str, NDArray] = {
+        self.rows: dict[str, Array] = {
             name: np.full((n, len(WAYS), c), np.nan) for name in ("measured_um", "true_um", "corrected_um")
         }
         self.rows |= {name: np.empty((n, c, 2)) for name in ("arms_mm", "true_arms_mm")}
@@ -180,7 +179,8 @@ class _Test:
 
     def look(self, xy_mm: Floats) -> Floats:
         """What the camera makes of (N, 2, ...) true positions."""
-        return xy_mm + self.sigma_mm * self.camera.normal(*xy_mm.shape[1:])
+        seen: Floats = xy_mm + self.sigma_mm * self.camera.normal(*xy_mm.shape[1:])
+        return seen
 
     def _draw_targets(self) -> Floats:
         """(N, 2, M) mm, evenly over the area that the metrology fibre reaches."""
@@ -189,7 +189,8 @@ class _Test:
         share, turn = np.moveaxis(self.targets.uniform(2, self.settings.approaches), 1, 0)
         reach = np.sqrt(low[:, None] ** 2 + share * (high**2 - low**2)[:, None])
         off = reach[:, None] * np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=1)
-        return self.layout.centres_mm[..., None] + off
+        target: Floats = self.layout.centres_mm[..., None] + off
+        return target
 
     def _approach(
         self, source: MotorMap, plane: FocalPlane, target_mm: Floats, corrections: int
@@ -254,7 +255,7 @@ class _Approach:
     @property
     def moves(self) -> int:
         """Of a positioner, in all."""
-        return self.wire_deg.shape[0] * self.wire_deg.shape[-1]
+        return int(self.wire_deg.shape[0] * self.wire_deg.shape[-1])
 
     def learnt(self) -> tuple[Floats, Floats]:
         """(N, moves, 2) wire positions and images to learn from, in the order of the moves."""
@@ -275,7 +276,8 @@ def _in_order(column: Floats) -> Floats:
 
 def _rms_um(off_mm: Floats) -> Floats:
     """(N,) 2-D rms over moves of (N, 2, M)."""
-    return UM_PER_MM * np.sqrt(np.mean(np.sum(off_mm**2, axis=1), axis=-1))
+    rms: Floats = UM_PER_MM * np.sqrt(np.mean(np.sum(off_mm**2, axis=1), axis=-1))
+    return rms
 
 
 def _lengths_mm(plane: FocalPlane) -> tuple[Floats, Floats]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom._core import geometry
 from fiberloom.bus.identifier import decode, encode
@@ -21,9 +20,8 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.studies.legal_moves import FULL_SPEED_DEG_S, go_to, greased
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import BODY_SHARE, Twin
-from fiberloom.twin.units import GEAR
-from fiberloom.typing import Floats
-from fiberloom.units import TICK_S, deg_to_rad
+from fiberloom.typing import Floats, Ints, Records
+from fiberloom.units import GEAR, TICK_S, deg_to_rad
 
 KINDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "both, both axes": ((1, 1), (1, 1)),
@@ -70,7 +68,7 @@ class Meeting:
     """Of those that moved."""
 
 
-def isolated_pairs(plane: FocalPlane) -> NDArray[np.int64]:
+def isolated_pairs(plane: FocalPlane) -> Ints:
     """(P, 2) rows of neighbours, no two pairs within reach of each other."""
     apart_mm = 2.0 * (plane.l_alpha_mm.max() + plane.beta_segment_mm[1] + plane.collision_buffer_mm)
     distance = np.linalg.norm(plane.centres_mm[:, None] - plane.centres_mm[None], axis=2)
@@ -83,13 +81,13 @@ def isolated_pairs(plane: FocalPlane) -> NDArray[np.int64]:
     return np.array(pairs)
 
 
-def pairs_of(plane: FocalPlane, pairs: NDArray[np.int64]) -> FocalPlane:
+def pairs_of(plane: FocalPlane, pairs: Ints) -> FocalPlane:
     """These positioners alone, nothing else to bump into."""
     part = plane.select(pairs.ravel())
     return replace(part, fiducials=np.zeros((0, 3)), guide_cameras=np.zeros((0, 5)))
 
 
-def _gap_mm(plane: FocalPlane, rows: NDArray, angles_deg: Floats) -> Floats:
+def _gap_mm(plane: FocalPlane, rows: Ints, angles_deg: Floats) -> Floats:
     """Free way between two real arms for paths (T, 2, 2) of both."""
     arms = plane.arms[rows]
     segments = [
@@ -103,9 +101,7 @@ def _gap_mm(plane: FocalPlane, rows: NDArray, angles_deg: Floats) -> Floats:
     return geometry.segment_distance(*segments) - 2.0 * BODY_SHARE * plane.collision_buffer_mm
 
 
-def plan_meeting(
-    plane: FocalPlane, rows: NDArray, kind: str, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
+def plan_meeting(plane: FocalPlane, rows: Ints, kind: str, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Start (2, 2) and goal (2, 2) in deg so that the two meet at full speed, `_RUN_UP_S` after the
     start.
 
@@ -177,7 +173,7 @@ class _Meetings:
         logs = [[scope.take() for scope in row] for row in self.scopes]
         return [self._meeting(k, moves, logs) for k in range(len(self.ids) // 2) if 2 * k in self.touched]
 
-    def _wire_deg(self, row: int, goal_deg: Floats, moves: NDArray) -> list[float]:
+    def _wire_deg(self, row: int, goal_deg: Floats, moves: Ints) -> list[float]:
         """An axis that is to stay gets its present wire position."""
         here = [self.twin.units.transmission(row, k, self.start[row, k])[0][0] for k in (0, 1)]
         return [float(goal_deg[k] if moves[k] else here[k]) for k in (0, 1)]
@@ -201,11 +197,11 @@ class _Meetings:
                 self.told[other] = self.twin.time_s
                 self.twin.send([(encode(self.ids[other], Command.SEND_TRAJECTORY_ABORT, 1), b"")])
 
-    def _meeting(self, pair: int, moves: NDArray, logs: list) -> Meeting:
+    def _meeting(self, pair: int, moves: Ints, logs: list[list[Records]]) -> Meeting:
         rows = [row for row in (2 * pair, 2 * pair + 1) if moves[row].any()]
         return Meeting(self.kind, [self._stop(row, self.touched[2 * pair], logs[row]) for row in rows])
 
-    def _stop(self, row: int, touched_s: float, logs: list) -> Stop:
+    def _stop(self, row: int, touched_s: float, logs: list[Records]) -> Stop:
         own = self.own.get(row, np.inf)
         stopped = min(own, self.told.get(row, np.inf))
         seen = logs[0]["time_s"] <= stopped + 0.02
@@ -216,7 +212,7 @@ class _Meetings:
         )
 
 
-def _load_rate_Nm_s(log: NDArray, touched_s: float) -> float:
+def _load_rate_Nm_s(log: Records, touched_s: float) -> float:
     """From what the contact did to one arm; a motor at rest feels nothing through its gear."""
     first = np.searchsorted(log["time_s"], touched_s)
     span = slice(first, first + round(0.008 / TICK_S))

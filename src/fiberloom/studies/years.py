@@ -60,18 +60,17 @@ class Years:
         seed: int,
         *,
         wear: WearModel | None = None,
-        ailments: Ailments | None = None,
-        model: AilmentModel | None = None,
-        refresh_moves: int = 500,
+        ailments: Ailments | AilmentModel | None = None,
         start_deg: ArrayLike | None = None,
     ) -> None:
-        """New units. `refresh_moves`: how often wear is brought up to date; a tenth of a mark's change
-        in a year is 15 nm of arm by then."""
-        self.ailments = ailments if ailments is not None else draw_ailments(units, seed, model)
+        """New units. `ailments`: as drawn, or the model to draw them from."""
+        self.ailments = ailments if isinstance(ailments, Ailments) else draw_ailments(units, seed, ailments)
         self.twin = StatisticalTwin(plane, units, seed=seed, start_deg=start_deg)
         self._wear = Wear(units, seed, wear)
         self._worn = units
-        self._refresh = refresh_moves
+        self.refresh_moves = 500
+        """How often wear is brought up to date; a tenth of a mark's change in a year is 15 nm of arm by
+        then."""
         self._camera = UnitNoise(seed, 0xCA3F, units.number)
         self._chance = UnitNoise(seed, 0xC4A2, units.number)
         self._sigma_mm = plane.instrument.metrology.noise_rms_um * MM_PER_UM / np.sqrt(2.0)
@@ -105,7 +104,7 @@ class Years:
 
     def _age(self) -> None:
         """Wear every so often, for all; what an ailment does, from its first move on."""
-        if self.move % self._refresh == 0:
+        if self.move % self.refresh_moves == 0:
             self._worn = self._wear.at(self.move / MOVES_PER_CYCLE)
             self._settle(np.arange(len(self.twin.plane)))
         elif len(fallen := np.flatnonzero(self.ailments.table["onset"] == self.move)):

@@ -5,6 +5,7 @@ from scipy.spatial import cKDTree
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets.target_list import FREE, TargetList
+from fiberloom.typing import Floats
 
 PRIORITIES = (1, 2, 3, 4, 5)
 SHARE_SPECIFIC = 0.3
@@ -33,7 +34,7 @@ def random_targets(plane: FocalPlane, n: int, seed: int) -> TargetList:
     )
 
 
-def _uniform_reachable(plane: FocalPlane, n: int, rng: np.random.Generator) -> np.ndarray:
+def _uniform_reachable(plane: FocalPlane, n: int, rng: np.random.Generator) -> Floats:
     inner, outer = plane.instrument.reach_mm
     centres = plane.centres_mm
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2

@@ -8,6 +8,7 @@ from fiberloom.errors import InputError
 from fiberloom.tables import TableFile, read_table
 from fiberloom.targets.target_list import FREE, TargetList
 from fiberloom.targets.yanny import Yanny, read_yanny
+from fiberloom.typing import Array, Ints
 
 REQUIRED = ("target_id", "x_mm", "y_mm")
 OPTIONAL = ("priority", "fibre", "positioner_id")
@@ -92,7 +93,7 @@ def _is_sky(table: TableFile) -> bool:
     return bool(names & {"ra", "ra_deg", "racat"}) and bool(names & {"dec", "dec_deg", "deccat"})
 
 
-def _positioners(table: TableFile) -> np.ndarray:
+def _positioners(table: TableFile) -> Ints:
     """Whole numbers; empty cells are free. Two targets must not demand one positioner."""
     cells = [text or str(FREE) for text in table.strings("positioner_id")]
     filled = TableFile(table.path, {"positioner_id": cells}, table.places)
@@ -143,7 +144,7 @@ def _fibermap(file: Yanny) -> TableFile:
     return TableFile(file.path, columns, [f"line {n}" for n in file.lines["FIBERMAP"]])
 
 
-def _distinct(catalogid: np.ndarray, positioner: np.ndarray) -> np.ndarray:
+def _distinct(catalogid: Array, positioner: Array) -> Array:
     """catalogid where it names one row only; sky places share -999 and get their positioner."""
     names, count = np.unique(catalogid, return_counts=True)
     shared = np.isin(catalogid, names[count > 1])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
+from fiberloom.typing import Array, Floats, Ints
 
 FREE = -1
 """positioner_id of a target that any positioner may take."""
@@ -41,14 +42,14 @@ class TargetList:
 
     target_id: NDArray[np.str_]
     """Name, unique."""
-    x_mm: NDArray[np.float64]
+    x_mm: Floats
     """Position in the focal plane."""
-    y_mm: NDArray[np.float64]
-    priority: NDArray[np.float64]
+    y_mm: Floats
+    priority: Floats
     """Higher first."""
     fibre: NDArray[np.str_]
     """Fibre that must look at it; empty: any science fibre."""
-    positioner_id: NDArray[np.int64]
+    positioner_id: Ints
     """Positioner that must take it; -1: any."""
 
     def __post_init__(self) -> None:
@@ -85,11 +86,11 @@ class TargetList:
         return html_rows(repr(self), rows)
 
     @property
-    def xy_mm(self) -> NDArray[np.float64]:
+    def xy_mm(self) -> Floats:
         """(n, 2) positions."""
         return np.column_stack([self.x_mm, self.y_mm])
 
-    def select(self, rows: NDArray) -> "TargetList":
+    def select(self, rows: Array) -> "TargetList":
         """Some of the targets.
 
         Parameters

@@ -22,14 +22,14 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
-    GEAR,
     GEAR_DTYPE,
     ORDERS,
     PLANT_DTYPE,
     Units,
     defaults,
 )
-from fiberloom.units import MM_PER_UM, RAD_PER_DEG
+from fiberloom.typing import Records
+from fiberloom.units import GEAR, MM_PER_UM, RAD_PER_DEG
 
 Rng = np.random.Generator
 
@@ -159,7 +159,7 @@ def draw_units(plane: FocalPlane, seed: int, firmware: Knowledge = "identified")
     return units
 
 
-def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
+def _nominal(plane: FocalPlane, axis: int) -> Records:
     record = defaults(_core.PLANT_PARAMS, PLANT_DTYPE)
     if axis == 1:
         for name in SCALED:
@@ -173,7 +173,7 @@ def _nominal(plane: FocalPlane, axis: int) -> np.ndarray:
     return _override(record, overrides, f"{plane.instrument.name}: twin.{AXES[axis]}")
 
 
-def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> np.ndarray:
+def _override(record: Records, overrides: Mapping[str, Any], where: str) -> Records:
     for name, value in overrides.items():
         if name not in (PLANT_DTYPE.names or ()):
             raise InputError(f"{where}.{name}: no such plant parameter; see docs/twin.md for the list")
@@ -181,7 +181,7 @@ def _override(record: np.ndarray, overrides: Mapping[str, Any], where: str) -> n
     return record
 
 
-def _scatter(nominal: np.ndarray, rng: Rng) -> np.ndarray:
+def _scatter(nominal: Records, rng: Rng) -> Records:
     record = nominal.copy()
     for name, sd in RELATIVE_SD.items():
         record[name] *= 1.0 + sd * _held(rng)
@@ -203,7 +203,7 @@ def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
     return size * np.cos(phase), size * np.sin(phase)
 
 
-def _gear(axis: int, rng: Rng) -> np.ndarray:
+def _gear(axis: int, rng: Rng) -> Records:
     record = np.zeros((), GEAR_DTYPE)
     record["delta_rad"] = [_wave(DELTA_AMPLITUDE_RAD[m][axis], rng) for m in ORDERS]
     record["backlash_rad"] = [_wave(BACKLASH_SHAPE[m], rng) for m in ORDERS]
@@ -216,7 +216,7 @@ _WAVES = np.outer(ORDERS, np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core
 _WAVES = np.stack([np.cos(_WAVES), np.sin(_WAVES)], axis=1).reshape(2 * len(ORDERS), -1)
 
 
-def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -> None:
+def _scale_backlash(record: Records, lowest_rad: float, highest_rad: float) -> None:
     """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
     shape = record["backlash_rad"].ravel() @ _WAVES
     stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
@@ -224,7 +224,7 @@ def _scale_backlash(record: np.ndarray, lowest_rad: float, highest_rad: float) -
     record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
 
 
-def firmware_truth(plant: np.ndarray) -> dict[str, float]:
+def firmware_truth(plant: Records) -> dict[str, float]:
     """Parameters of the firmware after a perfect identification of an axis: SI, hall channels in
     counts.
     """
@@ -250,12 +250,12 @@ def firmware_truth(plant: np.ndarray) -> dict[str, float]:
     }
 
 
-def nominal_firmware(plane: FocalPlane) -> np.ndarray:
+def nominal_firmware(plane: FocalPlane) -> Records:
     """(2,) what a maker flashes into every unit: the nominal unit's parameters, and no unit's own."""
     return np.array([_perfect(_nominal(plane, axis), plane, axis) for axis in (0, 1)], FIRMWARE_DTYPE)
 
 
-def _told(plane: FocalPlane, axis: int) -> np.ndarray:
+def _told(plane: FocalPlane, axis: int) -> Records:
     """Defaults, and what the layout tells every firmware."""
     record = defaults(_firmware.AXIS_PARAMS, FIRMWARE_DTYPE)
     record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
@@ -263,7 +263,7 @@ def _told(plane: FocalPlane, axis: int) -> np.ndarray:
     return record
 
 
-def _perfect(plant: np.ndarray, plane: FocalPlane, axis: int) -> np.ndarray:
+def _perfect(plant: Records, plane: FocalPlane, axis: int) -> Records:
     record = _told(plane, axis)
     truth = firmware_truth(plant)
     for name, value in (truth | control_gains(truth)).items():
@@ -271,7 +271,7 @@ def _perfect(plant: np.ndarray, plane: FocalPlane, axis: int) -> np.ndarray:
     return record
 
 
-def _identified(plant: np.ndarray, plane: FocalPlane, axis: int, rng: Rng) -> np.ndarray:
+def _identified(plant: Records, plane: FocalPlane, axis: int, rng: Rng) -> Records:
     record = _told(plane, axis)
     truth = firmware_truth(plant)
     for name, value in truth.items():

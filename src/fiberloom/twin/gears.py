@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom._core import twin as _core
-from fiberloom.twin.units import GEAR, ORDERS, Units
+from fiberloom.twin.units import ORDERS, Units
 from fiberloom.typing import Floats, Ints
+from fiberloom.units import GEAR
 
 NODE_RAD = 2.0 * np.pi / _core.NODES_PER_TURN
 _SPAN = (-160, _core.NODES_PER_TURN + 280)
@@ -93,7 +94,7 @@ def _locate(x: Floats, at: Floats, cell: float) -> Ints:
     nodes = x.shape[-1]
     first = nodes * np.arange(x.size // nodes).reshape(*x.shape[:-1], 1)
     last = first + (nodes - 2)
-    k = first
+    k: Ints = first
     for _ in range(1 + _NEWTON):
         k = np.clip(k + np.floor((at - x.take(k)) / cell).astype(np.int64), first, last)
     while True:

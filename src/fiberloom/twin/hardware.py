@@ -14,7 +14,8 @@ from fiberloom.twin.faults.kinds import OBSERVED
 from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
-from fiberloom.twin.units import GEAR, Units
+from fiberloom.twin.units import Units
+from fiberloom.units import GEAR
 
 CAMERAS = ("noise", "image")
 

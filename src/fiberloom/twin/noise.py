@@ -44,4 +44,5 @@ class UnitNoise:
 
     def normal(self, *shape: int) -> Floats:
         """(N, *shape) standard normal."""
-        return ndtri(self.uniform(*shape))
+        normal: Floats = ndtri(self.uniform(*shape))
+        return normal

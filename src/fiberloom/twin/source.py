@@ -60,7 +60,7 @@ class TwinSource:
         client = Client(bench.transport)
         await client.discover()
         return await calibrate_transmission(
-            client, bench.camera, self.plane, points, seed=self.seed, progress=progress
+            client, bench.camera, self.plane, SweepSettings(points), seed=self.seed, progress=progress
         )
 
     def maps_file(self, points: int) -> Path | None:

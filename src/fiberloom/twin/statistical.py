@@ -20,9 +20,9 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.twin.gears import NODE_RAD, Gears
 from fiberloom.twin.noise import UnitNoise
-from fiberloom.twin.units import GEAR, Units
+from fiberloom.twin.units import Units
 from fiberloom.typing import Flags, Floats
-from fiberloom.units import COUNTS_PER_DEG, RAD_PER_DEG, deg_to_rad, rad_to_deg
+from fiberloom.units import COUNTS_PER_DEG, GEAR, RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 LANDING_RMS_RAD = 0.065 * RAD_PER_DEG
 """Scatter of the motor at the end of a move beside the errors of its sensors. MEASURED on the full
@@ -151,14 +151,16 @@ class StatisticalTwin:
         motor = asked
         for _ in range(_READINGS):
             motor = asked - hall_error_rad(self.units, motor)
-        return motor + LANDING_RMS_RAD * scatter
+        landed: Floats = motor + LANDING_RMS_RAD * scatter
+        return landed
 
     def _seats(self, gear_rad: Floats) -> Floats:
         """Output rad by which the teeth come to lie differently: drawn at both nodes, straight between."""
         share = np.mod(gear_rad / (GEAR * NODE_RAD), 1.0)
         first, second = self._noise.normal(2, *gear_rad.shape[1:]).swapaxes(0, 1)
         other = SEAT_MEMORY * first + np.sqrt(1.0 - SEAT_MEMORY**2) * second
-        return self.units.plant["seat_rms"][..., None] * (first + share * (other - first))
+        seats: Floats = self.units.plant["seat_rms"][..., None] * (first + share * (other - first))
+        return seats
 
     def _lost(self, before_rad: Floats, after_rad: Floats) -> Floats:
         """(N, 2) what a slipping coupling keeps back of the gear's way."""
@@ -178,7 +180,8 @@ def hall_error_rad(units: Units, motor_rad: Floats) -> Floats:
     sine = (a - known["hall_offset_a"]) / known["hall_amplitude_a"]
     shifted = (b - known["hall_offset_b"]) / known["hall_amplitude_b"]
     cosine = shifted / np.cos(known["hall_phase"]) + sine * np.tan(known["hall_phase"])
-    return np.angle((cosine + 1j * sine) * np.exp(-1j * motor_rad))
+    error: Floats = np.angle((cosine + 1j * sine) * np.exp(-1j * motor_rad))
+    return error
 
 
 def _moves(angles: Floats) -> Floats:

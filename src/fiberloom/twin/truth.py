@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.instruments.model import AXES
 from fiberloom.twin.draw import firmware_truth
-from fiberloom.twin.units import GEAR, Units
+from fiberloom.twin.units import Units
 from fiberloom.typing import Floats
-from fiberloom.units import RAD_PER_DEG
+from fiberloom.units import GEAR, RAD_PER_DEG
 
 SEAT_BETWEEN_NODES = (1.0 - (1.0 - 0.7788) / 3.0) ** 0.5
 """The plant draws seats at nodes whose neighbours go together by 0.7788 (plant.cpp) and is straight in

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Records
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 BODY_SHARE = 0.75
@@ -43,13 +43,26 @@ class Touch(NamedTuple):
     other: int | None
 
 
+class Computing(TypedDict, total=False):
+    """How a twin is computed: the same bytes whatever they are, but for `substeps`."""
+
+    threads: int | None
+    """One for each core when None."""
+    skip_resting: bool
+    """A positioner at rest costs nothing."""
+    side_by_side: bool
+    """Laws of the firmware in vectors."""
+    kernel: str
+    """Instruction set of the inner loops; empty: the best."""
+    substeps: int
+    """Of the plant in a tick; another number is other physics."""
+
+
 class Twin:
     """Positioners with their firmware on a virtual bus; the clock does not advance between calls.
 
     `start_deg` (N, 2): output angles at power-up, told to the firmware as after a datum; folded by
-    default. Without `neighbours` arms pass through each other (the bench). The same arguments
-    give the same bytes for any number of `threads`, with `skip_resting` (a positioner at rest costs nothing)
-    and `side_by_side` (laws of the firmware in vectors) or without.
+    default. Without `neighbours` arms pass through each other (the bench). `computing`: see `Computing`.
     """
 
     def __init__(
@@ -58,13 +71,9 @@ class Twin:
         units: Units,
         *,
         seed: int = 0,
-        threads: int | None = None,
         neighbours: bool = True,
         start_deg: ArrayLike | None = None,
-        skip_resting: bool = True,
-        side_by_side: bool = True,
-        substeps: int = 10,
-        kernel: str = "",
+        **computing: Unpack[Computing],
     ) -> None:
         if len(units) != len(plane):
             raise InputError(f"twin: {len(units)} units for {len(plane)} positioners; draw them anew")
@@ -82,12 +91,12 @@ class Twin:
             body_mm = (*plane.beta_segment_mm, BODY_SHARE * plane.collision_buffer_mm)
             setup.place(units.arms, _obstacles(plane), body_mm)
             setup.seed = seed
-            setup.threads = threads or os.cpu_count() or 1
+            setup.threads = computing.get("threads") or os.cpu_count() or 1
             setup.neighbours = neighbours
-            setup.skip_resting = skip_resting
-            setup.side_by_side = side_by_side
-            setup.substeps = substeps
-            setup.kernel = kernel
+            setup.skip_resting = computing.get("skip_resting", True)
+            setup.side_by_side = computing.get("side_by_side", True)
+            setup.substeps = computing.get("substeps", 10)
+            setup.kernel = computing.get("kernel", "")
             self._core = _core.Twin(setup)
         except ValueError as error:
             raise InputError(f"twin: {error}") from None
@@ -104,7 +113,7 @@ class Twin:
         """Instruction set of the inner loops."""
         return self._core.kernel
 
-    def send(self, frames: Iterable[Sequence]) -> None:
+    def send(self, frames: Iterable[Sequence[Any]]) -> None:
         """Puts frames (identifier, data, ...) on the bus now, in order."""
         for frame in frames:
             self._core.send(frame[0], bytes(frame[1]))
@@ -200,7 +209,7 @@ class Scope:
         self._core, self._index, self._axis = core, index, axis
         core.scope(index, axis, True)
 
-    def take(self) -> np.ndarray:
+    def take(self) -> Records:
         """The samples since the last call, and forgets them."""
         return self._core.take_scope(self._index, self._axis).view(SCOPE_DTYPE)[:, 0]
 

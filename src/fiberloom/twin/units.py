@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom._core import twin as _core
 from fiberloom.bus.parameters import PARAMETERS_DTYPE
 from fiberloom.errors import InputError
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats, Ints, Records
 from fiberloom.units import GEAR
 
 ORDERS = np.array(_core.HARMONIC_ORDERS)
@@ -33,14 +34,14 @@ GEAR_DTYPE = np.dtype(
 assert GEAR_DTYPE.itemsize == 8 * _core.TRANSMISSION_SIZE
 
 
-def defaults(params: list[tuple], dtype: np.dtype) -> np.ndarray:
+def defaults(params: list[tuple[Any, ...]], dtype: np.dtype[np.void]) -> Records:
     """One record with every parameter at its default."""
     return np.array(tuple(p[4] for p in params), dtype=dtype)
 
 
-def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
+def plain(records: Records, kind: type = np.float64) -> Array:
     """The same numbers without names, in their own units (SI): one more axis, contiguous."""
-    flat: NDArray = np.ascontiguousarray(records).view(kind)
+    flat: Array = np.ascontiguousarray(records).view(kind)
     return flat.reshape(*records.shape, -1)
 
 
@@ -48,16 +49,16 @@ def plain(records: np.ndarray, kind: type = np.float64) -> NDArray:
 class Units:
     """N units; axis 0 of the second dimension is alpha, 1 is beta. SI and rad, as in the plant."""
 
-    plant: np.ndarray
+    plant: Records
     """(N, 2) PLANT_DTYPE: the truth."""
-    gear: np.ndarray
+    gear: Records
     """(N, 2) GEAR_DTYPE: the true transmission, Kronig 2020 Eq. 7, as harmonic series."""
-    firmware: np.ndarray
+    firmware: Records
     """(N, 2) FIRMWARE_DTYPE: what the firmware believes, truth with identification errors."""
     arms: Floats
     """(N, 5) true arms: columns of FocalPlane.arms."""
     seed: int = 0
-    number: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    number: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     """(N,) by which wear and faults know a unit: the positioner's; the row where none is given."""
     beta_longer_mm: Floats = field(default_factory=lambda: np.empty(0))
     """(N,) by which every point of the beta arm lies farther out than the layout says."""

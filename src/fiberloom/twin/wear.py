@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiberloom.instruments.focal_plane import L_ALPHA
+from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.twin.units import MARKS, Units
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM, RAD_PER_DEG
@@ -113,7 +113,8 @@ class Wear:
         """(N, 2) mm by which alpha and beta arm are longer than when new: bounded by `arm_um`."""
         period, phase = self._waves[..., 0], self._waves[..., 1]
         turn = 2.0 * np.pi * age[:, None, None] / period + phase
-        return self.model.arm_um * MM_PER_UM * np.mean(np.sin(turn) - np.sin(phase), axis=-1) / 2.0
+        longer: Floats = self.model.arm_um * MM_PER_UM * np.mean(np.sin(turn) - np.sin(phase), axis=-1) / 2.0
+        return longer
 
 
 def marks_deg(marks: Floats, theta_deg: Floats) -> Floats:
@@ -122,7 +123,8 @@ def marks_deg(marks: Floats, theta_deg: Floats) -> Floats:
     """
     off = np.abs(theta_deg - marks[:, :1])
     shape = 0.5 * (1.0 + np.cos(2.0 * np.pi * off / marks[:, 1:2]))
-    return np.sum(np.where(off < 0.5 * marks[:, 1:2], marks[:, 2:3] * shape, 0.0), axis=0)
+    total: Floats = np.sum(np.where(off < 0.5 * marks[:, 1:2], marks[:, 2:3] * shape, 0.0), axis=0)
+    return total
 
 
 def worn(units: Units, cycles: ArrayLike, seed: int = 0, model: WearModel | None = None) -> Units:

@@ -24,8 +24,9 @@ def only(kind, **model):
     return made
 
 
-def visits(ailments, count=40, seed=2, commands=None, **options):
-    years = Years(PLANE, UNITS, seed=2, ailments=ailments, start_deg=(100.0, 90.0), **options)
+def visits(ailments, count=40, seed=2, commands=None, refresh_moves=500):
+    years = Years(PLANE, UNITS, seed=2, ailments=ailments, start_deg=(100.0, 90.0))
+    years.refresh_moves = refresh_moves
     noise = UnitNoise(seed, 0, UNITS.number)
     if commands is None:
         commands = noise.uniform(2, count) * np.array([300.0, 120.0])[:, None] + 30.0
@@ -163,8 +164,8 @@ def test_years_do_not_depend_on_company():
     rows = [9, 2]
     made = draw_ailments(UNITS, 3, AilmentModel(rate_per_year=1.0, moves_per_year=20))
     part = Years(PLANE.select(rows), UNITS.select(rows), seed=2,
-                 model=AilmentModel(rate_per_year=1.0, moves_per_year=20))  # fmt: skip
-    whole = Years(PLANE, UNITS, seed=2, model=AilmentModel(rate_per_year=1.0, moves_per_year=20))
+                 ailments=AilmentModel(rate_per_year=1.0, moves_per_year=20))  # fmt: skip
+    whole = Years(PLANE, UNITS, seed=2, ailments=AilmentModel(rate_per_year=1.0, moves_per_year=20))
     commands = UnitNoise(1, 0, UNITS.number).uniform(2, 60) * 120 + 30
     for i in range(60):
         one, two = whole.visit(commands[..., i]), part.visit(commands[rows, :, i])

@@ -20,7 +20,7 @@ from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.server.address import Address
-from fiberloom.twin.server.server import BACKLOG_BYTES, TwinServer, places_of
+from fiberloom.twin.server.server import BACKLOG_BYTES, ServerSettings, TwinServer, places_of
 
 PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=8)
 UNITS = draw_units(PLANE, seed=2)
@@ -36,7 +36,7 @@ async def served(faults="", **kwargs):
     kwargs = {"speed": SPEED} | kwargs
     schedule = schedule_faults(parse_faults(faults), IDS, [(0, p) for p in (1, 2, 3, 4)], 0)
     twin = Twin(PLANE, UNITS, seed=1, threads=1, neighbours=False)
-    server = TwinServer(twin, [Address("127.0.0.1", 0)], schedule=schedule, **kwargs)
+    server = TwinServer(twin, [Address("127.0.0.1", 0)], schedule=schedule, settings=ServerSettings(**kwargs))
     await server.open()
     try:
         yield server

@@ -27,7 +27,7 @@ from fiberloom.calibration.adaptive.nearest_knot import CommandSigmas
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -348,7 +348,8 @@ class AdaptiveCalibration:
         smooth = np.einsum("nai,naij,naj->na", weights, block, weights)
         share = (1.0 - t) ** 2, t**2
         ripple = [s * lines.pick(self._state.ripple_variance[rows], k + i) for i, s in enumerate(share)]
-        return np.sqrt(smooth + ripple[0][..., 0] + ripple[1][..., 0])
+        sd: Floats = np.sqrt(smooth + ripple[0][..., 0] + ripple[1][..., 0])
+        return sd
 
     @property
     def arms_covariance_mm2(self) -> Floats:
@@ -411,7 +412,8 @@ class AdaptiveCalibration:
             sigma_um = self.settings.camera_um or self.plane.instrument.metrology.noise_rms_um
         given = np.asarray(sigma_um, dtype=np.float64)
         given = given[:, None] if given.ndim == 1 else given
-        return np.broadcast_to(given, shape) * MM_PER_UM / np.sqrt(2.0)
+        sd: Floats = np.broadcast_to(given, shape) * MM_PER_UM / np.sqrt(2.0)
+        return sd
 
     def _rows(self, index: ArrayLike | None) -> Ints:
         if index is None:

@@ -131,7 +131,8 @@ def _ripple_gain(block: MeasurementBlock, variance: Floats) -> Floats:
     same = at[:, :, :, None, :, None] == at[:, :, None, :, None, :]
     felt = (same * share[:, :, None, :, None, :]).sum(axis=3)  # (n, axis, side, M, M')
     gain = own[..., None] * felt
-    return gain[..., None] * block.jacobian.transpose(0, 3, 1, 2)[:, :, None, None]
+    moved: Floats = gain[..., None] * block.jacobian.transpose(0, 3, 1, 2)[:, :, None, None]
+    return moved
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,8 @@ def command_covariance(
         swings = [per_deg[:, :, axis] / RAD_PER_DEG for axis in range(2)]
     angles = RAD_PER_DEG * np.array([sigmas.alpha_deg, sigmas.beta_deg])
     columns = [*zip((along_alpha, along_beta), lengths, strict=True), *zip(swings, angles, strict=True)]
-    return sum(sigma**2 * column[:, :, None] * column[:, None, :] for column, sigma in columns)
+    total: Floats = sum(sigma**2 * column[:, :, None] * column[:, None, :] for column, sigma in columns)
+    return total
 
 
 def _across(unit: Floats) -> Floats:
@@ -122,4 +123,5 @@ def shift_nearest(output_deg: Floats, wire_deg: Floats, command_deg: Floats, shi
 def lever_um_per_deg(plane: FocalPlane, angles_deg: Floats, index: Ints) -> Floats:
     """(n, 2) um: how far the fibre goes for a degree of each axis."""
     jacobian = plane.jacobian(angles_deg[:, 0], angles_deg[:, 1], index=index)
-    return UM_PER_MM * np.linalg.norm(jacobian, axis=1)
+    per_deg: Floats = UM_PER_MM * np.linalg.norm(jacobian, axis=1)
+    return per_deg

@@ -23,10 +23,11 @@ from fiberloom.calibration.bench.repeatability import (
 )
 from fiberloom.calibration.transmission.evaluate import CalibrationReport, evaluate
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps, polyline
-from fiberloom.calibration.transmission.sweep import SweepData, SweepSettings, measure_sweeps
+from fiberloom.calibration.transmission.sweep import SweepSettings, measure_sweeps
+from fiberloom.calibration.transmission.sweep_data import SweepData
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import CENTRE, L_ALPHA
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.instruments.model import AXES, Acceptance
 from fiberloom.metrology import Camera
 from fiberloom.typing import Floats
@@ -99,8 +100,9 @@ class Check:
     @property
     def marginal(self) -> bool:
         """Nearer to its limit than two standard errors."""
-        known = self.value is not None and self.limit is not None and self.error is not None
-        return bool(known and abs(self.value - self.limit) < 2.0 * self.error)  # type: ignore[operator]
+        if self.value is None or self.limit is None or self.error is None:
+            return False
+        return abs(self.value - self.limit) < 2.0 * self.error
 
 
 @dataclass(frozen=True)
@@ -255,11 +257,20 @@ def moves_needed(error_um: Floats, requirement_um: float) -> int | None:
     return int(np.argmax(good)) + 1 if good.any() else None
 
 
+@dataclass(frozen=True)
+class AcceptanceBench:
+    """What an acceptance is measured with."""
+
+    client: Client
+    camera: Camera
+    close_up: Camera
+    """Close to the units."""
+    close_up_rms_um: float
+    """Error of the close-up camera, two-dimensional rms."""
+
+
 async def measure_acceptance(
-    client: Client,
-    camera: Camera,
-    close_up: Camera,
-    close_up_rms_um: float,
+    bench: AcceptanceBench,
     plane: FocalPlane,
     settings: AcceptanceSettings | None = None,
     *,
@@ -268,39 +279,38 @@ async def measure_acceptance(
 ) -> AcceptanceData:
     """The whole procedure, all N units of the `plane` at once.
 
-    `client` and `camera` of the bench; `close_up`: a camera close to the units with an error of
-    `close_up_rms_um`; `settings`: how much is measured; `seed` of the random targets; `progress` is
-    called with (steps done, steps in all).
+    `settings`: how much is measured; `seed` of the random targets; `progress` is called with (steps done,
+    steps in all).
     """
     settings = settings or AcceptanceSettings()
     sweep_settings = SweepSettings(settings.n_points)
-    sweep = await measure_sweeps(client, camera, plane, sweep_settings, progress)
+    sweep = await measure_sweeps(bench.client, bench.camera, plane, sweep_settings, progress)
     provenance = Provenance(plane.config_hash(), seed, gear=plane.instrument.alpha.gear, note="acceptance")
     _, first = evaluate(plane, sweep, sweep_settings.seen_at_least, provenance)
     own = own_geometry(plane, first)
     maps, report = evaluate(own, sweep, sweep_settings.seen_at_least, provenance)
-    operator = Operator(client, camera, own, progress)
+    operator = Operator(bench.client, bench.camera, own, progress)
     operator.trouble = list(report.reason)
     target_deg = _targets(plane, settings.n_targets, seed)
     error_um = await _visit(operator, maps, target_deg, settings)
-    visits, found, reason = await _repeat(operator, close_up, close_up_rms_um, settings.visits, progress)
+    visits, found, reason = await _repeat(operator, bench, settings.visits, progress)
     return AcceptanceData(own, maps, report, sweep, target_deg, error_um, visits, found, reason)
 
 
 async def _repeat(
-    operator: Operator, close_up: Camera, close_up_rms_um: float, visits: int, progress: Progress | None
+    operator: Operator, bench: AcceptanceBench, visits: int, progress: Progress | None
 ) -> tuple[tuple[RepeatabilityData, ...], tuple[Repeatability, ...], list[str]]:
     """Nothing but the reasons when no unit is left."""
     if not operator.ids:
         return (), (), operator.trouble
     data = await measure_repeatability(
-        operator.client, close_up, operator.plane, RepeatabilitySettings(visits=visits), progress
+        operator.client, bench.close_up, operator.plane, RepeatabilitySettings(visits=visits), progress
     )
     trouble = joined(operator.trouble, *(d.trouble for d in data))
     data = (replace(data[0], trouble=trouble), replace(data[1], trouble=trouble))
     if all(trouble):
         return (), (), trouble
-    found = tuple(identify_repeatability(d, close_up_rms_um) for d in data)
+    found = tuple(identify_repeatability(d, bench.close_up_rms_um) for d in data)
     return data, found, joined(trouble, *(list(f.angle.reason) for f in found))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
-from fiberloom.calibration.bench.estimate import Estimate, estimate
+from fiberloom.calibration.bench.estimate import Estimate, Fitted, Residuals, estimate
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -83,7 +83,8 @@ def identify_arms(data: ArmsData) -> Arms:
 
     def make(name: str, value: Floats, variance: Floats, residuals: Floats) -> Estimate:
         freedom = np.maximum(np.isfinite(residuals).sum(axis=1) - 3.0, 1.0)
-        return estimate(name, "mm", value, np.sqrt(variance), residuals, "um", reason, freedom=freedom)
+        fitted = Fitted(value, np.sqrt(variance), freedom=freedom)
+        return estimate(name, "mm", fitted, Residuals(residuals, "um"), reason)
 
     return Arms(
         make("centre x", alpha.centre_mm[:, 0], alpha.covariance[:, 0, 0], left[0]),

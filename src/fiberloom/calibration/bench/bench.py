@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom import units
 from fiberloom.bus.client import Client
@@ -19,7 +19,7 @@ from fiberloom.bus.protocol import Command
 from fiberloom.bus.trace import Trace, push, read_trace, start_trace
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 from fiberloom.units import GEAR, RUN_UP_MOTOR_DEG, motor_to_output_deg
 
 Progress = Callable[[int, int], None]
@@ -69,7 +69,7 @@ class Operator:
         return [p for p, row in self._row.items() if not self.trouble[row]]
 
     @property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> Ints:
         """Their rows."""
         return np.array([self._row[p] for p in self.ids], dtype=np.int64)
 
@@ -159,7 +159,7 @@ class Operator:
         return np.where(every[:, None], xy, np.nan)
 
 
-def _all_rows(trace: Trace, rows: NDArray[np.int64], plane: FocalPlane) -> Trace:
+def _all_rows(trace: Trace, rows: Ints, plane: FocalPlane) -> Trace:
     motor, voltage = (np.full((plane.n, trace.motor_deg.shape[1]), np.nan) for _ in range(2))
     zero = np.full(plane.n, np.nan)
     motor[rows], voltage[rows], zero[rows] = trace.motor_deg, trace.voltage, trace.zero_deg

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from fiberloom.errors import InputError
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Estimate:
     """(N,); NaN where refused."""
     standard_error: Floats
     """(N,) everything included."""
-    n: NDArray[np.int64]
+    n: Ints
     """(N,) measurements used."""
     residuals: Floats
     """(N, M) measured minus fitted, NaN where not used."""
@@ -100,43 +100,52 @@ class Estimate:
         )
 
 
-def estimate(
-    name: str,
-    unit: str,
-    value: Floats,
-    standard_error: Floats,
-    residuals: Floats,
-    residual_unit: str,
-    reason: Sequence[str],
-    *,
-    systematic: ArrayLike = 0.0,
-    freedom: ArrayLike = np.inf,
-    n: ArrayLike | None = None,
-) -> Estimate:
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Values of N positioners as a fit gives them, in one unit."""
+
+    value: Floats
+    """(N,)"""
+    scatter: Floats
+    """(N,) standard error by the scatter of the measurements alone."""
+    systematic: ArrayLike = 0.0
+    """Part of the error that more measurements would not make smaller."""
+    freedom: ArrayLike = np.inf
+    """Degrees of freedom of the scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured minus fitted."""
+
+    value: Floats
+    """(N, M) NaN where not used."""
+    unit: str
+
+
+def estimate(name: str, unit: str, fitted: Fitted, residuals: Residuals, reason: Sequence[str]) -> Estimate:
     """An Estimate from the scatter's standard error, NaN where refused.
 
-    `name` and `unit` of the quantity (mm, deg, ...); `value`, `standard_error` (N,) in that unit;
-    `residuals` (N, M) in `residual_unit`; `reason` per positioner, empty where it has an estimate;
-    `systematic` part of the error in the same unit; `freedom`: degrees of freedom of the scatter; `n`
-    (N,): measurements used, the finite residuals when None. InputError when no positioner has data that
+    `name` and `unit` of the quantity (mm, deg, ...); `fitted` in that unit; `residuals` in their own;
+    `reason` per positioner, empty where it has an estimate. InputError when no positioner has data that
     support it.
     """
     reason = tuple(reason)
     refuse_if_all(name, reason)
     good = np.array([not r for r in reason])
-    systematic = np.broadcast_to(np.asarray(systematic, dtype=np.float64), value.shape)
-    counted = np.isfinite(residuals).sum(axis=1) if n is None else np.broadcast_to(n, value.shape)
+    value = fitted.value
+    systematic = np.broadcast_to(np.asarray(fitted.systematic, dtype=np.float64), value.shape)
     return Estimate(
         name,
         unit,
         np.where(good, value, np.nan),
-        np.where(good, np.hypot(standard_error, systematic), np.nan),
-        np.asarray(counted, dtype=np.int64),
-        residuals,
-        residual_unit,
+        np.where(good, np.hypot(fitted.scatter, systematic), np.nan),
+        np.asarray(np.isfinite(residuals.value).sum(axis=1), dtype=np.int64),
+        residuals.value,
+        residuals.unit,
         reason,
         systematic,
-        np.broadcast_to(np.asarray(freedom, dtype=np.float64), value.shape),
+        np.broadcast_to(np.asarray(fitted.freedom, dtype=np.float64), value.shape),
     )
 
 
@@ -201,7 +210,7 @@ def least_squares(design: Floats, right: Floats, *, used: Flags | None = None, l
 
 def _long_run(score: Floats, lag: int) -> Floats:
     """(N, P, P) sums of products of scores up to `lag` apart, with falling weights."""
-    out = np.einsum("nmi,nmj->nij", score, score)
+    out: Floats = np.einsum("nmi,nmj->nij", score, score)
     for k in range(1, lag + 1):
         side = np.einsum("nmi,nmj->nij", score[:, k:], score[:, :-k])
         out += (1.0 - k / (lag + 1.0)) * (side + side.transpose(0, 2, 1))
@@ -211,4 +220,5 @@ def _long_run(score: Floats, lag: int) -> Floats:
 def standard_errors(fit: Fit) -> Floats:
     """(N, P) standard deviations of the fitted values, in their units."""
     variances = np.einsum("nii->ni", fit.covariance)
-    return np.sqrt(np.maximum(variances, 0.0))
+    errors: Floats = np.sqrt(np.maximum(variances, 0.0))
+    return errors

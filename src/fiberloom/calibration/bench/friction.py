@@ -19,11 +19,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, BENCH_MARGIN_DEG, Operator, Progress, joined
-from fiberloom.calibration.bench.estimate import Estimate, Fit, estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import (
+    Estimate,
+    Fit,
+    Fitted,
+    Residuals,
+    estimate,
+    least_squares,
+    standard_errors,
+)
 from fiberloom.calibration.bench.torque import AT_SPEED, TorqueScale, Windows, mean_wave, together, windows_of
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -145,18 +152,16 @@ def _refusals(data: FrictionData, windows: Windows, fit: Fit) -> list[str]:
 
 
 def _estimates(
-    axis: int, fit: Fit, full_uNm: NDArray, relative: NDArray | float, reason: list[str], design: Floats
+    axis: int, fit: Fit, full_uNm: Floats, relative: Floats | float, reason: list[str], design: Floats
 ) -> Friction:
     full = np.broadcast_to(full_uNm, len(reason)).astype(np.float64)
-    residuals = fit.residuals * full[:, None]
+    residuals = Residuals(fit.residuals * full[:, None], "uNm")
     error = standard_errors(fit)
     name = AXES[axis]
 
     def make(what: str, unit: str, value: Floats, scatter: Floats, systematic: Floats) -> Estimate:
-        return estimate(
-            f"{name} {what}", unit, value, scatter, residuals, "uNm", reason,
-            systematic=systematic, freedom=fit.freedom,
-        )  # fmt: skip
+        fitted = Fitted(value, scatter, systematic, fit.freedom)
+        return estimate(f"{name} {what}", unit, fitted, residuals, reason)
 
     def torque(what: str, unit: str, column: int) -> Estimate:
         value = fit.value[:, column] * full

@@ -19,17 +19,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
-from fiberloom.calibration.bench.estimate import Estimate, Fit, estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import (
+    Estimate,
+    Fit,
+    Fitted,
+    Residuals,
+    estimate,
+    least_squares,
+    standard_errors,
+)
 from fiberloom.calibration.bench.torque import _HALF_TICK_S, TorqueScale
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.metrology import Camera
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import TICK_S
 
 SKIP_DEG = 130.0
@@ -104,11 +111,13 @@ def identify_inertia(data: InertiaData, scale: TorqueScale) -> Inertia:
 
     def make(what: str, unit: str, column: int, factor: float) -> Estimate:
         value = fit.value[:, column] * full_Nm * factor
-        return estimate(
-            f"{AXES[data.axis]} {what}", unit, value, error[:, column] * full_Nm * factor, off_deg,
-            "motor deg", reason,
-            systematic=np.abs(value) * scale.relative_error, freedom=fit.freedom,
-        )  # fmt: skip
+        fitted = Fitted(
+            value,
+            error[:, column] * full_Nm * factor,
+            np.abs(value) * scale.relative_error,
+            fit.freedom,
+        )
+        return estimate(f"{AXES[data.axis]} {what}", unit, fitted, Residuals(off_deg, "motor deg"), reason)
 
     return Inertia(
         data.axis,
@@ -119,13 +128,14 @@ def identify_inertia(data: InertiaData, scale: TorqueScale) -> Inertia:
     )
 
 
-def _pushing(data: InertiaData) -> NDArray[np.bool_]:
+def _pushing(data: InertiaData) -> Flags:
     """(N, K, M) samples under voltage, after the blow of closing the backlash."""
     way = np.abs(data.motor_deg - data.motor_deg[..., :1])
-    return (way > SKIP_DEG) & (data.voltage != 0.0) & np.isfinite(data.voltage)
+    pushing: Flags = (way > SKIP_DEG) & (data.voltage != 0.0) & np.isfinite(data.voltage)
+    return pushing
 
 
-def _balance(data: InertiaData, use: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _balance(data: InertiaData, use: Flags) -> tuple[Floats, Floats]:
     """Design (N, K, M, 8 + 2 K) and right side (N, K, M) in SI, torque in shares of the full one."""
     n, pushes, _ = use.shape
     dt = data.period_s
@@ -165,7 +175,7 @@ def _held(values: Floats, dt: float) -> Floats:
     return out
 
 
-def _speeds(data: InertiaData, use: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _speeds(data: InertiaData, use: Flags) -> tuple[Floats, Floats]:
     """Mean over pushes of the speeds before the step and at the end (rpm), and of the rise time."""
     n, pushes, _ = use.shape
     speeds, rise = np.full((n, pushes, 2), np.nan), np.full((n, pushes), np.nan)
@@ -197,7 +207,7 @@ def _rise(motor_deg: Floats, voltage: Floats, dt: float) -> tuple[Floats, float]
     return np.array([before, end]), (passed[1] - passed[0]) * dt
 
 
-def _refusals(data: InertiaData, use: NDArray[np.bool_], fit: Fit, speeds: Floats) -> list[str]:
+def _refusals(data: InertiaData, use: Flags, fit: Fit, speeds: Floats) -> list[str]:
     axis = AXES[data.axis]
     counted = use.sum(axis=(1, 2))
     sides = np.sign(np.nansum(data.voltage, axis=-1))

@@ -12,7 +12,7 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import APPROACH_DEG, Operator, Progress, joined
-from fiberloom.calibration.bench.estimate import Estimate, estimate
+from fiberloom.calibration.bench.estimate import Estimate, Fitted, Residuals, estimate
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.model import AXES
@@ -94,7 +94,8 @@ def identify_repeatability(
     camera2_error = 2.0 * camera_relative_error * camera2
 
     def make(what: str, square: Floats, error: Floats, systematic: float) -> Estimate:
-        return _root(f"{AXES[data.axis]} {what}", square, error, systematic, residuals, reason, freedom)
+        squared = Fitted(square, error, systematic, freedom)
+        return _root(f"{AXES[data.axis]} {what}", squared, Residuals(residuals, "um"), reason)
 
     turned = make("angular repeatability", along_way - 0.5 * camera2, way_error, 0.5 * camera2_error)
     return Repeatability(
@@ -120,25 +121,15 @@ def _across(data: RepeatabilityData, mean: Floats) -> Floats:
     return np.stack([-out[:, 1], out[:, 0]], axis=1)
 
 
-def _root(
-    name: str,
-    square: Floats,
-    error: Floats,
-    systematic: float,
-    residuals: Floats,
-    reason: list[str],
-    freedom: Floats,
-) -> Estimate:
+def _root(name: str, squared: Fitted, residuals: Residuals, reason: list[str]) -> Estimate:
     """A length from its square: what scatters makes roots too small by 1/8 of its relative variance."""
-    square = np.maximum(square, 0.0)
+    square, error = np.maximum(squared.value, 0.0), squared.scatter
     # at zero a root has no slope: there the error of the square itself, as a length
     floor = np.maximum(np.maximum(square, error), 1e-300)
     value = np.sqrt(square) * (1.0 + 0.125 * (error / floor) ** 2)
     slope = 2.0 * np.sqrt(floor)
-    return estimate(
-        name, "um", value, error / slope, residuals, "um", reason,
-        systematic=systematic / slope, freedom=freedom,
-    )  # fmt: skip
+    fitted = Fitted(value, error / slope, np.asarray(squared.systematic) / slope, squared.freedom)
+    return estimate(name, "um", fitted, residuals, reason)
 
 
 def _refusal(axis: str, visits: int) -> str:
@@ -199,6 +190,7 @@ def _lever_mm(plane: FocalPlane, axis: int, beta_deg: float) -> Floats:
         return plane.l_beta_mm
     x, y = plane.points[METROLOGY].T
     turn = plane.beta_off_rad + np.deg2rad(beta_deg)
-    return np.hypot(
+    lever: Floats = np.hypot(
         plane.l_alpha_mm + x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
     )
+    return lever

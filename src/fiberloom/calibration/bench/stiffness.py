@@ -12,7 +12,7 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.bench import Operator, Progress, TorqueActuator, joined
-from fiberloom.calibration.bench.estimate import Estimate, estimate
+from fiberloom.calibration.bench.estimate import Estimate, Fitted, Residuals, estimate
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
@@ -69,10 +69,8 @@ def identify_stiffness(data: StiffnessData) -> Estimate:
     reason = joined(data.trouble, [_refusal(axis, *row) for row in zip(count, mean, error, strict=True)])
     value = 2.0 * data.torque_mNm / np.where(mean > 0.0, mean, np.nan)
     relative = np.hypot(data.tolerance, _LEVER_ERROR_MM / data.lever_mm)
-    return estimate(
-        f"{axis} stiffness", "mNm/deg", value, value * error / mean, left, "deg", reason,
-        systematic=value * relative, freedom=np.maximum(count - 1.0, 1.0),
-    )  # fmt: skip
+    fitted = Fitted(value, value * error / mean, value * relative, np.maximum(count - 1.0, 1.0))
+    return estimate(f"{axis} stiffness", "mNm/deg", fitted, Residuals(left, "deg"), reason)
 
 
 def turned_deg(data: StiffnessData) -> Floats:
@@ -81,7 +79,8 @@ def turned_deg(data: StiffnessData) -> Floats:
     along = out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     shift = data.xy_mm[:, :, 1] - data.xy_mm[:, :, 0]
-    return np.rad2deg(np.einsum("nrc,nc->nr", shift, across) / data.lever_mm[:, None])
+    turn: Floats = np.rad2deg(np.einsum("nrc,nc->nr", shift, across) / data.lever_mm[:, None])
+    return turn
 
 
 def _mean(xy_mm: Floats) -> Floats:

@@ -24,7 +24,14 @@ from fiberloom.calibration.bench.bench import (
     TorqueActuator,
     joined,
 )
-from fiberloom.calibration.bench.estimate import Estimate, estimate, least_squares, standard_errors
+from fiberloom.calibration.bench.estimate import (
+    Estimate,
+    Fitted,
+    Residuals,
+    estimate,
+    least_squares,
+    standard_errors,
+)
 from fiberloom.calibration.bench.torque import AT_SPEED, TorqueScale, Windows, together, windows_of
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
@@ -86,10 +93,9 @@ def identify_torque_scale(data: TorqueScaleData) -> Estimate:
          for p, e in zip(per_uNm, error, strict=True)],
     )  # fmt: skip
     value = 1.0 / np.where(per_uNm > 0.0, per_uNm, np.nan)
-    return estimate(
-        f"{axis} torque at full voltage", "uNm", value, error * value**2, fit.residuals * value[:, None],
-        "uNm", reason, systematic=data.tolerance * value, freedom=fit.freedom,
-    )  # fmt: skip
+    fitted = Fitted(value, error * value**2, data.tolerance * value, fit.freedom)
+    residuals = Residuals(fit.residuals * value[:, None], "uNm")
+    return estimate(f"{axis} torque at full voltage", "uNm", fitted, residuals, reason)
 
 
 def measured_scale(found: Estimate) -> TorqueScale:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 from astropy.table import Table
-from numpy.typing import NDArray
 
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalPlaneFit
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Array, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
 
 FORMAT = "fiberloom arms"
@@ -30,7 +30,7 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
     """
     scale = np.outer(_UNITS, _UNITS)
     covariance = fit.covariance[:, :N_GEOMETRY, :N_GEOMETRY] * scale
-    columns: dict[str, NDArray] = {"positioner_id": fit.positioner_id}
+    columns: dict[str, Array] = {"positioner_id": fit.positioner_id}
     for i, name in enumerate(_COLUMNS):
         columns[name] = fit.parameters[:, i] * _UNITS[i]
         columns[f"{name}_se"] = np.sqrt(covariance[:, i, i])
@@ -61,7 +61,7 @@ def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
     return replace(plane, arms=arms, points=points)
 
 
-def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> NDArray:
+def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> Floats:
     """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for one that is not in the file."""
     rows, fit = _of_plane(path, plane)
     covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
@@ -69,7 +69,7 @@ def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: floa
     return covariance
 
 
-def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[NDArray, FocalPlaneFit]:
+def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit]:
     table = _read(Path(path))
     known = {int(p): row for row, p in enumerate(plane.positioner_id)}
     here = np.array([int(p) in known for p in table["positioner_id"]], dtype=bool)

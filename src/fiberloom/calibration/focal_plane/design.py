@@ -46,7 +46,8 @@ class Design:
         felt = white @ spread[:, None]  # (N, C, 2, 6)
         inverse = np.linalg.inv(np.eye(2) + felt @ white.swapaxes(-1, -2))
         weighed = felt * np.array([1.0, 1.0, 1.0, 1.0, _ARM_MM**2, _ARM_MM**2])
-        return np.einsum("ncij,nckj,ncik->nc", weighed, felt, inverse, optimize=True)
+        gain: Floats = np.einsum("ncij,nckj,ncik->nc", weighed, felt, inverse, optimize=True)
+        return gain
 
     def add(self, theta_deg: Floats, seen: Flags) -> None:
         """Counts what was measured at (N, 2)."""
@@ -55,7 +56,8 @@ class Design:
 
     def sigma(self) -> Floats:
         """(N, 6) expected standard errors, mm and rad."""
-        return np.sqrt(np.einsum("nii->ni", np.linalg.inv(self.information)))
+        errors: Floats = np.sqrt(np.einsum("nii->ni", np.linalg.inv(self.information)))
+        return errors
 
     def _whitened(self, theta_deg: Floats) -> Floats:
         _, slopes = model(self._p, theta_deg, self._phi)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.focal_plane import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.metrology.noise import WORKSPACE_UM
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, deg_to_rad
@@ -91,7 +91,8 @@ class FocalPlaneFit:
     @property
     def sigma(self) -> Floats:
         """(N, P) standard errors."""
-        return np.sqrt(np.einsum("nii->ni", self.covariance))
+        errors: Floats = np.sqrt(np.einsum("nii->ni", self.covariance))
+        return errors
 
     def plane(self, layout: FocalPlane) -> FocalPlane:
         """The layout with what was calibrated in place of what was assumed."""

@@ -76,12 +76,14 @@ def _design(xy: Floats, used: Flags, p: Floats) -> Floats:
 
 
 def _radial(xy: Floats, p: Floats) -> Floats:
-    return np.linalg.norm(xy - p[:, None, :2], axis=-1) - p[:, None, 2]
+    off: Floats = np.linalg.norm(xy - p[:, None, :2], axis=-1) - p[:, None, 2]
+    return off
 
 
 def _solve(design: Floats, right: Floats) -> Floats:
     normal = np.einsum("nmi,nmj->nij", design, design)
-    return np.einsum("nij,nj->ni", np.linalg.pinv(normal), np.einsum("nmi,nm->ni", design, right))
+    step: Floats = np.einsum("nij,nj->ni", np.linalg.pinv(normal), np.einsum("nmi,nm->ni", design, right))
+    return step
 
 
 def _limit(distance: Floats) -> Floats:
@@ -89,7 +91,8 @@ def _limit(distance: Floats) -> Floats:
     filled = np.where(np.isnan(distance).all(axis=1, keepdims=True), 0.0, distance)
     median = np.nanmedian(filled, axis=1, keepdims=True)
     sigma = 1.4826 * np.nanmedian(np.abs(filled - median), axis=1)
-    return np.maximum(_OUTLIER_SIGMAS * sigma, _OUTLIER_FLOOR_MM)
+    limit: Floats = np.maximum(_OUTLIER_SIGMAS * sigma, _OUTLIER_FLOOR_MM)
+    return limit
 
 
 def _summary(xy: Floats, used: Flags, p: Floats) -> Circles:

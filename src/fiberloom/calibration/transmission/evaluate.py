@@ -13,14 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.calibration.transmission.sweep_data import SweepData
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM, rad_to_deg, wrap_deg
 
 # Less than this on the camera is no motion: a hundred times the noise of a bad camera.
@@ -32,7 +31,7 @@ _STEPS = 3
 class CalibrationReport:
     """How good the maps of N positioners are, and which have none."""
 
-    positioner_id: NDArray[np.int64]
+    positioner_id: Ints
     reason: list[str]
     """Why a positioner has no map of its own; empty where it has."""
     circle_rms_um: Floats
@@ -47,7 +46,7 @@ class CalibrationReport:
     l_beta_mm: Floats
     """Length from the beta axis to the metrology fibre, and its standard error."""
     l_beta_se_mm: Floats
-    n_seen: NDArray[np.int64]
+    n_seen: Ints
     """(N,) points used, of both axes and directions."""
 
     @property
@@ -149,7 +148,8 @@ def _output_deg(
     unit = np.where(used, np.exp(1j * np.deg2rad(np.nan_to_num(off))), 0.0)
     mean = rad_to_deg(np.angle(unit.sum(axis=(1, 2))))[:, None, None]
     off = np.where(used, mean + wrap_deg(off - mean), np.nan)
-    return _fill(off, data.wire_deg[axis]) + data.wire_deg[axis]
+    output: Floats = _fill(off, data.wire_deg[axis]) + data.wire_deg[axis]
+    return output
 
 
 def _direction_at_zero_deg(plane: FocalPlane, circles: list[Circles], rest: Floats, axis: int) -> Floats:
@@ -179,7 +179,7 @@ def _tie(
     output: Floats,
     rest: Floats,
     circles: list[Circles],
-    rows: NDArray,
+    rows: Ints,
 ) -> tuple[Floats, Floats]:
     """Gauss-Newton on the two constants of each positioner: their values, and the rms left."""
     angles = np.stack([_both_deg(output[rows], rest[rows], axis) for axis in range(2)], axis=1)

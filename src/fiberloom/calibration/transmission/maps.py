@@ -20,11 +20,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import AXES
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import GEAR
 from fiberloom.version import __version__
 
@@ -70,7 +70,7 @@ class TransmissionMaps:
     True
     """
 
-    positioner_id: NDArray[np.int64]
+    positioner_id: Ints
     """(N,) number on the bus; the order of the rows."""
     wire_deg: Floats
     """(N, 2 axes, 2 directions, K knots); direction 0 is negative contact."""
@@ -230,7 +230,8 @@ class TransmissionMaps:
         (3, 2)
         """
         theta = np.asarray(theta_deg, dtype=np.float64).T
-        return self.to_wire(theta[None], index=[row], direction=direction)[0].T
+        wire: Floats = self.to_wire(theta[None], index=[row], direction=direction)[0].T
+        return wire
 
     def _map(
         self,
@@ -346,7 +347,7 @@ class TransmissionMaps:
             output_deg=self.output_deg[rows],
         )
 
-    def rows_of(self, positioner_id: ArrayLike) -> NDArray[np.int64]:
+    def rows_of(self, positioner_id: ArrayLike) -> Ints:
         """Rows of positioners by their number on the bus.
 
         Parameters
@@ -462,7 +463,7 @@ def load(path: str | Path) -> TransmissionMaps:
     return _from_parts(path, parts)
 
 
-def _from_parts(path: Path, parts: dict[str, NDArray]) -> TransmissionMaps:
+def _from_parts(path: Path, parts: dict[str, Array]) -> TransmissionMaps:
     try:
         meta = json.loads(str(parts["meta"]))
         if meta.pop("format") != FORMAT:

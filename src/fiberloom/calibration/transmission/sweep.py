@@ -13,7 +13,7 @@ points and folds back: take more points where an instrument has it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -96,7 +96,6 @@ async def calibrate_transmission(
     client: Client,
     camera: Camera,
     plane: FocalPlane,
-    n_points: int = 200,
     settings: SweepSettings | None = None,
     *,
     seed: int | None = None,
@@ -104,15 +103,15 @@ async def calibrate_transmission(
 ) -> Calibration:
     """Sweeps both axes of all positioners of the `plane` and builds their maps.
 
-    `client` and `camera` of the bench; `n_points` per axis and direction, in place of that of
-    `settings`; `seed` goes into the provenance; `progress` is called with (points done, points in all).
+    `client` and `camera` of the bench; `settings`: how to sweep; `seed` goes into the provenance; `progress`
+    is called with (points done, points in all).
     A positioner that does not take part as it should gets the identity as its map and a reason in the
     report; the others are calibrated. InputError for fewer than 8 points.
     """
-    settings = replace(settings or SweepSettings(), n_points=n_points)
+    settings = settings or SweepSettings()
     data = await measure_sweeps(client, camera, plane, settings, progress)
     provenance = Provenance(
-        plane.config_hash(), seed, gear=plane.instrument.alpha.gear, note=f"{n_points} points"
+        plane.config_hash(), seed, gear=plane.instrument.alpha.gear, note=f"{settings.n_points} points"
     )
     maps, report = evaluate(plane, data, settings.seen_at_least, provenance)
     return Calibration(maps, report, data)

@@ -70,12 +70,10 @@ AcceptanceFound: TypeAlias = "tuple[AcceptanceData, dict[int, str]]"
 
 async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) -> AcceptanceFound:
     """Measures all units of a bench that is set up."""
-    from fiberloom.calibration.bench.acceptance import measure_acceptance
+    from fiberloom.calibration.bench.acceptance import AcceptanceBench, measure_acceptance
 
-    data = await measure_acceptance(
-        rig.client, rig.camera, rig.close_up, rig.close_up_um, papers.plane, papers.settings,
-        seed=papers.seed, progress=progress,
-    )  # fmt: skip
+    bench = AcceptanceBench(rig.client, rig.camera, rig.close_up, rig.close_up_um)
+    data = await measure_acceptance(bench, papers.plane, papers.settings, seed=papers.seed, progress=progress)
     return data, await rig.client.firmware_versions()
 
 
@@ -131,8 +129,10 @@ def _table(title: str, checks: Sequence[Check]) -> Table:
     from fiberloom.report.acceptance import found_text
 
     table = Table(box=box.SIMPLE, title=title, title_justify="left")
-    for name, justify in (("requirement", "left"), ("found", "right"), ("at most", "right"), ("", "left")):
-        table.add_column(name, justify=justify, no_wrap=name != "requirement")  # type: ignore[arg-type]
+    table.add_column("requirement")
+    for name in ("found", "at most"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for check in checks:
         style = {"pass": "green", "fail": "red"}.get(check.verdict, "dim")
         limit = "" if check.limit is None else f"{check.limit:g} {check.unit}"

@@ -34,7 +34,7 @@ from fiberloom.calibration.commissioning.commission import (
 from fiberloom.calibration.commissioning.derive import Derivation
 from fiberloom.calibration.commissioning.measured import Quantities, merged, of_data_sheet, of_file, of_maps
 from fiberloom.calibration.transmission import maps as maps_file
-from fiberloom.calibration.transmission.sweep import calibrate_transmission
+from fiberloom.calibration.transmission.sweep import SweepSettings, calibrate_transmission
 from fiberloom.cli.calibrate.acceptance import AcceptanceFound, acceptance_of, write_acceptance
 from fiberloom.cli.calibrate.bench import counting, on_bench
 from fiberloom.cli.calibrate.identification import (
@@ -225,7 +225,12 @@ async def _backlash(
         maps = maps.select(maps.rows_of(plane.positioner_id))
     else:
         calibration = await calibrate_transmission(
-            rig.client, rig.camera, plane, settings.n_points, seed=request.seed, progress=wait.count
+            rig.client,
+            rig.camera,
+            plane,
+            SweepSettings(settings.n_points),
+            seed=request.seed,
+            progress=wait.count,
         )
         maps, refused = calibration.maps, list(calibration.report.reason)
         maps.save(request.out / file)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from fiberloom import units as convert
 from fiberloom.blocking import finish
 from fiberloom.bus import Client
-from fiberloom.calibration import Calibration, calibrate_transmission
+from fiberloom.calibration import Calibration, SweepSettings, calibrate_transmission
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Camera
@@ -93,7 +93,9 @@ def make_bench(
 def calibrated(seed: int, n: int, n_points: int = 200) -> Calibration:
     """What `fiberloom calibrate transmission` finds on the bench of this seed."""
     bench = make_bench(seed, n)
-    return finish(calibrate_transmission(bench.client, bench.camera, bench.plane, n_points, seed=seed))
+    return finish(
+        calibrate_transmission(bench.client, bench.camera, bench.plane, SweepSettings(n_points), seed=seed)
+    )
 
 
 class Mover:

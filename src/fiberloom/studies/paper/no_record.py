@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fiberloom.metrology import Measurement
 from fiberloom.operation.move import Move
+from fiberloom.typing import Floats
 
 
 class NoRecord:
     """Implements `operation.move.Recorder`; the loop keeps its moves itself."""
 
-    def start(self, here_deg: NDArray[np.float64], wire_deg: NDArray[np.float64], image: Measurement) -> None:
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
         """Not a move."""
 
     def move(self, move: Move) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from typing import TypedDict, Unpack
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, computed_field
@@ -54,7 +55,7 @@ class Quantity(BaseModel):
     beyond: bool = False
     """Not in the paper: what fiberloom does beside it."""
 
-    @computed_field  # type: ignore[prop-decorator]
+    @computed_field  # type: ignore[prop-decorator]  # mypy has none on a property; pydantic wants it
     @property
     def ratio(self) -> float | None:
         """Ratio of ours to the paper's; None where the paper has no value, or zero."""
@@ -74,23 +75,28 @@ class Quantity(BaseModel):
         return abs(self.ours - self.paper) > MISS * abs(self.paper)
 
 
+class _Reading(TypedDict, total=False):
+    """How a quantity is to be read."""
+
+    paper: float | None
+    bound: Bound
+    note: str
+    beyond: bool
+
+
 def quantity(
     key: str,
     name: str,
     values: float | Sequence[float],
     unit: str,
     kind: Kind = Kind.PREDICTED,
-    *,
-    paper: float | None = None,
-    bound: Bound = Bound.EQUAL,
-    note: str = "",
-    beyond: bool = False,
+    **reading: Unpack[_Reading],
 ) -> Quantity:
     """A quantity from one value, or from one value per seed; what is not finite is not measured.
 
-    `key` and `name`: short and in words; `values` and `paper` in `unit` (um, deg, ...); `kind`: put in,
-    tuned or predicted; `bound`: how the paper's value is meant; `note`: a sentence; `beyond`: not in
-    the paper.
+    `key` and `name`: short and in words; `values` in `unit` (um, deg, ...); `kind`: put in, tuned or
+    predicted. `reading`: the value of the `paper` in the same unit, its `bound`, a `note`, and whether it is
+    `beyond` the paper.
     """
     found = np.atleast_1d(np.asarray(values, dtype=float))
     sound = bool(np.isfinite(found).all())
@@ -99,12 +105,12 @@ def quantity(
         id=key,
         figure=int(first[3:]) if first.startswith("fig") else first,
         name=name,
-        paper=paper,
+        paper=reading.get("paper"),
         ours=float(found.mean()) if sound else None,
         spread=float(found.std(ddof=1)) if sound and len(found) > 1 else None,
         unit=unit,
         kind=kind,
-        note=note,
-        bound=bound,
-        beyond=beyond,
+        note=reading.get("note", ""),
+        bound=reading.get("bound", Bound.EQUAL),
+        beyond=reading.get("beyond", False),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from fiberloom.errors import InputError
 
@@ -38,7 +38,8 @@ class Figure:
     def run(self) -> Callable[[Settings], FigureOutcome]:
         """The experiment; its module is loaded now."""
         module = importlib.import_module(f"fiberloom.studies.paper.{self.module}")
-        return cast("Callable[[Settings], FigureOutcome]", module.run)
+        run: Callable[[Settings], FigureOutcome] = module.run
+        return run
 
 
 FIGURES: tuple[Figure, ...] = (

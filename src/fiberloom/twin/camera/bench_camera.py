@@ -7,7 +7,6 @@ the rest of the frame would hold noise and nothing to find.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom._core import metrology as _core
 from fiberloom.instruments.model import METROLOGY
@@ -15,7 +14,7 @@ from fiberloom.metrology import Measurement, Profile, SpotSettings, find_spots
 from fiberloom.twin.camera.imaging import PSF_KINDS, CameraModel
 from fiberloom.twin.camera.models import camera_model
 from fiberloom.twin.twin import Twin
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats
 from fiberloom.units import UM_PER_MM
 
 _WIDTHS = 4.0
@@ -47,7 +46,7 @@ class SpotBench:
         brightest = int(np.argmax(spots.flux_e))
         return spots.xy_px[brightest] + corner, spots.covariance_px2[brightest]
 
-    def _image(self, xy_px: Floats, size: int) -> NDArray:
+    def _image(self, xy_px: Floats, size: int) -> Array:
         """The mean of as many exposures as the model says."""
         psf, light, d = self.model.psf, self.model.light, self.model.detector
         n = len(xy_px)

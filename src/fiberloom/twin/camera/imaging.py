@@ -25,7 +25,8 @@ from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import CameraImage
-from fiberloom.typing import Floats
+from fiberloom.twin.twin import Twin
+from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 from fiberloom.version import __version__
 
@@ -70,7 +71,7 @@ class Psf:
         """Elliptical radius squared at which the spot ends, relative to its core."""
         if self.kind == "disc":
             return (1 + 5 * self.edge) ** 2
-        return -2 * np.log(_END) if self.kind == "gaussian" else _END ** (-1 / self.beta) - 1
+        return float(-2 * np.log(_END) if self.kind == "gaussian" else _END ** (-1 / self.beta) - 1)
 
     def ellipses_px2(self, place: Floats) -> Floats:
         """(n, 3) S_xx, S_xy, S_yy at places (n, 2) relative to the radius of the field."""
@@ -90,7 +91,7 @@ class Psf:
             return self.fwhm_px / _FWHM_PER_SIGMA
         if self.kind == "disc":
             return self.fwhm_px / 2
-        return self.fwhm_px / (2 * np.sqrt(2 ** (1 / self.beta) - 1))
+        return float(self.fwhm_px / (2 * np.sqrt(2 ** (1 / self.beta) - 1)))
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,8 @@ class Optics:
         phase = rng.uniform(0.0, 2 * np.pi, (2, 500))
         size = self.turbulence_um * MM_PER_UM * np.sqrt(2.0 / 500)
         angle = np.einsum("nc,awc->naw", xy_mm, waves) + phase
-        return size * np.cos(angle).sum(axis=2)
+        spots: Floats = size * np.cos(angle).sum(axis=2)
+        return spots
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,7 @@ class StillScene:
 class TwinScene:
     """The metrology fibres of a twin."""
 
-    def __init__(self, twin: Any) -> None:
+    def __init__(self, twin: Twin) -> None:
         self._twin = twin
 
     @property
@@ -285,7 +287,7 @@ class ImagingCamera:
         g = self.model.optics.geometry
         return np.array([g.width_px, g.height_px], dtype=np.float64)
 
-    def _draw_hot(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _draw_hot(self) -> tuple[Ints, NDArray[np.float32]]:
         d = self.model.detector
         n = int(self._fixed.poisson(d.hot_share * np.prod(self._size())))
         where = self._fixed.integers(0, int(np.prod(self._size())), n)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.twin.twin import Twin
+from fiberloom.typing import Floats
 
 
 class NoiseCamera:
@@ -22,7 +22,7 @@ class NoiseCamera:
         self._sigma_mm = rms_um * 1e-3 / np.sqrt(2.0)
         self._rng = np.random.default_rng([seed, 0xCA3E])
 
-    def measure(self, expected_mm: NDArray[np.float64] | None = None) -> Measurement:
+    def measure(self, expected_mm: Floats | None = None) -> Measurement:
         """Takes an image now; it knows without a match which spot belongs to which positioner."""
         true_mm = self._twin.fibre_xy(METROLOGY)
         noisy_mm = true_mm + self._rng.normal(0.0, self._sigma_mm, true_mm.shape)

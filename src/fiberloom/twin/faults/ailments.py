@@ -17,14 +17,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.instruments.focal_plane import elbows_mm
+from fiberloom.instruments.arms import elbows_mm
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.grammar import FaultRequest, parse_faults
 from fiberloom.twin.faults.kinds import AGED, AilmentKind, FaultKind
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
 from fiberloom.twin.wear import TOOTH_MARK
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints, Records
 from fiberloom.units import RAD_PER_DEG
 
 NEVER = np.iinfo(np.int64).max
@@ -84,7 +84,7 @@ AILMENT_DTYPE = np.dtype(
 class Ailments:
     """The ailments of N units, `table` (N,) of AILMENT_DTYPE; healthy ones have an onset of NEVER."""
 
-    def __init__(self, table: NDArray, model: AilmentModel) -> None:
+    def __init__(self, table: Records, model: AilmentModel) -> None:
         self.table, self.model = table, model
 
     def __len__(self) -> int:
@@ -98,7 +98,7 @@ class Ailments:
         """(N,) ailment of each; HEALTHY without one."""
         return np.where(self.begun(move), self.table["kind"], HEALTHY)
 
-    def onsets(self) -> NDArray[np.int64]:
+    def onsets(self) -> Ints:
         """Moves at which an ailment begins, in order."""
         return np.unique(self.table["onset"][self.table["onset"] != NEVER])
 
@@ -140,7 +140,8 @@ class Ailments:
         weak = np.flatnonzero(self._hall_share(move) < HALL_STALLS)
         out[weak, self.table["axis"][weak]] = True
         inertia = units.plant["inertia_motor"] + units.plant["inertia_gear"]
-        return out | (excess_torque_Nm(units) > STALL_PER_INERTIA * inertia)
+        stalled: Flags = out | (excess_torque_Nm(units) > STALL_PER_INERTIA * inertia)
+        return stalled
 
     def loose_mm_at(self, move: int) -> Floats:
         """(N,) standard deviation in mm of the beta arm's length from move to move."""
@@ -151,7 +152,8 @@ class Ailments:
 
     def dark_at(self, move: int) -> Flags:
         """(N,) fibres that the camera does not see."""
-        return (self.table["kind"] == AilmentKind.DARK) & self.begun(move)
+        dark: Flags = (self.table["kind"] == AilmentKind.DARK) & self.begun(move)
+        return dark
 
     def out_at(self, units: Units, move: int) -> Flags:
         """(N,) which no longer follow their commands, or are not seen: nothing to calibrate."""
@@ -191,7 +193,8 @@ def excess_torque_Nm(units: Units, motor_rpm: float = 2000.0) -> Floats:
     back_emf = 1.5 * p["flux_linkage"] ** 2 / p["coil_resistance"]
     drag = p["viscous_motor"] + p["viscous_gear"] + back_emf - f["drag"]
     coulomb = p["coulomb_motor"] + p["coulomb_gear"] - f["coulomb"]
-    return coulomb + drag * motor_rpm * 2.0 * np.pi / 60.0
+    torque: Floats = coulomb + drag * motor_rpm * 2.0 * np.pi / 60.0
+    return torque
 
 
 def loosened(units: Units, xy_mm: Floats, theta_deg: Floats, longer_mm: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.grammar import FaultRequest
 from fiberloom.twin.faults.kinds import SHARES, ServiceKind
 from fiberloom.typing import Ints
+
+_Free = TypeVar("_Free")
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,7 @@ class _Pool:
             self.free_ids.remove(positioner)
         return positioner
 
-    def drawn(self, request: FaultRequest) -> list:
-        free: list = self.free_places if request.kind == ServiceKind.BUS_OFF else self.free_ids
+    def drawn(self, request: FaultRequest, free: list[_Free]) -> list[_Free]:
         if request.count > len(free):
             raise InputError(f"--faults {request}: give a whole number, at most {len(free)} here")
         return [free.pop(0) for _ in range(request.count)]
@@ -91,5 +93,5 @@ def _endless(request: FaultRequest, pool: _Pool) -> list[ScheduledFault]:
     if request.positioner_id is not None:
         return [ScheduledFault(kind, pool.named(request))]
     if kind == ServiceKind.BUS_OFF:
-        return [ScheduledFault(kind, place=place) for place in pool.drawn(request)]
-    return [ScheduledFault(kind, positioner) for positioner in pool.drawn(request)]
+        return [ScheduledFault(kind, place=place) for place in pool.drawn(request, pool.free_places)]
+    return [ScheduledFault(kind, positioner) for positioner in pool.drawn(request, pool.free_ids)]

@@ -25,7 +25,7 @@ from fiberloom.twin.faults.schedule import ScheduledFault
 from fiberloom.twin.real_time import RealTimeTwin
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.device import PORTS, Device, Port
-from fiberloom.twin.server.wire import QUEUE_FRAMES, Wire
+from fiberloom.twin.server.wire import Wire
 from fiberloom.twin.twin import Reply, Twin
 
 POSITIONERS_PER_DEVICE = 84
@@ -191,39 +191,46 @@ class _Outgoing:
     reply: Reply = field(compare=False)
 
 
-class TwinServer:
-    """Serves a twin until `close`. `schedule`: faults that begin and end in the twin's time.
+@dataclass(frozen=True)
+class ServerSettings:
+    """How a twin is served."""
 
-    `queue_frames`: places in a port's transmit queue, 100 in the device. `bootloader`: all positioners begin
-    there, as after power-on. `first`: the clock runs before all ordinary programs of the machine.
-    """
+    speed: float = 1.0
+    """Seconds of the twin in a second."""
+    seed: int = 0
+    """Of replies that are lost or late."""
+    bootloader: bool = False
+    """All positioners begin there, as after power-on."""
+    first: bool = False
+    """The clock runs before all ordinary programs of the machine."""
+
+
+class TwinServer:
+    """Serves a twin until `close`. `schedule`: faults that begin and end in the twin's time."""
 
     def __init__(
         self,
         twin: Twin,
         addresses: Sequence[Address],
         *,
-        speed: float = 1.0,
         schedule: Iterable[ScheduledFault] = (),
-        seed: int = 0,
-        queue_frames: int = QUEUE_FRAMES,
-        bootloader: bool = False,
-        first: bool = False,
+        settings: ServerSettings | None = None,
     ) -> None:
+        settings = settings or ServerSettings()
         places = places_of(len(twin.plane), len(addresses))
         self.places = dict(zip(map(int, twin.plane.positioner_id), places, strict=True))
         self.traffic = Traffic()
         self.listeners = [_Listener(self, k, address) for k, address in enumerate(addresses)]
         for listener in self.listeners:
             for port in listener.device.ports.values():
-                port.wire = Wire(queue_frames)
+                port.wire = Wire()
         faults = tuple(schedule)
         self._due = sorted(
             [(f.start_s, True, f) for f in faults] + [(f.end_s, False, f) for f in faults],
             key=lambda entry: entry[0],
         )
         self._on_replies: list[ScheduledFault] = []
-        self._rng = np.random.default_rng([seed, 0x105E])
+        self._rng = np.random.default_rng([settings.seed, 0x105E])
         self._heap: list[_Outgoing] = []
         self._order = 0
         self._inbox: list[tuple[int, bytes, int, float]] = []
@@ -231,12 +238,12 @@ class TwinServer:
         self._schedule_timer: asyncio.TimerHandle | None = None
         self.happened: list[str] = []
         """What went wrong so far, with the virtual time."""
-        if bootloader:
+        if settings.bootloader:
             for i in self.places:
                 twin.power_cycle(i, bootloader=True)
         self._twin = twin
-        self._speed = speed
-        self._first = first
+        self._speed = settings.speed
+        self._first = settings.first
         self.real: RealTimeTwin | None = None
 
     @property

@@ -39,7 +39,8 @@ class Visits:
         off = self.xy_um - self.xy_um.mean(axis=0)
         visits = len(self.xy_um)
         variance = (off**2).sum(axis=-1).mean(axis=(0, 1)) * visits / (visits - 1)
-        return 1e3 * np.sqrt(variance)
+        rms: Floats = 1e3 * np.sqrt(variance)
+        return rms
 
     @property
     def mean_rms_nm(self) -> float:
@@ -48,7 +49,8 @@ class Visits:
 
     def apart_um(self) -> Floats:
         """(units, 2) distances between the means of neighbouring targets."""
-        return np.linalg.norm(np.diff(self.xy_um.mean(axis=0), axis=0), axis=-1).T
+        steps: Floats = np.linalg.norm(np.diff(self.xy_um.mean(axis=0), axis=0), axis=-1).T
+        return steps
 
 
 def visit(bench: PaperBench, axis: int, visits: int) -> Visits:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from fiberloom.blocking import finish
 from fiberloom.calibration import TransmissionMaps
@@ -15,7 +14,7 @@ from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.studies.paper.bench import Mover, PaperBench, calibrated, make_bench
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 from fiberloom.units import UM_PER_MM
 
 TARGETS, MOVES, VISITS = 244, 10, 5
@@ -87,7 +86,8 @@ async def _iterate(
 
 
 def _off_um(xy_mm: Floats, target_mm: Floats) -> Floats:
-    return UM_PER_MM * np.hypot(*(xy_mm - target_mm).T)
+    error: Floats = UM_PER_MM * np.hypot(*(xy_mm - target_mm).T)
+    return error
 
 
 def run_seed(seed: int, n_units: int, n_targets: int, visits: int, filtered: bool) -> Errors:
@@ -237,7 +237,7 @@ def _curves(plain: list[Errors], filtered: list[Errors]) -> Drawing:
     )
 
 
-def _line(axes: Axes, x: NDArray, curves: list[Floats], label: str, colour: str, style: str) -> None:
+def _line(axes: Axes, x: Ints, curves: list[Floats], label: str, colour: str, style: str) -> None:
     stacked = np.array(curves)
     axes.plot(x, stacked.mean(axis=0), style, color=colour, label=label)
     axes.fill_between(x, stacked.min(axis=0), stacked.max(axis=0), color=colour, alpha=0.2, linewidth=0)

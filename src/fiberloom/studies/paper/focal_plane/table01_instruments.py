@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.assignment import assign
 from fiberloom.blocking import finish
@@ -24,7 +23,7 @@ from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, dr
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 from fiberloom.units import UM_PER_MM
 
 UNITS, MANY_UNITS = 19, 169
@@ -151,11 +150,12 @@ def _maps(plane: FocalPlane, units: Units, seed: int) -> TransmissionMaps:
     return finish(whole())
 
 
-def _true_error_um(move: Move, targets: TargetList, target: NDArray[np.int64]) -> Floats:
+def _true_error_um(move: Move, targets: TargetList, target: Ints) -> Floats:
     if move.true_mm is None:
         raise RuntimeError("the twin knows where its fibres are")
     has = target >= 0
-    return UM_PER_MM * np.hypot(*(move.true_mm[has] - targets.xy_mm[target[has]]).T)
+    error: Floats = UM_PER_MM * np.hypot(*(move.true_mm[has] - targets.xy_mm[target[has]]).T)
+    return error
 
 
 def run(settings: Settings) -> FigureOutcome:

@@ -50,7 +50,8 @@ def _peaks(maps: TransmissionMaps) -> Floats:
     theta = np.arange(0.5, 360.5, 0.5)[:720]
     delta = maps.delta_deg(theta)[:, 0]
     spectrum = np.abs(np.fft.rfft(delta, axis=-1))[:, _TEETH[0] : _TEETH[1]]
-    return _TEETH[0] + np.argmax(spectrum, axis=-1).astype(float)
+    teeth: Floats = _TEETH[0] + np.argmax(spectrum, axis=-1).astype(float)
+    return teeth
 
 
 def _errors(maps: TransmissionMaps, units: Units) -> Floats:
@@ -60,7 +61,8 @@ def _errors(maps: TransmissionMaps, units: Units) -> Floats:
     for row in range(len(units)):
         for axis in (0, 1):
             off[row, axis] = found[row, axis] + theta - units.transmission(row, axis, theta)[0]
-    return 1e3 * np.sqrt(off.var(axis=-1).mean(axis=0))
+    rms: Floats = 1e3 * np.sqrt(off.var(axis=-1).mean(axis=0))
+    return rms
 
 
 def run(settings: Settings) -> FigureOutcome:

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.calibration import BreakAway, break_away
-from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
+from fiberloom.studies.paper.identification.identified import UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 
@@ -41,10 +41,7 @@ def asymmetry(curve: BreakAway) -> float:
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's double sinusoid that asks for more in the negative direction."""
-    found = []
-    for seed in settings.seeds:
-        settings.say(f"Figure 11: seed {seed}")
-        found.append(identified(seed))
+    found = each_seed(settings, 11)
     return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(curves(found[0])[0])],

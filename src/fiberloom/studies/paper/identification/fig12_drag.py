@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.studies.paper.identification.identified import RUN_RPM, UNITS, Identified, identified
+from fiberloom.studies.paper.identification.identified import RUN_RPM, UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
@@ -62,10 +62,7 @@ def _sorted(run: Sweep) -> tuple[Floats, Floats]:
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's two straight lines."""
-    found = []
-    for seed in settings.seeds:
-        settings.say(f"Figure 12: seed {seed}")
-        found.append(identified(seed))
+    found = each_seed(settings, 12)
     return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(sweeps(found[0], 0))],

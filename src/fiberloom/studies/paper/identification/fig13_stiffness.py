@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
+from fiberloom.studies.paper.identification.identified import UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 
@@ -16,10 +16,7 @@ TORQUE_MNM = (11.8, 1.4)
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 337 and 25 mNm/deg."""
-    found = []
-    for seed in settings.seeds:
-        settings.say(f"Figure 13: seed {seed}")
-        found.append(identified(seed))
+    found = each_seed(settings, 13)
     return FigureOutcome(
         quantities=[q for axis in (0, 1) for q in _quantities(found, axis)],
         drawings=[_draw(found)],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.studies.paper.identification.identified import UNITS, Identified, identified
+from fiberloom.studies.paper.identification.identified import UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.typing import Floats
@@ -42,10 +42,7 @@ def rise_ms(time_ms: Floats, rpm: Floats, ends_rpm: Floats) -> float:
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's 600 to 5600 rpm in about 15 ms, and 0.035 g cm^2."""
-    found = []
-    for seed in settings.seeds:
-        settings.say(f"Figure 14: seed {seed}")
-        found.append(identified(seed))
+    found = each_seed(settings, 14)
     return FigureOutcome(
         quantities=_quantities(found),
         drawings=[_draw(found[0])],

@@ -26,6 +26,7 @@ from fiberloom.calibration import (
     measured_scale,
 )
 from fiberloom.studies.paper.bench import PaperBench, make_bench
+from fiberloom.studies.paper.outcome import Settings
 from fiberloom.twin import TwinWeights
 
 UNITS = 6
@@ -50,6 +51,15 @@ class Identified:
 def identified(seed: int, n_units: int = UNITS) -> Identified:
     """All of it, once; torques are scaled by weights on the arms."""
     return finish(_identify(make_bench(seed, n_units), seed))
+
+
+def each_seed(settings: Settings, figure: int) -> list[Identified]:
+    """All of it for every seed, told to the user as work for this figure."""
+    found = []
+    for seed in settings.seeds:
+        settings.say(f"Figure {figure}: seed {seed}")
+        found.append(identified(seed))
+    return found
 
 
 async def _identify(bench: PaperBench, seed: int) -> Identified:

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.instruments.model import AXES
-from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
+from fiberloom.studies.paper.lifetime.wearing import Study, compared
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.units import UM_PER_MM
@@ -27,8 +27,7 @@ def scatter_um(study: Study) -> float:
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's: within about one micrometre."""
-    found = studies(settings, 21)
-    return FigureOutcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
+    return compared(settings, 21, _quantities, _draw)
 
 
 def _quantities(found: list[Study]) -> list[Quantity]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studies
+from fiberloom.studies.paper.lifetime.wearing import Study, compared
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 
@@ -20,8 +20,7 @@ def largest_change_deg(study: Study) -> float:
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's local changes of up to 0.15 deg."""
-    found = studies(settings, 22)
-    return FigureOutcome(_quantities(found), [_draw(found[0])], HOW, smaller(settings))
+    return compared(settings, 22, _quantities, _draw)
 
 
 def _quantities(found: list[Study]) -> list[Quantity]:

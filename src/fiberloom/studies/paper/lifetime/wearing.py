@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiberloom.studies.lifetime import DELTAS, WAYS, LifetimeSettings, delta_angles_deg, lifetime
-from fiberloom.studies.paper.outcome import Settings
+from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
+from fiberloom.studies.paper.quantity import Quantity
 from fiberloom.twin.bench import bench_units
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats, Ints
 
 UNITS, CYCLES = 4, 100
 BETA = 1
@@ -36,10 +37,10 @@ class Study:
     settings: LifetimeSettings
     angles_deg: Floats
     """(points,) of beta at which delta is kept."""
-    rows: dict[str, NDArray]
+    rows: dict[str, Array]
 
     @property
-    def cycles(self) -> NDArray[np.int64]:
+    def cycles(self) -> Ints:
         """Simulated ones."""
         return self.settings.simulated
 
@@ -77,3 +78,14 @@ def studies(settings: Settings, figure: int) -> list[Study]:
 def smaller(settings: Settings) -> str:
     """What is said of the size."""
     return "" if settings.full else SMALLER
+
+
+def compared(
+    settings: Settings,
+    figure: int,
+    quantities: Callable[[list[Study]], list[Quantity]],
+    draw: Callable[[Study], Drawing],
+) -> FigureOutcome:
+    """Every seed's test beside the paper's figure; the first seed is drawn."""
+    found = studies(settings, figure)
+    return FigureOutcome(quantities(found), [draw(found[0])], HOW, smaller(settings))

@@ -1,0 +1,111 @@
+"""What an observation tells of itself, against figures worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy import units as u
+
+import fiberloom as fl
+from fiberloom.errors import InputError
+from fiberloom.health.status import FibreStatus
+from fiberloom.targets import random_targets
+
+N = 7
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """Seven positioners on the twin after the blind move and one correction."""
+    plane = fl.FocalPlane.of("sdssv", n=N)
+    targets = random_targets(plane, 60, 3)
+    return fl.Field.twin(plane, camera="noise", seed=3).run.observe(targets, corrections=1)
+
+
+def with_errors(seen, errors_um, status=None):
+    """The observation with a last move that ended `errors_um` beside the targets in x."""
+    beside_mm = np.stack([np.asarray(errors_um) / 1000, np.zeros(N)], axis=1)
+    status = [FibreStatus.ON_TARGET] * N if status is None else status
+    last = replace(
+        seen.moves[-1],
+        true_mm=seen.target_mm() + beside_mm,
+        measured_error_um=2.0 * np.asarray(errors_um),
+        status=status,
+    )
+    return replace(seen, moves=[*seen.moves[:-1], last])
+
+
+def test_the_figures_of_a_move(seen):
+    errors_um = np.array([3.0, 4.0, 0.0, 4.9, 0.0, 6.0, -10.0])
+    observed = with_errors(seen, errors_um)
+    summary = observed.summary()
+    last = summary["moves"][-1]
+    assert (summary["n_positioners"], summary["n_assigned"], summary["n_targets"]) == (N, N, 60)
+    # the requirement of the instrument is 5 um
+    assert summary["n_within_requirement"] == last["n_within_requirement"] == 5
+    assert last["true_rms_um"] == pytest.approx(np.sqrt(185.01 / 7.0))
+    assert last["measured_rms_um"] == pytest.approx(2.0 * np.sqrt(185.01 / 7.0))
+    # of 0 0 3 4 4.9 6 10: the 95th percentile lies 0.7 of the way from the sixth to the seventh
+    assert last["p95_um"] == pytest.approx(6.0 + 0.7 * 4.0)
+    assert last["max_um"] == pytest.approx(10.0)
+    assert [move["move"] for move in summary["moves"]] == [1, 2]
+    assert summary["motion_s"] == pytest.approx(sum(move.motion_s for move in seen.moves))
+
+
+def test_a_comparison_is_no_move_of_the_observation(seen):
+    compared = replace(seen.moves[-1], number=3, comparison=True)
+    observed = replace(seen, moves=[*seen.moves, compared])
+    assert observed.final is observed.moves[1]
+    assert observed.summary()["motion_s"] == pytest.approx(seen.summary()["motion_s"])
+    assert "7 with a target, 2 moves, " in repr(observed)
+
+
+def test_what_is_faulty_or_parked_does_not_count(seen):
+    status = [FibreStatus.ON_TARGET] * N
+    status[1], status[2], status[3] = FibreStatus.DEAD, FibreStatus.PARKED, FibreStatus.BLOCKED
+    observed = with_errors(seen, [1.0, 99.0, 99.0, 99.0, 1.0, 1.0, 7.0], status)
+    summary = observed.summary()
+    assert (summary["n_valid"], summary["n_within_requirement"]) == (4, 3)
+    named = [int(i) for i in seen.plane.positioner_id]
+    assert summary["faults"] == {"dead": [named[1]], "blocked": [named[3]]}
+    assert repr(observed).endswith("2 moves, 3 within 5 um)")
+    title = observed.plot().get_title()
+    assert title == "3 of 4 fibres within 5 µm after move 2; 2 positioners flagged"
+
+
+def test_the_table_has_a_row_for_every_positioner_and_move_in_units(seen):
+    table = with_errors(seen, np.full(N, 2.0)).table()
+    assert table["move"].tolist() == [1] * N + [2] * N
+    assert table["x_target_mm"].unit == table["y_true_mm"].unit == u.mm
+    assert table["alpha_deg"].unit == u.deg
+    assert table["error_um"].unit == u.um
+    assert table["status"].unit is None
+    last = table[N:]
+    np.testing.assert_allclose((last["x_true_mm"] - last["x_target_mm"]).to_value(u.um), 2.0, atol=1e-9)
+    np.testing.assert_allclose(last["error_um"].to_value(u.um), 2.0, atol=1e-9)
+
+
+def test_without_the_truth_the_measured_error_counts(seen):
+    observed = with_errors(seen, np.full(N, 1.5))
+    last = replace(observed.moves[-1], true_mm=None)
+    observed = replace(observed, moves=[last])
+    assert observed.true_error_um(last) is None
+    assert observed.summary()["moves"][0]["true_rms_um"] is None
+    np.testing.assert_allclose(observed.error_um(last), 3.0)
+    assert np.isnan(observed.table()["x_true_mm"].value).all()
+
+
+def test_a_plot_is_drawn_where_it_is_told(seen):
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    assert seen.plot(axes) is axes
+    assert seen.plot() is not axes
+
+
+def test_nothing_moved_is_nothing_to_show(seen, tmp_path):
+    empty = replace(seen, moves=[])
+    assert repr(empty) == f"Observation('sdssv', {N} positioners, {N} with a target, 0 moves)"
+    for shown in (empty.plot, lambda: empty.save(tmp_path)):
+        with pytest.raises(InputError, match="no move was made"):
+            shown()
