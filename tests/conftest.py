@@ -41,6 +41,22 @@ def shared_sdssv():
     pytest.skip("no ../shared/data/sdssv beside the checkout: the real tables are not public")
 
 
+@pytest.fixture
+def written(monkeypatch):
+    """Every figure that is written to a file, in order, to look at what was drawn."""
+    from matplotlib.figure import Figure
+
+    kept = []
+    original = Figure.savefig
+
+    def savefig(figure, *arguments, **how):
+        kept.append(figure)
+        return original(figure, *arguments, **how)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    return kept
+
+
 def pytest_terminal_summary(terminalreporter):
     """What this machine could not run and why, once, in the last lines."""
     reasons = {

@@ -51,8 +51,8 @@ def python_coverage(root: Path, jobs: int) -> bool:
 
 def native_coverage(root: Path) -> bool:
     """Builds the compiled module with counters, runs its tests, sums up what gcov counted."""
-    options = ["-DFIBERLOOM_COVERAGE=ON", f"-DPython_EXECUTABLE={sys.executable}"]
-    if not run(["cmake", "-S", ".", "-B", str(BUILD), "-G", "Ninja", *options], root):
+    build = ["-DFIBERLOOM_COVERAGE=ON", f"-DPython_EXECUTABLE={sys.executable}"]
+    if not run(["cmake", "-S", ".", "-B", str(BUILD), "-G", "Ninja", *build], root):
         return False
     if not run(["cmake", "--build", str(BUILD)], root):
         return False
@@ -66,7 +66,9 @@ def native_coverage(root: Path) -> bool:
     ):
         return False
     filters = [f"--filter={top}/" for top in present(root, TOPS) if "/" not in top]
-    command = [sys.executable, "-m", "gcovr", "--root", ".", "--exclude-throw-branches", *filters]
+    # a line of a template counts once, however many types it is compiled for
+    options = ["--exclude-throw-branches", "--merge-lines", *filters]
+    command = [sys.executable, "-m", "gcovr", "--root", ".", *options]
     return run([*command, "--json-summary", str(FOLDER / NATIVE), str(BUILD)], root)
 
 

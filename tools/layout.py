@@ -31,8 +31,8 @@ SHARED_WITH_CORE = r"tests/(planning|metrology|twin)/"
 
 # `make coverage`: the small tests for Python, and of those the ones that reach most of C and C++.
 SMALL = "not slow and not long and not jaeger"
-NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/geometry", "tests/planning",
-                "tests/metrology", "tests/twin")  # fmt: skip
+NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/bindings", "tests/geometry",
+                "tests/planning", "tests/metrology", "tests/twin")  # fmt: skip
 
 
 @dataclass(frozen=True)
