@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fiberloom.calibration.bench.estimate import estimate
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.calibration.bench.torque import TorqueScale, Windows
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.studies.paper import Settings
@@ -45,7 +45,8 @@ def made(figure, settings):
 
 def column(value, residual_unit="1"):
     n = fig13.UNITS
-    return estimate("q", "u", np.full(n, value), np.full(n, 0.1), np.zeros((n, 2)), residual_unit, [""] * n)
+    fitted = Fitted(np.full(n, value), np.full(n, 0.1))
+    return estimate("q", "u", fitted, Residuals(np.zeros((n, 2)), residual_unit), [""] * n)
 
 
 def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, written):
