@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fiberloom.calibration.bench.acceptance import AcceptanceData, AcceptanceSettings, Check, UnitVerdict
-from fiberloom.calibration.bench.estimate import estimate
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.calibration.bench.repeatability import RepeatabilityData
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.instruments import generate
@@ -59,7 +59,8 @@ def pair(sdssv):
 
 
 def one(name, value, n=2):
-    return estimate(name, "µm", np.full(n, value), np.full(n, 0.1), np.zeros((n, 3)), "µm", [""] * n)
+    fitted = Fitted(np.full(n, value), np.full(n, 0.1))
+    return estimate(name, "µm", fitted, Residuals(np.zeros((n, 3)), "µm"), [""] * n)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from fiberloom.calibration.bench.arms import Arms, ArmsData
-from fiberloom.calibration.bench.estimate import Estimate, estimate
+from fiberloom.calibration.bench.estimate import Estimate, Fitted, Residuals, estimate
 from fiberloom.calibration.bench.friction import Friction, FrictionData
 from fiberloom.calibration.bench.inertia import Inertia, InertiaData
 from fiberloom.calibration.bench.repeatability import Repeatability, RepeatabilityData
@@ -48,7 +48,8 @@ def line(axes, label):
 
 def about(name="q", unit="µNm", value=2.0, residuals=None, reason=("", "", "stalled")) -> Estimate:
     left = np.zeros((N, 4)) if residuals is None else residuals
-    return estimate(name, unit, np.full(N, value), np.full(N, 0.1), left, unit, reason)
+    fitted = Fitted(np.full(N, value), np.full(N, 0.1))
+    return estimate(name, unit, fitted, Residuals(left, unit), reason)
 
 
 def test_convergence_is_drawn_by_quantity_against_configurations(tmp_path, written):

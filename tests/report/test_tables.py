@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fiberloom.calibration.bench.estimate import estimate
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.errors import InputError
 from fiberloom.instruments import load_instrument
 from fiberloom.report.estimates import estimate_records, estimate_rows
@@ -76,7 +76,8 @@ def test_a_report_is_two_columns_a_list_of_them_one_table(capsys):
 
 def two_rows(name="alpha_phase", unit="rad", value=(3.0, np.nan), reason=("", "stalled")):
     residuals = np.array([[0.3, -0.4], [np.nan, np.nan]])
-    return estimate(name, unit, np.array(value), np.array([0.1, 0.1]), residuals, "rad", reason)
+    fitted = Fitted(np.array(value), np.array([0.1, 0.1]))
+    return estimate(name, unit, fitted, Residuals(residuals, "rad"), reason)
 
 
 @pytest.fixture(scope="module")

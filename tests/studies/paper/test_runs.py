@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fiberloom.calibration.bench.estimate import estimate
+from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.calibration.bench.torque import TorqueScale, Windows
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.studies.paper import Settings
@@ -21,6 +21,7 @@ from fiberloom.studies.paper.identification import fig10_transmission as fig10
 from fiberloom.studies.paper.identification import fig12_drag as fig12
 from fiberloom.studies.paper.identification import fig13_stiffness as fig13
 from fiberloom.studies.paper.identification import fig14_inertia as fig14
+from fiberloom.studies.paper.identification import identified
 from fiberloom.units import GEAR
 
 PNG = b"\x89PNG"
@@ -45,7 +46,8 @@ def made(figure, settings):
 
 def column(value, residual_unit="1"):
     n = fig13.UNITS
-    return estimate("q", "u", np.full(n, value), np.full(n, 0.1), np.zeros((n, 2)), residual_unit, [""] * n)
+    fitted = Fitted(np.full(n, value), np.full(n, 0.1))
+    return estimate("q", "u", fitted, Residuals(np.zeros((n, 2)), residual_unit), [""] * n)
 
 
 def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, written):
@@ -90,7 +92,7 @@ def test_figure_12_lines_explain_what_lies_on_lines(monkeypatch, settings, writt
     data = SimpleNamespace(segments=[*runs, runs[0], silent], creep=[False] * 4 + [True, False])
     friction = SimpleNamespace(drag=column(0.8), spring=column(-4.0), spring_rate=column(1.0 / 180.0))
     found = SimpleNamespace(friction_data=[data], friction=[friction], scale=[TorqueScale(100.0, 0.01)])
-    monkeypatch.setattr(fig12, "identified", lambda seed: found)
+    monkeypatch.setattr(identified, "identified", lambda seed: found)
     _, by_id = made(fig12, settings)
     assert by_id["fig12.linear_in_angle"].ours == pytest.approx(1.0)
     assert by_id["fig12.linear_in_speed"].ours == pytest.approx(1.0)
@@ -112,7 +114,7 @@ def test_figure_13_compares_every_unit_with_its_true_stiffness(monkeypatch, sett
     plant["stiffness"] = true_mNm_deg * 1e-3 * 180.0 / np.pi
     units = SimpleNamespace(plant={"stiffness": plant["stiffness"]})
     found = SimpleNamespace(bench=SimpleNamespace(units=units), stiffness=[column(303.0), column(19.8)])
-    monkeypatch.setattr(fig13, "identified", lambda seed: found)
+    monkeypatch.setattr(identified, "identified", lambda seed: found)
     _, by_id = made(fig13, settings)
     assert by_id["fig13.alpha.stiffness"].ours == pytest.approx(303.0)
     assert by_id["fig13.alpha.stiffness"].paper == 337.0
@@ -143,7 +145,7 @@ def test_figure_14_takes_the_rise_from_the_speeds(monkeypatch, settings, written
     plant["inertia_gear"] = 0.4 * true
     bench = SimpleNamespace(units=SimpleNamespace(plant=plant))
     found = SimpleNamespace(inertia_data=[data], inertia=[inertia], bench=bench)
-    monkeypatch.setattr(fig14, "identified", lambda seed: found)
+    monkeypatch.setattr(identified, "identified", lambda seed: found)
     _, by_id = made(fig14, settings)
     assert by_id["fig14.inertia"].ours == pytest.approx(1e7 * 1.02 * true)
     assert by_id["fig14.error_percent"].ours == pytest.approx(2.0)
