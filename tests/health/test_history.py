@@ -61,7 +61,7 @@ def test_a_move_is_told_as_it_was_recorded():
 
 def test_a_motor_far_from_its_command_has_not_arrived():
     start = np.tile([50.0, 90.0], (4, 1))
-    goal = start + [3.0, 0.0]
+    goal = start + np.array([3.0, 0.0])
     recorded = columns(
         np.stack([start, goal]),
         [START, "field"],

@@ -26,7 +26,7 @@ def test_a_miss_across_the_zero_of_alpha_is_a_small_one():
 
 
 def test_five_degrees_of_a_way_of_250_are_none():
-    """Less than 3 % of the way; the chord of 5 deg is more than 3 % of that of 250 deg, so the angles tell."""
+    """Less than 3 % of the way, but more than 3 % of its chord: the angles tell, the places do not."""
     monitor = HealthMonitor(PLANE)
     moved(monitor, [40.0, 90.0], [40.0, 90.0], [40.0, 90.0])
     moved(monitor, [40.0, 90.0], [290.0, 90.0], [45.0, 90.0])
