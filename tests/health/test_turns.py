@@ -1,6 +1,7 @@
 """Ways round the zero of alpha, and ways of which an image tells no angles."""
 
 import numpy as np
+import pytest
 from visits import Visits
 
 from fiberloom.health.monitor import HealthMonitor, ObservedMove
@@ -56,3 +57,23 @@ def test_torque_that_all_need_more_of_is_the_weather():
         parts = (move.before_deg, move.believed_deg, move.seen_mm, move.asked, move.arrived)
         monitor.update(ObservedMove(*parts, effort=effort))
     assert monitor.friction.score.max() == 0.0
+
+
+@pytest.mark.parametrize(("miss_at_next_deg", "alarms"), [(1.5, 1.1), (0.0, 0.0)])
+def test_a_jump_is_a_slip_if_it_stays_and_none_if_it_goes(miss_at_next_deg, alarms):
+    monitor = HealthMonitor(PLANE)
+    moved(monitor, [40.0, 90.0], [40.0, 90.0], [40.0, 90.0])
+    moved(monitor, [40.0, 90.0], [100.0, 90.0], [101.5, 90.0])
+    moved(monitor, [100.0, 90.0], [160.0, 90.0], [160.0 + miss_at_next_deg, 90.0])
+    np.testing.assert_allclose(monitor.slip.score, [[alarms * monitor.settings.alarm, 0.0]] * len(PLANE))
+
+
+@pytest.mark.parametrize("way_deg", [-60.0, 60.0])
+@pytest.mark.parametrize(("share", "side"), [(0.95, 0), (1.05, 1)])
+def test_ways_too_short_and_too_long_have_charts_of_their_own(way_deg, share, side):
+    monitor = HealthMonitor(PLANE)
+    moved(monitor, [180.0, 90.0], [180.0, 90.0], [180.0, 90.0])
+    moved(monitor, [180.0, 90.0], [180.0 + way_deg, 90.0], [180.0 + share * way_deg, 90.0])
+    alpha = monitor.scale.score[:, 0, int(way_deg > 0.0)]
+    assert (alpha[:, side] > 0.0).all()
+    assert (alpha[:, 1 - side] == 0.0).all()
