@@ -4,6 +4,7 @@ import enum
 import importlib
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -22,6 +23,8 @@ from tools.mutation.python import Mutant
 FOLDER = Path("build/mutate")
 PATIENCE, AT_LEAST_S = 4.0, 30.0
 """A mutant may take so many times what all tests took without it, and this long in any case."""
+ROOM_BYTES = 6 * 2**30
+"""Address space of the tests: a mutant that asks for more fails with a memory error, and is killed by it."""
 
 
 class Verdict(enum.Enum):
@@ -80,6 +83,7 @@ class Pytest:
             return subprocess.Popen(
                 [*command, "-m", SMALL, *options, *self.tests],
                 cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True, pass_fds=fds,
+                preexec_fn=limit_memory,
             )  # fmt: skip
 
     def verdict(self, code: int) -> Verdict:
@@ -114,6 +118,13 @@ class Pytest:
         if self.run(options, **extra) is not Verdict.SURVIVED:
             raise TestsFail(f"the tests fail without any change: {self._log}")
         self.limit_s = max(AT_LEAST_S, PATIENCE * (time.monotonic() - start_s))
+
+
+def limit_memory() -> None:
+    """Leaves this process and its children ROOM_BYTES of address space, or less where there is less."""
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    room = ROOM_BYTES if hard == resource.RLIM_INFINITY else min(ROOM_BYTES, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (room, hard))
 
 
 class Forks:
