@@ -42,3 +42,11 @@ def test_retired_names_do_not_come_back():
         if (words := re.findall(pattern, path.read_text()))
     }
     assert found == {}
+
+
+def test_test_files_have_names_of_their_own():
+    """Two of one name cannot be collected in one run."""
+    places = defaultdict(list)
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        places[path.name].append(str(path.parent.relative_to(ROOT)))
+    assert {name: folders for name, folders in places.items() if len(folders) > 1} == {}
