@@ -59,9 +59,12 @@ def mutate(runs: Runs, chosen: Sequence[Mutant], seen: Callable[[Result], None])
     """Tries mutants one after the other; `seen` is told of each result."""
     results = []
     runs.prepare()
-    for mutant in chosen:
-        results.append(Result(runs.target.name, mutant, runs.try_one(mutant)))
-        seen(results[-1])
+    try:
+        for mutant in chosen:
+            results.append(Result(runs.target.name, mutant, runs.try_one(mutant)))
+            seen(results[-1])
+    finally:
+        runs.close()
     return results
 
 

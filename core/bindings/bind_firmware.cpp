@@ -248,6 +248,8 @@ void bind_firmware(nb::module_ &parent) {
     m.attr("AXIS_PARAMS") = param_list();
     m.attr("SIZEOF_POSITIONER") = sizeof(fl_positioner_t);
     m.attr("TX_QUEUE") = nb::make_tuple(offsetof(fl_positioner_t, tx), sizeof(fl_outbox_t));
+    m.attr("HEARD_TICK") =
+        nb::make_tuple(offsetof(fl_positioner_t, heard_tick), sizeof(fl_positioner_t::heard_tick));
     m.attr("CODES") = code_list();         // (number, name)
     m.attr("STATUS_BITS") = status_list(); // (bit, name)
     m.attr("TICK_HZ") = FL_TICK_HZ;

@@ -181,7 +181,7 @@ void bind_plan(nb::module_ &m) {
 // --- its verification --------------------------------------------------------------------------
 
 void rules_init(Rules *self, double speed, double acceleration, double rounding, Travel travel) {
-    new (self) Rules{speed, acceleration, limits_of(travel), rounding, {}, {}, {}, {}};
+    new (self) Rules{speed, acceleration, limits_of(travel), rounding, false, {}, {}, {}, {}};
 }
 
 void rules_expect(Rules &rules, Pairs start, Pairs goal, Flags arrives, Input1<double> approach) {
@@ -240,7 +240,9 @@ void bind_verify(nb::module_ &m) {
         .def("expect", &rules_expect, nb::arg("start"), nb::arg("goal"), nb::arg("arrives"),
              nb::arg("approach"),
              "Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the "
-             "approach, rad (N,). Empty: not checked.");
+             "approach, rad (N,). Empty: not checked.")
+        .def_rw("separating", &Rules::separating,
+                "bodies that overlap at the start may move if they only move apart");
     m.def("verify", &verify_all, nb::arg("bodies"), nb::arg("motions"), nb::arg("rules"),
           "Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad. Violations are (fault, "
           "robot, other, time_s, depth in mm, rad, rad/s or rad/s2).");

@@ -1,4 +1,6 @@
 // The whole twin, and the twin against the wall clock.
+#include <map>
+
 #include "fiberloom/twin/real_time.hpp"
 #include "fiberloom/twin/twin.hpp"
 #include "twin_rows.hpp"
@@ -109,6 +111,19 @@ void check_axis(int axis) {
     if (axis < 0 || axis >= FL_AXES) throw nb::value_error("axis: 0 (alpha) or 1 (beta)");
 }
 
+// Any other than the one named stays when that one is taken away.
+bool at_start(PositionerFaults &f, const std::string &kind, bool on) {
+    static const std::map<std::string, AtStart> kinds = {
+        {"nostart", AtStart::misses}, {"refuse", AtStart::refuses}, {"reboot", AtStart::restarts}};
+    const auto found = kinds.find(kind);
+    if (found == kinds.end()) return false;
+    if (on)
+        f.at_start = found->second;
+    else if (f.at_start == found->second)
+        f.at_start = AtStart::obeys;
+    return true;
+}
+
 void twin_fault(Twin &twin, size_t index, int axis, const std::string &kind, bool on) {
     check_axis(axis);
     PositionerFaults f = twin.faults(index);
@@ -124,7 +139,7 @@ void twin_fault(Twin &twin, size_t index, int axis, const std::string &kind, boo
         f.deaf = on;
     else if (kind == "mute")
         f.mute = on;
-    else
+    else if (!at_start(f, kind, on))
         throw nb::value_error(("unknown fault '" + kind + "'").c_str());
     twin.set_faults(index, f);
 }

@@ -7,14 +7,17 @@
 #include "fl_status.h"
 
 /* Not inlined: a handler runs without this frame on its stack.
- * @pre there is room */
+ * @pre there is room, or the request stops */
 __attribute__((noinline)) static void reply(fl_positioner_t *p, const fl_can_frame_t *request, fl_code_t code,
                                             const fl_reply_t *re) {
     const fl_identifier_t asked = fl_identifier_unpack(request->id);
     const fl_identifier_t id = {p->id, asked.command, asked.uid, (uint8_t)code};
     fl_can_frame_t f = {.id = fl_identifier_pack(id), .len = code == FL_ACCEPTED ? re->len : 0};
     for (int i = 0; i < 8; ++i) f.data[i] = re->data[i];
-    fl_outbox_put(&p->tx, &p->port, &f);
+    if (fl_outbox_full(&p->tx))
+        fl_outbox_put_urgent(&p->tx, &p->port, FL_URGENT_STOP, &f);
+    else
+        fl_outbox_put(&p->tx, &p->port, &f);
 }
 
 static fl_code_t execute(fl_positioner_t *p, const fl_command_row_t *row, const fl_can_frame_t *f,
@@ -39,15 +42,21 @@ static fl_code_t answer(fl_positioner_t *p, fl_identifier_t id, const fl_can_fra
     return execute(p, row, f, re);
 }
 
+static bool stops(uint8_t command) {
+    const fl_command_row_t *row = fl_command_find(command);
+    return row && row->input == FL_IN_STOP;
+}
+
 void fl_positioner_receive(fl_positioner_t *p, const fl_can_frame_t *frame) {
     const fl_identifier_t id = fl_identifier_unpack(frame->id);
     if (frame->id >> 29 != 0 || frame->len > 8) return;
     if (id.positioner != 0 && id.positioner != p->id) return;
     /* a code makes it a reply: two units with one number would answer each other without end */
     if (id.code != 0) return;
-    /* without room for the answer the request is not carried out either */
+    p->heard_tick = p->ticks;
+    /* without room for the answer the request is not carried out either, but for a stop */
     fl_outbox_flush(&p->tx, &p->port);
-    if (fl_outbox_full(&p->tx)) return;
+    if (fl_outbox_full(&p->tx) && !stops(id.command)) return;
     fl_reply_t re = {{0}, 0};
     const fl_code_t code = answer(p, id, frame, &re);
     reply(p, frame, code, &re);

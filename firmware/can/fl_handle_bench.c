@@ -48,6 +48,7 @@ FL_HANDLER(fl_handle_torque_step) {
     if ((uint32_t)step.ticks[0] + step.ticks[1] > FL_TORQUE_TICKS) return FL_VALUE_OUT_OF_RANGE;
     for (int i = 0; i < 2; ++i)
         if (step.voltage[i] == INT16_MIN) return FL_VALUE_OUT_OF_RANGE;
+    for (int i = 0; i < FL_AXES; ++i) p->points[i] = 0; /* a loaded trajectory is dropped, as by a go-to */
     fl_axis_push(&p->axis[axis_of(rq)], step);
     return FL_ACCEPTED;
 }

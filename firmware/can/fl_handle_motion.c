@@ -87,6 +87,7 @@ FL_HANDLER(fl_handle_end) {
 void fl_positioner_sync(fl_positioner_t *p) {
     const fl_verdict_t verdict =
         fl_supervisor_match((fl_state_t)p->state, FL_IN_START, fl_status_conditions(p, FL_ON_BOTH));
+    p->heard_tick = p->ticks;
     if (verdict.code != FL_ACCEPTED || fl_handle_start(p, NULL, NULL) != FL_ACCEPTED) return;
     fl_positioner_enter(p, verdict.next);
 }
@@ -104,7 +105,10 @@ FL_HANDLER(fl_handle_stop) {
     UNUSED(re);
     drop_paths(p);
     fl_positioner_brake(p);
-    if (rq->arg) p->collided = 0;
+    if (rq->arg) {
+        p->collided = 0;
+        p->options &= ~FL_STATUS(HOST_TIMEOUT);
+    }
     return FL_ACCEPTED;
 }
 

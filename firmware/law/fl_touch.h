@@ -6,8 +6,8 @@
  *
  *   J e'' = L - (T - T_ff) - c e'              T: torque asked for, T_ff: Eq. 21 with the drag as identified
  *
- * with three equal poles at FL_TOUCH_RAD_S, corrected once a tick: white noise of the sensors is no more than
- * 0.3 uNm for alpha, a load that grows is seen 3/FL_TOUCH_RAD_S = 6.7 ms late. What the model is wrong by
+ * with three equal poles at 450 rad/s, corrected once a tick: white noise of the sensors is no more than
+ * 0.3 uNm for alpha, a load that grows is seen 3/450 s = 6.7 ms late. What the model is wrong by
  * changes slowly at constant speed: the mean of some 60 ms, which a touch exceeds. A change of
  * speed changes it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
@@ -25,7 +25,6 @@
 
 #include "fl_math.h"
 
-#define FL_TOUCH_RAD_S 450.0f
 /* 1 - p^3, 1.5 (1 - p)^2 (1 + p)/dt, (1 - p)^3/dt^2 with p = exp(-450/2000) */
 #define FL_TOUCH_GAIN_E 0.490843f
 #define FL_TOUCH_GAIN_V 219.0362f /* 1/s */

@@ -11,6 +11,24 @@ static bool params_good(const fl_positioner_t *p) {
     return fl_params_fault(&p->params[FL_ALPHA]) < 0 && fl_params_fault(&p->params[FL_BETA]) < 0;
 }
 
+/* The shorter of those of both axes that are not 0. One tick more: a trajectory has then begun. */
+static uint32_t host_watch_ticks(const fl_positioner_t *p) {
+    uint32_t least = 0;
+    for (int axis = 0; axis < FL_AXES; ++axis) {
+        const float ms = p->params[axis].host_timeout_ms;
+        const uint32_t ticks = ms > 0.0f ? 1u + (uint32_t)(ms * (FL_TICK_HZ * 1e-3f) + 0.5f) : 0;
+        if (ticks != 0 && (least == 0 || ticks < least)) least = ticks;
+    }
+    return least;
+}
+
+/* The parameters have changed. */
+static void judge_params(fl_positioner_t *p) {
+    p->params_good = params_good(p);
+    p->host_watch_ticks = p->params_good ? host_watch_ticks(p) : 0;
+    fl_status_refresh(p);
+}
+
 void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
                         const fl_axis_params_t params[FL_AXES]) {
     p->port = *port;
@@ -27,22 +45,20 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->path_bad = p->settings_changed = p->led = p->staging = false;
     p->chores = 0;
     p->options = 0;
-    p->ticks = p->trajectories = 0;
+    p->ticks = p->heard_tick = p->trajectories = 0;
     p->temperature_raw = 1900;
-    p->tx.first = p->tx.count = 0;
+    p->tx.first = p->tx.count = p->tx.waiting = 0;
     p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
     fl_trace_start(&p->trace, 0);
     fl_storage_load(p);
-    p->params_good = params_good(p);
-    fl_status_refresh(p);
+    judge_params(p);
 }
 
 bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params) {
     if (!fl_axis_rests(&p->axis[axis])) return false;
     p->params[axis] = *params;
     fl_axis_configure(&p->axis[axis], params);
-    p->params_good = params_good(p);
-    fl_status_refresh(p);
+    judge_params(p);
     return true;
 }
 
@@ -69,7 +85,10 @@ void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks) { p->ticks += ticks;
 void fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
     const bool rested = p->state <= FL_STATE_REFUSED;
     p->state = state;
-    if (rested && state > FL_STATE_REFUSED) fl_storage_note_position(p, true);
+    if (rested && state > FL_STATE_REFUSED) {
+        p->options &= ~FL_STATUS(HOST_TIMEOUT);
+        fl_storage_note_position(p, true);
+    }
     fl_status_refresh(p);
 }
 
@@ -89,11 +108,11 @@ void fl_positioner_enter_bootloader(fl_positioner_t *p) {
     fl_boot_start(&p->boot, p->ticks);
 }
 
-/* The one frame that is no answer: COLLISION_DETECTED. Not sent where there is no room. */
+/* The one frame that is no answer: COLLISION_DETECTED. */
 static void report_collision(fl_positioner_t *p) {
     const fl_identifier_t id = {p->id, FL_ID_COLLISION, 0, 0};
     const fl_can_frame_t frame = {fl_identifier_pack(id), 0, {0}};
-    if (!fl_outbox_full(&p->tx)) fl_outbox_put(&p->tx, &p->port, &frame);
+    fl_outbox_put_urgent(&p->tx, &p->port, FL_URGENT_COLLISION, &frame);
 }
 
 /* Eq. 22 has fired: both axes stop, the host is told. */
@@ -141,11 +160,22 @@ static void trace(fl_positioner_t *p) {
     }
 }
 
+/* A trajectory goes on only while the host is heard. */
+static void watch_host(fl_positioner_t *p) {
+    const bool follows = p->state == FL_STATE_MOVING && p->points[FL_ALPHA] != 0;
+    if (!follows || p->ticks - p->heard_tick < p->host_watch_ticks) return;
+    if (p->options & FL_STATUS(HOST_TIMEOUT)) return;
+    p->options |= FL_STATUS(HOST_TIMEOUT);
+    for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_slow_down(&p->axis[axis]);
+    fl_status_refresh(p);
+}
+
 bool fl_positioner_begin_tick(fl_positioner_t *p) {
     ++p->ticks;
     if (p->trace.decimation != 0) trace(p);
     if (p->tx.count != 0) fl_outbox_flush(&p->tx, &p->port);
     if (p->chores != 0) do_chore(p);
+    if (p->host_watch_ticks != 0) watch_host(p);
     if (p->state != FL_STATE_BOOTLOADER) return true;
     if (fl_boot_tick(&p->boot, p->ticks)) {
         p->state = FL_STATE_IDLE;

@@ -37,8 +37,10 @@ typedef struct fl_positioner {
     bool settings_changed; /* since the last save */
     bool led;              /* as commanded: no LED on the port */
     bool params_good;
-    uint8_t chores; /* FL_CHORE_...: one a tick, so that none of them takes long */
-    uint32_t ticks; /* since power-up */
+    uint8_t chores;            /* FL_CHORE_...: one a tick, so that none of them takes long */
+    uint32_t ticks;            /* since power-up */
+    uint32_t heard_tick;       /* of the last request, or of the SYNC line */
+    uint32_t host_watch_ticks; /* without one a trajectory ends; 0: never */
     fl_axis_t axis[FL_AXES];
 
     fl_outbox_t tx;

@@ -3,8 +3,8 @@
 #include "fl_crc.h"
 #include "fl_status.h"
 
-/* Change with every change of a record: old ones are then not read. */
-enum { FORMAT = 1 };
+/* Change that of a record with every change of it: old ones are then not read. */
+enum { CALIBRATION_FORMAT = 2, POSITION_FORMAT = 1 };
 
 typedef struct header {
     uint32_t format, sequence;
@@ -33,10 +33,13 @@ _Static_assert(POSITION_AT + 2 * POSITION_STRIDE <= FL_STORAGE_BYTES, "all have"
 
 typedef struct place {
     uint32_t offset, stride, bytes; /* bytes: of the record, its crc last */
+    uint32_t format;
 } place_t;
 
-static const place_t calibration_place = {CALIBRATION_AT, CALIBRATION_STRIDE, sizeof(calibration_record_t)};
-static const place_t position_place = {POSITION_AT, POSITION_STRIDE, sizeof(position_record_t)};
+static const place_t calibration_place = {CALIBRATION_AT, CALIBRATION_STRIDE, sizeof(calibration_record_t),
+                                          CALIBRATION_FORMAT};
+static const place_t position_place = {POSITION_AT, POSITION_STRIDE, sizeof(position_record_t),
+                                       POSITION_FORMAT};
 
 static uint32_t crc_of(const void *record, const place_t *at) {
     return fl_crc_end(fl_crc_add(FL_CRC_START, record, at->bytes - (uint32_t)sizeof(uint32_t)));
@@ -51,7 +54,7 @@ static bool read_copy(const fl_port_t *port, const place_t *at, uint32_t copy, v
     if (!port->storage_read) return false;
     if (port->storage_read(port->ctx, at->offset + copy * at->stride, record, at->bytes) != at->bytes)
         return false;
-    return ((const header_t *)record)->format == FORMAT && stored_crc(record, at) == crc_of(record, at);
+    return ((const header_t *)record)->format == at->format && stored_crc(record, at) == crc_of(record, at);
 }
 
 /* Sequence numbers wrap. */
@@ -72,7 +75,7 @@ static bool write_next(const fl_port_t *port, const place_t *at, void *record, v
     if (!port->storage_write) return false;
     const int newest = read_newest(port, at, scratch, (uint8_t *)scratch + at->stride);
     header_t *header = (header_t *)record;
-    header->format = FORMAT;
+    header->format = at->format;
     header->sequence = newest < 0 ? 1 : ((const header_t *)scratch)->sequence + 1;
     const uint32_t copy = newest == 0 ? 1 : 0;
     const uint32_t crc = crc_of(record, at);

@@ -6,8 +6,9 @@
  * checked after every frame: one reply for one request, and none for a frame that is not one; a
  * refusal changes nothing; duties are fractions; current flows, and rotors turn, only after a sequence of
  * accepted requests that a model written from the protocol alone (sequence_model.h) lets move; an image is
- * believed only if its bytes are those of its checksum; parameters are those that a host which reads the
- * answers expects, and nothing but a calibration and the commands for it changes them.
+ * believed only if its bytes are those of its checksum; a stop is carried out and a collision told once,
+ * whatever waits to be sent; parameters are those that a host which reads the answers expects, and nothing
+ * but a calibration and the commands for it changes them.
  */
 #include <stddef.h>
 #include <stdio.h>
@@ -21,19 +22,16 @@
 #include "fl_identifier.h"
 #include "fl_status.h"
 #include "fl_storage.h"
+#include "params_model.h"
 #include "sequence_model.h"
 
 enum { OWN_ID = 77, IMAGE_MOST = 1 << 20, SCRIPT_MOST = 12 };
 
-/* What the copy in the positioner should hold, reckoned from accepted requests alone. */
-typedef struct params_model {
-    fl_axis_params_t now[FL_AXES], copy[FL_AXES];
-    bool begun;
-} params_model_t;
-
 typedef struct bench {
     uint64_t random;
     uint32_t replies;
+    uint64_t collisions, told; /* begun; frames 18. One that waits speaks for a second, too */
+    uint64_t stops_when_full, watch_ends;
     fl_can_frame_t last;
     float duty[FL_AXES][3];
     uint16_t hall[FL_AXES][2];
@@ -96,11 +94,21 @@ static void set_phases(void *ctx, int axis, const float duty[3]) {
             fl_add_i32(b->rotor_cnt[axis], fl_fold_cnt(fl_sub_i32(field, b->rotor_cnt[axis])) / 64);
 }
 
+/* Frame 18. A request of that number is refused: its answer has a code. */
+static bool is_report(const fl_can_frame_t *f) {
+    const fl_identifier_t id = fl_identifier_unpack(f->id);
+    return id.command == FL_ID_COLLISION && id.code == 0;
+}
+
 static bool send_frame(void *ctx, const fl_can_frame_t *f) {
     bench_t *b = ctx;
     if (b->mailbox_full) return false;
     REQUIRE(f->len <= 8 && f->id >> 29 == 0, "frame %08x of %d bytes", (unsigned)f->id, f->len);
     REQUIRE(fl_identifier_unpack(f->id).positioner == OWN_ID, "sender %08x", (unsigned)f->id);
+    if (is_report(f)) {
+        REQUIRE(++b->told <= b->collisions, "a collision is told twice");
+        return true;
+    }
     ++b->replies;
     b->last = *f;
     return true;
@@ -133,6 +141,7 @@ static uint32_t image_write(void *ctx, uint32_t offset, const void *bytes, uint3
 static void power_up(bench_t *b, fl_positioner_t *p, const fl_axis_params_t params[FL_AXES]) {
     const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
     sequence_power_up(&b->model);
+    b->collisions = b->told;
     fl_positioner_init(p, &port, OWN_ID, params);
     memcpy(b->params.now, p->params, sizeof p->params);
     b->params.begun = false;
@@ -243,18 +252,12 @@ static uint32_t move_script(bench_t *b, fl_can_frame_t *out) {
     return 2;
 }
 
-static const float range[][2] = {
-#define X(name, unit, min, max, def, doc) {(float)(min), (float)(max)},
-    FL_AXIS_PARAMS(X)
-#undef X
-};
-enum { PARAMS = sizeof range / sizeof *range };
-
 /* A value of the table: near the one in force, or anywhere in its range. */
 static float param_value(bench_t *b, const fl_positioner_t *p, int axis, uint8_t index) {
     const float now = ((const float *)&p->params[axis])[index];
     if (chance(b, 12))
-        return range[index][0] + (range[index][1] - range[index][0]) * (float)(random_u32(b) % 1000) * 1e-3f;
+        return params_range[index][0] +
+               (params_range[index][1] - params_range[index][0]) * (float)(random_u32(b) % 1000) * 1e-3f;
     return now * (0.95f + 1e-4f * (float)(random_u32(b) % 1000));
 }
 
@@ -360,40 +363,6 @@ static void follow_image(bench_t *b, const fl_positioner_t *p, const fl_can_fram
     b->images_good += good;
 }
 
-/* Values set one by one, taken together; 41 and 112 set voltages. False: they are not what was asked for. */
-static bool follow_params(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f, uint8_t command) {
-    params_model_t *m = &b->params;
-    const uint8_t index = f->data[0];
-    uint32_t crc;
-    float value;
-    memcpy(&crc, f->data, sizeof crc);
-    memcpy(&value, f->data + 1, sizeof value);
-    switch (command) {
-    case 231:
-        memcpy(m->copy, m->now, sizeof m->copy);
-        m->begun = true;
-        return crc == fl_params_table_crc();
-    case 232:
-    case 233:
-        if (!m->begun || index >= PARAMS) return false;
-        ((float *)&m->copy[command - 232])[index] = value;
-        return value >= range[index][0] && value <= range[index][1];
-    case 234:
-        b->commits_good += 1;
-        memcpy(m->now, m->copy, sizeof m->now);
-        m->begun = false;
-        for (int i = 0; i < FL_AXES; ++i) sequence_hold(&b->model, m->now[i].holding_voltage);
-        return fl_crc_end(fl_crc_add(FL_CRC_START, m->now, sizeof m->now)) == crc &&
-               fl_params_fault(&m->now[0]) < 0 && fl_params_fault(&m->now[1]) < 0;
-    case 41:
-    case 112:
-        memcpy(m->now, p->params, sizeof m->now);
-        return true;
-    default:
-        return true;
-    }
-}
-
 /* The model follows what was carried out, as a host would that reads the answers. */
 static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f,
                      const fl_can_frame_t *answer) {
@@ -409,7 +378,10 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
     const bool current = word[0] != 0 || word[1] != 0;
     REQUIRE(sequence_accepted(&b->model, told.command, (uint64_t)word[0] + word[1], current),
             "%d was accepted out of sequence", told.command);
-    REQUIRE(follow_params(b, p, f, told.command), "parameters by %d", told.command);
+    REQUIRE(params_accepted(&b->params, p->params, f, told.command), "parameters by %d", told.command);
+    b->commits_good += told.command == 234;
+    if (told.command == 234)
+        for (int i = 0; i < FL_AXES; ++i) sequence_hold(&b->model, b->params.now[i].holding_voltage);
     if (told.command == 200 || told.command == 201) follow_image(b, p, f, told.command);
     const bool rests = fl_axis_rests(&p->axis[0]) && fl_axis_rests(&p->axis[1]);
     REQUIRE(rests || b->model.driven || told.command == 13 || told.command == 15 ||
@@ -417,20 +389,60 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
             "an axis sets out at %d", told.command);
 }
 
+/* Answers that have not left yet. */
+static uint32_t waiting(const fl_positioner_t *p) {
+    uint32_t n = p->tx.waiting >> FL_URGENT_STOP & 1u;
+    for (uint32_t i = 0; i < p->tx.count; ++i) {
+        const fl_can_frame_t *f = &p->tx.frame[(p->tx.first + i) % FL_OUTBOX_FRAMES];
+        n += !is_report(f);
+    }
+    return n;
+}
+
+/* The last of them. */
+static const fl_can_frame_t *last_answer(const bench_t *b, const fl_positioner_t *p) {
+    if (p->tx.waiting >> FL_URGENT_STOP & 1) return &p->tx.urgent[FL_URGENT_STOP];
+    const uint32_t tail = (p->tx.first + p->tx.count + FL_OUTBOX_FRAMES - 1) % FL_OUTBOX_FRAMES;
+    return p->tx.count != 0 ? &p->tx.frame[tail] : &b->last;
+}
+
+static bool is_stop(const fl_positioner_t *p, const fl_can_frame_t *f) {
+    const uint8_t command = fl_identifier_unpack(f->id).command;
+    return is_request(p, f) && (command == 13 || command == 15);
+}
+
+/* A request without room for its answer is not carried out, and a stop is: its answer waits outside, in place
+ * of that of an older one. */
+static uint32_t answers_due(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f) {
+    const bool room = p->tx.count < FL_OUTBOX_FRAMES || !b->mailbox_full;
+    if (!is_request(p, f)) return 0;
+    if (room) return 1;
+    if (!is_stop(p, f)) return 0;
+    ++b->stops_when_full;
+    return p->tx.waiting >> FL_URGENT_STOP & 1 ? 0 : 1;
+}
+
+/* A good request to stop, to a unit that is not in the bootloader, ends all driving at once. */
+static void check_stopped(const bench_t *b, const fl_positioner_t *p, const fl_can_frame_t *f) {
+    const fl_identifier_t id = fl_identifier_unpack(f->id);
+    const bool good = f->len == 0 && (id.positioner == p->id || id.command == 15);
+    if (!is_stop(p, f) || !good || p->state == FL_STATE_BOOTLOADER) return;
+    REQUIRE(!b->model.driven, "a stop was not carried out");
+}
+
 static void give(bench_t *b, fl_positioner_t *p, fl_positioner_t *before, const fl_can_frame_t *f) {
     const bool sampled = chance(b, 16); /* copying 14 KB is most of the work */
     if (sampled) memcpy(before, p, sizeof *p);
-    const bool room = p->tx.count < FL_OUTBOX_FRAMES || !b->mailbox_full;
-    const uint32_t waiting = p->tx.count;
+    const uint32_t due = answers_due(b, p, f), waited = waiting(p);
+    const bool full = is_stop(p, f) && p->tx.count == FL_OUTBOX_FRAMES && b->mailbox_full;
     b->replies = 0;
     fl_positioner_receive(p, f);
-    const uint32_t answered = b->replies + p->tx.count - waiting;
-    REQUIRE(answered == (is_request(p, f) && room ? 1u : 0u), "%u replies to %08x", answered,
-            (unsigned)f->id);
-    if (answered == 1) {
-        const uint32_t tail = (p->tx.first + p->tx.count + FL_OUTBOX_FRAMES - 1) % FL_OUTBOX_FRAMES;
-        conclude(b, p, f, p->tx.count != 0 ? &p->tx.frame[tail] : &b->last);
-    }
+    const uint32_t answered = b->replies + waiting(p) - waited;
+    REQUIRE(answered == due, "%u replies to %08x", answered, (unsigned)f->id);
+    if (sampled && is_request(p, f))
+        before->heard_tick = p->heard_tick; /* a sign of life, whatever it says */
+    if (answered == 1 || full) conclude(b, p, f, last_answer(b, p));
+    check_stopped(b, p, f);
     if (answered == 1 && b->replies != 0) {
         const fl_identifier_t asked = fl_identifier_unpack(f->id), told = fl_identifier_unpack(b->last.id);
         ++b->codes[told.command][told.code];
@@ -482,12 +494,32 @@ static void misbehave(bench_t *b, fl_positioner_t *p, const fl_axis_params_t par
 
 /* From the moment that all displacement is said to be completed nothing may drive the motors. */
 static void let_tick(bench_t *b, fl_positioner_t *p) {
-    const uint8_t state = p->state;
+    const uint8_t state = p->state, collided = p->collided;
+    const bool watched = !(p->status & FL_STATUS(HOST_TIMEOUT));
+    /* one for which the queue has no room yet speaks for this one, too */
+    const bool merged = b->mailbox_full && (p->tx.waiting >> FL_URGENT_COLLISION & 1);
+    if (!merged) ++b->collisions;
     fl_positioner_tick(p);
+    if (!merged && !(collided == 0 && p->collided != 0)) --b->collisions;
+    REQUIRE(b->told <= b->collisions, "a collision is told that was none");
+    REQUIRE(b->mailbox_full || b->told == b->collisions, "a collision is not told");
+    b->watch_ends += watched && (p->status & FL_STATUS(HOST_TIMEOUT));
     /* their results */
     if (state == FL_STATE_HALL_CALIBRATION || state == FL_STATE_COGGING_CALIBRATION)
         memcpy(b->params.now, p->params, sizeof p->params);
     if (p->status & FL_STATUS(DISPLACEMENT_COMPLETED)) sequence_rests(&b->model);
+}
+
+/* A rotor that nothing turns: motion becomes a collision, at a full queue as often as not. */
+static void hold(bench_t *b, fl_positioner_t *p) {
+    static fl_positioner_t before;
+    const bool was = b->stuck;
+    b->stuck = true;
+    b->mailbox_full = chance(b, 2);
+    const fl_can_frame_t poll = request(3, 1);
+    for (int k = 0; b->mailbox_full && k < FL_OUTBOX_FRAMES; ++k) give(b, p, &before, &poll);
+    for (int t = 0; t < 400; ++t) let_tick(b, p);
+    b->stuck = was;
 }
 
 static void run(bench_t *b, uint64_t frames) {
@@ -495,7 +527,8 @@ static void run(bench_t *b, uint64_t frames) {
 #define X(name, unit, min, max, def, doc) .name = (float)(def),
     const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
 #undef X
-    const fl_axis_params_t params[FL_AXES] = {one, one};
+    fl_axis_params_t params[FL_AXES] = {one, one};
+    params[FL_BETA].host_timeout_ms = 6.0f; /* shorter than some pauses between frames */
     power_up(b, &p, params);
     for (uint64_t n = 0; n < frames;) {
         fl_can_frame_t f[SCRIPT_MOST];
@@ -510,6 +543,7 @@ static void run(bench_t *b, uint64_t frames) {
             check_current(b, &p);
         }
         if (chance(b, 16)) misbehave(b, &p, params);
+        if (p.state == FL_STATE_MOVING && chance(b, 20)) hold(b, &p);
     }
 }
 
@@ -524,11 +558,16 @@ static void check_coverage(const bench_t *b) {
         for (int code = 1; code < 16; ++code) refusals += codes[code] != 0;
     }
     REQUIRE(b->drives != 0 && b->images_good != 0 && b->images_bad != 0, "nothing happened");
+    REQUIRE(b->stops_when_full != 0 && b->told != 0 && b->watch_ends != 0, "no full queue, or no watch");
     REQUIRE(b->commits_good != 0 && b->commits_bad != 0, "no parameters were taken, or none refused");
     printf(
         "check_dispatch: all %u commands carried out, %u kinds of refusal seen; %llu phase voltages, all in "
-        "sequence; %llu images believed\n",
-        n - 1, refusals, (unsigned long long)b->drives, (unsigned long long)b->images_good);
+        "sequence; %llu images believed; %llu collisions told, %llu stops at a full queue, %llu trajectories "
+        "ended "
+        "by the host watch\n",
+        n - 1, refusals, (unsigned long long)b->drives, (unsigned long long)b->images_good,
+        (unsigned long long)b->told, (unsigned long long)b->stops_when_full,
+        (unsigned long long)b->watch_ends);
 }
 
 int main(int argc, char **argv) {

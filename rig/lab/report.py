@@ -42,6 +42,7 @@ PHASES = {
     "hall calibration": "hall_calibration",
     "datum search": "datum_search",
     "cogging calibration": "cogging_calibration",
+    "host silent": "host_watch",
     "rotor held": "collision",
     "arm against a stop": "arm_against_a_stop",
     "trace and torque step": "bench_trace",

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lab.unit import COUNTS_PER_DEG, NUMBER, Truth, Unit, drawn
+from lab.unit import COUNTS_PER_DEG, NUMBER, PARAMETERS, Truth, Unit, drawn
 
 ACCEPTED, OUT_OF_RANGE, INVALID_TRAJECTORY, IN_MOTION, NOT_INITIALIZED = range(5)
 WRONG_LENGTH, COLLISION, INVALID_BROADCAST, INVALID_BOOTLOADER, INVALID, UNKNOWN = 5, 8, 10, 11, 12, 13
@@ -21,6 +21,7 @@ MOTORS = 3 << 20
 DATUMS_CALIBRATED, DATUMS = 3 << 23, 3 << 26
 COGGING = 3 << 31
 ESTIMATED, RESTORED, SAVED = 1 << 33, 1 << 34, 1 << 36
+HOST_TIMEOUT = 1 << 41
 BOOT_OK, BOOT_BAD = 1 << 25, 1 << 26
 MOTOR_DEG = 1.0 / 1024.0
 """A degree of the motor as an angle of the output."""
@@ -35,33 +36,33 @@ def scenario(function: Callable[[Unit], None]) -> Callable[[Unit], None]:
 
 
 def pair(alpha_deg: float, beta_deg: float) -> bytes:
-    """Two positions on the wire."""
+    """Wire positions of both axes, as the eight bytes of a frame."""
     return struct.pack("<ii", round(alpha_deg * COUNTS_PER_DEG), round(beta_deg * COUNTS_PER_DEG))
 
 
 def u32(*values: int) -> bytes:
-    """Unsigned numbers on the wire."""
+    """Unsigned 32-bit numbers as the bytes of a frame; each in 0 to 2^32 - 1, else struct.error."""
     return struct.pack("<" + "I" * len(values), *values)
 
 
 def has(unit: Unit, bits: int) -> bool:
-    """Whether all of these bits of the status are set."""
+    """Whether all of these `bits` of the status are set."""
     return unit.status() & bits == bits
 
 
 def accepted(unit: Unit, command: int, data: bytes = b"") -> None:
-    """A command that is carried out."""
+    """Sends a command with its `data`, which the unit must accept."""
     code = unit.code(command, data)
     assert code == ACCEPTED, f"command {command}: code {code}"
 
 
 def known_unit(unit: Unit, start_deg: tuple[float, float] = (40.0, 90.0)) -> None:
-    """A unit that knows where it is."""
+    """Starts a unit at `start_deg` of its arms with its position known to the firmware."""
     unit.begin(drawn(), start_deg)
 
 
 def arrived(unit: Unit, target_deg: tuple[float, float], within_deg: float) -> Truth:
-    """At rest where it was sent, no collision."""
+    """Checks that the unit is at rest at wire positions `target_deg`, to `within_deg`, without collision."""
     truth = unit.look()
     assert has(unit, COMPLETED)
     assert not unit.unsolicited
@@ -225,7 +226,10 @@ def go_to(unit: Unit) -> None:
 
 
 def load(unit: Unit, points: list[list[tuple[int, int]]]) -> int:
-    """Positions and ticks of both axes; the code of 12."""
+    """Sends a trajectory by 10, 11 and 12; the response code of 12.
+
+    `points`: of alpha and of beta, each a wire position in counts and a time in ticks of 0.5 ms.
+    """
     accepted(unit, 10, u32(len(points[0]), len(points[1])))
     frames = [struct.pack("<ii", *point) for axis in points for point in axis]
     assert all(unit.code(11, frame) == ACCEPTED for frame in frames)
@@ -233,7 +237,12 @@ def load(unit: Unit, points: list[list[tuple[int, int]]]) -> int:
 
 
 def wave(here_cnt: int, swing_deg: float, step_ticks: int, count: int) -> list[tuple[int, int]]:
-    """A point every step_ticks along one and a half swings about the place, slow at both ends."""
+    """A trajectory of one axis: one and a half swings about a position, slow at both ends.
+
+    `here_cnt`: the position, counts on the wire; `swing_deg`: largest deviation from it, deg on the wire,
+    of either sign; `step_ticks`: time between points, ticks of 0.5 ms, 1 or more; `count`: points, 2 or
+    more. Returns positions in counts and times in ticks, the first at tick 200.
+    """
     share = np.arange(count) / (count - 1)
     ease = share * share * (3.0 - 2.0 * share)
     way_deg = swing_deg * np.sin(3.0 * np.pi * ease)
@@ -270,6 +279,30 @@ def precise_trajectory(unit: Unit) -> None:
     truth = arrived(unit, (here[0] / COUNTS_PER_DEG, here[1] / COUNTS_PER_DEG), 2 * MOTOR_DEG)
     for axis in (0, 1):  # negative contact: the gear is where the rotor is, but for its fall-back
         assert abs(truth.theta_rad[axis] - truth.gear_rad[axis]) < 0.6
+
+
+@scenario
+def host_watch(unit: Unit) -> None:
+    """A trajectory whose host falls silent slows down on its way; under polls the next runs to its end."""
+    units = drawn()
+    units.firmware["host_timeout_ms"] = 400.0
+    unit.begin(units, (40.0, 90.0))
+    here = unit.look().position_cnt
+    points = [wave(here[0], 3.0, 40, 100), wave(here[1], -2.5, 40, 100)]
+    assert load(unit, points) == ACCEPTED
+    accepted(unit, 14)
+    unit.rest()
+    assert has(unit, HOST_TIMEOUT | COMPLETED | DATUMS)
+    assert not unit.unsolicited
+    assert unit.look().position_cnt != [points[0][-1][0], points[1][-1][0]]
+    here = unit.look().position_cnt
+    assert load(unit, [wave(here[0], 1.0, 40, 40), wave(here[1], -1.0, 40, 40)]) == ACCEPTED
+    accepted(unit, 14)
+    for _ in range(6):
+        unit.run(600)
+        unit.status()
+    assert not has(unit, HOST_TIMEOUT)
+    arrived(unit, (here[0] / COUNTS_PER_DEG, here[1] / COUNTS_PER_DEG), 2 * MOTOR_DEG)
 
 
 @scenario
@@ -354,7 +387,7 @@ def parameters(unit: Unit) -> None:
 
 
 def checksums(unit: Unit) -> tuple[int, int]:
-    """Of the table and of the values in force."""
+    """CRC-32 of the parameter table, and of the values in force."""
     code, data = unit.ask(230)
     assert code == ACCEPTED
     first, second = struct.unpack("<II", data)
@@ -362,10 +395,10 @@ def checksums(unit: Unit) -> tuple[int, int]:
 
 
 def read_parameters(unit: Unit) -> bytes:
-    """All values in force as they are in memory, alpha's and then beta's."""
+    """The bytes of all values in force: those of alpha, then those of beta."""
     out = b""
     for command in (235, 236):
-        for index in range(41):
+        for index in range(len(PARAMETERS)):
             code, data = unit.ask(command, bytes([index]))
             assert code == ACCEPTED
             assert data[0] == index
@@ -377,13 +410,17 @@ def read_parameters(unit: Unit) -> bytes:
 
 
 def identifier(command: int, to: int = NUMBER, uid: int = 1, code: int = 0) -> int:
-    """A 29-bit identifier."""
+    """The 29-bit identifier of a frame; nothing is checked, so that wrong ones can be made too.
+
+    `command`: its number, 0 to 255; `to`: number of the positioner, 0 to 2047, 0 for all; `uid`: number
+    of the request, 0 to 63; `code`: response code, 0 to 15, 0 in a request.
+    """
     return to << 18 | command << 10 | uid << 4 | code
 
 
 @scenario
 def bad_frames(unit: Unit) -> None:
-    """Wrong in every way there is: the right code, and nothing moves."""
+    """Frames with each kind of error: the right code, and nothing moves."""
     known_unit(unit)
     assert unit.code(99) == UNKNOWN
     assert unit.code(30, b"1234567") == WRONG_LENGTH
@@ -395,7 +432,7 @@ def bad_frames(unit: Unit) -> None:
     assert unit.code(18) == INVALID
     assert unit.code(200, u32(8, 0)) == INVALID
     assert unit.code(14) == ACCEPTED  # a START for the others
-    # for somebody else, and a reply: no answer
+    # to another positioner, replies, and more than 29 bits: no answer
     assert unit.send(identifier(3, to=NUMBER + 1)) == []
     assert unit.send(identifier(3, code=3)) == []
     assert unit.send(1 << 29 | identifier(3)) == []
@@ -464,7 +501,7 @@ MORE: dict[str, Callable[[Unit], None]] = {"short_moves": short_moves, "open_loo
 
 
 def run(name: str, command: list[str]) -> list[str]:
-    """Runs a scenario on a rig; what was said."""
+    """Runs the scenario `name` on the rig that `command` starts; the lines of its log."""
     unit = Unit(command)
     try:
         SCENARIOS[name](unit)

@@ -15,3 +15,7 @@ class InputError(ValueError):
     ...     error
     InputError('n_positioners = 0: must be at least 1')
     """
+
+
+class StoppedError(RuntimeError):
+    """Stopped by another process, or because another one has taken the array; all that moved is at rest."""

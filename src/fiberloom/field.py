@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from fiberloom.blocking import finish
 from fiberloom.bus.transport import Transport
+from fiberloom.calibration.focal_plane.survey_data import SurveyData
 from fiberloom.calibration.transmission.cache import load_for
 from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.calibration.transmission.nominal import nominal_maps
 from fiberloom.calibration.transmission.sweep import Calibration
+from fiberloom.connect import open_hardware
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.known import Learning, known_so_far
 from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.results import Observation
+from fiberloom.operation.session.session import KnownArray, Session
+from fiberloom.operation.session.states import Deed
 from fiberloom.operation.source import OpenedArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
 from fiberloom.targets import TargetList
 
 POINTS = 200
@@ -71,6 +78,11 @@ class Field:
         The maps in use, once there are some.
     maps_file : Path or None
         Their file.
+    book : ArrayBook or None
+        What a store keeps of the array: with it an observation owns the array while it lasts, leaves
+        excluded positioners where they are, and keeps where each was left.
+    exclude : tuple of int
+        Positioners that are left out now; with a `book`.
 
     Examples
     --------
@@ -93,6 +105,8 @@ class Field:
         self.run = FieldRun(self)
         self.watcher: Watcher = Silent()
         self.command_line = "fiberloom.Field"
+        self.book: ArrayBook | None = None
+        self.exclude: tuple[int, ...] = ()
         self._points = 0
         self._observer: Observer | None = None
 
@@ -160,12 +174,16 @@ class Field:
         plane : FocalPlane
             The layout as built, e.g. of `FocalPlane.read`.
         bus : str or Transport
-            ``"cannet://HOST:PORT[,HOST:PORT...]"`` for CAN@net gateways, ``"INTERFACE://CHANNEL"`` with
-            python-can's names, e.g. ``"socketcan://can0"``, or an open transport, which stays open.
-        camera : Camera
-            An object with ``measure(expected_mm) -> Measurement``: positions (N, 2) in mm.
+            ``"cannet://HOST:PORT[,HOST:PORT...]"`` for CAN@net gateways, ``"socketcan:can0,can1"`` or any
+            ``"INTERFACE:CHANNEL"`` of python-can, or an open transport, which stays open. ``"twin:"`` is
+            the twin inside of this process.
+        camera : str or Camera
+            ``"alpaca://HOST:PORT/0"``, ``"folder:PATH?trigger=COMMAND"``, ``"indi://HOST:PORT/NAME"``,
+            ``"aravis:NAME"``, or an object with ``measure(expected_mm) -> Measurement``: positions (N, 2)
+            in mm.
         calibration : str or Path, optional
-            File of transmission maps, e.g. of `TransmissionMaps.save`. Nothing moves without it.
+            File of transmission maps, e.g. of `TransmissionMaps.save`; when left out, the nominal ratio of
+            the gears is used, with which blind moves miss by some 0.1 mm.
         seed : int
             Decides between equally good assignments and plans.
 
@@ -183,12 +201,10 @@ class Field:
         --------
         >>> import fiberloom as fl
         >>> plane = fl.FocalPlane.of("sdssv", n=7)
-        >>> fl.Field.open(plane, bus="cannet://10.1.10.31,10.1.10.32:19229", camera="alpaca://sky")
-        Traceback (most recent call last):
-        fiberloom.errors.InputError: camera 'alpaca://sky': cannot be opened by its address; give an object \
-with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.ImageCamera over your exposures
+        >>> fl.Field.open(plane, bus="cannet://10.1.10.31,10.1.10.32:19229", camera="alpaca://sky:11111/0")
+        Field('sdssv', 7 positioners, on hardware, not calibrated)
         """
-        return cls(plane, OpenedArray.of(bus, camera), seed, calibration)
+        return cls(plane, open_hardware(plane, bus, camera, seed=seed), seed, calibration)
 
     def __repr__(self) -> str:
         where = "on hardware" if isinstance(self.source, OpenedArray) else "on the twin"
@@ -223,7 +239,7 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         Raises
         ------
         InputError
-            A file of maps that is broken or lacks a positioner; on hardware, no file was given.
+            A file of maps that is broken or lacks a positioner.
 
         Examples
         --------
@@ -240,6 +256,9 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
     async def _find_maps(self, points: int) -> tuple[TransmissionMaps, Path | None]:
         if self.calibration_file is not None:
             return load_for(self.plane, self.calibration_file), self.calibration_file
+        if isinstance(self.source, OpenedArray):
+            self.watcher.say("no calibration given: the nominal ratio of the gears is used")
+            return nominal_maps(self.plane), None
         cached = self.source.maps_file(points)
         if cached is not None and cached.exists():
             return load_for(self.plane, cached), cached
@@ -344,7 +363,14 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         self._observer = Observer(
             self.plane, known, folder, self.command_line, self.source.about(), self.watcher
         )
-        return await self._observer.observe(targets, settings, self.source.open)
+        if self.book is None:
+            return await self._observer.observe(targets, settings, self.source.open)
+        array = KnownArray(known.plane, known.maps, self.source, self.book)
+        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        known.plane = session.plane
+        async with session.owning(Deed.OBSERVE) as held:
+            self._observer.motion = held.motion
+            return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(
         self,
@@ -389,16 +415,28 @@ with measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.Imag
         folder, settings = prepare_folder(Path(out)), settings or SurveySettings(seed=self.seed)
         maps, begun = await self.calibrate(self._points or POINTS), guess or self.plane
         if measured is None:
-            self.watcher.say("moving and looking")
-            with Store.open(folder / STORE) as store, self._survey_run(store) as run:
-                recorder, hardware = SurveyRecorder(run, self.plane), await self.source.open()
-                data = await survey(begun, maps, hardware, settings, recorder, self.watcher.count)
+            data = await self._surveyed(begun, maps, settings, folder)
         else:
             with Store.open(measured, create=False) as store:
                 data = survey_of_store(store, self.plane, maps)
         self.watcher.say("fitting")
         stamp = marks(self.plane, self.seed)
         return FocalPlaneCalibration.of(begun, data, settings, stamp, self.source.true_plane)
+
+    async def _surveyed(
+        self, begun: FocalPlane, maps: TransmissionMaps, settings: SurveySettings, folder: Path
+    ) -> SurveyData:
+        self.watcher.say("moving and looking")
+        async with contextlib.AsyncExitStack() as stack:
+            if self.book is not None:
+                array = KnownArray(begun, maps, self.source, self.book)
+                session = Session(array, self.command_line, self.watcher.say, self.exclude)
+                held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
+                begun, settings = session.plane, replace(settings, motion=held.motion)
+            store = stack.enter_context(Store.open(folder / STORE))
+            recorder = SurveyRecorder(stack.enter_context(self._survey_run(store)), self.plane)
+            hardware = await self.source.open()
+            return await survey(begun, maps, hardware, settings, recorder, self.watcher.count)
 
     def _survey_run(self, store: Store) -> Any:
         return store.start_run(

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from fiberloom.bus.transport import Transport
 from fiberloom.metrology import Camera
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 
 
 class Truth(Protocol):
@@ -25,3 +25,5 @@ class Hardware:
     transport: Transport
     camera: Camera
     truth: Truth | None = None
+    vouched: Flags | None = None
+    """(N,) positioners whose datum was searched since power came on: believed where a fibre is dark."""

@@ -2,7 +2,7 @@
 
 import struct
 
-from fiberloom.bus import Command, Frame, Status, TransportLost
+from fiberloom.bus import Command, Frame, Link, Status, TransportLost
 from fiberloom.bus.identifier import decode, encode
 
 READY = Status.SYSTEM_INITIALIZED | Status.DATUMS_INITIALIZED | Status.DISPLACEMENT_COMPLETED
@@ -20,6 +20,9 @@ class FakePositioner:
         self.flags = Status(0)
         self.points = []
         self.counts = None
+        """Of the trajectory that is being received."""
+        self.ends = None
+        """Of the one that is held."""
         self.loaded = False
         self.requests = []
         self.refuse = {}  # command -> response code
@@ -27,7 +30,11 @@ class FakePositioner:
 
     def status(self, time_s):
         busy = time_s < self.busy_until_s
-        return (READY ^ Status.DISPLACEMENT_COMPLETED if busy else READY) | self.flags
+        if self.loaded:
+            held = Status.TRAJECTORY_ALPHA_RECEIVED | Status.TRAJECTORY_BETA_RECEIVED
+        else:
+            held = Status(0) if self.counts is None else Status.RECEIVING_TRAJECTORY
+        return (READY ^ Status.DISPLACEMENT_COMPLETED if busy else READY) | self.flags | held
 
     def answer(self, identifier, data, time_s):
         """Response code and payload of the reply."""
@@ -56,17 +63,18 @@ class FakePositioner:
 
     def on_12(self, data, time_s):
         self.loaded = self.counts is not None and len(self.points) == sum(self.counts)
+        self.ends, self.counts = self.counts, None
         return (0 if self.loaded else 2), b""
 
     def on_13(self, data, time_s):
         if self.lies:
             self.goal = list(self.position)
-        self.busy_until_s, self.loaded = min(self.busy_until_s, time_s), False
+        self.busy_until_s, self.loaded, self.counts = min(self.busy_until_s, time_s), False, None
         return 0, b""
 
     def on_14(self, data, time_s):
         if self.loaded:
-            n_alpha = self.counts[0]
+            n_alpha = self.ends[0]
             self.move([self.points[n_alpha - 1][0], self.points[-1][0]], time_s)
             self.busy_until_s = time_s + max(t for _, t in self.points) * 0.5e-3
         self.loaded = False
@@ -165,3 +173,31 @@ class FakeBus:
 
     async def close(self):
         self.closed = True
+
+
+class LinkedBus(FakeBus):
+    """A FakeBus over two links: odd numbers on "left", even ones on "right"."""
+
+    def __init__(self, numbers=(), latency_s=0.5e-3):
+        super().__init__(numbers, latency_s)
+        self.links = [Link("left"), Link("right")]
+        self.events = []  # (time, what to do)
+
+    def link_of(self, positioner):
+        return self.links[0 if positioner % 2 else 1]
+
+    def cut(self, link, at_s, back_s=None):
+        self.events.append((at_s, lambda: self.links[link].goes_down("cut", self.now_s)))
+        if back_s is not None:
+            self.events.append((back_s, lambda: self.links[link].comes_up(self.now_s)))
+
+    def addressed(self, identifier):
+        return [p for p in super().addressed(identifier) if self.link_of(p.number).up]
+
+    async def receive(self, timeout_s):
+        due_s = min((at_s for at_s, _ in self.events), default=self.now_s + timeout_s)
+        frames = await super().receive(max(min(timeout_s, due_s - self.now_s), 0.0))
+        for event in [event for event in self.events if event[0] <= self.now_s]:
+            self.events.remove(event)
+            event[1]()
+        return [frame for frame in frames if self.link_of(frame.id >> 18).up]

@@ -129,8 +129,8 @@ def test_positioners_are_found_and_spoken_to_on_their_own_port():
     assert ids == [5, 6, 7]
     assert sent.ok.all()
     carried = [line for line in gateways[0].lines if line.startswith("M ")]
-    assert sum("M 2" in line for line in carried) == 1 + 1 + 6 + 1
-    assert len(carried) == 2 + 3 * 8
+    assert sum("M 2" in line for line in carried) == 3 + 1 + 6 + 1
+    assert len(carried) == 3 * 2 + 3 * 8
 
 
 def test_a_gateway_that_hangs_up_disconnects_its_positioners():
@@ -138,10 +138,13 @@ def test_a_gateway_that_hangs_up_disconnects_its_positioners():
         client = Client(transport)
         await client.discover()
         gateway.hang_up()
-        return await client.wait_until_done(timeout_s=1e6), client.exchange.lost
+        results = await client.wait_until_done(timeout_s=1e6)
+        return results, client.exchange.lost, transport.links[0].up, transport.links[0].reason
 
-    results, why = with_gateway(scenario, {1: [1, 2]})
+    results, lost, up, why = with_gateway(scenario, {1: [1, 2]})
     assert [r.outcome for r in results.values()] == [Outcome.DISCONNECTED] * 2
+    assert lost is None  # it will reconnect
+    assert not up
     assert "closed the connection" in why or "reset" in why.lower()
 
 

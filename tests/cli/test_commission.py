@@ -1,15 +1,13 @@
 """`fiberloom commission`: its files, its refusals, its exit codes."""
 
 import json
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
+from programs import start
 from typer.testing import CliRunner
 
 from fiberloom.cli.app import app
@@ -162,15 +160,13 @@ def test_a_file_that_is_none_of_ours_is_named(whole, tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_was_measured(tmp_path):
     words = [*map(str, QUICK), "--visits", "3000", "--out", str(tmp_path)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fiberloom.cli", "commission", *words], stderr=subprocess.PIPE, text=True
-    )
+    process = start("commission", *words)
     end = time.monotonic() + 240.0
     while not (tmp_path / "arms.json").exists():
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < end, "arms were never measured"
         time.sleep(0.1)
-    os.kill(process.pid, signal.SIGINT)
+    process.send_signal(signal.SIGINT)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
     assert stderr.strip().splitlines()[-1].startswith("fiberloom: interrupted")

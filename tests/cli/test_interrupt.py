@@ -4,10 +4,10 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
+from programs import start
 
 from fiberloom.store import Store
 
@@ -18,13 +18,7 @@ def begun(folder, seconds=240.0):
     """An observation of many moves, once it has recorded its first ones."""
     (folder / "t.csv").write_text(TARGETS)
     words = ["observe", "t.csv", "--positioners", "7", "--moves", "5000", "--out", "out"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fiberloom.cli", *words],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = start(*words, cwd=folder, stdout=subprocess.PIPE)
     end = time.monotonic() + seconds
     while measured(folder) < 14:
         assert process.poll() is None, process.stderr.read()

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.lib.recfunctions import repack_fields
 
+from fiberloom.bus.parameters import PARAMETERS_BY_NAME
 from fiberloom.calibration.bench.estimate import Fitted, Residuals, estimate
 from fiberloom.calibration.commissioning.checks import Context, checked
-from fiberloom.calibration.commissioning.derive import DERIVED, FACTORY, MEASURED, OWN, derive
+from fiberloom.calibration.commissioning.derive import CHOSEN, DERIVED, FACTORY, MEASURED, OWN, derive
 from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.calibration.commissioning.measured import (
     Measured,
@@ -105,6 +107,22 @@ def test_what_was_not_measured_keeps_the_factorys_value():
     derivation = derive(1, {}, FACTORY_VALUES)
     assert {f.origin for f in derivation.findings} == {FACTORY}
     assert derivation.values(FACTORY_VALUES).tobytes() == FACTORY_VALUES.tobytes()
+
+
+def test_the_host_watch_is_the_instruments():
+    care = load_instrument("sdssv").care.model_copy(update={"host_timeout_s": 4.0})
+    told = derive(1, {}, FACTORY_VALUES, care=care)
+    assert told.refused == []
+    assert (told.values(FACTORY_VALUES)["host_timeout_ms"] == 4000.0).all()
+    assert {(f.origin, f.verdict) for f in told.findings if f.name == "host_timeout_ms"} == {(CHOSEN, "good")}
+    held = FACTORY_VALUES.copy()
+    held["host_timeout_ms"] = 7000.0
+    assert (derive(1, {}, held).values(held)["host_timeout_ms"] == 7000.0).all()
+    assert (
+        derive(1, {}, held, care=load_instrument("sdssv").care).values(held)["host_timeout_ms"] == 0.0
+    ).all()
+    long = care.model_copy(update={"host_timeout_s": 601.0})
+    assert len(derive(1, {}, held, care=long).refused) == 2
 
 
 def test_scattered_estimates_give_parameters_within_their_errors():
@@ -218,7 +236,10 @@ def test_quantities_come_from_estimates_and_the_drag_of_the_pushes_is_told_apart
 
 def test_the_twins_units_have_the_same_bytes_as_before_the_gains_moved():
     """Digests of the firmware parameters as drawn when control_gains was the simulator's own."""
-    drawn = [draw_units(PLANE, seed).firmware.tobytes() for seed in (0, 7)]
+    # the host watch has come since, as the last parameter: off
+    assert not draw_units(PLANE, 0).firmware["host_timeout_ms"].any()
+    old = list(PARAMETERS_BY_NAME)[:-1]
+    drawn = [repack_fields(draw_units(PLANE, seed).firmware[old]).tobytes() for seed in (0, 7)]
     assert [hashlib.sha256(d).hexdigest()[:16] for d in drawn] == ["851b779994483fe5", "d655016de280e615"]
 
 

@@ -109,7 +109,7 @@ def test_not_saved_is_gone_after_a_power_cut(bench):
 def test_a_save_that_may_have_been_done_is_undone(bench):
     """Its answers are lost, and it is not known whether the new ones are in the storage: they are."""
     lost = Once(Command.SAVE_INTERNAL_CALIBRATION, nth=1, forever=True)
-    bench.bus.lose_answer = lambda identifier: lost(identifier) and lost.seen <= 2 * len(IDS)
+    bench.bus.lose_answer = lambda identifier: lost(identifier) and lost.seen <= 4 * len(IDS)
     done = bench.write()
     assert "timed out to SAVE_INTERNAL_CALIBRATION" in done[IDS[0]].reason
     assert bench.held() == bench.factory()

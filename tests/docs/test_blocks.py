@@ -110,6 +110,8 @@ def faults(line):
     """What is wrong with one command of the pages."""
     line = re.sub(r"\[([A-Z_]+)(?: \.\.\.)?\]", r"\1", line.replace("...", "").replace(" &", ""))
     words = shlex.split(re.sub(r"(?<!\S)\[|\](?!\S)", " ", line))[1:]
+    if words[:1] == ["--site"]:  # an option of the program, before the command
+        words = words[2:]
     paths = [()]
     while words and any((*path, name) in COMMANDS for path in paths for name in words[0].split("|")):
         paths = [(*path, name) for path in paths for name in words[0].split("|")]

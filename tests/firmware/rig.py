@@ -57,6 +57,7 @@ BIT = {
     "restored": 34,
     "saved": 36,
     "hall_off": 39,
+    "host_timeout": 41,
 }
 
 

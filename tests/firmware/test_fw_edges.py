@@ -70,22 +70,84 @@ def test_two_collisions_at_once_are_told_once():
     assert unit.unsolicited == [(18, b"")]
 
 
-def test_a_collision_while_the_bus_is_full_is_seen_in_the_status_alone():
+def fill_queue(unit):
+    """A bus that takes nothing, and the 16 answers for which there is room."""
+    unit.frames()
+    unit.unit.mailbox_open = False
+    for uid in range(20):
+        unit.unit.receive(fw.encode_identifier(unit.number, 32, uid + 1))
+
+
+def sent_when_open(unit):
+    """Commands and uids of what leaves once the bus takes frames again."""
+    unit.unit.mailbox_open = True
+    unit.unit.tick()
+    return [fw.decode_identifier(identifier)[1:3] for identifier, _ in unit.unit.take_frames()]
+
+
+POLLS = [(32, uid + 1) for uid in range(16)]
+
+
+def test_a_collision_at_a_full_queue_is_told_once_there_is_room():
     unit = Rig()
     unit.goto(60, 70)
     unit.unit.tick(1200)
-    unit.frames()
-    unit.unit.mailbox_open = False
-    for uid in range(16):
-        unit.unit.receive(fw.encode_identifier(unit.number, 32, uid + 1))
+    fill_queue(unit)
     block(unit, 0)
     unit.unit.tick(100)
-    unit.unit.mailbox_open = True
-    assert [frame[0] for frame in unit.frames()] == []
-    unit.unit.tick()
-    assert [frame[0] for frame in unit.frames()] == [32] * 16
-    assert not unit.unsolicited
+    assert sent_when_open(unit) == [*POLLS, (18, 0)]
+    unit.unit.tick(100)
+    assert unit.unit.take_frames() == []
     assert unit.status("collision_alpha", "collision_beta") == (True, False)
+    assert unit.unit.at_rest()
+
+
+@pytest.mark.parametrize(("command", "to"), [(13, 5), (15, 5), (15, 0)])
+def test_a_stop_at_a_full_queue_is_carried_out_and_answered_later(command, to):
+    unit = Rig()
+    unit.follow([(2.0, 30.0)], [(2.0, 40.0)])
+    unit.unit.tick(1200)
+    fill_queue(unit)
+    before = unit.unit.position_cnt
+    unit.unit.receive(fw.encode_identifier(to, command, 60))
+    assert unit.unit.duty(0) == unit.unit.duty(1) == (0, 0, 0)
+    unit.unit.tick(200)
+    # half a turn of the motor at most
+    assert max(abs(a - b) for a, b in zip(unit.unit.position_cnt, before, strict=True)) < 2**19
+    assert not unit.unit.at_rest()  # the answer waits
+    assert sent_when_open(unit) == [*POLLS, (command, 60)]
+    assert unit.status("completed")
+    assert unit.unit.at_rest()
+
+
+def test_the_last_of_several_stops_at_a_full_queue_is_answered():
+    unit = Rig()
+    fill_queue(unit)
+    for uid in (40, 41, 42):
+        unit.unit.receive(fw.encode_identifier(unit.number, 13, uid))
+    assert sent_when_open(unit) == [*POLLS, (13, 42)]
+
+
+def test_a_collision_and_a_stop_both_outlive_a_full_queue():
+    unit = Rig()
+    unit.goto(60, 70)
+    unit.unit.tick(1200)
+    fill_queue(unit)
+    block(unit, 1)
+    unit.unit.tick(100)
+    unit.unit.receive(fw.encode_identifier(unit.number, 15, 50))
+    assert sent_when_open(unit) == [*POLLS, (18, 0), (15, 50)]
+    assert unit.status("collision_beta") is False
+
+
+def test_a_stop_of_wrong_length_at_a_full_queue_is_refused():
+    unit = Rig()
+    unit.goto(60, 70)
+    unit.unit.tick(1200)
+    fill_queue(unit)
+    unit.unit.receive(fw.encode_identifier(unit.number, 13, 50), b"1")
+    assert unit.unit.duty(0) != (0, 0, 0)
+    assert sent_when_open(unit) == [*POLLS, (13, 50)]
 
 
 def test_a_collision_waits_for_the_mailbox():

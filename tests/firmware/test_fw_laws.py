@@ -59,6 +59,11 @@ def test_square_root(x):
     assert fw.sqrt(np.array([x], np.float32))[0] == pytest.approx(np.sqrt(np.float32(x)), rel=3e-7)
 
 
+@pytest.mark.parametrize("x", [0.0, -0.0, -1.0, -1e30, np.nan])
+def test_the_root_of_nothing_and_less_is_zero(x):
+    assert fw.sqrt(np.array([x], np.float32))[0] == 0.0
+
+
 @given(st.binary(max_size=100))
 def test_crc_is_that_of_zip(data):
     assert fw.crc32(data) == zlib.crc32(data)
@@ -215,6 +220,16 @@ def test_every_feedforward_term_can_be_switched_off(switch, row):
     assert off == 0
 
 
+@pytest.mark.parametrize(("error_cnt", "bound"), [(20_000, 2.0), (-20_000, 0.5)])
+@pytest.mark.parametrize("speed_rad_s", [200.0, -200.0])
+def test_grease_is_learnt_up_to_half_or_twice_as_stiff(error_cnt, bound, speed_rad_s):
+    """A rotor that lags at speed, on and on, needs more than is fed forward; one that leads less."""
+    rows = np.tile([np.copysign(1, speed_rad_s) * error_cnt, 0.0, speed_rad_s, 0.0], (20_000, 1))
+    scale = fw.servo(alpha_params(drag_learning_time=0.1, k_i=0.0), rows)[:, 3]
+    assert scale[0] != bound
+    assert scale[-1] == bound
+
+
 def test_the_integral_is_bounded():
     p = alpha_params(integral_limit=1.5e-5)
     rows = np.tile([10.0 * TURN, 0.0, 0.0, 0.0], (20_000, 1))
@@ -277,6 +292,23 @@ def test_smoothing_arrives_exactly_and_never_overshoots(levels, start):
     assert position.max() <= highest
     # 32 ticks after the last step it is there, to the count
     assert position[-7] == levels[-1]
+
+
+@given(st.lists(st.integers(-(2**20), 2**20), min_size=1, max_size=80), st.integers(-(2**20), 2**20))
+def test_smoothing_is_the_mean_of_32_to_the_nearest_count(raw, start):
+    got = fw.smooth(np.array(raw, np.int32), start)
+    padded = np.concatenate([np.full(32, start), raw])
+    # position is at the begin of a tick, raw at its end; sums of integers, halves upwards
+    mean = [int(np.floor((2 * padded[k : k + 32].sum() + 32) / 64)) for k in range(len(raw))]
+    np.testing.assert_array_equal(got[:, 0], mean)
+    # speed and acceleration are differences of that mean, from a standstill on
+    rad_s = np.array([padded[k + 32] - padded[k] for k in range(len(raw))]) / 32 * 2000 / CNT_PER_RAD
+    np.testing.assert_allclose(got[:, 1], rad_s, rtol=1e-6)
+    np.testing.assert_allclose(got[:, 2], np.diff(rad_s, prepend=0.0) * 2000, rtol=1e-5, atol=1.0)
+
+
+def test_a_command_that_stands_has_no_acceleration():
+    assert not fw.smooth(np.full(40, 1234, np.int32), 1234)[:, 1:].any()
 
 
 def test_smoothing_bounds_acceleration_and_lag():
@@ -413,6 +445,15 @@ def test_hall_calibration_knows_the_ellipse_from_half_of_it(start, phase):
     assert found[4] == pytest.approx(phase, abs=5e-4)
 
 
+@pytest.mark.parametrize("start", np.deg2rad(np.arange(0, 360, 30)))
+def test_hall_calibration_knows_the_ellipse_from_a_third_of_it(start):
+    theta = np.linspace(start, start + 2 * np.pi / 3, 2000)
+    found = fw.hall_fit(adc(theta, (2000, 2100), (1500, 1500)))
+    # an arc of 120 degrees leaves some times more of the converter's rounding than half a turn
+    assert found[:4] == pytest.approx((2000, 2100, 1500, 1500), abs=2.0)
+    assert found[4] == pytest.approx(0.0, abs=2e-3)
+
+
 def test_hall_calibration_refuses_a_dead_channel():
     assert fw.hall_fit(np.full((500, 2), 2048, np.uint16)) is None
 
@@ -433,11 +474,11 @@ def test_hall_calibration_refuses_less_than_a_hundred_samples():
     assert fw.hall_fit(adc(theta[1:])) is None
 
 
-def sweep(samples, coulomb=2e-5, spring=5e-6, cogging=1e-5, phase=0.7, back=None):
-    """Rows of a sweep of four turns each way, torque as Eq. 11 and Fig. 11 have it."""
+def sweep(samples, coulomb=2e-5, spring=5e-6, cogging=1e-5, phase=0.7, back=None, turns=4.0):
+    """Rows of a sweep of so many turns each way, torque as Eq. 11 and Fig. 11 have it."""
     rows = []
     for direction, count in ((1.0, samples), (-1.0, samples if back is None else back)):
-        rotor = np.round(np.arange(count) * (4 * TURN / max(count, 1)))
+        rotor = np.round(np.arange(count) * (turns * TURN / max(count, 1)))
         angle = 2 * rotor / CNT_PER_RAD + phase
         torque = coulomb * direction - spring + cogging * np.sin(angle)
         rows.append(np.stack([np.full(count, direction), rotor, torque], axis=1))
@@ -451,6 +492,18 @@ def test_friction_fit_tells_friction_spring_and_cogging_apart(coulomb, spring, c
     # float32 sums of 2000 terms
     assert found[:3] == pytest.approx((coulomb, spring, cogging), rel=1e-3)
     assert found[3] == pytest.approx(phase, abs=1e-3)
+
+
+def test_friction_fit_of_few_samples_begins_at_nothing():
+    """What is left in the sums from before would weigh as one sample of 200."""
+    found = fw.friction_fit(sweep(100))
+    assert found[:3] == pytest.approx((2e-5, 5e-6, 1e-5), rel=1e-4)
+
+
+def test_friction_fit_knows_the_cogging_from_a_twelfth_of_a_turn():
+    found = fw.friction_fit(sweep(100, turns=1 / 12))
+    # sine and cosine are nearly alike there with the spring: float32 sums leave a thousandth
+    assert found[:3] == pytest.approx((2e-5, 5e-6, 1e-5), rel=5e-3)
 
 
 @pytest.mark.parametrize(("forth", "back", "good"), [(100, 100, True), (99, 100, False), (100, 99, False)])

@@ -463,3 +463,17 @@ def farthest_cnt(sign):
 
 def test_limits_of_the_same_size_are_rounded_alike():
     assert farthest_cnt(-1) == farthest_cnt(1)
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, -5.0])
+def test_a_torque_beyond_the_supply_is_asked_of_it_in_full_and_no_more(turn_deg):
+    """Friction that no motor could overcome. Eq. 18: the three duties sum to 1.5 of the field's strength."""
+    unit = Rig(coulomb=1.0e-2)
+    assert unit.goto(10.0 + turn_deg, 20.0) == ACCEPTED
+    duties = []
+    for _ in range(10):
+        unit.unit.tick(1)
+        duties.append(unit.unit.duty(0))
+    np.testing.assert_allclose(np.sum(duties, axis=1), 1.5, atol=1e-3)
+    assert np.min(duties) >= 0.0
+    assert np.max(duties) <= 1.0

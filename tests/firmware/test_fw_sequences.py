@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 import rig
+from fiberloom._core import firmware as fw
 
 ANGLE = st.floats(-10.0, 370.0)
 MOVES = {20: b"", 22: b"", 23: b"", 26: b"", 28: b"", 31: rig.pair(0.3, -0.2), 47: b""}
@@ -72,6 +73,21 @@ class Sequences(RuleBasedStateMachine):
         self.forget()
         assert self.rig.unit.duty(0) == self.rig.unit.duty(1) == (0, 0, 0)
         self.driven = False
+
+    @rule(command=st.sampled_from([13, 15]), waiting=st.integers(0, 20))
+    def stop_while_nothing_is_sent(self, command, waiting):
+        """Whatever waits for the bus, a stop acts at once; its answer comes when the bus is free again."""
+        self.rig.frames()
+        self.rig.unit.mailbox_open = False
+        for uid in range(waiting):
+            self.rig.unit.receive(fw.encode_identifier(self.rig.number, 32, uid + 1))
+        self.rig.unit.receive(fw.encode_identifier(self.rig.number, command, 63))
+        self.forget()
+        assert self.rig.unit.duty(0) == self.rig.unit.duty(1) == (0, 0, 0)
+        self.driven = False
+        self.rig.unit.mailbox_open = True
+        self.rig.unit.tick()
+        assert [reply[:3] for reply in self.rig.frames()][-1] == (command, 63, rig.ACCEPTED)
 
     @rule(command=st.integers(0, 255), data=st.binary(max_size=8))
     def anything(self, command, data):

@@ -3,12 +3,11 @@
 import dataclasses
 import json
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
+from programs import start
 
 from fiberloom.cli.calibrate.focal_plane import FocalPlaneOptions, focal_plane
 from fiberloom.cli.observe import CameraKind, ObservationOptions
@@ -117,11 +116,7 @@ def test_ctrl_c_keeps_what_was_learnt(field, tmp_path):
     learnt = tmp_path / "learnt.sqlite"
     words = ["observe", str(field[1] / "targets.csv"), "--positioners", str(N), "--seed", str(SEED)]
     words += ["--moves", "5000", "--adapt", "--learnt", str(learnt), "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fiberloom.cli", *words],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = start(*words)
     try:
         end = time.monotonic() + 240.0
         while not (learnt.exists() and learnt_generations(str(learnt), None)):

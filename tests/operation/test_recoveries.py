@@ -28,6 +28,11 @@ class Field:
         )
         self.recorder = SimpleNamespace(event=lambda kind, text, *which: self.events.append((kind, text)))
 
+        self.care = SimpleNamespace(planned=self.planned)
+
+    async def planned(self, make, *args, **settings):
+        return make(*args, **settings)
+
     def progress(self, label):
         pass
 

@@ -70,3 +70,16 @@ def _cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
         return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
 
     return side(p[:, :2], p[:, 2:], q[:, :2]) * side(p[:, :2], p[:, 2:], q[:, 2:]) < 0
+
+
+def signed(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Distances of segments (n, 4); of those that cross, by separating axes: the least overlap of shadows."""
+    apart = _segments(p, q)
+    shadows = []
+    for line in (p, q):
+        normal = np.column_stack([line[:, 1] - line[:, 3], line[:, 2] - line[:, 0]])
+        normal /= np.hypot(*normal.T)[:, None]
+        mine = np.stack([(normal * s[:, k : k + 2]).sum(1) for s in (p,) for k in (0, 2)])
+        other = np.stack([(normal * s[:, k : k + 2]).sum(1) for s in (q,) for k in (0, 2)])
+        shadows += [mine.max(0) - other.min(0), other.max(0) - mine.min(0)]
+    return np.where(apart > 0.0, apart, -np.min(shadows, axis=0))

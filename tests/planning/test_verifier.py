@@ -62,7 +62,9 @@ def test_the_verifier_agrees_with_dense_sampling(first, second):
     steps = [np.diff(r.time_s).min() for r in plan.robots if r.moves]
     miss = way * min(1.0, plan.duration_s / 4000 / min(steps)) if steps else 0.0
     lowest = gaps.min()
-    assert found.min_robot_clearance_mm <= lowest + 1e-6
+    # what touches is found to 1e-6 mm; how deep, as documented, to 1e-4 mm
+    assert found.min_robot_clearance_mm <= lowest + (1e-6 if lowest > -1e-6 else 1e-4)
+    assert found.collisions or found.contacts or lowest >= -1e-6
     assert found.min_robot_clearance_mm >= lowest - miss - 2e-4
     assert bool(found.collisions or found.contacts) == (found.min_robot_clearance_mm < -1e-6)
 

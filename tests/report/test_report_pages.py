@@ -237,7 +237,7 @@ def test_a_commissioning_page_parts_what_was_found_from_what_was_kept():
     assert found["alpha drag99 > 30"] == ["12", "99 µNm", "1 … 30", "refused"]
     assert found["drag, two ways"] == ["0.1", "≤ 3", "pass"]
     assert found["scale"] == ["–", "≥ 0.9", "not measured"]
-    assert found["l_alphaarms"] == ["7.41234 ± 0.0001 mm"]
+    assert found["l_alphaarms"] == ["7.4123 ± 0.0001 mm"]
     assert "beta drag: 99 is above 30 & refused" in page.text
     assert "not commissioned" in page.text
     good = Page(commissioning_html(UNIT | {"commissioned": True, "reasons": []}, {}))
@@ -253,5 +253,26 @@ def test_limits_and_numbers_in_words():
         "-1 … 1",
     ]
     assert number_text({"value": 1234.5678, "standard_error": 0.0}) == "1235"
-    assert number_text({"value": 0.001, "standard_error": 0.01}) == "0.001 ± 0.01"
     assert found_in_record({"value": 2.0, "unit": "1"}) == "2"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (7.4, 1e-4, "7.4000 ± 0.0001"),
+        (-11.2503243, 1.14e-4, "-11.2503 ± 0.0001"),
+        (0.1101745, 0.0124, "0.11 ± 0.01"),
+        (1.0, 0.096, "1.0 ± 0.1"),  # the error is rounded before its digit counts
+        (335.103, 2.04, "335 ± 2"),
+        (123.456, 12.3, "120 ± 10"),
+        (0.001, 0.01, "0.00 ± 0.01"),
+        (-0.001, 0.01, "0.00 ± 0.01"),
+        (4.34525e-5, 1.3e-7, "(4.35 ± 0.01)e-05"),
+        (-8.7e-10, 2.65e-12, "(-8.70 ± 0.03)e-10"),
+        (9.9996e-6, 1e-8, "(1.000 ± 0.001)e-05"),
+        (2e-7, 3e-6, "(0 ± 3)e-06"),
+        (1.5e7, 2e4, "(1.500 ± 0.002)e+07"),
+    ],
+)
+def test_a_value_and_its_error_have_the_same_decimals(value, error, text):
+    assert number_text({"value": value, "standard_error": error}) == text

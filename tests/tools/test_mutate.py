@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -121,6 +122,25 @@ def test_tests_that_fail_without_a_change_prove_nothing(runs):
     write(runs.root, "tests/room/test_law.py", TESTS.replace("== 4.0", "== 5.0"))
     with pytest.raises(TestsFail, match="without any change"):
         runs.prepare()
+
+
+HEEDING = """
+import signal
+
+def test_an_interrupt_would_be_noticed():
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
+"""
+
+
+def test_in_the_background_tests_of_interrupts_pass_as_well(runs):
+    write(runs.root, "tests/room/test_heeding.py", HEEDING)
+    before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGHUP, signal.SIGINT)}
+    try:
+        runs.prepare()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_no_tests_at_all_are_no_verdict(runs):

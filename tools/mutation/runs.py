@@ -53,6 +53,9 @@ class Runs(Protocol):
     def try_one(self, mutant: Mutant) -> Verdict:
         """Runs tests on one mutant."""
 
+    def close(self) -> None:
+        """Ends what `prepare` has started."""
+
 
 class Pytest:
     """Runs the tests of a target on a package elsewhere."""
@@ -83,7 +86,7 @@ class Pytest:
             return subprocess.Popen(
                 [*command, "-m", SMALL, *options, *self.tests],
                 cwd=self.root, env=environment, stdout=out, stderr=out, start_new_session=True, pass_fds=fds,
-                preexec_fn=limit_memory,
+                preexec_fn=as_by_hand,
             )  # fmt: skip
 
     def verdict(self, code: int) -> Verdict:
@@ -120,6 +123,17 @@ class Pytest:
         self.limit_s = max(AT_LEAST_S, PATIENCE * (time.monotonic() - start_s))
 
 
+def as_by_hand() -> None:
+    """Of the process of the tests: little memory, and signals as a shell leaves them.
+
+    What runs in the background ignores SIGINT or SIGHUP (`&` in a script, `nohup`), and so does all that it
+    starts: a test of an interrupted command would wait in vain.
+    """
+    limit_memory()
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def limit_memory() -> None:
     """Leaves this process and its children ROOM_BYTES of address space, or less where there is less."""
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
@@ -137,6 +151,12 @@ class Forks:
         os.close(asked)
         os.close(told)
         self._ask, self._answer = os.fdopen(ask, "w", buffering=1), os.fdopen(answer)
+
+    def close(self) -> None:
+        """Ends the process that forks."""
+        self._ask.close()
+        self._answer.close()
+        self._process.wait()
 
     def run(self, number: int) -> Verdict:
         """The quickest first, up to the first failure. TestsFail where pytest itself cannot run."""
@@ -177,6 +197,9 @@ class PythonRuns:
             return self.pytest.only(others) if others else Verdict.SURVIVED
         finally:
             path.write_bytes(original)
+
+    def close(self) -> None:
+        """Nothing was left running."""
 
 
 def compiled_folder() -> Path:
@@ -246,6 +269,10 @@ class NativeRuns:
     def try_one(self, mutant: Mutant) -> Verdict:
         """All tests of the target."""
         return self._forks.run(self._number[mutant.key])
+
+    def close(self) -> None:
+        """Ends the process in which the tests are collected."""
+        self._forks.close()
 
 
 def write_if_new(path: Path, content: bytes) -> None:

@@ -6,8 +6,13 @@
 #include <utility>
 
 #include "fl_dispatch.h"
+#include "fl_identifier.h"
 
 namespace fl::twin {
+
+namespace {
+constexpr uint8_t start_command = 14; // START_TRAJECTORY
+}
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
     group_ = &plant.group(Plant::place(2 * index).group);
@@ -41,7 +46,26 @@ void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
     if (faults.deaf) return;
     wake(tick);
     now_ = tick;
-    fl_positioner_receive(&firmware_, &frame);
+    if (!spoils_start(frame)) fl_positioner_receive(&firmware_, &frame);
+}
+
+bool Positioner::spoils_start(const fl_can_frame_t &frame) {
+    fl_identifier_t id = fl_identifier_unpack(frame.id);
+    const bool spoilt = faults.at_start != AtStart::obeys && id.command == start_command &&
+                        firmware_.state == FL_STATE_LOADED;
+    if (!spoilt) return false;
+    const AtStart what = std::exchange(faults.at_start, AtStart::obeys);
+    if (what == AtStart::refuses) {
+        id.positioner = firmware_.id;
+        id.code = FL_INVALID_COMMAND;
+        fl_can_frame_t reply{};
+        reply.id = fl_identifier_pack(id);
+        send_frame(this, &reply);
+    } else if (what == AtStart::restarts) {
+        power_cycle();
+        fl_positioner_enter_bootloader(&firmware_);
+    }
+    return true;
 }
 
 // Ticks that left everything as it was: the next ones will, too, under the same duties.

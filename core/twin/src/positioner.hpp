@@ -71,6 +71,8 @@ class Positioner {
     std::vector<Contact> contacts, contacts_before;
 
   private:
+    // True when the fault of this frame's START has taken the firmware's place.
+    bool spoils_start(const fl_can_frame_t &frame);
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);

@@ -17,8 +17,8 @@ static bool creep(fl_axis_t *a, int32_t target_cnt, int32_t step_cnt) {
     return there;
 }
 
-/* Moves the raw command on by one tick; true when the leg's way has ended. */
-static bool leg_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg) {
+/* Moves the raw command on by one tick of the leg's own time; true when the leg's way has ended. */
+static bool whole_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg) {
     const int32_t target_cnt = a->plan[a->leg].target_cnt;
     switch (leg.step) {
     case FL_STEP_PATH:
@@ -42,6 +42,34 @@ static bool leg_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg) {
     default:
         return false;
     }
+}
+
+/* The same while time slows down. */
+FL_COLD static bool slow_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg) {
+    fl_slow_t *s = &a->slow;
+    if (leg.step != FL_STEP_PATH && leg.step != FL_STEP_PROFILE) return whole_step(a, path, leg);
+    bool ended = false;
+    s->rate -= FL_SLOW_WHOLE / FL_SLOW_TICKS;
+    s->phase += s->rate;
+    if (s->phase >= FL_SLOW_WHOLE) {
+        s->phase -= FL_SLOW_WHOLE;
+        s->from_cnt = s->to_cnt;
+        ended = whole_step(a, path, leg);
+        s->to_cnt = a->raw_cnt;
+    }
+    const int64_t step_cnt = fl_sub_i32(s->to_cnt, s->from_cnt);
+    a->raw_cnt = fl_add_i32(s->from_cnt, (int32_t)(step_cnt * (int64_t)s->phase / FL_SLOW_WHOLE));
+    if (ended) { /* the next leg begins here */
+        s->from_cnt = s->to_cnt = a->raw_cnt;
+        s->phase = FL_SLOW_WHOLE;
+    }
+    if (s->rate != 0) return ended;
+    fl_axis_stop_here(a);
+    return true;
+}
+
+static inline bool leg_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg) {
+    return a->slowing ? slow_step(a, path, leg) : whole_step(a, path, leg);
 }
 
 /* What the servo is asked at the command of this tick. */

@@ -58,10 +58,20 @@ typedef struct fl_torque_step {
 /* A push ends after 0.2 s at the latest: at 6000 rpm 20 turns of the motor, 7 deg of the arm. */
 enum { FL_TORQUE_TICKS = FL_TICK_HZ / 5 };
 
+/* The trajectory's time on its way to a standstill: in 2^-16 of a tick. */
+typedef struct fl_slow {
+    int32_t from_cnt, to_cnt; /* the raw command at whole ticks of that time */
+    uint32_t phase, rate;     /* between them; per tick */
+} fl_slow_t;
+
+/* So long it takes: 0.256 s, about the ramp of a go-to from 2000 rpm. */
+enum { FL_SLOW_TICKS = 512, FL_SLOW_WHOLE = 1 << 16 };
+
 /* What every tick touches comes first: it is what a simulator of many positioners waits for. */
 typedef struct fl_axis {
     uint8_t leg, legs;
-    bool fresh; /* the next tick starts from where the rotor is */
+    bool fresh;   /* the next tick starts from where the rotor is */
+    bool slowing; /* fl_axis_slow_down */
     bool closed_loop, detect, precise;
     bool datum_calibrated;
     bool datum_found;     /* by the search under way or the last one */
@@ -83,6 +93,7 @@ typedef struct fl_axis {
     fl_smooth_state_t smooth;
     fl_leg_t plan[FL_PLAN_LEGS];
     fl_profile_state_t profile;
+    fl_slow_t slow;
 
     uint32_t leg_ticks, calm_ticks;
     int32_t lag_cnt;         /* behind the command while settling, averaged */
@@ -133,6 +144,11 @@ void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Drives with these torques, then brakes. It ends early at the limits of the range.
  * @pre step.ticks add up to FL_TORQUE_TICKS at most; no voltage is INT16_MIN */
 void fl_axis_push(fl_axis_t *a, fl_torque_step_t step);
+/* Stops on the way of a trajectory: its time runs slower and slower, so that axes which begin in the same
+ * tick stay together on it. What has come to its landing ends as it would. Ends with the axis at rest, like
+ * any plan.
+ * @pre not in the first tick of the plan */
+void fl_axis_slow_down(fl_axis_t *a);
 /* Phases off at once (the coils brake), the rest of the plan forgotten. */
 void fl_axis_brake(fl_axis_t *a, const fl_port_t *port, int index);
 

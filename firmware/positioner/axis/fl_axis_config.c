@@ -130,6 +130,8 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     fl_axis_unlearn(a, p);
     a->hall = (fl_hall_state_t){0, false};
     a->leg = a->legs = 0;
+    a->slowing = false;
+    a->slow = (fl_slow_t){0, 0, 0, 0};
     a->closed_loop = a->detect = true;
     a->precise = a->datum_calibrated = a->datum_found = a->datum_calibrate = false;
     a->zero_cnt = a->datum_ref_cnt = a->offset_cnt = a->position_cnt = a->raw_cnt = a->start_cnt =

@@ -12,6 +12,7 @@ void fl_axis_clear_plan(fl_axis_t *a) {
     a->leg = a->legs = 0;
     a->leg_ticks = a->calm_ticks = 0;
     a->fresh = true;
+    a->slowing = false;
 }
 
 void fl_axis_add_leg(fl_axis_t *a, fl_leg_kind_t kind, int32_t target_cnt) {

@@ -26,6 +26,9 @@ void fl_axis_add_leg(fl_axis_t *a, fl_leg_kind_t kind, int32_t target_cnt);
 
 /* -- fl_axis_plan.c */
 
+/* Slowed down to a standstill: what is left of the plan is to land and settle here.
+ * @pre a->leg <= FL_PLAN_LEGS - 3 */
+void fl_axis_stop_here(fl_axis_t *a);
 /* The coils brake; the plan stays. */
 void fl_axis_phases_off(fl_axis_t *a, const fl_port_t *port, int index);
 

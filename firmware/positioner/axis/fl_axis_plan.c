@@ -109,6 +109,18 @@ void fl_axis_push(fl_axis_t *a, fl_torque_step_t step) {
     fl_axis_add_leg(a, FL_LEG_BRAKE, 0);
 }
 
+void fl_axis_slow_down(fl_axis_t *a) {
+    if (fl_axis_rests(a)) return;
+    a->slowing = true;
+    a->slow = (fl_slow_t){a->raw_cnt, a->raw_cnt, FL_SLOW_WHOLE, FL_SLOW_WHOLE};
+}
+
+void fl_axis_stop_here(fl_axis_t *a) {
+    a->slowing = false;
+    a->legs = (uint8_t)(a->leg + 1);
+    plan_arrival(a, a->raw_cnt);
+}
+
 static const float off[3] = {0.0f, 0.0f, 0.0f};
 
 void fl_axis_phases_off(fl_axis_t *a, const fl_port_t *port, int index) {

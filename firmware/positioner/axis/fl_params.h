@@ -59,7 +59,9 @@ extern "C" {
     X(drag_learning_time, "s", 0, 100, 0.1, "time in which the drag is learnt at 2000 rpm; 0: never")        \
     X(use_break_away, "1", 0, 1, 1, "share of the break-away feedforward, Eq. 21; 0 switches it off")        \
     X(use_speed, "1", 0, 1, 1, "share of the speed feedforward")                                             \
-    X(use_inertia, "1", 0, 1, 1, "share of the inertia feedforward")
+    X(use_inertia, "1", 0, 1, 1, "share of the inertia feedforward")                                         \
+    X(host_timeout_ms, "ms", 0, 600000, 0,                                                                   \
+      "a trajectory slows to a stop so long after the host's last frame; 0: it runs to its end")
 
 typedef struct fl_axis_params {
 #define X(name, unit, min, max, def, doc) float name;

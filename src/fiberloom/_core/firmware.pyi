@@ -12,6 +12,8 @@ SIZEOF_POSITIONER: int
 
 TX_QUEUE: tuple[int, int]
 
+HEARD_TICK: tuple[int, int]
+
 CODES: list[tuple[int, str]]
 
 STATUS_BITS: list[tuple[int, str]]
@@ -90,7 +92,7 @@ CONDITIONS: dict[str, int]
 class Positioner:
     """One positioner on a bench, for tests: firmware, port, small plants."""
 
-    def __init__(self, id: int, params: Annotated[NDArray[numpy.float32], dict(shape=(2, 41), order='C', device='cpu', writable=False)]) -> None:
+    def __init__(self, id: int, params: Annotated[NDArray[numpy.float32], dict(shape=(2, 42), order='C', device='cpu', writable=False)]) -> None:
         """params: (2, len(AXIS_PARAMS)) float32, alpha and beta."""
 
     def power_up(self) -> None:
@@ -120,7 +122,7 @@ class Positioner:
 
     def params(self, axis: int) -> Annotated[NDArray[numpy.float32], dict(shape=(None,))]: ...
 
-    def set_params(self, axis: int, row: Annotated[NDArray[numpy.float32], dict(shape=(41), order='C', device='cpu', writable=False)]) -> bool:
+    def set_params(self, axis: int, row: Annotated[NDArray[numpy.float32], dict(shape=(42), order='C', device='cpu', writable=False)]) -> bool:
         """The firmware's parameters, not the bench's sensors."""
 
     def sync(self) -> None: ...

@@ -86,6 +86,13 @@ class Rules:
         Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the approach, rad (N,). Empty: not checked.
         """
 
+    @property
+    def separating(self) -> bool:
+        """bodies that overlap at the start may move if they only move apart"""
+
+    @separating.setter
+    def separating(self, arg: bool, /) -> None: ...
+
 def verify(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]], rules: Rules) -> dict[str, Any]:
     """
     Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad. Violations are (fault, robot, other, time_s, depth in mm, rad, rad/s or rad/s2).

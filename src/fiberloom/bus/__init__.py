@@ -2,6 +2,8 @@
 
 from fiberloom.bus.cannet import CanNetTransport
 from fiberloom.bus.client import Client, Collision
+from fiberloom.bus.links import Link
+from fiberloom.bus.motion import Deviation, DeviationKind, MotionWatch, Tolerance
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.bus.protocol import Command, Response, Status
 from fiberloom.bus.trajectory import WireTrajectory
@@ -12,13 +14,18 @@ __all__ = [
     "Client",
     "Collision",
     "Command",
+    "Deviation",
+    "DeviationKind",
     "Frame",
+    "Link",
+    "MotionWatch",
     "Outcome",
     "PythonCanTransport",
     "Response",
     "Result",
     "Results",
     "Status",
+    "Tolerance",
     "Transport",
     "TransportLost",
     "WireTrajectory",

@@ -4,17 +4,24 @@ One line is one frame: `M 1 CED 00040C10 01 02`: port, classic/extended/data, id
 unicast goes to the port from which its positioner has answered, a broadcast to every port of every
 gateway. A gateway discards what does not fit its transmit queue of 100 frames a port, without a
 word; `_Pace` keeps below that.
+
+A gateway that is cut reconnects by itself, in a task of its own. Frames for it are dropped meanwhile: a
+START or a goal that comes late is worse than none.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
+import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
-from fiberloom.bus.transport import Frame, TransportLost
+from fiberloom.bus.links import Link, retries_s
+from fiberloom.bus.transport import Frame, TransportLost, take_all
 from fiberloom.errors import InputError
 
 TCP_PORT = 19228
@@ -66,34 +73,64 @@ class _Pace:
         return max(int(_QUEUE - self.level_now()), 0)
 
 
+@dataclass(frozen=True)
+class _Setup:
+    """How the CAN ports of every gateway are set up."""
+
+    ports: tuple[int, ...]
+    bitrate_kbit: float
+    timeout_s: float
+    """For the connection, and for each answer."""
+
+
 class _Gateway:
-    """One device: its connection, its ports, and the task that reads it."""
+    """One device: its connection, its ports, and the task that reads it and reconnects it.
 
-    def __init__(self, host: str, tcp_port: int, ports: Sequence[int]) -> None:
-        self.name = f"{host}:{tcp_port}"
+    `take` gets each line; `wake` is called when the link goes down or up.
+    """
+
+    def __init__(self, host: str, tcp_port: int, setup: _Setup) -> None:
         self.address = (host, tcp_port)
-        self.paces = {port: _Pace() for port in ports}
-        self.task: asyncio.Task[None] | None = None
+        self.link = Link(f"{host}:{tcp_port}", since_s=time.monotonic())
+        self.paces = {port: _Pace() for port in setup.ports}
+        self.take: Callable[[str], None] = lambda line: None
+        self.wake: Callable[[], None] = lambda: None
+        self._setup = setup
+        self._task: asyncio.Task[None] | None = None
+        self.writer: asyncio.StreamWriter | None = None
 
-    async def open(self, bitrate_kbit: float, timeout_s: float) -> None:
+    @property
+    def name(self) -> str:
+        return self.link.name
+
+    async def open(self) -> None:
+        """Connects and starts the ports; InputError where the device does not do its part."""
         try:
-            self.reader, self.writer = await asyncio.wait_for(
-                asyncio.open_connection(*self.address), timeout_s
+            self.reader, writer = await asyncio.wait_for(
+                asyncio.open_connection(*self.address), self._setup.timeout_s
             )
         except (TimeoutError, OSError) as error:
             raise InputError(
                 f"CAN@net gateway {self.name}: no connection ({error or 'timed out'}); check "
                 "address and power, and that no other client is connected"
             ) from None
-        for line in ("STOP", f"INIT STD {bitrate_kbit:g}", "FILTER CLEAR",
+        self.writer = writer
+        _notice_silence(writer)
+        try:
+            await self._start_ports()
+        except OSError as error:
+            raise InputError(f"CAN@net gateway {self.name}: {error}") from None
+
+    async def _start_ports(self) -> None:
+        for line in ("STOP", f"INIT STD {self._setup.bitrate_kbit:g}", "FILTER CLEAR",
                      "FILTER ADD EXT 00000000 00000000", "START"):  # fmt: skip
             for port in self.paces:
                 self.write([f"CAN {port} {line}"])
-                await self._confirm(f"CAN {port} {line}", timeout_s)
+                await self._confirm(f"CAN {port} {line}")
 
-    async def _confirm(self, command: str, timeout_s: float) -> None:
+    async def _confirm(self, command: str) -> None:
         """Waits for `R ok`; frames and events that come in between are not for us yet."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + self._setup.timeout_s
         while True:
             try:
                 left_s = deadline_s - time.monotonic()
@@ -108,12 +145,75 @@ class _Gateway:
             if answer.upper().startswith("R "):
                 return
 
+    def serve(self) -> None:
+        """From now on the gateway is read, and reconnected whenever it breaks."""
+        self._task = asyncio.create_task(self._keep())
+
+    async def _keep(self) -> None:
+        while True:
+            self.breaks(await self._read())
+            await self._reconnect()
+            self.link.comes_up(time.monotonic())
+            self.wake()
+
+    async def _read(self) -> str:
+        """Hands on lines until the connection closes or goes wrong; returns why it ended."""
+        try:
+            while raw := await self.reader.readline():
+                self.take(raw.decode("ascii", "replace").strip())
+        except (OSError, ValueError) as error:
+            return str(error) or type(error).__name__
+        return "closed the connection"
+
+    async def _reconnect(self) -> None:
+        for wait_s in retries_s():
+            await asyncio.sleep(wait_s)
+            with contextlib.suppress(InputError):
+                await self.open()
+                return
+            self._abort()
+
+    def breaks(self, reason: str) -> None:
+        """Takes the link down; the task that reads it then reconnects."""
+        self.link.goes_down(f"CAN@net gateway {self.name} {reason}", time.monotonic())
+        self._abort()
+        self.wake()
+
+    def _abort(self) -> None:
+        if self.writer is not None:
+            self.writer.transport.abort()
+
     def write(self, lines: Sequence[str]) -> None:
-        self.writer.write("".join(f"{line}\n" for line in lines).encode("ascii"))
+        if self.writer is not None:
+            self.writer.write("".join(f"{line}\n" for line in lines).encode("ascii"))
+
+    async def feed(self, port: int, lines: list[str]) -> None:
+        """Lines for a port, no faster than the CAN bus takes them; dropped while the link is down."""
+        pace = self.paces[port]
+        while lines and self.link.up:
+            await asyncio.sleep(pace.wait_s())
+            now, lines = lines[: pace.room()], lines[pace.room() :]
+            pace.add(len(now))
+            await self._push(now)
+
+    async def _push(self, lines: Sequence[str]) -> None:
+        if not self.link.up or self.writer is None:
+            return
+        try:
+            self.write(lines)
+            await asyncio.wait_for(self.writer.drain(), _STALL_S)
+        except TimeoutError:
+            self.breaks("no longer takes what it is sent")
+        except OSError as error:
+            self.breaks(str(error) or type(error).__name__)
 
     async def close(self) -> None:
-        if self.task is not None:
-            self.task.cancel()
+        """Stops the ports and lets go of the connection."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        if self.writer is None:
+            return
         try:
             self.write([f"CAN {port} STOP" for port in self.paces])
             self.writer.close()
@@ -122,18 +222,30 @@ class _Gateway:
             pass  # gone already: closed is what was asked for
 
 
+def _notice_silence(writer: asyncio.StreamWriter) -> None:
+    """A gateway that vanished without a word is noticed within ten seconds, by what it does not confirm."""
+    sock = writer.get_extra_info("socket")
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    options = (("TCP_KEEPIDLE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3), ("TCP_USER_TIMEOUT", 5000))
+    for name, value in options:
+        if hasattr(socket, name):  # not everywhere
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
 class CanNetTransport:
-    """A Transport over one or more CAN@net NT 420 gateways. Time is the wall clock."""
+    """A Transport over one or more CAN@net NT 420 gateways, each a link. Time is the wall clock."""
 
     def __init__(self, gateways: Sequence[_Gateway]) -> None:
         self._gateways = gateways
         self._route: dict[int, tuple[_Gateway, int]] = {}
         self._received: asyncio.Queue[Frame] = asyncio.Queue()
-        self._lost: str | None = None
+        self._closed = False
         self.events: list[str] = []
         """What the gateways said beside frames: bus off, error warnings, refused commands."""
         for gateway in gateways:
-            gateway.task = asyncio.create_task(self._read(gateway))
+            gateway.take = partial(self._take_line, gateway)
+            gateway.wake = self._wake
+            gateway.serve()
 
     @classmethod
     async def open(
@@ -153,16 +265,16 @@ class CanNetTransport:
         """
         if bitrate_kbit not in BITRATES_KBIT:
             raise InputError(f"CAN@net has no {bitrate_kbit} kbit/s; it knows {BITRATES_KBIT}")
+        setup = _Setup(tuple(ports), bitrate_kbit, timeout_s)
         gateways: list[_Gateway] = []
         try:
             for host in hosts:
                 name, _, own_port = host.partition(":")
-                gateways.append(_Gateway(name, _tcp_port(own_port, tcp_port, host), ports))
-                await gateways[-1].open(bitrate_kbit, timeout_s)
+                gateways.append(_Gateway(name, _tcp_port(own_port, tcp_port, host), setup))
+                await gateways[-1].open()
         except BaseException:
             for gateway in gateways:
-                if hasattr(gateway, "writer"):
-                    await gateway.close()
+                await gateway.close()
             raise
         return cls(gateways)
 
@@ -171,15 +283,19 @@ class CanNetTransport:
         """Monotonic wall-clock time."""
         return time.monotonic()
 
-    async def _read(self, gateway: _Gateway) -> None:
-        """Turns one gateway's lines into frames until it closes or goes wrong."""
-        try:
-            while raw := await gateway.reader.readline():
-                self._take_line(gateway, raw.decode("ascii", "replace").strip())
-            self._lost = f"CAN@net gateway {gateway.name} closed the connection"
-        except (OSError, ValueError) as error:
-            self._lost = f"CAN@net gateway {gateway.name}: {error}"
-        self._received.put_nowait(Frame(-1))  # wakes the task that waits
+    @property
+    def links(self) -> Sequence[Link]:
+        """One for each gateway."""
+        return [gateway.link for gateway in self._gateways]
+
+    def link_of(self, positioner: int) -> Link | None:
+        """The gateway behind which a positioner has answered; None before it did."""
+        known = self._route.get(positioner)
+        return None if known is None else known[0].link
+
+    def _wake(self) -> None:
+        """The task that waits looks at the links."""
+        self._received.put_nowait(Frame(-1))
 
     def _take_line(self, gateway: _Gateway, line: str) -> None:
         parsed = line_to_frame(line)
@@ -192,17 +308,17 @@ class CanNetTransport:
         self._received.put_nowait(frame._replace(time_s=self.time_s))
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
-        """Writes frames to the ports they belong to, no faster than the CAN bus takes them."""
+        """Writes frames to the ports they belong to, no faster than the CAN bus takes them.
+
+        What belongs to a gateway whose link is down is dropped.
+        """
+        if self._closed:
+            raise TransportLost("CAN@net: the transport is closed")
         queues: dict[tuple[_Gateway, int], list[str]] = {}
         for frame in frames:
             for gateway, port in self._places(frame[0] >> 18):
                 queues.setdefault((gateway, port), []).append(frame_to_line(port, frame))
-        try:
-            await asyncio.gather(*(self._feed(g, p, lines) for (g, p), lines in queues.items()))
-        except OSError as error:
-            raise TransportLost(f"CAN@net: {error}") from None
-        if self._lost:
-            raise TransportLost(self._lost)
+        await asyncio.gather(*(g.feed(p, lines) for (g, p), lines in queues.items()))
 
     def _places(self, positioner: int) -> list[tuple[_Gateway, int]]:
         known = self._route.get(positioner)
@@ -211,35 +327,16 @@ class CanNetTransport:
         # port not known yet: the positioner gets it on its own port
         return [(gateway, port) for gateway in self._gateways for port in gateway.paces]
 
-    async def _feed(self, gateway: _Gateway, port: int, lines: list[str]) -> None:
-        pace = gateway.paces[port]
-        while lines and not self._lost:
-            await asyncio.sleep(pace.wait_s())
-            now, lines = lines[: pace.room()], lines[pace.room() :]
-            gateway.write(now)
-            pace.add(len(now))
-            try:
-                await asyncio.wait_for(gateway.writer.drain(), _STALL_S)
-            except TimeoutError:
-                self._lost = f"CAN@net gateway {gateway.name} no longer takes what it is sent"
-
     async def receive(self, timeout_s: float) -> list[Frame]:
         """The frames of all gateways in the order of their arrival."""
-        frames: list[Frame] = []
-        try:
-            if self._received.empty():
-                frames.append(await asyncio.wait_for(self._received.get(), max(timeout_s, 0.0)))
-            while not self._received.empty():
-                frames.append(self._received.get_nowait())
-        except TimeoutError:
-            return []
-        frames = [frame for frame in frames if frame.id >= 0]
-        if not frames and self._lost:
-            raise TransportLost(self._lost)
-        return frames
+        if self._closed:
+            raise TransportLost("CAN@net: the transport is closed")
+        return await take_all(self._received, timeout_s)
 
     async def close(self) -> None:
         """Stops the CAN ports and closes the connections."""
+        self._closed = True
+        self._wake()
         for gateway in self._gateways:
             await gateway.close()
 

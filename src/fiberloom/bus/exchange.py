@@ -3,7 +3,8 @@
 A unicast request is matched by (positioner, command, uid), a broadcast by (command, uid 0). Uids
 rotate through 1 to 63, so that a reply that comes after its request was given up meets no newer
 request. A task that waits reads the transport for all others too; every wait ends at a deadline in the
-transport's time, or at once when the connection is lost.
+transport's time, or at once when the connection is lost. What is asked of a positioner whose link is down
+ends at once; the other links go on.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Sequence
 
 from fiberloom.bus.identifier import MAX_POSITIONER, MAX_UID, Identifier, decode, encode
+from fiberloom.bus.links import Link, LinkWatch, cut_off
 from fiberloom.bus.protocol import Command
 from fiberloom.bus.transport import Frame, Transport
 
@@ -20,7 +22,8 @@ _STANDSTILL_LIMIT = 1000
 # A transport may count in ticks: less than this could be no time at all for it.
 _SHORTEST_WAIT_S = 1e-3
 # A task that begins to wait while another listens takes its turn after this time at the latest.
-_LONGEST_WAIT_S = 0.25
+LONGEST_WAIT_S = 0.25
+_CENSUS_ROUNDS = 10
 
 
 class _Waiter:
@@ -47,6 +50,11 @@ class _BroadcastWaiter:
         if self.waited_for is not None:
             self.waited_for.discard(positioner)
 
+    def give_up(self, gone: Callable[[int], bool]) -> None:
+        """Waits no longer for positioners that are cut off."""
+        if self.waited_for is not None:
+            self.waited_for = {i for i in self.waited_for if not gone(i)}
+
     def complete(self) -> bool:
         return self.waited_for is not None and not self.waited_for
 
@@ -61,6 +69,9 @@ class Exchange:
         self.strays = 0
         """Frames that no request waited for: late, doubled, with a foreign uid."""
         self.on_unsolicited: Callable[[Identifier, Frame], None] = lambda identifier, frame: None
+        self.on_link: Callable[[Link], None] = lambda link: None
+        """Called when a link has gone down or come up."""
+        self._links = LinkWatch(transport)
         self._pending: dict[int, tuple[_Waiter, int]] = {}  # by identifier >> 4
         self._broadcasts: dict[int, _BroadcastWaiter] = {}  # by command
         self._broadcast_locks: dict[int, asyncio.Lock] = {}
@@ -74,6 +85,10 @@ class Exchange:
         """The transport's clock."""
         return self.transport.time_s
 
+    def cut_off(self, positioner: int) -> bool:
+        """True when no frame reaches this positioner now: the connection is gone, or its link is down."""
+        return self.lost is not None or cut_off(self.transport, positioner)
+
     async def unicast(
         self,
         command: int,
@@ -84,7 +99,8 @@ class Exchange:
         """Send one frame per row and return each one's reply, None where none came in time.
 
         `command`: its number; `positioners` and `payloads`: one each per row; `timeout_s`: for each
-        reply. A positioner may be named several times; its frames keep their order.
+        reply. A positioner may be named several times; its frames keep their order. Nothing is sent to
+        one that is cut off, nor waited for.
         """
         waiter = _Waiter(len(positioners))
         deadline_s = self.time_s + timeout_s
@@ -108,7 +124,11 @@ class Exchange:
         deadline_s: float,
     ) -> None:
         frames: list[tuple[int, bytes]] = []
+        self._see_links()
         for row, (positioner, payload) in enumerate(zip(positioners, payloads, strict=True)):
+            if self.cut_off(positioner):
+                waiter.missing -= 1
+                continue
             key = self._free_key(command, positioner)
             if key is None:  # 63 requests in flight: these go out, then we wait for a uid
                 await self._send(frames)
@@ -152,31 +172,71 @@ class Exchange:
     ) -> dict[int, Frame]:
         """Send one frame to all positioners; returns the replies by positioner.
 
-        `command`: its number, with `payload`. Ends when all `expected` positioners have answered, else
-        at `timeout_s`. One broadcast per command is in flight at a time, because all of them share uid
-        0.
+        `command`: its number, with `payload`. Ends when all `expected` positioners have answered that are
+        not cut off, else at `timeout_s`. One broadcast per command is in flight at a time, because all of
+        them share uid 0.
         """
         async with self._broadcast_locks.setdefault(command, asyncio.Lock()):
             waiter = _BroadcastWaiter(expected)
             self._broadcasts[command] = waiter
             try:
                 deadline_s = self.time_s + timeout_s
+                self._see_links()
+                waiter.give_up(self.cut_off)
                 await self._send([(encode(0, command), payload)])
                 await self.wait(waiter.complete, deadline_s)
             finally:
                 del self._broadcasts[command]
             return waiter.replies
 
+    async def census(self, command: int, timeout_s: float) -> dict[int, Frame]:
+        """Broadcast a `command` without payload until two rounds in a row bring no new positioner.
+
+        Returns the first reply of each. The first round lasts for half of `timeout_s`; each further one ends
+        when all that are known have answered, or after a quarter. Three rounds fit into `timeout_s`, which
+        is waited for in any case; at most ten are sent.
+        """
+        async with self._broadcast_locks.setdefault(command, asyncio.Lock()):
+            waiter = self._broadcasts[command] = _BroadcastWaiter(None)
+            try:
+                self._see_links()
+                await self._rounds(waiter, encode(0, command), timeout_s)
+            finally:
+                del self._broadcasts[command]
+            return waiter.replies
+
+    async def _rounds(self, waiter: _BroadcastWaiter, identifier: int, timeout_s: float) -> None:
+        deadline_s, quiet = self.time_s + timeout_s, -1
+        for _ in range(_CENSUS_ROUNDS):
+            begun_s, known = self.time_s, len(waiter.replies)
+            waiter.waited_for = set(waiter.replies) or None
+            await self._send([(identifier, b"")])
+            # looked at whenever something comes, else at the reader's own pace
+            while not waiter.complete() and self.time_s < begun_s + timeout_s / 4 and not self.lost:
+                await self._listen_once(max(deadline_s, begun_s + timeout_s / 4))
+            quiet = 0 if len(waiter.replies) > known or quiet < 0 else quiet + 1
+            if quiet == 2 or self.lost:
+                break
+        await self.wait(lambda: False, deadline_s)
+
+    async def _listen_once(self, deadline_s: float) -> None:
+        self._deadlines.append(deadline_s)
+        try:
+            async with self._reader:
+                await self._receive()
+        finally:
+            self._deadlines.remove(deadline_s)
+
     async def sleep(self, duration_s: float) -> None:
         """Lets the transport's time pass, still listening."""
         await self.wait(lambda: False, self.time_s + duration_s)
 
-    async def wait(self, done: Callable[[], bool], deadline_s: float) -> bool:
-        """Listens until `done()` or the deadline; True when done."""
+    async def wait(self, done: Callable[[], bool], deadline_s: float, early_s: float = 0.0) -> bool:
+        """Listens until `done()` or the deadline, at most `early_s` before it; True when done."""
         self._deadlines.append(deadline_s)
         try:
             while not done():
-                if self.lost or self.time_s >= deadline_s:
+                if self.lost or self.time_s >= deadline_s - early_s:
                     return False
                 async with self._reader:
                     if not done() and not self.lost:
@@ -200,13 +260,25 @@ class Exchange:
         before_s = self.time_s
         try:
             left_s = min(self._deadlines) - before_s
-            wait_s = min(max(left_s, _SHORTEST_WAIT_S), _LONGEST_WAIT_S)
+            wait_s = min(max(left_s, _SHORTEST_WAIT_S), LONGEST_WAIT_S)
             frames = await self.transport.receive(wait_s)
         except OSError as error:
             self.lost = str(error) or type(error).__name__
             return
         self._watch_clock(bool(frames) or self.time_s > before_s)
         self._dispatch(frames)
+        self._see_links()
+
+    def _see_links(self) -> None:
+        """Tells of links that have changed; gives up what waits behind one that is down."""
+        changed = self._links.changes()
+        if any(not link.up for link in changed):
+            for key in [key for key in self._pending if self.cut_off(key >> 14)]:
+                self._pending.pop(key)[0].missing -= 1
+            for waiter in self._broadcasts.values():
+                waiter.give_up(self.cut_off)
+        for link in changed:
+            self.on_link(link)
 
     def _watch_clock(self, progress: bool) -> None:
         self._standstill = 0 if progress else self._standstill + 1

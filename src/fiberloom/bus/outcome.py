@@ -22,7 +22,8 @@ class Outcome(Enum):
     COLLIDED = "collided"
     STOPPED = "stopped"  # stopped or held back by the host because of another positioner
     MISPLACED = "misplaced"  # reports the end of its motion, but not the position asked for
-    DISCONNECTED = "disconnected"
+    NOT_STARTED = "not started"  # a START that it missed: it is where it was
+    DISCONNECTED = "disconnected"  # its link is down
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +76,8 @@ class Results(dict[int, Result]):
 
 
 def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool) -> Result:
-    """Judge one `reply` of a `positioner` to a `command`; None is a reply that never came. `lost`: the
-    connection is gone.
+    """Judge one `reply` of a `positioner` to a `command`; None is a reply that never came. `lost`: no
+    frame reaches it now.
     """
     if reply is None:
         return Result(positioner, Outcome.DISCONNECTED if lost else Outcome.TIMED_OUT)

@@ -180,8 +180,10 @@ async def _many(client: Client, command: Command, asked: list[Asked]) -> list[tu
             replies = await client.exchange.unicast(
                 command, [i for i, _ in bite], [spec.pack(*values) for _, values in bite], _TIMEOUT_S
             )
-            lost = client.exchange.lost is not None
-            out |= {a: result_of(a[0], command, r, lost) for a, r in zip(bite, replies, strict=True)}
+            out |= {
+                a: result_of(a[0], command, r, client.exchange.cut_off(a[0]))
+                for a, r in zip(bite, replies, strict=True)
+            }
         if attempt == client.retries or all(r.outcome is not Outcome.TIMED_OUT for r in out.values()):
             break
     return [(a, out[a]) for a in asked]

@@ -79,6 +79,7 @@ class Status(IntFlag):
     PRECISE_MOVE_IN_OPEN_LOOP_BETA = 1 << 38
     SWITCH_OFF_HALL_AFTER_MOVE = 1 << 39
     UNKNOWN = 1 << 40
+    HOST_TIMEOUT = 1 << 41
 
     COLLISION = COLLISION_ALPHA | COLLISION_BETA
     DATUMS_INITIALIZED = DATUM_ALPHA_INITIALIZED | DATUM_BETA_INITIALIZED
@@ -208,11 +209,11 @@ C = Command
 _TABLE = [
     CommandSpec(C.GET_ID, B | S | R, "", "I", 1.0),
     CommandSpec(C.GET_FIRMWARE_VERSION, B | S | R, "", "BBB", 2.0),
-    CommandSpec(C.GET_STATUS, B | S | R, "", "Q", 2.0),
+    CommandSpec(C.GET_STATUS, B | S | R, "", "Q", 1.0),
     CommandSpec(C.SEND_NEW_TRAJECTORY, M, "II"),
     CommandSpec(C.SEND_TRAJECTORY_DATA, M, "ii"),
     CommandSpec(C.TRAJECTORY_DATA_END, M),
-    CommandSpec(C.SEND_TRAJECTORY_ABORT, S | R, "", "", 1.0),
+    CommandSpec(C.SEND_TRAJECTORY_ABORT, S | R, "", "", 0.5),
     CommandSpec(C.START_TRAJECTORY, B | S | M, "", "", 1.0),
     CommandSpec(C.STOP_TRAJECTORY, B | S | R, "", "", 1.0),
     CommandSpec(C.COLLISION_DETECTED, NONE),
@@ -227,7 +228,7 @@ _TABLE = [
     CommandSpec(C.START_MOTOR_CALIBRATION_BETA, M),
     CommandSpec(C.GO_TO_ABSOLUTE_POSITION, M, "ii", "ii"),
     CommandSpec(C.GO_TO_RELATIVE_POSITION, M, "ii", "ii"),
-    CommandSpec(C.GET_ACTUAL_POSITION, S | R, "", "ii", 2.0),
+    CommandSpec(C.GET_ACTUAL_POSITION, S | R, "", "ii", 1.0),
     CommandSpec(C.SET_ACTUAL_POSITION, S | M | R, "ii"),
     CommandSpec(C.GET_OFFSETS, S | R, "", "ii"),
     CommandSpec(C.SET_OFFSETS, S | R, "ii"),

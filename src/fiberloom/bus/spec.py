@@ -16,21 +16,25 @@ class BusSpec:
     """A parsed address; `open` connects."""
 
     interface: str
-    channel: str
+    channels: tuple[str, ...]
 
     @classmethod
     def parse(cls, text: str) -> BusSpec:
-        """`cannet://HOST[:PORT][,HOST...]`, or `INTERFACE://CHANNEL` by python-can's names."""
-        interface, separator, channel = text.partition("://")
-        if not separator or not interface or not channel:
+        """`cannet://HOST[:PORT][,HOST...]`, or `INTERFACE:CHANNEL[,CHANNEL...]` by python-can's names."""
+        interface, _, rest = text.partition(":")
+        channels = tuple(filter(None, (part.strip() for part in rest.removeprefix("//").split(","))))
+        if not interface.isidentifier() or not channels:
             raise InputError(
-                f"bus '{text}': expected cannet://HOST:PORT[,HOST:PORT...], or INTERFACE://CHANNEL with an "
-                "interface of python-can, e.g. socketcan://can0"
+                f"bus '{text}': expected cannet://HOST:PORT[,HOST:PORT...], or "
+                "INTERFACE:CHANNEL[,CHANNEL...] with an interface of python-can, e.g. socketcan:can0,can1 "
+                "or slcan:/dev/ttyUSB0"
             )
-        return cls(interface, channel)
+        if len(set(channels)) < len(channels):
+            raise InputError(f"bus '{text}': one channel is named twice")
+        return cls(interface, channels)
 
     async def open(self) -> Transport:
-        """Connects."""
+        """Connects; each gateway or channel is a link of its own."""
         if self.interface == CANNET:
-            return await CanNetTransport.open([host.strip() for host in self.channel.split(",")])
-        return PythonCanTransport.open(self.interface, self.channel)
+            return await CanNetTransport.open(self.channels)
+        return PythonCanTransport.open(self.interface, *self.channels)

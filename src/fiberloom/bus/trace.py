@@ -88,7 +88,7 @@ async def _read_bite(
         replies = await client.exchange.unicast(command, asked, payloads, 2.0)
         missing = []
         for (row, k), reply in zip(places, replies, strict=True):
-            result = result_of(ids[row], command, reply, client.exchange.lost is not None)
+            result = result_of(ids[row], command, reply, client.exchange.cut_off(ids[row]))
             if result.ok:
                 out[:, row, k] = result.values
             else:

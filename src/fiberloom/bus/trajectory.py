@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom import units
 from fiberloom.bus.exchange import Exchange
-from fiberloom.bus.outcome import Result, Results, result_of
-from fiberloom.bus.protocol import COMMANDS, Command
+from fiberloom.bus.outcome import Outcome, Result, Results, result_of
+from fiberloom.bus.protocol import COMMANDS, Command, Status
 from fiberloom.errors import InputError
+
+_STATUS_ASKED, _STATUS_TIMEOUT_S = 4, 0.3
+_RECEIVED = Status.TRAJECTORY_ALPHA_RECEIVED | Status.TRAJECTORY_BETA_RECEIVED
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,50 +75,71 @@ async def upload(
 
     `exchange` carries the frames; `trajectories`: by positioner; `timeout_s`: for each reply. Per
     positioner: the point counts, then all alpha and all beta points in groups of `bite` frames, each
-    group fully answered before the next, then the end mark. One that refuses or does not answer is left
-    out from there on; it may hold part of a trajectory, to be dropped by an abort.
+    group fully answered before the next, then the end mark. One that refuses is left out from there on, and
+    so is one without an answer whose status does not show that it is still receiving; it may hold part of a
+    trajectory, to be dropped by an abort. Points that were lost themselves, and not their replies, are
+    found at the end mark: their number is wrong there.
     """
     ids = list(trajectories)
-    results = Results()
+    loading = _Loading(exchange, timeout_s, Results())
     new = COMMANDS[Command.SEND_NEW_TRAJECTORY]
     counts = [new.pack(len(t.alpha), len(t.beta)) for t in trajectories.values()]
-    alive = await _step(exchange, Command.SEND_NEW_TRAJECTORY, ids, counts, timeout_s, results)
-    alive = await _send_points(exchange, trajectories, alive, bite, timeout_s, results)
-    ends = [b""] * len(alive)
-    await _step(exchange, Command.TRAJECTORY_DATA_END, alive, ends, timeout_s, results)
-    return Results({i: results[i] for i in ids})
+    alive = await loading.step(Command.SEND_NEW_TRAJECTORY, ids, counts)
+    alive = await _send_points(loading, trajectories, alive, bite)
+    await loading.step(Command.TRAJECTORY_DATA_END, alive, [b""] * len(alive))
+    return Results({i: loading.results[i] for i in ids})
 
 
-async def _step(
-    exchange: Exchange,
-    command: Command,
-    ids: Sequence[int],
-    payloads: Sequence[bytes],
-    timeout_s: float,
-    results: Results,
-) -> list[int]:
-    """One round of frames; records each positioner's worst result, returns those all of whose
-    frames were accepted."""
-    replies = await exchange.unicast(command, ids, payloads, timeout_s)
-    lost = exchange.lost is not None
-    bad: dict[int, Result] = {}
-    for positioner, reply in zip(ids, replies, strict=True):
-        if reply is None or reply[0] & 0xF:
-            bad.setdefault(positioner, result_of(positioner, command, reply, lost))
-    results.update(bad)
-    for positioner, reply in zip(ids, replies, strict=True):
-        if positioner not in bad and positioner not in results:
-            results[positioner] = result_of(positioner, command, reply, lost)
-    return [i for i in dict.fromkeys(ids) if i not in bad]
+@dataclass(frozen=True)
+class _Loading:
+    """Rounds of frames, and the worst result of each positioner so far."""
+
+    exchange: Exchange
+    timeout_s: float
+    results: Results
+
+    async def step(self, command: Command, ids: Sequence[int], payloads: Sequence[bytes]) -> list[int]:
+        """One round of frames; returns those all of whose frames were accepted."""
+        replies = await self.exchange.unicast(command, ids, payloads, self.timeout_s)
+        worst: dict[int, Result] = {}
+        for positioner, reply in zip(ids, replies, strict=True):
+            result = result_of(positioner, command, reply, self.exchange.cut_off(positioner))
+            known = worst.setdefault(positioner, result)
+            if known.ok or result.outcome is Outcome.REFUSED:
+                worst[positioner] = result
+        silent = [i for i, result in worst.items() if result.outcome is Outcome.TIMED_OUT]
+        for positioner in await self._understood(command, silent):
+            worst[positioner] = Result(positioner, Outcome.DONE)
+        self.results.update(worst)
+        return [i for i, result in worst.items() if result.ok]
+
+    async def _understood(self, command: Command, silent: list[int]) -> list[int]:
+        """Which of these show by their status that they took the command: their replies were lost."""
+        taken = []
+        for _ in range(_STATUS_ASKED):
+            if not silent:
+                break
+            replies = await self.exchange.unicast(
+                Command.GET_STATUS, silent, [b""] * len(silent), _STATUS_TIMEOUT_S
+            )
+            status = {
+                i: result_of(i, Command.GET_STATUS, reply, False)
+                for i, reply in zip(silent, replies, strict=True)
+            }
+            taken += [i for i, r in status.items() if r.ok and _took(command, Status(r.values[0]))]
+            silent = [i for i, r in status.items() if r.outcome is Outcome.TIMED_OUT]
+        return taken
+
+
+def _took(command: Command, status: Status) -> bool:
+    receiving = Status.RECEIVING_TRAJECTORY in status
+    if command is Command.TRAJECTORY_DATA_END:
+        return not receiving and _RECEIVED in status
+    return receiving
 
 
 async def _send_points(
-    exchange: Exchange,
-    trajectories: Mapping[int, WireTrajectory],
-    alive: list[int],
-    bite: int,
-    timeout_s: float,
-    results: Results,
+    loading: _Loading, trajectories: Mapping[int, WireTrajectory], alive: list[int], bite: int
 ) -> list[int]:
     points = {i: np.concatenate([trajectories[i].alpha, trajectories[i].beta]) for i in alive}
     longest = max((len(p) for p in points.values()), default=0)
@@ -128,7 +152,7 @@ async def _send_points(
         owners = np.repeat(waiting, [len(b) for b in bites]).tolist()
         raw = np.concatenate(bites).astype("<i4").tobytes()
         payloads = [raw[k : k + 8] for k in range(0, len(raw), 8)]
-        good = await _step(exchange, Command.SEND_TRAJECTORY_DATA, owners, payloads, timeout_s, results)
+        good = await loading.step(Command.SEND_TRAJECTORY_DATA, owners, payloads)
         failed = set(waiting) - set(good)
         alive = [i for i in alive if i not in failed]
         waiting = good

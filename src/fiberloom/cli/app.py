@@ -6,10 +6,15 @@ Commands import what they need when they run: help and refusals are quick.
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from fiberloom.cli.array.doctor import doctor
+from fiberloom.cli.array.exclude import exclude_add, exclude_clear, exclude_list
+from fiberloom.cli.array.move import home, park, recover, stop
+from fiberloom.cli.array.status import status
 from fiberloom.cli.calibrate.acceptance import acceptance
 from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.identification import arms, friction, inertia, repeatability, stiffness
@@ -26,7 +31,7 @@ from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.runs import runs
 from fiberloom.cli.twin import twin
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, StoppedError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,13 +40,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="From a target list to fibres on target, for alpha-beta fibre positioners.",
 )
-calibrate = typer.Typer(no_args_is_help=True, help="Measure what is particular to each positioner.")
+calibrate = typer.Typer(no_args_is_help=True, help="Measure the properties of each positioner.")
+exclude = typer.Typer(no_args_is_help=True, help="Positioners of an array that must not be moved.")
 
 add(app, observe)
 add(app, assign)
 add(app, plan)
 add(app, verify)
 add(app, twin)
+add(app, park)
+add(app, home)
+add(app, recover)
+add(app, stop)
+add(app, status)
+add(app, doctor)
 add(app, lifetime)
 add(app, reproduce)
 add(app, instruments)
@@ -51,6 +63,11 @@ add(app, centroid)
 add(app, match)
 add(app, acceptance)
 add(app, commission)
+
+app.add_typer(exclude, name="exclude")
+add(exclude, exclude_add, "add")
+add(exclude, exclude_list, "list")
+add(exclude, exclude_clear, "clear")
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)
@@ -74,24 +91,34 @@ def _version(show: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
+    site: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of an observatory: what is not typed of bus, camera, layout, store, ..."
+        ),
+    ] = None,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    pass
+    if site is not None:
+        from fiberloom.cli.array.site import load_site
+
+        context.default_map = load_site(site).defaults()
 
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BELOW, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
-"""ClickException, of the click that this typer uses: newer ones bring their own."""
+"""ClickException, of the click that this typer uses: newer versions of typer contain one."""
 
 
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
     try:
         code = app(standalone_mode=False)
-        if code == INTERRUPTED:  # how typer tells of Ctrl-C
+        if code == INTERRUPTED:  # typer's exit code for Ctrl-C
             raise KeyboardInterrupt
         sys.exit(code)
     except InputError as error:
@@ -100,6 +127,14 @@ def main() -> None:
         _fail("interrupted; what was measured is kept: `fiberloom runs`, or the output folder", INTERRUPTED)
     except _BAD_WORDS as error:
         _fail(f"{error.format_message()}; see `fiberloom --help`", BAD_INPUT)
+    except StoppedError as error:
+        _fail(str(error), INTERRUPTED)
+    except RuntimeError as error:
+        from fiberloom.metrology.sources.errors import CameraError
+
+        if not isinstance(error, CameraError):
+            raise
+        _fail(str(error), BELOW)
     except OSError as error:
         _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", BAD_INPUT)
 

@@ -18,7 +18,8 @@ class CommissionOptions(WeightsOptions, CreepOptions, UnitOptions):
     """Of `fiberloom commission`."""
 
     earlier: Annotated[
-        Path | None, typer.Option("--from", help="Results of `calibrate ...`; what is missing is measured.")
+        Path | None,
+        typer.Option("--from", help="Folder with results of `calibrate ...`; missing ones are measured."),
     ] = None
     targets: Annotated[int, typer.Option(min=1, help="Random targets of the acceptance.")] = 20
     file: Annotated[

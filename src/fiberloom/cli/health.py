@@ -1,4 +1,4 @@
-"""`fiberloom health`: what the stores of past runs say of every positioner."""
+"""`fiberloom health`: the state of every positioner by the stores of past runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class HealthOptions(PlaneOptions, JsonOptions):
 
 
 def health(options: HealthOptions) -> int:
-    """Say which positioners are degraded, suspect or disabled by all that was observed; what to do."""
+    """List the positioners that past runs show to be degraded, suspect or disabled, with what to do."""
     from fiberloom.store.find import stores_below
 
     options.check_plane()
@@ -36,7 +36,7 @@ def health(options: HealthOptions) -> int:
 
 
 def _print(report: dict[str, Any]) -> None:
-    """A table of every positioner that is not healthy, worst first, and one line about all."""
+    """Prints one line about all positioners, and a table of those that are not healthy, worst first."""
     from rich.console import Console
     from rich.table import Table
 

@@ -31,7 +31,7 @@ class CentroidOptions(JsonOptions):
     ] = None
     threshold: Annotated[float, typer.Option(help="Faintest spot, in sigmas of the noise.")] = 6.0
     extension: Annotated[str | None, typer.Option(help="HDU, by number or name.")] = None
-    expected: Annotated[Path | None, typer.Option(help="Look only there: CSV with x_px, y_px.")] = None
+    expected: Annotated[Path | None, typer.Option(help="Search only there: CSV with x_px, y_px.")] = None
     plot: Annotated[Path | None, typer.Option(help="Picture of the image with its spots.")] = None
 
     @property
@@ -83,7 +83,7 @@ class MatchOptions(PlaneOptions, JsonOptions):
         typer.Option("--rotation", help="Direction of the pixel x axis in the focal plane, deg."),
     ] = None
     rotation_tolerance_deg: Annotated[
-        float, typer.Option("--rotation-tolerance", min=0, help="Off by at most so much, deg.")
+        float, typer.Option("--rotation-tolerance", min=0, help="Largest error of --rotation, deg.")
     ] = 15.0
     flipped: Annotated[
         bool | None, typer.Option("--flipped/--not-flipped", help="Is the image a mirror image?")
@@ -91,7 +91,7 @@ class MatchOptions(PlaneOptions, JsonOptions):
 
 
 def match(options: MatchOptions) -> None:
-    """Tell which positioner each spot is, and where it is in the focal plane."""
+    """Find the positioner of each spot, and its position in the focal plane."""
     require_file(options.source)
     require_file(options.expected)
     options.check_plane()
@@ -108,7 +108,7 @@ def match(options: MatchOptions) -> None:
 
 
 def _turned(geometry: CameraGeometry, options: MatchOptions) -> CameraGeometry:
-    """With what was told of its direction."""
+    """The geometry with the direction that the options give."""
     rotation_deg, flipped = options.rotation_deg, options.flipped
     return replace(
         geometry,

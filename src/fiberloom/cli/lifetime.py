@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 class LifetimeOptions(JsonOptions):
     """Of `fiberloom lifetime`."""
 
-    cycles: Annotated[int, typer.Option(min=1, help="Of 15260 moves each, as the paper's.")] = 100
+    cycles: Annotated[int, typer.Option(min=1, help="Cycles of 15260 moves each, as in the paper.")] = 100
     positioners: Annotated[int, typer.Option(min=1, help="How many, each on a bench of its own.")] = 2
     instrument: Annotated[str, typer.Option(help="Preset name, or a TOML file of your own.")] = "sdssv"
-    points: Annotated[int, typer.Option(min=8, help="Of a calibration, per axis and direction.")] = 200
+    points: Annotated[int, typer.Option(min=8, help="Points of a calibration, per axis and direction.")] = 200
     targets: Annotated[int, typer.Option(min=1, help="Random targets a cycle; each one takes ten moves.")] = (
         1220
     )
-    every: Annotated[int, typer.Option(min=1, help="Simulate only every so many cycles.")] = 1
+    every: Annotated[int, typer.Option(min=1, help="Simulate one in this many cycles.")] = 1
     faults: Annotated[
         str,
         typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
@@ -38,20 +38,20 @@ class LifetimeOptions(JsonOptions):
         str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786, instead.")
     ] = None
     seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
-    out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted run goes on in it.")] = (
+    out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted run continues in it.")] = (
         Path("runs/lifetime")
     )
 
 
 def lifetime(options: LifetimeOptions) -> int:
-    """Wear positioners out, and compare ways to know their gears (Kronig 2020, Fig. 21 to 26)."""
+    """Wear positioners out, and compare calibrations of their gears (Kronig 2020, Fig. 21 to 26)."""
     _check(options)
     from fiberloom.instruments import load_instrument
     from fiberloom.studies import campaign
     from fiberloom.studies.lifetime import LifetimeSettings
     from fiberloom.studies.lifetime_results import lifetime_campaign, within_requirement, write_results
 
-    load_instrument(options.instrument)  # a broken file is told before anything is started
+    load_instrument(options.instrument)  # a broken file is refused before anything is started
     settings = LifetimeSettings(
         instrument=options.instrument,
         cycles=options.cycles,
@@ -95,7 +95,7 @@ def _run(options: LifetimeOptions, study: Campaign) -> Rows:
             )
         except KeyboardInterrupt:
             print(
-                f"what is finished is kept in {options.out}/chunks: the same command goes on",
+                f"what is finished is kept in {options.out}/chunks: the same command continues",
                 file=sys.stderr,
             )
             raise

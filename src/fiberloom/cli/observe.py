@@ -7,37 +7,51 @@ import time
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, excluded
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
 from fiberloom.cli.plan import TargetsArgument
 from fiberloom.cli.terminal import waiting
+from fiberloom.errors import InputError
 
+if TYPE_CHECKING:
+    from fiberloom.field import Field
 
-class Correction(StrEnum):
-    """How corrections weigh what the camera says."""
-
-    filtered = "filtered"
-    plain = "plain"
+TWIN = "twin:"
 
 
 class CameraKind(StrEnum):
-    """Where measured positions come from."""
+    """Cameras of the twin."""
 
     noise = "noise"
     image = "image"
 
 
+class Correction(StrEnum):
+    """How corrections weigh the images."""
+
+    filtered = "filtered"
+    plain = "plain"
+
+
 class Pages(StrEnum):
-    """Exposures that get pages to look at."""
+    """Exposures that get pages with figures."""
 
     none = "none"
     last = "last"
     all = "all"
 
 
+FieldCameraOption = Annotated[
+    str | None,
+    typer.Option(
+        help="image or noise of the twin (default: image); with --bus: alpaca://HOST:PORT/N, folder:PATH, "
+        "indi://HOST:PORT/NAME, aravis:NAME."
+    ),
+]
 FaultsOption = Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")]
 MapsOption = Annotated[
     Path | None,
@@ -46,19 +60,21 @@ MapsOption = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationOptions(PlaneOptions, JsonOptions):
+class ObservationOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom observe`."""
 
     targets: TargetsArgument
     moves: Annotated[
         int | None,
-        typer.Option(min=1, help="Exactly so many, blind move counted; default: the instrument's stop rule."),
+        typer.Option(
+            min=1, help="Exact number of moves, with the blind one; default: the instrument's stop rule."
+        ),
     ] = None
     correction: Annotated[
         Correction | None,
         typer.Option(help="Kalman filter, or Eq. 25 as printed; default: the instrument's."),
     ] = None
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.image
+    camera: FieldCameraOption = None
     pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
         Pages.last
     )
@@ -69,31 +85,24 @@ class ObservationOptions(PlaneOptions, JsonOptions):
     ] = False
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/latest")
     calibration: MapsOption = None
-    arms: Annotated[
-        Path | None, typer.Option(help="Arms of `calibrate focal-plane`, in place of the layout's.")
-    ] = None
     adapt: Annotated[
         bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
     ] = False
     learnt: Annotated[
         str | None,
-        typer.Option(help="Store with what was learnt; default with --adapt: beside the maps."),
+        typer.Option(help="Store of the learnt maps; default with --adapt: beside the maps."),
     ] = None
 
 
 def observe(options: ObservationOptions) -> int:
-    """Put fibres on the targets of a list, and say how near each one came."""
+    """Put fibres on the targets of a list, and report the error of each one."""
     started_s = time.monotonic()
     check(options)
     from fiberloom.targets import read_targets
 
     targets = read_targets(options.targets)
     require_folder(options.out)
-    from fiberloom.field import Field
-
-    field = Field.twin(
-        options.plane(), options.seed, options.camera.value, options.faults, options.calibration
-    )
+    field = field_of(options)
     field.command_line = " ".join(sys.argv)
     with waiting(options.as_json) as field.watcher:
         seen = field.run.observe(
@@ -128,14 +137,44 @@ _FILES = {
 
 
 def check(options: Any) -> None:
-    """Refuses what can be refused before anything heavy is imported."""
+    """Raises InputError for bad options that can be found without a slow import."""
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import OBSERVED
 
     parse_faults(options.faults, OBSERVED)
     options.check_plane()
+    check_camera(options)
     for name, hint in _FILES.items():
         require_file(getattr(options, name, None), hint)
+
+
+def check_camera(options: Any) -> None:
+    """Raises InputError for a camera that does not go with the bus."""
+    excluded(options.exclude)
+    if options.bus is not None and not options.bus.startswith(TWIN):
+        if options.camera is None:
+            raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")
+        if options.faults:
+            raise InputError("--faults goes with the twin inside of this process")
+    elif options.camera is not None and options.camera.removeprefix(TWIN) not in tuple(CameraKind):
+        raise InputError(f"--camera {options.camera}: known are {', '.join(CameraKind)}; others need a --bus")
+
+
+def field_of(options: Any, camera: str = "image") -> Field:
+    """The field of a command: on the twin inside of this process, unless `--bus` says otherwise.
+
+    `camera`: of the twin, where none is named.
+    """
+    from fiberloom.connect import open_hardware
+    from fiberloom.field import Field
+
+    plane, bus = options.plane(), options.bus or TWIN
+    source = open_hardware(plane, bus, options.camera or camera, seed=options.seed, faults=options.faults)
+    field = Field(plane, source, options.seed, options.calibration)
+    field.exclude = excluded(options.exclude)
+    if options.bus is not None or field.exclude:
+        field.book = array_book(bus, options.store)
+    return field
 
 
 def _print(summary: dict[str, Any], out: Path) -> None:

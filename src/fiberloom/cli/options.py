@@ -25,8 +25,8 @@ Options = TypeVar("Options")
 def add(app: typer.Typer, run: Callable[[Options], int | None], name: str | None = None) -> None:
     """Makes a command of `run`, a function of one dataclass whose fields carry typer's declarations.
 
-    The command has the name of the function unless told, and exits with what the function returns
-    (None: 0).
+    The command has the name of the function unless `name` is given, and exits with what the function
+    returns (None: 0).
     """
     app.command(name)(_typer_function(run))
 
@@ -60,7 +60,7 @@ class JsonOptions:
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False
 
     def show(self, report: Any) -> None:
-        """Prints a report: for people, or as JSON."""
+        """Prints a report: as a table, or as JSON."""
         if self.as_json:
             self.print_json(report)
         else:
@@ -70,7 +70,7 @@ class JsonOptions:
 
     @staticmethod
     def print_json(report: Any) -> None:
-        """Prints a report for machines."""
+        """Prints a report as JSON."""
         typer.echo(json.dumps(report, indent=2, default=str))
 
 
@@ -85,9 +85,9 @@ class LayoutOptions:
     seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
 
     def check_plane(self) -> None:
-        """Refuses what can be refused before anything heavy is imported."""
+        """Raises InputError for bad options that can be found without a slow import."""
         if self.layout is not None and getattr(self, "positioners", None) is not None:
-            raise InputError("--positioners goes with a preset; a --layout says itself how many there are")
+            raise InputError("--positioners goes with a preset; a --layout gives their number itself")
         if self.layout is not None and not self.layout.is_dir():
             raise InputError(f"{self.layout}: no such directory; a layout is a folder of tables")
         require_instrument(self.instrument)
@@ -107,7 +107,8 @@ class PlaneOptions(LayoutOptions):
     """Of a command that works with a focal plane."""
 
     positioners: Annotated[
-        int | None, typer.Option(min=1, help="Only so many positioners of the preset, from the centre.")
+        int | None,
+        typer.Option(min=1, help="Number of positioners of the preset, from the centre; default: all."),
     ] = None
 
     def plane(self) -> FocalPlane:
@@ -115,24 +116,24 @@ class PlaneOptions(LayoutOptions):
         return self._plane(self.positioners)
 
 
-# what can be refused before anything heavy is imported
+# checks that need no slow import
 
 
 def require_instrument(name: str) -> None:
-    """Refuses a name that is neither a preset nor a file."""
+    """Raises InputError for a name that is neither a preset nor a file."""
     from fiberloom.instruments.names import check_name
 
     check_name(name)
 
 
 def require_file(path: Path | None, hint: str = "") -> None:
-    """Refuses a file that is not there; `hint`: what to do."""
+    """Raises InputError for a file that does not exist; `hint`: what to do, for the message."""
     if path is not None and not path.is_file():
         raise InputError(f"{path}: no such file{hint and '; ' + hint}")
 
 
 def require_folder(out: Path) -> None:
-    """Makes the folder of the results, or refuses one that cannot be written."""
+    """Creates the folder of the results; raises InputError where it cannot be written."""
     from fiberloom.report.folder import prepare_folder
 
     prepare_folder(out)

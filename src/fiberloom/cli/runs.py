@@ -1,4 +1,4 @@
-"""`fiberloom runs`: what was observed, and how it ended."""
+"""`fiberloom runs`: the runs of a store, and how they ended."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RunsOptions(JsonOptions):
 
 
 def runs(options: RunsOptions) -> None:
-    """Show what was observed, and how it ended."""
+    """List past runs, and how they ended."""
     from fiberloom.store.find import stores_below
 
     stores_below(options.where)

@@ -16,17 +16,17 @@ EVERY_S = 10.0
 
 
 class Waiting(Protocol):
-    """What is done now, and how much of it."""
+    """Shows the progress of a command."""
 
     def say(self, text: str) -> None:
-        """Name what is being done now."""
+        """Begins a stage with this name."""
 
     def count(self, done: int, total: int) -> None:
-        """Tell how much of it is done."""
+        """Shows that `done` of `total` parts of the stage are done."""
 
 
 class Quiet:
-    """Says nothing."""
+    """Progress without output."""
 
     def say(self, text: str) -> None:
         """Nothing."""
@@ -36,7 +36,7 @@ class Quiet:
 
 
 class Lines:
-    """Plain lines, for logs: `every_s` at the earliest after the last one of the same stage."""
+    """Plain lines, for logs: one for each stage, then at most one in `every_s`."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Lines:
             self._tell(text)
 
     def count(self, done: int, total: int) -> None:
-        """A line now and then."""
+        """Writes a line, unless the last one is less than `every_s` ago."""
         if self._clock_s() - self._last_s >= self._every_s:
             self._tell(f"{self._text}: {done} of {total}")
 
@@ -64,7 +64,7 @@ class Lines:
 
 
 class Bar:
-    """One line with a bar, drawn again and again."""
+    """One line with a bar, redrawn at each report."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress

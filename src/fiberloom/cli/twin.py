@@ -15,6 +15,7 @@ from fiberloom.cli.options import JsonOptions, PlaneOptions
 
 if TYPE_CHECKING:
     from fiberloom.twin.server.address import Address
+    from fiberloom.twin.server.camera.process import CameraProcess
     from fiberloom.twin.server.server import TwinServer
 
 
@@ -23,14 +24,27 @@ class TwinOptions(PlaneOptions, JsonOptions):
     """Of `fiberloom twin`."""
 
     listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228"
+    camera_listen: Annotated[
+        str | None, typer.Option(help="HOST:PORT of an Alpaca camera that looks at the positioners.")
+    ] = None
+    camera_indi: Annotated[
+        str | None, typer.Option(help="HOST:PORT of the same camera by INDI; needs the packages for it.")
+    ] = None
+    camera_folder: Annotated[
+        Path | None, typer.Option(help="Folder into which a camera writes FITS files when triggered.")
+    ] = None
+    camera_every_s: Annotated[
+        float,
+        typer.Option(
+            "--camera-every", min=0.0, help="Seconds between images in that folder; 0: when triggered."
+        ),
+    ] = 0.0
     devices: Annotated[
         int | None, typer.Option(min=1, max=64, help="CAN@net devices; default: one for 84 positioners.")
     ] = None
     faults: Annotated[
         str,
-        typer.Option(
-            help="What goes wrong: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."
-        ),
+        typer.Option(help="Faults: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."),
     ] = ""
     speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0
     neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True
@@ -38,7 +52,7 @@ class TwinOptions(PlaneOptions, JsonOptions):
         bool, typer.Option("--bootloader", help="Begin as after power-on: ten seconds in the bootloader.")
     ] = False
     first: Annotated[
-        bool, typer.Option("--first", help="Clock before all ordinary programs; the system must allow it.")
+        bool, typer.Option("--first", help="Real-time priority for the clock; the system must allow it.")
     ] = False
     jaeger_config: Annotated[
         Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
@@ -51,31 +65,44 @@ class TwinOptions(PlaneOptions, JsonOptions):
     ] = 0.0
     stop_after_s: Annotated[
         float | None,
-        typer.Option("--stop-after", min=0.0, help="Stop after so many seconds; default: Ctrl-C, SIGTERM."),
+        typer.Option("--stop-after", min=0.0, help="Seconds until it stops; default: Ctrl-C, SIGTERM."),
     ] = None
+
+    @property
+    def has_camera(self) -> bool:
+        """Is there a camera that looks?"""
+        return not (self.camera_listen is None and self.camera_indi is None and self.camera_folder is None)
 
 
 def twin(options: TwinOptions) -> None:
     """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
     from fiberloom.twin.faults.grammar import parse_faults
-    from fiberloom.twin.faults.kinds import SERVED
-    from fiberloom.twin.server.address import addresses_of
+    from fiberloom.twin.faults.kinds import SEEN, SERVED
+    from fiberloom.twin.server.address import address_of, addresses_of
 
-    parse_faults(options.faults, SERVED)
+    parse_faults(options.faults, SEEN if options.has_camera else SERVED)
     addresses_of(options.listen, 1)
+    if options.camera_listen is not None:
+        address_of(options.camera_listen, "--camera-listen")
+    if options.camera_indi is not None:
+        from fiberloom.twin.server.camera.indi import check_packages
+
+        address_of(options.camera_indi, "--camera-indi")
+        check_packages()
     options.check_plane()
     from fiberloom.twin.server.server import device_count
 
     plane = options.plane()
     addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))
     server = _server(options, plane, addresses)
+    camera = _camera(options, plane, server) if options.has_camera else None
     if options.jaeger_config is not None:
         from fiberloom.twin.server.jaeger import jaeger_config
 
         folder = options.jaeger_config.resolve().parent
         folder.mkdir(parents=True, exist_ok=True)
         options.jaeger_config.write_text(jaeger_config(addresses, folder))
-    report = asyncio.run(_serve(server, options, _greeting(len(plane), addresses)))
+    report = asyncio.run(_serve(server, camera, options, _greeting(len(plane), addresses)))
     if options.as_json:
         options.print_json(report)
     else:
@@ -93,29 +120,49 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     ids = [int(i) for i in plane.positioner_id]
     schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)
     units = draw_units(plane, options.seed)
-    # one thread: ticks are short, and the other core is the host's
+    # one thread: ticks are short, and the other core is left to the host
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
     settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 
 
-async def _serve(server: TwinServer, options: TwinOptions, greeting: str) -> dict[str, Any]:
+def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProcess:
+    from fiberloom.twin.server.address import address_of
+    from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
+
+    alpaca, indi = (
+        None if text is None else address_of(text) for text in (options.camera_listen, options.camera_indi)
+    )
+    folder = options.camera_folder and options.camera_folder.resolve()
+    doors = CameraDoors(alpaca, folder, options.camera_every_s, indi)
+    return CameraProcess(plane, server, seed=options.seed, speed=options.speed, doors=doors)
+
+
+async def _serve(
+    server: TwinServer, camera: CameraProcess | None, options: TwinOptions, greeting: str
+) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
     await server.open()
     try:
+        if camera is not None:
+            await camera.open()
+            greeting += f"\n{camera.doors}"
         if not options.as_json:
             typer.echo(greeting)
         await _wait(server, options, stop)
-        return server.report() | {"load_average_1min": os.getloadavg()[0]}
+        images = {} if camera is None else {"looks": camera.looks}
+        return server.report() | images | {"load_average_1min": os.getloadavg()[0]}
     finally:
         server.close()
+        if camera is not None:
+            camera.close()
 
 
 async def _wait(server: TwinServer, options: TwinOptions, stop: asyncio.Event) -> None:
-    """Until told to stop; reports in between."""
+    """Waits for the stop or the end of the time; prints reports in between."""
     loop = asyncio.get_running_loop()
     end = None if options.stop_after_s is None else loop.time() + options.stop_after_s
     while not stop.is_set():
@@ -139,7 +186,7 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 
 
 def _text(report: dict[str, Any]) -> str:
-    """A few lines for people."""
+    """The report as a few lines of text."""
     lines = [
         f"{report['time_s']:.1f} s of twin time: "
         f"{report['ticks']} ticks computed, {report['resting']} at rest",

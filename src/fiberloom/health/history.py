@@ -10,12 +10,15 @@ from fiberloom.health.monitor import ObservedMove
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.store import Store
-from fiberloom.store.run import START
+from fiberloom.store.run import START, STOPPED
 from fiberloom.typing import Array, Floats
 
 Columns = dict[str, Array]
 
-_NOT_ARRIVED = (FibreStatus.DEAD, FibreStatus.BLOCKED, FibreStatus.OFFLINE)
+_NOT_ARRIVED = (
+    *(FibreStatus.DEAD, FibreStatus.DISCONNECTED),
+    *(FibreStatus.BLOCKED, FibreStatus.OFFLINE),
+)
 _NEAR_DEG = 1.0
 """A report farther than this from the command is no arrival: gears are linear to 0.6 deg."""
 _STAYS_DEG = 1e-6
@@ -28,6 +31,9 @@ def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedM
     for move_id in dict.fromkeys(columns["move_id"].tolist()):
         here = columns["move_id"] == move_id
         move = _Move({name: column[here] for name, column in columns.items()}, plane)
+        if np.all(move.kind == STOPPED):  # nothing was seen: only where each was left
+            before = np.where(move.known[:, None], move.believed_deg, before)
+            continue
         if np.all(move.kind == START):
             before = move.believed_deg
         yield move.passage(before)

@@ -1,7 +1,7 @@
 """When a healthy positioner is called ill: every threshold of `fiberloom.health.monitor`, with its origin.
 
 [D] derived from a cited number, [A] assumed. All of them are checked together by the trials of
-docs/health.md: how soon an ailment is found, and how rarely a healthy positioner is called ill.
+docs/operation/health.md: how soon an ailment is found, and how rarely a healthy positioner is called ill.
 """
 
 from __future__ import annotations

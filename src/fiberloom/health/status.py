@@ -15,8 +15,15 @@ class FibreStatus(StrEnum):
     DARK = "dark"  # its fibre is not seen: it never moves on the spot of another
     LYING = "lying"  # reports to be where the camera sees it is not, and has not moved
     ASTRAY = "astray"  # reports to be where the camera sees it is not, and has moved
+    UNSURE = "unsure"  # where it is was not certain at the begin: it does not move
+    DISCONNECTED = "disconnected"  # its link is down: judged when that is back
     DEAD = "dead"  # did not move, or did not answer
     OFFLINE = "offline"  # switched off before the observation
 
 
-FAULTS = frozenset({FibreStatus.DARK, FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
+FAULTS = frozenset(
+    {
+        *(FibreStatus.DARK, FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.UNSURE),
+        *(FibreStatus.DISCONNECTED, FibreStatus.DEAD),
+    }
+)

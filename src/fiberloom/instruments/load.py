@@ -27,7 +27,7 @@ def parse_instrument(data: dict[str, Any], where: str) -> Instrument:
     try:
         return Instrument.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {_first_problem(error)}") from None
+        raise InputError(f"{where}: {first_problem(error)}") from None
 
 
 def _read(name: str) -> tuple[str, str]:
@@ -41,7 +41,8 @@ def _read(name: str) -> tuple[str, str]:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
 
 
-def _first_problem(error: ValidationError) -> str:
+def first_problem(error: ValidationError) -> str:
+    """The first thing that is wrong with a file, in one line: key, value, rule."""
     problems = error.errors()
     first = problems[0]
     key = ".".join(str(part) for part in first["loc"])

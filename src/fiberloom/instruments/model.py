@@ -227,6 +227,54 @@ class Acceptance(Table):
     """Of the fibre; a camera from above cannot see it."""
 
 
+class ColdRule(Table):
+    """What is asked of the motors below a temperature."""
+
+    below_C: Finite
+    speed_rpm: Positive
+    """Largest motor speed of plans and of go-to moves."""
+    holding_percent: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    """Holding current of alpha and beta, of the full field."""
+
+
+class Care(Table):
+    """What motors and supply may be asked for. The defaults ask for no care."""
+
+    host_timeout_s: NotNegative = 0.0
+    """A trajectory slows to a stop so long after the host's last frame; 0: it runs to its verified end."""
+    moves_max: Annotated[int, Field(ge=1)] | None = None
+    """Moves that a positioner may begin within `moves_window_s`."""
+    moves_window_s: Positive = 600.0
+    supply_A: Positive | None = None
+    """Current for all motors together."""
+    motor_friction_A: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    """Of an alpha and a beta motor that turns, however slowly."""
+    motor_speed_A: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    """What the axis' `speed_deg_s` adds, in proportion to the speed."""
+    temperature_zero_C: Finite = 0.0
+    """Temperature at which command 132 answers 0."""
+    temperature_C_per_count: Finite | None = None
+    """None: what the bus reports has no known scale."""
+    cold: tuple[ColdRule, ...] = ()
+    """The lowest rule whose temperature is not reached counts."""
+
+    @property
+    def motor_most_A(self) -> tuple[float, float]:
+        """Of an alpha and a beta motor at full speed."""
+        alpha, beta = (f + s for f, s in zip(self.motor_friction_A, self.motor_speed_A, strict=True))
+        return alpha, beta
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.supply_A is not None and not 0.0 < sum(self.motor_friction_A) <= self.supply_A:
+            raise ValueError(
+                f"supply_A {self.supply_A}: needs motor_friction_A, and must be enough for one positioner"
+            )
+        if self.cold and not self.temperature_C_per_count:
+            raise ValueError("cold: needs temperature_C_per_count, the scale of command 132")
+        return self
+
+
 class GuideCameras(Table):
     """Cameras in a ring around the field; only the edge that faces the field can be touched."""
 
@@ -338,6 +386,7 @@ class Instrument(Table):
     """Of the images; an instrument without this table is measured by a noise model alone."""
     operation: Operation
     acceptance: Acceptance | None = None
+    care: Care = Care()
     layout: Layout
     scatter: UnitScatter
     twin: dict[str, Any] = Field(default_factory=dict)

@@ -27,6 +27,9 @@ class Measurement:
     ambiguous: Flags | None = None
     """(N,) not seen because its spot cannot be told from others; False: dark."""
 
+    loose_mm: Floats | None = None
+    """(n, 2) spots that belong to no positioner for certain; None: the camera takes no images."""
+
     @property
     def xy_mm(self) -> Floats:
         """Positions (N, 2)."""

@@ -7,6 +7,7 @@ kind (compressed, scaled, 8, 32 or 64 bits) goes through astropy into a float32 
 
 from __future__ import annotations
 
+import datetime
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,6 +33,8 @@ class CameraImage:
     time_s: float = 0.0
     header: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
+    begun_utc_s: float | None = None
+    """When the exposure began, in UTC seconds since 1970; None where the camera does not say."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -92,7 +95,39 @@ def read_image(
         _first(None, header, ("EXPTIME", "EXPOSURE"), 0.0, path),
         header=header,
         path=path,
+        begun_utc_s=_begun_utc_s(header),
     )
+
+
+_BEGUN_KEYS = ("DATE-BEG", "DATE-OBS")
+_UNIX_MJD, _DAY_S = 40587.0, 86400.0
+
+
+def _begun_utc_s(header: Mapping[str, Any]) -> float | None:
+    """When the exposure began, as FITS files say it: with a date and a time of day, or as an MJD."""
+    for key in _BEGUN_KEYS:
+        text = header.get(key)
+        if isinstance(text, str) and "T" in text and (at := utc_s_of(text)) is not None:
+            return at
+    for key in ("MJD-BEG", "MJD-OBS"):
+        if isinstance(number := header.get(key), float):
+            return (number - _UNIX_MJD) * _DAY_S
+    return None
+
+
+def utc_text(utc_s: float) -> str:
+    """A time as FITS writes it, to the millisecond; `utc_s`: UTC in s since 1970."""
+    at = datetime.datetime.fromtimestamp(utc_s, datetime.UTC)
+    return at.replace(tzinfo=None).isoformat(timespec="milliseconds")
+
+
+def utc_s_of(text: str) -> float | None:
+    """UTC in s since 1970 of a time as FITS and Alpaca write it; None where it is no such text."""
+    try:
+        at = datetime.datetime.fromisoformat(text.strip().removesuffix("Z"))
+    except ValueError:
+        return None
+    return (at if at.tzinfo else at.replace(tzinfo=datetime.UTC)).timestamp()
 
 
 def _image_hdu(hdus: Any, extension: int | str | None, path: Path) -> Any:
@@ -186,6 +221,8 @@ def write_image(image: CameraImage, path: str | Path, *, overwrite: bool = True)
     for key, value in image.header.items():
         hdu.header[key] = value
     hdu.header["EXPTIME"] = (image.exposure_s, "[s]")
+    if image.begun_utc_s is not None:
+        hdu.header["DATE-OBS"] = (utc_text(image.begun_utc_s), "UTC, begin of the exposure")
     hdu.header["GAIN"] = (image.gain_e_adu, "[electron/adu]")
     if np.isfinite(image.saturation_adu):
         hdu.header["SATURATE"] = (image.saturation_adu, "[adu]")

@@ -94,6 +94,8 @@ class Reduction:
     covariance_mm2: Floats
     expected_mm: Floats
     turbulence: Turbulence | None = None
+    loose_mm: Floats | None = None
+    """(n, 2) spots that belong to no positioner for certain."""
 
     @property
     def spots(self) -> Spots:
@@ -119,6 +121,7 @@ class Reduction:
             self.image.time_s,
             self.covariance_mm2,
             self.match.status == MatchStatus.AMBIGUOUS,
+            self.loose_mm,
         )
 
 
@@ -155,7 +158,8 @@ def reduce_image(
     xy[seen], cov[seen] = spots_mm[match.spot[seen]], covariance[match.spot[seen]]
     air = _calm(plane, settings, acquisition, hints.standing_mm, xy, cov) if settings.turbulence else None
     spot = np.where(seen, free[match.spot] if len(free) else -1, -1)
-    return Reduction(image, found, acquisition, match, spot, xy, cov, expected, air)
+    loose = spots_mm[match.stray]
+    return Reduction(image, found, acquisition, match, spot, xy, cov, expected, air, loose)
 
 
 def metrology_reach_mm(plane: FocalPlane) -> Floats:
@@ -244,6 +248,16 @@ class ImageCamera:
         for watcher in self.watchers:
             watcher(reduction)
         return reduction.measurement()
+
+    def abort(self) -> None:
+        """Makes a running `measure` raise, where the source can be aborted; from any thread."""
+        if (abort := getattr(self.source, "abort", None)) is not None:
+            abort()
+
+    def close(self) -> None:
+        """Lets go of the camera."""
+        if (close := getattr(self.source, "close", None)) is not None:
+            close()
 
     def _reduce(self, expected_mm: Floats | None) -> Reduction:
         image = self.source.expose()

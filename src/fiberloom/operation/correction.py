@@ -4,11 +4,11 @@ Plain (Eq. 25, from the first correction on): shift the command by what the last
 
     r_cmd(i+1) = r_cmd(i) + (r_target - r_meas(i))
 
-which settles at the camera's noise s in truth, and at sqrt(2) s as measured. Filtered: what a
-positioner misses by is nearly the same after every small move, so all images so far are weighed
-(Eq. 31 over the moves). The state is the offset of the two arm angles from where the positioner
-believes to be, with its covariance: a Kalman filter. Where the Jacobian of the fibre is singular
-(beta near 0 or 180 deg) its gain leaves alone what the image does not tell.
+which settles at the camera's noise s in truth, and at sqrt(2) s as measured. Filtered: the error of
+a positioner is nearly the same after every small move, so all images so far are weighed (Eq. 31 over
+the moves). The state is the offset of the two arm angles from the reported ones, with its covariance:
+a Kalman filter. Where the Jacobian of the fibre is singular (beta near 0 or 180 deg) its gain does not
+change the direction that the image does not measure.
 
 The filter's noise is that of the camera and that of one arrival, both 2-D rms. An arrival's scatter
 is new after every move: it adds to the image's noise, not to the offset. After k images the fibre
@@ -27,22 +27,23 @@ from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
 
-# An innovation beyond this many standard deviations, squared, is no noise: 1 in 2e5 of two
-# Gaussian numbers. The offset has changed (a slip, a bump), and what was learnt is void.
+# An innovation whose square, in units of its covariance, is above this is no noise: it occurs once in
+# 2e5 of two Gaussian numbers. The offset has changed (a slip, a collision): the filter begins anew.
 _SURPRISE = 25.0
 # A command for the plain update keeps this far inside the reach of the arms.
 _INSIDE_MM = 1e-6
 
 
 def plain_update(commanded_mm: Floats, target_mm: Floats, measured_mm: Floats) -> Floats:
-    """Eq. 25: the next command (N, 2) in the focal plane."""
+    """Eq. 25: the next command (N, 2) in mm of the focal plane, from (N, 2) positions in mm."""
     return commanded_mm + (target_mm - measured_mm)
 
 
 def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Floats:
-    """Angles (N, 2) in reach of drives that make steps: a whole number of them from here (N, 2).
+    """Angles (N, 2) in deg that a drive can reach in whole steps from where it is.
 
-    `step_deg` (2,) at the output, 0: continuous. Less than half a step is not sent at all.
+    `here_deg` and `wanted_deg`: (N, 2) angles now and wanted; `step_deg`: (2,) size of a step of each
+    axis at the output, 0 for a continuous drive. A way shorter than half a step is not sent.
     """
     size_deg = np.where(step_deg > 0.0, step_deg, 1.0)
     stepped = here_deg + size_deg * np.rint((wanted_deg - here_deg) / size_deg)
@@ -51,24 +52,28 @@ def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Float
 
 @dataclass(frozen=True)
 class Offsets:
-    """Estimated offset of the arm angles (N, 2) in deg, and its covariance (N, 2, 2) in deg^2."""
+    """Estimated offset of the true arm angles from the reported ones."""
 
     mean_deg: Floats
+    """(N, 2) alpha and beta."""
     covariance_deg2: Floats
+    """(N, 2, 2)."""
 
 
 def predict(offsets: Offsets, drift_deg2: Floats) -> Offsets:
-    """One move later: the offset is the same, known less well by the drift (N, 2, 2)."""
+    """Offsets after one more move: the same mean; the covariance grows by `drift_deg2` (N, 2, 2)."""
     return Offsets(offsets.mean_deg, offsets.covariance_deg2 + drift_deg2)
 
 
 def weigh(
     offsets: Offsets, innovation_mm: Floats, jacobian: Floats, noise_mm2: float | Floats
 ) -> tuple[Offsets, Floats]:
-    """The Kalman update with positions: (N, 2) innovations, (N, 2, 2) mm/deg Jacobians.
+    """The Kalman update of the offsets of N positioners by measured positions.
 
-    `noise_mm2` is the variance per coordinate, or the covariances (N, 2, 2). Returns the offsets,
-    and each innovation's square in units of its own covariance (2 on average).
+    `offsets`: the estimate before; `innovation_mm`: (N, 2) measured less expected positions, finite;
+    `jacobian`: (N, 2, 2) mm/deg, positions by angles; `noise_mm2`: the variance per coordinate, above 0,
+    or the covariances (N, 2, 2). Returns the offsets after, and (N,) the square of each innovation in
+    units of its own covariance, 2 on average.
     """
     p, h = offsets.covariance_deg2, jacobian
     noise = noise_mm2 * np.eye(2) if np.ndim(noise_mm2) == 0 else noise_mm2
@@ -95,7 +100,12 @@ class CorrectionLoop:
         noise: CorrectionNoise | None = None,
         sigma_deg: Floats | None = None,
     ) -> None:
-        """`sigma_deg` (N, 2): how far the maps may be off at the goals; default: `noise.blind_um`."""
+        """`plane`: layout of N positioners; `goal_deg`: (N, 2) angles that bring the fibres on target.
+
+        `filtered`: the Kalman filter, else Eq. 25; `noise`: of camera and arrivals, um rms, by default
+        that of the plane; `sigma_deg`: (N, 2) standard errors of the maps at the goals, by default from
+        `noise.blind_um`.
+        """
         self.plane, self.goal_deg, self.filtered = plane, goal_deg, filtered
         self.noise = noise or CorrectionNoise.of(plane)
         self.target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
@@ -104,7 +114,7 @@ class CorrectionLoop:
             spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
         self.offsets = Offsets(np.zeros((plane.n, 2)), spread)
         self._last_deg = np.full((plane.n, 2), np.nan)
-        """Where each positioner believed to be at its last image."""
+        """(N, 2) angles that each positioner reported at its last image; NaN before the first."""
 
     def update(
         self,
@@ -113,11 +123,12 @@ class CorrectionLoop:
         active: Flags,
         covariance_mm2: Floats | None = None,
     ) -> Floats:
-        """The angles (N, 2) to command next, from the last image (N, 2).
+        """The angles (N, 2) in deg to command next, from the last image; within the hard stops.
 
-        `believed_deg` is where the positioners report to be (or were told to go), through their
-        maps; the rows that are not active keep their estimate and get their goal. With
-        `covariance_mm2` (N, 2, 2) each fibre weighs as its own spot tells, not as the camera's mean.
+        `believed_deg`: (N, 2) angles that the positioners report, or were commanded, by their maps;
+        `measured_mm`: (N, 2) metrology fibres in the image, NaN where not seen; `active`: (N,) the
+        positioners to correct. Those that are not active or not seen keep their estimate and get their
+        goal by it. `covariance_mm2`: (N, 2, 2) noise of each position; None: the camera's mean for all.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
         wanted = self.goal_deg - self.offsets.mean_deg
@@ -129,8 +140,8 @@ class CorrectionLoop:
         return self._inside(wanted)
 
     def _image_noise(self, rows: NDArray[np.intp], covariance_mm2: Floats | None) -> float | Floats:
-        """mm^2 of one image and one arrival, per coordinate, or (n, 2, 2) where the image knows."""
-        # never zero, so that a perfect camera does not divide by it
+        """mm^2 of one image and one arrival, per coordinate; (n, 2, 2) where the image has covariances."""
+        # above zero, so that a camera without noise gives no division by zero
         arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
         if covariance_mm2 is None:
             return (0.5 * self.noise.camera_um**2 + arrival_um2) * MM_PER_UM**2
@@ -184,12 +195,12 @@ class CorrectionLoop:
         command = plain_update(here, self.target_mm[rows], measured_mm[rows])
         found = self.plane.inverse(self._within_reach(command, rows), index=rows)
         angles = np.column_stack([found.alpha_deg, found.beta_deg])
-        # the same turn as before, and no move where only the limits stand in the way
+        # the same turn as before, and no move where the limits do not allow one
         angles[:, 0] += 360.0 * np.rint((believed_deg[rows, 0] - angles[:, 0]) / 360.0)
         return np.where(found.reachable[:, None], angles, believed_deg[rows])
 
     def _within_reach(self, xy_mm: Floats, rows: NDArray[np.intp]) -> Floats:
-        """Noise must not ask for more than the arms' length."""
+        """Positions (n, 2) within the length of the arms: with its noise a command may lie outside."""
         l_alpha, l_beta = self._levers()[:, rows]
         out = xy_mm - self.plane.centres_mm[rows]
         reach = np.hypot(*out.T)
@@ -202,7 +213,7 @@ class CorrectionLoop:
         return np.stack([self.plane.l_alpha_mm, self.plane.l_beta_mm])
 
     def _spread(self, rms_um: float) -> Floats:
-        """(N, 2, 2) deg^2 of angles that scatter the fibre by this much, half by each axis."""
+        """(N, 2, 2) deg^2 of angles that scatter the fibre by this rms, half by each axis."""
         l_alpha, l_beta = self._levers()
         lever_mm = np.stack([np.hypot(l_alpha, l_beta), l_beta], axis=1)
         sigma_deg = rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / lever_mm)

@@ -1,4 +1,4 @@
-"""What an observation keeps of its exposures: pages to look at, and the images themselves."""
+"""What an observation keeps of its exposures: pages with figures, and the images themselves."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ FOLDER = "exposures"
 
 
 class ExposureLog:
-    """Watches a camera. `pages` (none, last, all) says which exposures get theirs: the image with
-    labels, residual vectors, the distortion field."""
+    """Writes pages and images of a camera's exposures into a folder."""
 
     def __init__(self, plane: FocalPlane, out: Path, pages: str, save_images: bool) -> None:
+        """`plane`: layout for the labels; `out`: folder of the observation.
+
+        `pages`: none, last or all, the exposures that get a page: the image with labels, residual
+        vectors, the distortion field; `save_images`: whether every image is kept as FITS.
+        """
         self.plane, self.folder = plane, out / FOLDER
         self.pages, self.save_images = pages, save_images
         self.taken = 0
@@ -27,7 +31,8 @@ class ExposureLog:
             old.unlink()
 
     def watch(self, camera: Any) -> None:
-        """From now on; a camera without images has nothing to keep."""
+        """Keeps the exposures of this camera from now on. A camera without images has nothing to keep:
+        with `save_images` that is an InputError."""
         if isinstance(camera, ImageCamera):
             camera.watchers.append(self.seen)
             self._watched = camera
@@ -35,7 +40,7 @@ class ExposureLog:
             raise InputError("--save-images goes with --camera image: this camera takes no images")
 
     def seen(self, reduction: Reduction) -> None:
-        """The next exposure; what is to be kept of every one is written before the loop goes on."""
+        """Takes the next exposure; what is kept of each one is written before the loop goes on."""
         self.taken += 1
         self._last = reduction
         if self.save_images:
@@ -45,13 +50,13 @@ class ExposureLog:
             self._plot(reduction)
 
     def stop(self) -> None:
-        """Watches no longer."""
+        """Keeps no further exposures."""
         if self._watched is not None:
             self._watched.watchers.remove(self.seen)
             self._watched = None
 
     def close(self) -> None:
-        """The pages of the last exposure."""
+        """Writes the pages of the last exposure, where only those are wanted."""
         if self.pages == "last" and self._last is not None:
             self._plot(self._last)
 

@@ -1,7 +1,7 @@
-"""What can be said of a positioner after a move, and how it is told apart.
+"""The fault of a positioner after a move, from the image and its reply.
 
-The measurement decides, not the positioner's own claim: firmware that failed to start a trajectory is
-known to report arrival (docs/operation.md).
+The image decides, not the reply: firmware that failed to start a trajectory is known to report arrival
+(docs/operation.md).
 """
 
 from __future__ import annotations
@@ -18,40 +18,58 @@ ASTRAY_MM = 0.5
 """A blind move misses by tens of micrometres; half a millimetre is no error of calibration."""
 
 STILL = 0.05
-"""Less than this share of the way asked for is standing still."""
+"""A positioner that moved less than this share of the way asked for did not move."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that is known of the positioners after a move; positions of metrology fibres in mm."""
+    """What is known of N positioners after a move; positions are those of metrology fibres."""
 
     outcomes: list[Outcome]
+    """How the move of each one ended on the bus."""
     seen: Flags
+    """(N,) fibres in the image."""
     measured_mm: Floats
+    """(N, 2) in the image; NaN where not seen."""
     before_mm: Floats
+    """(N, 2) by the reported angles before the move."""
     reported_mm: Floats
+    """(N, 2) by the reported angles after it."""
     goal_mm: Floats
+    """(N, 2) by the commanded angles."""
+    heard: Flags | None = None
+    """(N,) told their position after it; None: all did."""
 
 
 def judge(evidence: Evidence) -> list[FibreStatus | None]:
-    """Fault of each positioner, None for the healthy ones (also those that were interrupted)."""
+    """Fault of each of the N positioners; None where it is healthy, also where it was interrupted."""
     apart = np.hypot(*(evidence.measured_mm - evidence.reported_mm).T)
     asked = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
     moved = np.hypot(*(evidence.measured_mm - evidence.before_mm).T)
     still = moved < STILL * asked
+    heard = np.ones(len(still), dtype=bool) if evidence.heard is None else evidence.heard
+    outcomes = [_told(outcome, bool(heard[i])) for i, outcome in enumerate(evidence.outcomes)]
     return [
         _judge_one(outcome, bool(evidence.seen[i]), bool(apart[i] > ASTRAY_MM), bool(still[i]))
-        for i, outcome in enumerate(evidence.outcomes)
+        for i, outcome in enumerate(outcomes)
     ]
 
 
+def _told(outcome: Outcome, heard: bool) -> Outcome:
+    """Missing answers are no evidence against one that answers now: its report and the image are."""
+    missing = outcome in (Outcome.TIMED_OUT, Outcome.DISCONNECTED)
+    return Outcome.MISPLACED if missing and heard else outcome
+
+
 def _judge_one(outcome: Outcome, seen: bool, apart: bool, still: bool) -> FibreStatus | None:
-    if outcome in (Outcome.REFUSED, Outcome.TIMED_OUT, Outcome.DISCONNECTED):
+    if outcome is Outcome.DISCONNECTED:
+        return FibreStatus.DISCONNECTED
+    if outcome in (Outcome.REFUSED, Outcome.TIMED_OUT):
         return FibreStatus.DEAD
     if not seen:
         return FibreStatus.DARK
     if apart:
         return FibreStatus.LYING if still else FibreStatus.ASTRAY
     if outcome is Outcome.COLLIDED and still:
-        return FibreStatus.DEAD  # the motor is blocked where it stands
+        return FibreStatus.DEAD  # the motor is blocked where it is
     return None

@@ -1,4 +1,4 @@
-"""What is known of arms and maps when an observation begins, and where it keeps what it learns."""
+"""Arms and maps with which an observation begins, and where it keeps what it learns."""
 
 from __future__ import annotations
 
@@ -28,34 +28,37 @@ class Known:
     """Arms and maps with which an observation begins, and where it keeps what it learns."""
 
     plane: FocalPlane
+    """The layout with the arms that are known best."""
     maps: TransmissionMaps
     map_sigma_deg: Callable[[Floats], Floats] | None = None
-    """How far the maps may be off at wire positions (N, 2), where operation has taught them."""
+    """Standard errors (N, 2) of the maps at wire positions (N, 2) in deg, where moves have taught them."""
     keeper: Keeper | None = None
+    """None: nothing is learnt."""
     recorder: LearningRecorder | None = None
+    """Of the observation, once it has begun; None: nothing is learnt."""
     files: dict[str, Path] = field(default_factory=dict)
-    """What was read, by kind of calibration."""
+    """Files that were read, by kind of calibration."""
 
     def record_used(self, run: Run) -> None:
-        """Which calibrations this run uses."""
+        """Writes into the store which calibrations this run uses."""
         for kind, file in self.files.items():
             if file.exists():  # a cache that cannot be written has no file
                 note_calibration(run, kind, file, self.plane.positioner_id)
 
     def record_learnt(self, run: Run) -> None:
-        """What this run has taught, where learning was asked for."""
+        """Writes into the store what this run has taught, where learning was asked for."""
         if self.keeper is not None:
             self.keeper.record(run)
 
     def learning(self, recorder: Recorder) -> Recorder:
-        """The recorder that learns, where that was asked for."""
+        """The given recorder, or one around it that learns where that was asked for."""
         if self.keeper is None:
             return recorder
         self.recorder = LearningRecorder(recorder, self.keeper.learner, self.keeper.keep)
         return self.recorder
 
     def summary(self) -> dict[str, Any]:
-        """What summary.json tells of it."""
+        """The entry of summary.json; empty where nothing is learnt."""
         if self.keeper is None or self.recorder is None:
             return {}
         return {
@@ -72,6 +75,8 @@ class Keeper:
     """Writes the states of one observation, all into one generation."""
 
     def __init__(self, store: Store, history: LearntHistory, learner: AdaptiveCalibration, seed: int) -> None:
+        """`store`: of `history`, the generations so far; `learner`: as it begins; `seed`: of the
+        observation, noted with the generation."""
         self.store, self.learner = store, learner
         self.generation: int | None = None
         self._history, self._seed = history, seed
@@ -79,7 +84,7 @@ class Keeper:
         self._kept: dict[int, bytes] = {}
 
     def keep(self, learner: AdaptiveCalibration, rows: Ints) -> None:
-        """The states of these rows as they are now."""
+        """Writes the states of these rows as they are now; the first call begins the generation."""
         if self.generation is None:
             plane = learner.given
             name, config = plane.instrument.name, plane.config_hash()
@@ -96,14 +101,14 @@ class Keeper:
         self._kept |= packets
 
     def record(self, run: Run) -> None:
-        """The learnt states of these positioners as they are at the end of the run."""
+        """Notes in the store the states at the end of the run, by positioner, and their digest."""
         digest = hashlib.sha256(b"".join(self._kept[p] for p in sorted(self._kept))).hexdigest()[:16]
         note_calibration(run, "learnt", Path(self.store.name), self._kept, digest)
 
 
 @dataclass(frozen=True)
 class Learning:
-    """Files that an observation builds on beside layout and maps, and whether it learns itself."""
+    """Files that an observation uses beside layout and maps, and whether it learns itself."""
 
     arms: Path | None = None
     """Arms of `calibrate focal-plane`, in place of the layout's."""
@@ -112,10 +117,16 @@ class Learning:
     adapt: bool = False
     """Learn from every measured move."""
     seed: int = 0
+    """Of the observation; noted with the generation."""
 
 
 def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, asked: Learning) -> Known:
-    """Layout and maps, then the arms of a file, then what was learnt since."""
+    """Layout and maps, then the arms of a file, then what was learnt since.
+
+    `plane`: layout of N positioners; `maps`: their transmission maps, read from `maps_file`; `asked`:
+    the other files, and whether the observation learns. Raises InputError where a file is missing,
+    cannot be read, or holds no positioner of the layout.
+    """
     host = plane if asked.arms is None else load_arms(asked.arms, plane)
     files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": asked.arms})
     if not (asked.adapt or asked.learnt):

@@ -1,7 +1,8 @@
 """Every measured move of an observation teaches the maps (Kronig 2020, Section 4.3).
 
-The observation itself goes on with the maps that it began with: its corrections already weigh what
-each image says, and would do it twice. What was learnt is used from the next one on.
+The observation itself keeps the maps with which it began: its corrections weigh each image already,
+and with maps that had learnt from it the image would count twice. What was learnt is used from the
+next observation on.
 """
 
 from __future__ import annotations
@@ -14,26 +15,26 @@ from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.metrology import Measurement
 from fiberloom.operation.move import Move, Recorder
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 Keep = Callable[[AdaptiveCalibration, Ints], None]
-"""Stores the states of these rows."""
+"""A function that stores the states of these rows."""
 
 _TELL_NOTHING = FAULTS | {FibreStatus.OFFLINE}
 
 
 class LearningRecorder:
-    """Records as another one does, and learns from each move before the next begins."""
+    """Hands everything on to another recorder, and learns from each move before the next begins."""
 
     def __init__(self, recorder: Recorder, learner: AdaptiveCalibration, keep: Keep) -> None:
         self._recorder, self.learner, self._keep = recorder, learner, keep
         self.n_used = 0
         """Measurements learnt from."""
         self.n_refused = 0
-        """Measurements that surprised too much."""
+        """Measurements too far from the expected position to learn from."""
 
     def move(self, move: Move) -> None:
-        """First what was measured is safe; then it is learnt from, and that is kept."""
+        """Records the move first; then learns from it and stores the states."""
         self._recorder.move(move)
         rows = informative(move)
         if len(rows) == 0:
@@ -45,16 +46,24 @@ class LearningRecorder:
         self._keep(self.learner, rows)
 
     def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
-        """Nothing to learn yet."""
+        """Records the start; nothing moved, so nothing is learnt."""
         self._recorder.start(here_deg, wire_deg, image)
 
+    def left(self, here_deg: Floats, wire_deg: Floats, answered: Flags, why: str) -> None:
+        """Passes on where each was left after a stop.
+
+        `here_deg`, `wire_deg`: (N, 2) angles and wire positions as reported; `answered` (N,): which have;
+        `why`: for the operator.
+        """
+        self._recorder.left(here_deg, wire_deg, answered, why)
+
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """A flag or a remark."""
+        """Records a fault or a remark."""
         self._recorder.event(kind, text, positioner_id)
 
 
 def informative(move: Move) -> Ints:
-    """Rows of those who moved, came to rest by a whole approach, were seen and are to be trusted."""
+    """Rows of positioners that moved, ended with a whole approach, were seen and have no fault."""
     if move.interrupted:
         return np.empty(0, dtype=np.int64)
     moved = np.array([robot.moves for robot in move.plan.robots])

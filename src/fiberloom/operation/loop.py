@@ -20,25 +20,30 @@ from fiberloom.typing import Flags, Floats
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop is run; `moves` counts the blind move, and is the most that a stop rule allows."""
+    """How the loop is run."""
 
     moves: int = 3
+    """Blind move and corrections together, at most; exactly so many with a fixed stop rule."""
     stop: StopRule = field(default_factory=StopRule)
     filtered: bool = True
+    """Corrections by the Kalman filter, else by Eq. 25."""
     compare_linear: bool = False
+    """At the end a blind move by a linear gear ratio, for comparison."""
     seed: int = 0
+    """Of the planner."""
     recoveries: int = RECOVERIES
+    """How often a blind move that was stopped is planned anew."""
 
     @classmethod
     def of(cls, operation: Operation, moves: int | None = None, **others: Any) -> LoopSettings:
-        """The instrument's rule and its corrections; with `moves`: exactly so many moves."""
+        """The stop rule of an instrument and its number of corrections; with `moves`: exactly so many."""
         if moves is not None:
             return cls(moves=moves, **others)
         return cls(moves=1 + operation.corrections_max, stop=StopRule.of(operation), **others)
 
 
 class Loop:
-    """Takes a field from where its positioners are to the goals of an assignment, ever nearer."""
+    """Moves a field to the goals of an assignment: the blind move, then corrections."""
 
     def __init__(
         self,
@@ -47,7 +52,11 @@ class Loop:
         settings: LoopSettings,
         map_sigma_deg: Callable[[Floats], Floats] | None = None,
     ) -> None:
-        """`map_sigma_deg` tells how far the maps may be off at wire positions (N, 2), where known."""
+        """`motion`: of the field; `assignment`: the goals; `settings`: number of moves and stop rule.
+
+        `map_sigma_deg`: gives standard errors (N, 2) of the maps at wire positions (N, 2) in deg; None
+        where they are not known.
+        """
         self.motion, self.settings, self.map_sigma_deg = motion, settings, map_sigma_deg
         self.plane, self.maps = motion.plane, motion.maps
         self.goals = Goals.of(assignment)
@@ -62,16 +71,19 @@ class Loop:
 
     @property
     def goal_deg(self) -> Floats:
-        """Ideal angles (N, 2) of the assignment."""
+        """(N, 2) alpha and beta of the assignment."""
         return self.goals.angles_deg
 
     @property
     def correctable(self) -> Flags:
-        """Positioners with a target that are worth another move."""
+        """(N,) positioners with a target that are healthy and not blocked."""
         return self.motion.state.healthy & self.goals.has_target
 
     async def run(self) -> list[Move]:
-        """Blind move with recovery, then the corrections."""
+        """Blind move with recovery, then the corrections; all moves made.
+
+        Raises UnsafePlanError where the verifier refuses a plan.
+        """
         await self.blind_move()
         corrections = CorrectionLoop(
             self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()
@@ -86,8 +98,8 @@ class Loop:
         return self.moves
 
     def _open_um(self) -> Floats:
-        """Last measured distances (n,) of the fibres with a target that are seen and healthy and
-        that the stop rule has not let go."""
+        """(n,) distances in the last image, of the fibres with a target that are seen and healthy and
+        that the stop rule moves again."""
         error_um = self.moves[-1].measured_error_um
         self._arrived |= self.settings.stop.arrived(error_um)
         return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived]
@@ -100,19 +112,20 @@ class Loop:
         return ", ".join(filter(None, [f"all {self.settings.moves} moves made", why]))
 
     async def blind_move(self) -> None:
-        """Go to the goals by the maps; go round positioners that turn out not to move."""
+        """Moves to the goals by the maps, and round positioners that turn out not to move."""
         await self.motion.go(self.goals, self.settings.seed, self.settings.recoveries)
 
     def _expected_deg(self) -> Floats | None:
-        """How far the blind move may miss (N, 2), where operation has taught the maps."""
+        """(N, 2) standard errors of the maps at the goals, where moves have taught them."""
         if self.map_sigma_deg is None:
             return None
         return self.map_sigma_deg(self.maps.to_wire(self.goal_deg))
 
     async def correct(self, corrections: CorrectionLoop, number: int) -> None:
-        """Weigh the last image and move every healthy positioner with a target by what it says.
+        """Moves every healthy positioner with a target by what the last image shows.
 
-        A positioner that the stop rule has let go stays; a correction is made of whole steps.
+        `corrections`: the state of the filter; `number`: of the move, the blind move is 1. A positioner
+        that the stop rule does not move again stays; a correction is made of whole steps.
         """
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(
@@ -124,12 +137,12 @@ class Loop:
         await self._small_move(number, f"correction {number - 1}", goal_deg)
 
     async def linear_move(self) -> None:
-        """What a blind move by a linear gear ratio gives, for comparison (Fig. 26).
+        """Makes a blind move by a linear gear ratio, for comparison (Fig. 26).
 
         The same approach to the same angles; only the motor angles are those of the linear ratio.
         """
         linear = self.maps.linear()
-        # where the linear ratio has to aim, in the angles of the maps by which the field is known
+        # the angles by the maps at which the linear ratio arrives
         aim_deg = self.maps.to_output(linear.to_wire(self.goal_deg))
         await self._small_move(len(self.moves) + 1, "linear ratio", aim_deg, comparison=True)
 
@@ -138,7 +151,8 @@ class Loop:
     ) -> None:
         self.motion.progress(label)
         state = self.motion.state
-        planned = plan_corrections(
+        planned = await self.motion.care.planned(
+            plan_corrections,
             state.obstacles(),
             state.here_deg,
             np.where(self.correctable[:, None], wanted_deg, state.here_deg),

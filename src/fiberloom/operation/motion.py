@@ -1,11 +1,12 @@
 """Moving a field: connect, go to goals by a verified plan, look, judge. No targets, no corrections.
 
-Positioners are seen through a bus and their fibres through a camera, and the camera is trusted. The loop
-of an observation and the survey of a calibration both move the field by this.
+Positioners report over the bus and the camera measures their fibres; where they differ, the camera is
+trusted. The loop of an observation and the survey of a calibration both move the field by this.
 """
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 from collections.abc import Callable
 
@@ -21,16 +22,33 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
-from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
+from fiberloom.operation.care.motors import MotorCare
+from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.safety.begin import NAMED, Beginning, Report, Standing, begin_check
+from fiberloom.operation.safety.deviation import MotionRule, when_linked
+from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
+from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
-NOT_WHERE_IT_SAYS = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
+NOT_WHERE_IT_SAYS = frozenset(
+    {
+        *(FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD, FibreStatus.UNSURE),
+        FibreStatus.DISCONNECTED,
+    }
+)
+"""Faults with which the reported position is not trusted."""
 
 ROUND_FAULTS = "blind, round faults"
 """Label of a blind move after one that was stopped."""
+
+NOT_AS_REPORTED = NAMED | {Standing.OVERLAPS, Standing.UNCLEAR, Standing.BLIND}
+"""What more than MOST positioners cannot be."""
+
+MOST = 0.5
+"""Of the positioners: where more are dark, or not where they report, it is not they that are wrong."""
 
 REST_TIMEOUT_S = 5.0
 """A stopped positioner is at rest after a fraction of a second."""
@@ -44,7 +62,7 @@ class UnsafePlanError(RuntimeError):
 
 
 class FieldState:
-    """Where every positioner is, and which of them do as they are told. Arrays over N positioners."""
+    """Where every positioner is, and which of them follow commands. Arrays over N positioners."""
 
     def __init__(self, plane: FocalPlane, recorder: Recorder) -> None:
         self.plane, self.recorder = plane, recorder
@@ -52,44 +70,61 @@ class FieldState:
             FibreStatus.OFFLINE if offline else None for offline in plane.offline
         ]
         self.blocked = np.zeros(len(plane), dtype=bool)
+        self.unproven = np.zeros(len(plane), dtype=bool)
+        """Not certain at the begin to be where they report: they do not move."""
+        self.somewhere = np.zeros(len(plane), dtype=bool)
+        """Of those: anywhere within reach, as far as is known."""
+        self.hearing = Hearing(len(plane))
+        """Who answers, and whose missing answers have been held against it."""
         self.here_deg = plane.offline_position_deg.copy()
-        """(N, 2) angles as reported, through the maps; as seen where the report is not trusted."""
+        """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
         self.wire_deg = np.zeros((len(plane), 2))
+        """(N, 2) wire positions as reported."""
 
     @property
     def mobile(self) -> Flags:
-        """Positioners that go where they are told; a dark one does, though its fibre is not seen."""
-        return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults])
+        """(N,) positioners that follow commands; a dark one does, though its fibre is not seen."""
+        return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults]) & ~self.unproven
 
     @property
     def healthy(self) -> Flags:
-        """Positioners without a fault whose way is not blocked."""
+        """(N,) positioners without a fault whose way is not blocked."""
         return np.array([fault is None for fault in self.faults]) & ~self.blocked
 
     def obstacles(self) -> FocalPlane:
-        """The focal plane in which those that do not move are where they were last seen."""
-        return dataclasses.replace(
+        """The focal plane with the positioners that do not move as obstacles where they were last seen.
+
+        One that could be anywhere is an obstacle of the whole reach of its arm.
+        """
+        plane = dataclasses.replace(
             self.plane, offline=~self.mobile, offline_position_deg=self.here_deg.copy()
         )
+        rows = np.flatnonzero(self.somewhere & ~self.mobile)
+        discs = np.column_stack([plane.centres_mm[rows], plane.body_reach_mm[rows]])
+        return dataclasses.replace(plane, fiducials=np.vstack([plane.fiducials, discs]))
 
     def metrology_mm(self, angles_deg: Floats) -> Floats:
-        """(N, 2) metrology fibres of the layout at these angles."""
+        """(N, 2) metrology fibres of the layout at these angles (N, 2)."""
         return self.plane.forward(angles_deg[:, 0], angles_deg[:, 1], METROLOGY)
 
     def flag(self, row: int, fault: FibreStatus, why: str) -> None:
-        """Books a fault."""
+        """Books a fault of the positioner in `row`; `why`: the text of the record."""
         self.faults[row] = fault
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
     def book_blocked(self, planned: Plan) -> None:
-        """Positioners that the plan refuses."""
+        """Books the positioners that the plan refuses, in place of those of the last plan."""
         self.blocked[:] = False
-        for positioner, reason in planned.refused.items():
+        for positioner, why in planned.refused.items():
             self.blocked[self.plane.index_of(positioner)] = True
-            self.recorder.event("blocked", reason, positioner)
+            self.recorder.event("blocked", why, positioner)
 
     def judge(self, results: Results, image: Measurement, before_deg: Floats, commanded_deg: Floats) -> Flags:
-        """Flags what the image shows to be at fault; which healthy ones did not come to their goal."""
+        """Books the faults that the image shows; (N,) mobile positioners that did not reach their goal.
+
+        `results`: how the move ended on the bus, of the positioners that were moved; `image`: taken after
+        it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal.
+        """
         ended = [results.get(int(p)) for p in self.plane.positioner_id]
         asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
@@ -99,37 +134,70 @@ class FieldState:
             before_mm=self.metrology_mm(before_deg),
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
+            heard=self.hearing.heard,
         )
-        for i, fault in enumerate(judge(evidence)):
+        back = self.hearing.taken_back(evidence)
+        for i in back:
+            if self.faults[i] in FROM_SILENCE:
+                self.faults[i] = None
+                text = "answers again, and is where it reports"
+                self.recorder.event("answers", text, int(self.plane.positioner_id[i]))
+        for i, fault in enumerate(self.hearing.judged(evidence)):
             if fault is not None and self.faults[i] is None:
                 self.flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
         self._trust_the_camera(image)
         away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
+        unfinished[back] = True  # the plan went round them
         again: Flags = self.mobile & (away | unfinished)
         return again
 
     def _trust_the_camera(self, image: Measurement) -> None:
-        """A positioner that is not where it says is where it is seen."""
+        """Where a report is not trusted, the position is that of the image."""
         doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
         rows = np.flatnonzero(doubted & image.seen)
         found = self.plane.inverse(image.xy_mm[rows], METROLOGY, index=rows)
         angles_deg = np.column_stack([found.alpha_deg, found.beta_deg])
         self.here_deg[rows] = np.where(found.reachable[:, None], angles_deg, self.here_deg[rows])
 
-    def look_for_dark_fibres(self, image: Measurement) -> None:
-        """Books the fibres that the first image does not show; refuses where most are missing."""
-        dark = ~image.seen & self.mobile
-        if dark.sum() > 0.5 * len(self.plane):
+    def begin(self, answered: Flags, image: Measurement, vouched: Flags) -> None:
+        """Lets move only what is certain to be where it reports, and books the others.
+
+        `answered` (N,): on the bus; `vouched` (N,): whose datum is on record. InputError where most
+        fibres are dark, or most positioners are not where they report.
+        """
+        if (~image.seen & self.mobile).sum() > MOST * len(self.plane):
             raise InputError(
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        for i in np.flatnonzero(dark):
-            self.flag(int(i), FibreStatus.DARK, "its fibre is not seen")
+        found = begin_check(self.plane, Report(self.here_deg, answered, image, vouched))
+        wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
+        if len(wrong) > MOST * len(self.plane):
+            raise InputError(
+                f"{len(wrong)} of {len(self.plane)} positioners are not seen where they report to be "
+                f"(positioner {self.plane.positioner_id[wrong[0]]}: {found.text[wrong[0]]}); nothing was "
+                "moved: check that the layout, the calibration and the bus belong together"
+            )
+        self.here_deg = np.where(found.certain[:, None], self.here_deg, found.where_deg)
+        self.somewhere = found.somewhere
+        for i, standing in enumerate(found.standing):
+            self._book_standing(i, standing, found)
+
+    def _book_standing(self, row: int, standing: Standing, found: Beginning) -> None:
+        if standing is Standing.VOUCHED:
+            self.flag(row, FibreStatus.DARK, "its fibre is not seen")
+        elif standing is Standing.SILENT:
+            self.flag(row, FibreStatus.DEAD, found.text[row])
+        elif not found.certain[row] and standing is not Standing.OFFLINE:
+            self.unproven[row] = True
+            dark = standing is Standing.DARK
+            self.flag(row, FibreStatus.DARK if dark else FibreStatus.UNSURE, found.text[row])
+        if standing is Standing.OVERLAPS:
+            self.recorder.event("alarm", found.text[row], int(self.plane.positioner_id[row]))
 
     def status(self, has_target: Flags, error_um: Floats) -> list[FibreStatus]:
-        """What can be said of every positioner, its fibre being this far from its target."""
+        """Status of every positioner. `has_target` (N,); `error_um` (N,) from the target, NaN: unknown."""
         requirement_um = self.plane.instrument.operation.requirement_um
         return [
             self._status_of(i, bool(has_target[i]), bool(error_um[i] <= requirement_um))
@@ -147,8 +215,14 @@ class FieldState:
         return FibreStatus.ON_TARGET if within else FibreStatus.OFF_TARGET
 
 
+MotionMaker = Callable[
+    [FocalPlane, TransmissionMaps, Hardware, Recorder, Callable[[str], None]], "FieldMotion"
+]
+"""Makes the motion of a field from layout, maps, hardware, recorder and progress: `FieldMotion`, or more."""
+
+
 class FieldMotion:
-    """Takes a field from where its positioners are to goals, by verified plans."""
+    """Moves a field to goals, by verified plans."""
 
     def __init__(
         self,
@@ -158,15 +232,23 @@ class FieldMotion:
         recorder: Recorder,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
+        """`plane`: layout of N positioners; `maps`: their transmission maps; `hardware`: bus and camera;
+        `recorder`: keeps every move; `progress`: called with the name of each step."""
         self.plane, self.maps, self.hardware = plane, maps, hardware
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
+        self.care = MotorCare(plane, self.client)
         self.state = FieldState(plane, recorder)
         self.collisions_verified = 0
         self.moves: list[Move] = []
 
     async def connect(self) -> None:
-        """Find the positioners of the bus, and where they and their fibres are."""
+        """Finds the positioners of the bus, and where they and their fibres are.
+
+        What they report is held against an image; one that is not certain to be there does not move.
+        InputError where none of the layout's positioners answers, most fibres are not seen, or most are
+        not where they report.
+        """
         state, known = self.state, self.plane.positioner_id.tolist()
         found = set(await self.client.discover())
         if not found & set(known):
@@ -174,24 +256,35 @@ class FieldMotion:
                 f"none of the {len(known)} positioners of this layout answers on the bus; "
                 "check its power and address"
             )
-        for i in np.flatnonzero(state.mobile):
-            if known[i] not in found:
-                state.flag(int(i), FibreStatus.DEAD, "does not answer on the bus")
-        await self._read_positions(self.plane.positioner_id[state.mobile])
-        image = self.look()
+        there = np.array([p in found for p in known]) & state.mobile
+        answered = np.zeros(len(self.plane), dtype=bool)
+        answered[there] = await self._read_positions(self.plane.positioner_id[there])
+        image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
-        state.look_for_dark_fibres(image)
+        vouched = self.hardware.vouched
+        state.begin(answered, image, np.zeros_like(answered) if vouched is None else vouched)
 
-    def look(self) -> Measurement:
-        """An image, with what the positioners say of where they are."""
-        return self.hardware.camera.measure(self.state.metrology_mm(self.state.here_deg))
+    async def look(self, unknown: Flags | None = None) -> Measurement:
+        """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
+
+        Taken and reduced beside the event loop, which goes on listening to the bus.
+        """
+        expected_mm = self.state.metrology_mm(self.state.here_deg)
+        if unknown is not None:
+            expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
+        return await asyncio.to_thread(self.hardware.camera.measure, expected_mm)
 
     async def go(self, goals: Goals, seed: int = 0, recoveries: int = RECOVERIES) -> None:
-        """Go to the goals by the maps; go round positioners that turn out not to move."""
+        """Moves to the goals by the maps, and round positioners that turn out not to move.
+
+        `goals`: of N positioners; `seed`: of the planner; `recoveries`: how often a move that was stopped
+        is planned anew. Raises UnsafePlanError where the verifier refuses a plan.
+        """
         for attempt in range(recoveries + 1):
             label = "blind" if attempt == 0 else f"{ROUND_FAULTS} {attempt}"
             self.progress(f"planning: {label}")
-            planned = plan(
+            planned = await self.care.planned(
+                plan,
                 self.state.obstacles(),
                 self.state.here_deg,
                 np.where(self.state.mobile[:, None], goals.angles_deg, self.state.here_deg),
@@ -208,11 +301,16 @@ class FieldMotion:
     async def move(
         self, number: int, label: str, planned: Plan, goals: Goals, comparison: bool = False
     ) -> Flags:
-        """Verify, execute, look, judge, record. Returns which healthy ones were interrupted."""
-        self._verify(planned)
+        """Verifies and executes a plan, looks, judges, records; (N,) mobile positioners not at their goal.
+
+        `number` and `label`: of the move, for the record; `planned`: trajectories of all N positioners;
+        `goals`: by which errors are measured; `comparison`: the move is no part of the observation.
+        Raises UnsafePlanError where the verifier refuses the plan: nothing has moved then.
+        """
+        await asyncio.to_thread(self._verify, planned)
         before_deg = self.state.here_deg.copy()
         results = await self._execute(planned)
-        image = self.look()
+        image = await self.look()
         interrupted = self.state.judge(results, image, before_deg, planned.end_deg)
         error_um = self._measured_error_um(image, goals)
         move = Move(
@@ -232,8 +330,27 @@ class FieldMotion:
         self.recorder.move(move)
         return interrupted
 
+    async def stop(self, why: str) -> None:
+        """Brings every positioner that can be reached to rest, and records `why` and where each was left.
+
+        One that does not answer is named: it runs its trajectory to the end, or stands already.
+        """
+        self.progress("stopping")
+        begun_s = self.client.time_s
+        stopped = await self.client.stop_all()
+        ids = np.array(stopped.ok_ids, dtype=np.int64)
+        await self.client.wait_until_done(ids.tolist(), REST_TIMEOUT_S, stop_on_collision=False)
+        rest_s = self.client.time_s - begun_s
+        answered = np.zeros(len(self.plane), dtype=bool)
+        answered[self.plane.index_of(ids)] = await self._read_positions(ids)
+        silent = self.plane.positioner_id[self.state.mobile & ~answered].tolist()
+        text = f"{why}; {int(answered.sum())} positioners at rest after {rest_s:.2f} s"
+        text += f"; no answer from {', '.join(map(str, silent))}" if silent else ""
+        self.recorder.left(self.state.here_deg, self.state.wire_deg, answered, text)
+        self.progress(text)
+
     async def close(self) -> None:
-        """Lets go of the bus."""
+        """Closes the bus; one that the caller has opened stays open."""
         await self.client.close()
 
     def _verify(self, planned: Plan) -> None:
@@ -243,25 +360,41 @@ class FieldMotion:
             raise UnsafePlanError(f"the verifier refused the planned motion: {found}")
 
     async def _execute(self, planned: Plan) -> Results:
-        trajectories = {
-            robot.positioner_id: self._on_the_wire(robot) for robot in planned.robots if robot.moves
-        }
-        results = await self.client.run_trajectories(trajectories)
+        trajectories = await asyncio.to_thread(self._all_on_the_wire, planned)
+        await self.care.begin(list(trajectories), self.progress)
+        try:
+            await when_linked(self.client, trajectories)
+            rule = MotionRule(self.state.obstacles(), planned, self.recorder.event)
+            results = await self.client.run_trajectories(trajectories, watch=rule)
+        except BaseException as error:
+            await to_its_end(self.stop(reason(error)))
+            raise
         if not results.ok.all():
             await self._come_to_rest(list(trajectories))
-        await self._read_positions(np.array(list(trajectories), dtype=np.int64))
+        asked = np.array([*trajectories, *await self._back_again()], dtype=np.int64)
+        self.state.hearing.hears(self.plane.index_of(asked), await self._read_positions(asked))
         return results
 
+    async def _back_again(self) -> list[int]:
+        """Those that once gave no answer, and answer now."""
+        silent = self.plane.positioner_id[self.state.hearing.held_against].tolist()
+        return (await self.client.poll(silent)).ok_ids if silent else []
+
     async def _come_to_rest(self, ids: list[int]) -> None:
-        """Clear the flags of collisions, so that the healthy can go on, and let all of them stop."""
+        """Stops all and clears the flags of collisions, so that healthy positioners can move again."""
         await self.client.stop()
         await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
 
-    async def _read_positions(self, ids: Ints) -> None:
+    async def _read_positions(self, ids: Ints) -> Flags:
+        """Asks where they are; returns which have answered."""
         wire_deg, answered = await self.client.positions_deg(ids)
         rows = self.plane.index_of(ids[answered])
         self.state.wire_deg[rows] = wire_deg[answered]
         self.state.here_deg[rows] = self.maps.to_output(wire_deg[answered], index=rows)
+        return answered
+
+    def _all_on_the_wire(self, planned: Plan) -> dict[int, WireTrajectory]:
+        return {robot.positioner_id: self._on_the_wire(robot) for robot in planned.robots if robot.moves}
 
     def _on_the_wire(self, robot: Trajectory) -> WireTrajectory:
         row = int(self.plane.index_of(robot.positioner_id))

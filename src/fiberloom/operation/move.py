@@ -1,4 +1,4 @@
-"""One move of a field: where it should go, what came of it, and who keeps the record."""
+"""One move of a field: its goals, its result, and the protocol of a recorder."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from fiberloom.typing import Flags, Floats
 
 @dataclass(frozen=True)
 class Goals:
-    """Where the arms should go. Arrays over N positioners."""
+    """Goals of a move. Arrays over N positioners."""
 
     angles_deg: Floats
     """(N, 2) alpha and beta."""
     approach_deg: Floats
     """(N,) overshoot of the approach on both axes."""
     fibre: NDArray[np.str_]
-    """(N,) the fibre that looks at a target."""
+    """(N,) name of the fibre that goes to the target."""
     has_target: Flags
-    """(N,) False: the positioner only has to be out of the way."""
+    """(N,) False: the positioner is only moved out of the way."""
 
     @classmethod
     def of(cls, assignment: Assignment) -> Goals:
@@ -36,7 +36,7 @@ class Goals:
 
     @classmethod
     def without_targets(cls, plane: FocalPlane, angles_deg: Floats) -> Goals:
-        """Angles (N, 2) alone, with the instrument's approach."""
+        """The goals of angles (N, 2) alone, with the instrument's approach."""
         n = plane.n
         approach_deg = np.full(n, plane.instrument.approach_deg)
         return cls(angles_deg, approach_deg, np.full(n, ""), np.zeros(n, dtype=bool))
@@ -44,23 +44,26 @@ class Goals:
 
 @dataclass(frozen=True)
 class Move:
-    """One move of the whole field and what was seen afterwards. Arrays over N positioners."""
+    """One move of the whole field and the image after it. Arrays over N positioners."""
 
     number: int
+    """1 for the blind move."""
     label: str
     plan: Plan
     commanded_deg: Floats
+    """(N, 2) angles at the end of the plan."""
     wire_deg: Floats
+    """(N, 2) wire positions reported after the move."""
     measurement: Measurement
     measured_error_um: Floats
-    """Seen minus wanted metrology fibre; NaN without target or light."""
+    """(N,) distance of the metrology fibre in the image from its goal; NaN without target or light."""
     true_mm: Floats | None
-    """The science fibre (metrology fibre where parked); a twin only."""
+    """(N, 2) the science fibre (metrology fibre where parked); a twin only."""
     status: list[FibreStatus]
     interrupted: bool = False
-    """Stopped before its end, because a positioner collided or did not go."""
+    """Stopped before its end, because a positioner collided or did not move."""
     comparison: bool = False
-    """Not part of the observation: shows what another model would give."""
+    """Not part of the observation: a move by another model, for comparison."""
 
     @property
     def motion_s(self) -> float:
@@ -69,16 +72,24 @@ class Move:
 
 
 class Recorder(Protocol):
-    """Keeps what happened, as it happens."""
+    """Keeps the record of an observation while it runs."""
 
     def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
-        """Called before the first move: angles and wire positions reported, and the image."""
+        """Called before the first move: reported angles and wire positions (N, 2), and the image."""
         ...
 
     def move(self, move: Move) -> None:
         """Called after every move, before anything else is done."""
         ...
 
+    def left(self, here_deg: Floats, wire_deg: Floats, answered: Flags, why: str) -> None:
+        """Keeps where each was left after a stop.
+
+        `here_deg`, `wire_deg`: (N, 2) angles and wire positions as reported; `answered` (N,): which have;
+        `why`: for the operator.
+        """
+        ...
+
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """Something an operator wants to know later."""
+        """A fault or a remark. `kind`: one word; `text`: for the operator; `positioner_id`: None for all."""
         ...

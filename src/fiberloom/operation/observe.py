@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.exposures import ExposureLog
 from fiberloom.operation.known import Known
 from fiberloom.operation.loop import Loop, LoopSettings
-from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation
 from fiberloom.report.outputs import marks
@@ -23,26 +24,26 @@ from fiberloom.store import Run, Store
 from fiberloom.targets import TargetList
 
 STORE = "store.sqlite"
-"""The record of an observation, in its folder."""
+"""Name of the store in the folder of an observation."""
 
 CORRECTIONS = ("filtered", "plain")
 PAGES = ("none", "last", "all")
 
 
 class Watcher(Protocol):
-    """Is told what is being done, and how much of it is done."""
+    """Shows the progress of an observation."""
 
     def say(self, text: str) -> None:
-        """What is being done now."""
+        """Called when a step begins, with its name."""
         ...
 
     def count(self, done: int, total: int) -> None:
-        """How much of it is done."""
+        """Called when a part of the step is done: `done` of `total`."""
         ...
 
 
 class Silent:
-    """A watcher that tells nobody."""
+    """A watcher without output."""
 
     def say(self, text: str) -> None:
         """Nothing."""
@@ -66,6 +67,7 @@ class ObserveSettings:
     save_images: bool = False
     """Keep every exposure as FITS."""
     seed: int = 0
+    """Of assignment and planner."""
 
     def __post_init__(self) -> None:
         if self.corrections is not None and self.corrections < 0:
@@ -78,7 +80,7 @@ class ObserveSettings:
                 raise InputError(f"{name} {value!r}: known are {', '.join(filter(None, known))}")
 
     def loop(self, plane: FocalPlane) -> LoopSettings:
-        """With the instrument's numbers filled in."""
+        """Settings of the loop, with the instrument's values for what is None."""
         operation = plane.instrument.operation
         return LoopSettings.of(
             operation,
@@ -91,25 +93,39 @@ class ObserveSettings:
 
 @dataclass
 class Observer:
-    """Observes target lists with what is known of a field; `last` is there even if it is interrupted."""
+    """Observes target lists with what is known of a field."""
 
     plane: FocalPlane
     """The layout as given: its hash marks the results."""
     known: Known
+    """Arms and maps with which the observation begins."""
     out: Path
-    """Folder that exists: the record, and pages of exposures."""
+    """Folder that exists, for the store and the pages of exposures."""
     command_line: str
+    """For the store."""
     about: dict[str, Any] = field(default_factory=dict)
+    """Further entries of summary.json."""
     watcher: Watcher = field(default_factory=Silent)
+    motion: MotionMaker = FieldMotion
+    """Of the field; a session gives its own."""
     last: Observation | None = None
+    """The last observation, also one that was interrupted."""
 
     async def observe(
         self, targets: TargetList, settings: ObserveSettings, connect: Callable[[], Any]
     ) -> Observation:
-        """Assigns, then moves and looks; `connect` gives the hardware when it is needed."""
+        """Assigns targets, then moves the field to them by blind move and corrections.
+
+        `targets`: positions in mm of the focal plane; `settings`: corrections, pages, seed; `connect`: a
+        coroutine function that opens the hardware, called after the assignment. Raises InputError where
+        no positioner answers or most fibres are not seen, UnsafePlanError where the verifier refuses a
+        plan.
+        """
         begun_s = time.monotonic()
         self.watcher.say("assigning targets")
-        kept, assignment = assign_relaxed(self.known.plane, targets, seed=settings.seed)
+        kept, assignment = await asyncio.to_thread(
+            assign_relaxed, self.known.plane, targets, seed=settings.seed
+        )
         hardware = await connect()
         log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
         loop: Loop | None = None
@@ -148,7 +164,7 @@ class Observer:
         self, kept: FocalPlane, targets: TargetList, assignment: Assignment, hardware: Hardware, run: Run
     ) -> FieldMotion:
         recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
-        return FieldMotion(kept, self.known.maps, hardware, recorder, self.watcher.say)
+        return self.motion(kept, self.known.maps, hardware, recorder, self.watcher.say)
 
 
 async def _whole(loop: Loop) -> None:

@@ -1,4 +1,4 @@
-"""What an observation leaves behind: summary.json, fibres.ecsv, trajectories.json, figures."""
+"""The results of an observation: summary.json, fibres.ecsv, trajectories.json, figures."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MARKS = ("version", "seed", "instrument", "config_hash", "utc")
-"""What every result file carries."""
+"""Entries that every result file has."""
 
 _UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
 
 NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
+"""Status of a positioner whose error does not count."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """A field that was observed: every move, what was seen after it, and how near the fibres came.
+    """An observed field: every move, the image after it, and the errors of the fibres.
 
     Made by `Field.observe`.
 
@@ -53,7 +54,7 @@ class Observation:
     plane : FocalPlane
         The layout by which the field was planned.
     targets : TargetList
-        What was asked for.
+        The targets of the observation.
     assignment : Assignment
         Which positioner took which target.
     moves : list of Move
@@ -63,9 +64,9 @@ class Observation:
     stopped : str
         Why the loop made no further correction.
     about : dict
-        Marks and remarks that `summary` hands on: version, seed, instrument, configuration hash, UTC.
+        Further entries of `summary`: version, seed, instrument, configuration hash, UTC.
     wall_s : float
-        How long it took.
+        Duration of the observation, s of wall-clock time.
 
     Examples
     --------
@@ -118,7 +119,7 @@ class Observation:
         dict
             n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um, a row
             for each of `moves` (errors in um, motion in s), `faults` by kind, `not_assigned` by reason,
-            and what the observation was: version, seed, instrument, config_hash, utc.
+            and version, seed, instrument, config_hash, utc of the observation.
 
         Examples
         --------
@@ -135,7 +136,7 @@ class Observation:
         return summary | {"notes": self.assignment.notes} | put_in | learnt
 
     def _reasons(self) -> dict[str, int]:
-        """How many targets were left out, by the first words of the reason."""
+        """Number of targets that were not assigned, by the first words of the reason."""
         counts: dict[str, int] = {}
         for reason in self.assignment.unassigned.values():
             short = reason.split(":")[0].split("(")[0].strip()
@@ -207,7 +208,7 @@ class Observation:
         Parameters
         ----------
         folder : str or Path
-            Made where it does not exist; files of an earlier observation are written over.
+            Created where it does not exist; files of an earlier observation are overwritten.
 
         Raises
         ------
@@ -335,7 +336,7 @@ class Observation:
 
 
 def summarise(observed: Observation) -> dict[str, Any]:
-    """Return the figures of summary.json that come from the moves."""
+    """The figures of summary.json that come from the moves."""
     final = observed.final
     counted = observed.counted(final)
     within = observed.error_um(final)[counted] <= observed.requirement_um
@@ -394,7 +395,7 @@ def _faults(observed: Observation, move: Move) -> dict[str, list[int]]:
 
 
 def fibres_table(observed: Observation) -> Table:
-    """Return one row per positioner and move, as docs/files.md tells."""
+    """One row for every positioner and move, with the columns of docs/files.md."""
     return vstack([_fibres_of(observed, move) for move in observed.moves])
 
 
@@ -426,7 +427,7 @@ def _fibres_of(observed: Observation, move: Move) -> Table:
 
 
 def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
-    """Write every result file into `out`, which exists."""
+    """Writes every result file into the folder `out`, which exists."""
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     table = fibres_table(observed)
     table.meta = {k: summary[k] for k in MARKS}

@@ -1,12 +1,13 @@
-"""Where the hardware of a field comes from: what a twin and a real array both offer."""
+"""Sources of the hardware of a field: the protocol of a twin and of a real array."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
+from fiberloom.bus.links import Link, links_of
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
@@ -17,32 +18,36 @@ from fiberloom.metrology import Camera
 
 
 class Source(Protocol):
-    """Positioners and a camera, to be had for as long as something moves."""
+    """Opens positioners and a camera for the time of a motion."""
 
     async def open(self) -> Hardware:
-        """The bus and the camera; `FieldMotion.close` lets go of the bus."""
+        """Opens the bus and the camera; `FieldMotion.close` closes the bus."""
         ...
 
     async def sweep(self, points: int, progress: Progress) -> Calibration:
-        """Sweeps every positioner on a bench; an InputError says how it is done where this cannot."""
+        """Sweeps every positioner on a bench: transmission maps and their report.
+
+        `points`: per axis and direction; `progress`: called with the points done and all. Raises
+        InputError, which names another way, where the source has no bench.
+        """
         ...
 
     def maps_file(self, points: int) -> Path | None:
-        """Where maps of such a sweep are kept, there or not yet; None: nowhere."""
+        """File in which the maps of such a sweep are kept, whether or not it exists; None: not kept."""
         ...
 
     def about(self) -> dict[str, Any]:
-        """What summary.json tells of it."""
+        """Entries of summary.json about the source."""
         ...
 
     @property
     def true_plane(self) -> FocalPlane | None:
-        """The layout as it really is; a twin only."""
+        """The true layout; None for a real array."""
         ...
 
 
 class _LeftOpen:
-    """A transport of the caller, who closes it."""
+    """A transport that the caller has opened and closes."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -50,6 +55,14 @@ class _LeftOpen:
     @property
     def time_s(self) -> float:
         return self._transport.time_s
+
+    @property
+    def links(self) -> Sequence[Link]:
+        return links_of(self._transport)
+
+    def link_of(self, positioner: int) -> Link | None:
+        find = getattr(self._transport, "link_of", None)
+        return None if find is None else cast("Link | None", find(positioner))
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         await self._transport.send(frames)
@@ -70,7 +83,11 @@ class OpenedArray:
 
     @classmethod
     def of(cls, bus: str | Transport, camera: Any) -> OpenedArray:
-        """Checks what was given; the bus is opened when something moves."""
+        """An array on a bus, given by its address or opened, with a camera, which is an object.
+
+        The bus is opened when something moves. Raises InputError where the address cannot be read or
+        the camera has no `measure`.
+        """
         if isinstance(camera, str) or not callable(getattr(camera, "measure", None)):
             raise InputError(
                 f"camera {camera!r}: cannot be opened by its address; give an object with "
@@ -80,12 +97,12 @@ class OpenedArray:
         return cls(BusSpec.parse(bus) if isinstance(bus, str) else bus, camera)
 
     async def open(self) -> Hardware:
-        """Opens the bus anew, unless the caller gave one that is open."""
+        """Opens the bus, unless the caller has opened it."""
         bus = await self.bus.open() if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
         return Hardware(bus, self.camera)
 
     async def sweep(self, points: int, progress: Progress) -> Calibration:
-        """Arms among neighbours cannot be swept; says what to do instead."""
+        """Raises InputError: arms among neighbours cannot be swept; it names what to do instead."""
         raise InputError(
             "an opened field needs calibration=FILE, its transmission maps: sweep the units on a bench with "
             "fiberloom.calibration.calibrate_transmission(client, camera, plane), then .maps.save(FILE)"
@@ -96,10 +113,10 @@ class OpenedArray:
         return None
 
     def about(self) -> dict[str, Any]:
-        """Nothing was put in."""
+        """Empty: only a twin has entries of its own."""
         return {}
 
     @property
     def true_plane(self) -> FocalPlane | None:
-        """Not known."""
+        """None: the true layout is not known."""
         return None

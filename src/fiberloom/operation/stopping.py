@@ -1,4 +1,4 @@
-"""When the correction loop ends: by the instrument's rule, or after a number of moves."""
+"""The end of the correction loop: by the instrument's rule, or after a number of moves."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from fiberloom.typing import Flags, Floats
 
 @dataclass(frozen=True)
 class StopRule:
-    """Ends the correction loop by what the camera has measured; see `instruments.model.Operation`."""
+    """Ends the correction loop by the measured errors; see `instruments.model.Operation`."""
 
     kind: Literal["fixed", "percentile", "positioner"] = "fixed"
     percentile: float = 100.0
+    """Of the errors, above 0 to 100 %; for the kind of that name."""
     below_um: float = 0.0
+    """Limit of the errors; without effect for the kind `fixed`."""
 
     @classmethod
     def of(cls, operation: Operation) -> StopRule:
@@ -26,18 +28,19 @@ class StopRule:
         return cls(operation.stop_rule, operation.stop_percentile, below_um)
 
     def arrived(self, error_um: Floats) -> Flags:
-        """(N,) positioners that this rule does not move again; NaN (not seen): never."""
+        """(N,) positioners that this rule does not move again. `error_um` (N,); NaN, not seen: False."""
         return (self.kind == "positioner") & (error_um <= self.below_um)
 
     def satisfied(self, error_um: Floats) -> bool:
-        """Whether the loop may end. `error_um` (n,): fibres with a target that are seen and healthy,
-        without those that arrived."""
+        """Whether the loop may end. `error_um` (n,): of the fibres with a target that are seen and
+        healthy, without those that arrived."""
         if self.kind == "fixed":
             return False
         return error_um.size == 0 or float(np.percentile(error_um, self.percentile)) <= self.below_um
 
     def explain(self, error_um: Floats) -> str:
-        """How these distances (n,) in um, as for `satisfied`, are to the limit; empty for a fixed rule."""
+        """Compares the errors with the limit, in words; empty for a fixed rule. `error_um` (n,): as for
+        `satisfied`."""
         if self.kind == "fixed":
             return ""
         if self.kind == "positioner":

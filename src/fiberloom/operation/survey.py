@@ -1,9 +1,9 @@
-"""Driving a whole focal plane through configurations for its calibration (Kronig 2020, Section 4.2).
+"""Moving a whole focal plane through configurations for its calibration (Kronig 2020, Section 4.2).
 
-The positioners stay where they are mounted, among their neighbours: every configuration is one that all
-can stand in, and every way there is planned and verified, with arms taken to be thicker than they are,
-because where the arms are is what is not known yet. Each next configuration is the one that tells most
-after those that were measured.
+The positioners stay mounted among their neighbours. Every configuration is free of collisions, and every
+way to it is planned and verified with arms thicker than they are, because the positions of the arms are
+not known yet. The next configuration is the one that reduces the errors of the fit most, given the
+measured ones.
 """
 
 from __future__ import annotations
@@ -32,27 +32,31 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
-from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion
+from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
+from fiberloom.store.run import STOPPED
 from fiberloom.typing import Flags, Floats
 
 _UNTOLD = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
-"""Their motors do not say where the arms are: nothing to be learnt of the arms."""
+"""Faults with which the motor position is not that of the arms: such measurements are left out."""
 
 
 @dataclass(frozen=True)
 class SurveySettings:
-    """How many configurations, and how wide the berth."""
+    """Number of configurations, distance between arms, and settings of the fit."""
 
     configurations: int = 40
     safety_mm: float = 0.5
-    """By which every arm's radius is larger than the instrument's collision buffer."""
+    """By which the radius of every arm is larger than the instrument's collision buffer."""
     seed: int = 0
+    """Of candidates, places and planner."""
     fit: FitSettings = field(default_factory=FitSettings)
+    motion: MotionMaker = FieldMotion
+    """Of the field; a session gives its own."""
 
 
 async def survey(
@@ -63,9 +67,16 @@ async def survey(
     recorder: Recorder,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> SurveyData:
-    """Moves and looks, `configurations` times; then every positioner folds."""
+    """Measures a field of N positioners in S configurations; then every positioner folds.
+
+    `plane`: the layout so far; `maps`: transmission maps of its positioners; `hardware`: bus and camera;
+    `settings`: S, the distance between arms, the seed; `recorder`: keeps every move; `progress`: called
+    with the configurations done and S. Returns angles in deg and positions in mm, (N, S, 2). Raises
+    InputError where no positioner answers or most fibres are not seen, UnsafePlanError where the verifier
+    refuses a plan.
+    """
     wide = plane.with_collision_buffer(plane.collision_buffer_mm + settings.safety_mm)
-    motion = FieldMotion(wide, maps, hardware, recorder)
+    motion = settings.motion(wide, maps, hardware, recorder, lambda _: None)
     design = Design(plane, settings.fit)
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
@@ -88,14 +99,20 @@ async def survey(
 
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
-    """What the last run of a store has measured: also one that was interrupted or killed."""
+    """The measurements of the last run of a store, also of one that was interrupted or killed.
+
+    `plane` and `maps`: of the N positioners of that run. Raises InputError where the store has no run, or
+    its last run no measurement.
+    """
     runs = [run for run in store.runs() if run.n_moves]
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)
+    seen = rows["kind"] != STOPPED
+    rows = {name: column[seen] for name, column in rows.items()}
     moves, first = np.unique(rows["move_id"], return_index=True)
     kinds = rows["kind"][first]
-    # a move that was followed by a way round faults had been stopped before its end
+    # a move before one round faults was stopped before its end
     whole = np.append([not kind.startswith(ROUND_FAULTS) for kind in kinds[1:]], True)
     told = [_stored(rows, rows["move_id"] == m, plane, maps) for m in moves[whole]]
     if not told:
@@ -117,7 +134,7 @@ def _stored(rows: Columns, move: Flags, plane: FocalPlane, maps: TransmissionMap
 
 
 def _told(move: Move, maps: TransmissionMaps) -> tuple[Floats, Floats]:
-    """Angles and positions (N, 2) of a move, NaN for those that tell nothing."""
+    """Angles in deg and positions in mm (N, 2) of a move; positions NaN where they are left out."""
     theta_deg = maps.to_output(move.wire_deg)
     untold = np.array([status in _UNTOLD for status in move.status])
     seen = move.measurement.seen & ~untold
@@ -132,9 +149,11 @@ class FocalPlaneCalibration:
     """The layout before."""
     fit: FocalPlaneFit
     convergence: list[dict[str, Any]]
-    """Errors by number of configurations."""
+    """Errors in um by number of configurations."""
     marks: dict[str, Any]
+    """Version, seed, instrument, configuration hash, UTC."""
     camera_um: float
+    """Noise of the camera, 2-D rms."""
 
     @classmethod
     def of(
@@ -145,7 +164,13 @@ class FocalPlaneCalibration:
         marks: dict[str, Any],
         truth: FocalPlane | None = None,
     ) -> FocalPlaneCalibration:
-        """Fits what a survey has measured; with the true layout, the errors are known too."""
+        """Fits centre, arms and zeros to the measurements of a survey (Eq. 26).
+
+        `guess`: layout of the N positioners, within 0.2 mm and 1 deg of the truth; `data`: (N, S, 2)
+        angles in deg and positions in mm; `settings`: of the fit; `marks`: for the files; `truth`: the
+        true layout of a twin, for the errors of the fit. A positioner that cannot be calibrated keeps
+        the guess, with a reason in `fit`.
+        """
         fit = fit_focal_plane(guess, data.theta_deg, data.xy_mm, settings.fit)
         true = None if truth is None else layout_parameters(truth)
         rows = convergence(guess, data, settings.fit, true)
@@ -157,7 +182,7 @@ class FocalPlaneCalibration:
         return self.fit.plane(self.guess)
 
     def summary(self) -> dict[str, Any]:
-        """What focal_plane.json holds."""
+        """The content of focal_plane.json."""
         fit = self.fit
         refused = {int(p): r for p, r in zip(fit.positioner_id, fit.reason, strict=True) if r}
         return self.marks | {

@@ -1,7 +1,7 @@
 """Collision-free motion of all positioners from where they are to where they must be.
 
-`plan` and `plan_corrections` make a `Plan`; `verify` proves it safe, by other code. See
-docs/planning.md.
+`plan` and `plan_corrections` make a `Plan`; `verify` proves it safe, by other code. `untangle`
+finds a way out of a collision. See docs/planning.md.
 """
 
 from typing import TYPE_CHECKING
@@ -13,13 +13,17 @@ if TYPE_CHECKING:
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
     from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
+    from fiberloom.planning.untangling import Stage, Untangled, UntangleSettings, untangle
     from fiberloom.planning.verification import MotionLimits, Verification, Violation, verify
 
 __all__ = [
     "MotionLimits",
     "Plan",
     "PlanSettings",
+    "Stage",
     "Trajectory",
+    "UntangleSettings",
+    "Untangled",
     "Verification",
     "Violation",
     "plan",
@@ -28,6 +32,7 @@ __all__ = [
     "random_pair",
     "read_configuration",
     "read_plans",
+    "untangle",
     "verify",
     "write_configuration",
 ]

@@ -26,9 +26,12 @@ _WHAT = {
     "start": "begins {depth:.4g} deg from where it is",
     "goal": "ends {depth:.4g} deg from its goal",
     "approach": "ends with an approach that is {depth:.4g} deg too short",
+    "closing": "overlaps positioner {other} and comes {depth:.4g} mm nearer to it",
+    "obstacle_closing": "overlaps {other} and comes {depth:.4g} mm nearer to it",
 }
 _CONTACTS = ("contact", "obstacle_contact")
-_COLLISIONS = ("robots", "obstacle")
+_COLLISIONS = ("robots", "obstacle", "closing", "obstacle_closing")
+_WITH_ROBOTS = ("robots", "contact", "closing")
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,9 @@ class Violation:
     """One breach of a rule; the deepest moment of it."""
 
     kind: str
-    """robots, obstacle; contact, obstacle_contact (of those that do not move); points, travel,
-    speed, acceleration, start, goal, approach."""
+    """robots, obstacle; contact, obstacle_contact (of those that do not move, or still overlap at the
+    end); closing, obstacle_closing (they overlapped at the start); points, travel, speed,
+    acceleration, start, goal, approach."""
     positioner_id: int
     other: str
     """The other positioner, `fiducial k` or `guide camera k`; empty if there is none."""
@@ -72,12 +76,12 @@ class Verification:
 
     @property
     def collisions(self) -> tuple[Violation, ...]:
-        """Where something that moves touches something."""
+        """Where something that moves touches something, or comes nearer to what it overlaps."""
         return tuple(v for v in self.violations if v.kind in _COLLISIONS)
 
     @property
     def contacts(self) -> tuple[Violation, ...]:
-        """Bodies that touch although neither moves in this plan."""
+        """Bodies that touch although neither moves in this plan, or that still overlap when it ends."""
         return tuple(v for v in self.violations if v.kind in _CONTACTS)
 
     @property
@@ -99,6 +103,8 @@ class MotionLimits:
     acceleration_deg_s2: float | None = None
     collision_buffer_mm: float | None = None
     """Radius of the beta arms."""
+    separating: bool = False
+    """Bodies that overlap at the start may move if they only move apart. Otherwise they may not move."""
 
 
 def verify(
@@ -128,7 +134,8 @@ def verify(
         One number or (N,), deg; checked where given.
     limits : MotionLimits, optional
         Of speed (deg/s) and acceleration (deg/s2), the instrument's when left out; radius of the beta arms
-        (mm), the plan's own when left out.
+        (mm), the plan's own when left out; whether bodies that overlap at the start may separate: their gap
+        is then proven to grow, to within 1 um, until it is no longer negative, and to stay so.
 
     Returns
     -------
@@ -168,6 +175,7 @@ def verify(
         _arrives(plane, plan),
         np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
     )
+    rules.separating = limits.separating
     found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, plan), rules)
     return Verification(
         violations=tuple(_violation(plane, *entry) for entry in found["violations"]),
@@ -212,11 +220,12 @@ def _arrives(plane: FocalPlane, plan: Plan) -> Flags:
 
 def _violation(plane: FocalPlane, kind: str, row: int, other: int, time_s: float, depth: float) -> Violation:
     name = ""
-    if kind in ("robots", "contact") and other >= 0:
+    bodies = kind in _CONTACTS + _COLLISIONS
+    if bodies and kind in _WITH_ROBOTS and other >= 0:
         name = str(plane.positioner_id[other])
-    elif kind in ("obstacle", "obstacle_contact"):
+    elif bodies:
         name = _obstacle(plane, other)
-    size = depth if kind in _CONTACTS + _COLLISIONS else float(rad_to_deg(depth))
+    size = depth if bodies else float(rad_to_deg(depth))
     return Violation(kind, int(plane.positioner_id[row]), name, time_s, size)
 
 

@@ -6,8 +6,6 @@ import html
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
 from fiberloom.report.acceptance import html_page, pairs, signature
 
 
@@ -39,14 +37,27 @@ def _reasons(reasons: Iterable[str]) -> Iterator[str]:
 
 
 def number_text(record: Mapping[str, Any]) -> str:
-    """Value with its standard error, to as many digits as that has and one more; a dash where none."""
+    """Value and standard error to the first digit of the error, with the same decimals; a dash for None.
+
+    Numbers below 0.001 or from 1e6 on have a common power of ten: (4.35 ± 0.01)e-05.
+    """
     value, error = record["value"], record.get("standard_error")
     if value is None:
         return "–"
     if not error:
         return f"{value:.4g}"
-    digits = max(int(np.ceil(np.log10(max(abs(value) / error, 1.0)))) + 1, 2)
-    return f"{value:.{digits}g} ± {error:.1g}"
+    last = _power(error, digits=1)
+    value, error = round(value, -last) + 0.0, round(error, -last)  # + 0.0: no "-0.00"
+    power = _power(max(abs(value), error))
+    power = 0 if -3 <= power < 6 else power
+    decimals = max(power - last, 0)
+    text = f"{value / 10.0**power:.{decimals}f} ± {error / 10.0**power:.{decimals}f}"
+    return f"({text})e{power:+03d}" if power else text
+
+
+def _power(number: float, digits: int = 12) -> int:
+    """Power of ten of the first digit of a number that is rounded to so many digits."""
+    return int(f"{number:.{digits - 1}e}".partition("e")[2])
 
 
 def found_text(record: Mapping[str, Any]) -> str:

@@ -32,6 +32,9 @@ Transaction = Callable[[], AbstractContextManager[Connection]]
 START = "start"
 """Kind of the record that a run begins with: the place of every positioner, before anything moved."""
 
+STOPPED = "stopped"
+"""Kind of the record where positioners were left after a stop: as reported, without an image."""
+
 
 @dataclass(frozen=True)
 class RunInfo:

@@ -10,8 +10,9 @@ from datetime import datetime
 from sqlalchemy import DateTime, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-SCHEMA_VERSION = 2
-"""2: what was learnt of the maps in operation. Older stores get the new tables when they are opened."""
+SCHEMA_VERSION = 3
+"""2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. Older stores
+get the new tables when they are opened."""
 
 
 class Base(DeclarativeBase):
@@ -146,3 +147,55 @@ class LearntRow(Base):
     data: Mapped[bytes | None] = mapped_column(LargeBinary)  # none: the calibration itself
 
     __table_args__ = (Index("learnt_of_positioner", "generation_id", "positioner_id", unique=True),)
+
+
+class ExclusionRow(Base):
+    """One positioner of an array that must not be moved, until it is cleared or the time is over."""
+
+    __tablename__ = "exclusions"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
+    positioner_id: Mapped[int]
+    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    until: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: until it is cleared
+    who: Mapped[str]
+    why: Mapped[str]
+    cleared: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    cleared_by: Mapped[str]
+
+
+class ArrayStateRow(Base):
+    """The state of an array and the process that owns it: one motion at a time."""
+
+    __tablename__ = "array_state"
+
+    address: Mapped[str] = mapped_column(primary_key=True)
+    state: Mapped[str]
+    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    text: Mapped[str]  # why it is in this state
+    # the owner: no token, no owner
+    token: Mapped[str]
+    command: Mapped[str]
+    host: Mapped[str]
+    pid: Mapped[int]
+    process_start: Mapped[str]
+    heartbeat: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    # what another process asks of the owner
+    stop_asked_by: Mapped[str]  # empty: nothing
+
+
+class PlaceRow(Base):
+    """Where one positioner of an array was last, and how that is known."""
+
+    __tablename__ = "places"
+
+    address: Mapped[str] = mapped_column(primary_key=True)
+    positioner_id: Mapped[int] = mapped_column(primary_key=True)
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    alpha_deg: Mapped[float]
+    beta_deg: Mapped[float]
+    wire_alpha_deg: Mapped[float | None]  # none: it did not answer
+    wire_beta_deg: Mapped[float | None]
+    how: Mapped[str]  # seen, reported, unknown
+    datum: Mapped[bool]  # searched since power came on, as far as is known

@@ -12,8 +12,7 @@ from fiberloom.calibration.bench.rig import BenchRig
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units
-from fiberloom.twin.hardware import draw_faults
-from fiberloom.twin.transport import TwinTransport
+from fiberloom.twin.hardware import faulty_transport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
 from fiberloom.twin.weights import TwinWeights
@@ -29,11 +28,9 @@ def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> B
     `--faults`; InputError where it cannot be read.
     """
     twin = Twin(plane, units, seed=seed, neighbours=False)
-    for fault in draw_faults(plane, faults, seed):
-        twin.inject(fault)
     noise_um = plane.instrument.metrology.noise_rms_um
     return BenchRig(
-        Client(TwinTransport(twin)),
+        Client(faulty_transport(twin, faults, seed)),
         NoiseCamera(twin, noise_um, seed + 1),
         NoiseCamera(twin, CLOSE_UP_UM, seed + 2),
         CLOSE_UP_UM,

@@ -260,6 +260,7 @@ def _told(plane: FocalPlane, axis: int) -> Records:
     record = defaults(_firmware.AXIS_PARAMS, FIRMWARE_DTYPE)
     record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
     record["datum_position"] = plane.hard_stops_deg[axis][0]
+    record["host_timeout_ms"] = 1e3 * plane.instrument.care.host_timeout_s
     return record
 
 

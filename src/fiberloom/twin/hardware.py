@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.model import AXES, Axis
 from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.camera.noise_camera import NoiseCamera
-from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.kinds import OBSERVED
-from fiberloom.twin.faults.schedule import schedule_faults
+from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
@@ -23,7 +25,8 @@ CAMERAS = ("noise", "image")
 def bench_hardware(plane: FocalPlane, units: Units, seed: int) -> Hardware:
     """Each positioner alone under the camera: arms do not meet."""
     check_motors(plane.instrument)
-    return _hardware(Twin(plane, units, seed=seed, neighbours=False), seed + 1)
+    twin = Twin(plane, units, seed=seed, neighbours=False)
+    return _hardware(TwinTransport(twin), twin, seed + 1)
 
 
 def field_hardware(
@@ -36,9 +39,12 @@ def field_hardware(
     check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
-    for fault in draw_faults(plane, faults, seed):
-        twin.inject(fault)
-    return _hardware(twin, seed, camera)
+    return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera)
+
+
+def faulty_transport(twin: Twin, faults: str, seed: int) -> TwinTransport:
+    """The bus of a twin with the `faults` of a text, drawn by the `seed`; some begin and end meanwhile."""
+    return TwinTransport(twin, faults=FaultClock(twin, draw_faults(twin.plane, faults, seed), seed))
 
 
 def check_camera(camera: str) -> None:
@@ -69,15 +75,17 @@ def check_motors(instrument: Instrument) -> None:
         raise InputError(reason)
 
 
-def _hardware(twin: Twin, seed: int, camera: str = "noise") -> Hardware:
+def _hardware(bus: TwinTransport, twin: Twin, seed: int, camera: str = "noise") -> Hardware:
     metrology = twin.plane.instrument.metrology
-    if camera == "image":
-        return Hardware(TwinTransport(twin), image_camera(twin, seed), twin)
-    return Hardware(TwinTransport(twin), NoiseCamera(twin, metrology.noise_rms_um, seed), twin)
+    camera_of = (
+        image_camera(twin, seed) if camera == "image" else NoiseCamera(twin, metrology.noise_rms_um, seed)
+    )
+    # told at power-up where they are, as after a search of the datum
+    return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool))
 
 
-def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[Fault]:
+def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[ScheduledFault]:
     """Faults of a text of `--faults`, on positioners that are drawn by the seed, each on another one."""
     requests = parse_faults(text, OBSERVED)
     able = plane.positioner_id[~plane.offline]
-    return [scheduled.fault for scheduled in schedule_faults(requests, able, (), seed)]
+    return schedule_faults(requests, able, (), seed)

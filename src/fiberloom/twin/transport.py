@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Sequence
 
 from fiberloom.bus.transport import Frame
+from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.twin import Twin
 from fiberloom.units import TICK_S
 
@@ -14,12 +15,14 @@ class TwinTransport:
     """Implements `fiberloom.bus.transport.Transport` on the twin's virtual clock.
 
     `slice_s`: how long the twin runs before it is asked again whether something came; an answer is
-    delivered at most so late, and carries the time at which it was sent.
+    delivered at most so late, and carries the time at which it was sent. `faults`: what begins and ends
+    meanwhile.
     """
 
-    def __init__(self, twin: Twin, slice_s: float = 0.005) -> None:
+    def __init__(self, twin: Twin, slice_s: float = 0.005, faults: FaultClock | None = None) -> None:
         self._twin = twin
         self._slice_s = slice_s
+        self._faults = faults or FaultClock(twin, (), 0)
 
     @property
     def time_s(self) -> float:
@@ -37,7 +40,8 @@ class TwinTransport:
             left_s = end_s - self._twin.time_s
             await asyncio.sleep(0)  # others may have something to send
             # a whole tick at least: a clock that does not advance would never reach the end
-            replies = self._twin.run(min(max(left_s, TICK_S), self._slice_s))
+            replies = self._faults.carried(self._twin.run(min(max(left_s, TICK_S), self._slice_s)))
+            self._faults.follow()
             if replies or left_s <= self._slice_s:
                 return [Frame(*r) for r in replies]
 

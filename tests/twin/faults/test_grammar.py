@@ -12,13 +12,25 @@ from fiberloom.twin import draw_ailments
 from fiberloom.twin.bench import bench_units
 from fiberloom.twin.faults.ailments import NEVER, AilmentModel, chosen_ailments
 from fiberloom.twin.faults.grammar import FaultRequest, faults_text, parse_faults
-from fiberloom.twin.faults.kinds import AGED, ANYWHERE, OBSERVED, SERVED, SHARES, ServiceKind
+from fiberloom.twin.faults.kinds import (
+    AGED,
+    ANYWHERE,
+    OBSERVED,
+    SEEN,
+    SERVED,
+    SHARES,
+    CameraFaultKind,
+    ServiceKind,
+)
+from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 SECONDS = st.floats(0.0, 1e12, allow_nan=False)
 TIMES = {"start_s": SECONDS, "duration_s": st.none() | SECONDS}
 COUNTED = st.sampled_from([k for k in ANYWHERE.kinds if k not in SHARES])
-NAMED = st.sampled_from([k for k in ANYWHERE.kinds if k not in {*SHARES, ServiceKind.BUS_OFF}])
+NAMED = st.sampled_from(
+    [k for k in ANYWHERE.kinds if k not in {*SHARES, ServiceKind.BUS_OFF, *CameraFaultKind}]
+)
 SHARE = st.floats(0.0, 1.0)
 REQUESTS = st.one_of(
     st.builds(FaultRequest, COUNTED, st.integers(0, 10**12), **TIMES),
@@ -91,7 +103,7 @@ def test_nonsense_is_named(part):
 
 @pytest.mark.parametrize(
     ("reach", "part", "kinds"),
-    [(OBSERVED, "lost=0.1", "dark"), (OBSERVED, "friction", "stuck_hall"), (SERVED, "dark=1", "powercut"),
+    [(OBSERVED, "late=0.1", "dark"), (OBSERVED, "friction", "stuck_hall"), (SERVED, "dark=1", "powercut"),
      (SERVED, "loose_arm", "busoff"), (AGED, "powercut=1", "broken_tooth"), (AGED, "dead", "dark")],
 )  # fmt: skip
 def test_a_kind_that_the_command_cannot_act_on_is_refused_with_those_that_it_can(reach, part, kinds):
@@ -100,7 +112,7 @@ def test_a_kind_that_the_command_cannot_act_on_is_refused_with_those_that_it_can
     assert all(kind in str(refused.value) for kind in reach.kinds)
 
 
-@pytest.mark.parametrize("reach", [OBSERVED, AGED])
+@pytest.mark.parametrize("reach", [AGED])
 @pytest.mark.parametrize("part", ["dark@3", "dark+3", "dark=1@0"])
 def test_times_are_refused_where_there_is_no_clock(reach, part):
     with pytest.raises(InputError, match=f"^--faults {re.escape(part)}: .*no clock"):
@@ -132,4 +144,18 @@ def test_the_page_lists_every_kind_and_which_command_acts_on_it():
     )
     reaches = (OBSERVED, SERVED, AGED)
     told = {kind: tuple(bool(cell.strip()) for cell in cells) for kind, *cells in rows}
-    assert told == {kind: tuple(kind in r.kinds for r in reaches) for kind in ANYWHERE.kinds}
+    others = set(ANYWHERE.kinds) - set(CameraFaultKind)
+    assert told == {kind: tuple(kind in r.kinds for r in reaches) for kind in others}
+    cameras = re.findall(r"^- `(camera_\w+)`: \w", next(DOCS.rglob("faults.md")).read_text(), flags=re.M)
+    assert set(cameras) == set(CameraFaultKind)
+    assert set(SEEN.kinds) == {*SERVED.kinds, *OBSERVED.kinds, *CameraFaultKind}
+
+
+def test_there_is_one_camera():
+    with pytest.raises(InputError, match="there is one camera"):
+        schedule_faults(parse_faults("camera_hang=2@3"), [1, 2], [], 0)
+    with pytest.raises(InputError, match="no positioner has it"):
+        parse_faults("camera_half=#3")
+    assert schedule_faults(parse_faults("camera_stale@3+4"), [1], [], 0) == [
+        ScheduledFault("camera_stale", start_s=3.0, end_s=7.0)
+    ]

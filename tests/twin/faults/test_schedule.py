@@ -59,7 +59,7 @@ def test_the_field_and_the_served_twin_draw_alike():
     ids = [int(i) for i in PLANE.positioner_id]
     text = "dead=2,lying=#277,deaf"
     served = schedule_faults(parse_faults(text, SERVED), ids, PLACES, 3)
-    assert draw_faults(PLANE, text, 3) == [s.fault for s in served]
+    assert draw_faults(PLANE, text, 3) == served
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ def replies_until(paced, time_s):
     return paced.real.take()
 
 
+@pytest.mark.clock
 def test_the_same_motion_as_in_virtual_time():
     plain = twin()
     plain.run(0.4)

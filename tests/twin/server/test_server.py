@@ -89,7 +89,8 @@ def test_found_moved_and_where_they_say():
         angles, ok = await client.positions_deg(IDS)
         return done, followed, angles, ok, server.report()
 
-    done, followed, angles, ok, report = run(scenario)
+    # at the speed of the wall: a motion is watched by the client's clock
+    done, followed, angles, ok, report = run(scenario, speed=1.0)
     assert done.ok.all()
     assert followed.ok.all()
     assert ok.all()
@@ -239,6 +240,7 @@ async def flood(server, client):
     return server.report()
 
 
+@pytest.mark.clock
 def test_a_power_cut_ends_in_silence_then_in_the_bootloader_then_as_new():
     async def scenario(server, client):
         await client.goto(IDS, 60.0, 120.0)
@@ -309,11 +311,12 @@ def test_a_gateway_that_stops_reading_is_a_lost_connection(monkeypatch):
         monkeypatch.setattr("fiberloom.bus.cannet._STALL_S", 0.05)
         writer = client.exchange.transport._gateways[0].writer
         monkeypatch.setattr(writer, "drain", asyncio.Event().wait)
-        return await client.status(IDS), client.exchange.lost
+        await client.status(IDS)
+        return await client.status(IDS), client.exchange.transport.links[0]
 
-    status, why = run(scenario)
+    status, link = run(scenario)
     assert set(outcomes(status).values()) == {Outcome.DISCONNECTED}
-    assert "no longer takes" in why
+    assert "no longer takes" in link.reason
 
 
 async def survives(data):

@@ -3,7 +3,9 @@
 // Between two moments no point of an arm moves farther than its way: the integral of
 // l_a |d alpha| + far |d alpha + d beta|. So the gap of two bodies with gaps g0 and g1 at the ends of an
 // interval and ways w_i, w_j in it is never below (g0 + g1 - w_i - w_j) / 2. Intervals are halved until
-// this bound shows that the bodies stay apart, or a moment is found at which they do not.
+// this bound shows that the bodies stay apart, or a moment is found at which they do not. Bodies that
+// overlap at the start and shall separate: in such an interval the gap falls by no more than
+// (g0 - g1 + w_i + w_j) / 2, and intervals are halved until that is too little to matter.
 #pragma once
 
 #include "fiberloom/planning.hpp"
@@ -25,6 +27,8 @@ enum class Fault {
     start,            // does not begin where the positioner is
     goal,             // does not end where it shall
     approach,         // does not end with the approach
+    closing,          // two positioners that overlap at the start come nearer to each other
+    obstacle_closing, // one that overlaps a fiducial or guide camera at the start comes nearer to it
 };
 
 // The name of the enumerator.
@@ -46,6 +50,9 @@ struct Rules {
     double acceleration_rad_s2 = 0.0;
     Limits travel{};
     double rounding_rad = 0.0; // how far angles may be off by rounding
+    // Bodies that overlap at the start may move if their gap only grows, to within 1 um, until it is no
+    // longer negative; it may not become negative again. Without this flag they may not move.
+    bool separating = false;
     // One row for each positioner; empty: not checked. goal: only where the flag in `arrives` is set.
     std::vector<Angles> start;
     std::vector<Angles> goal;

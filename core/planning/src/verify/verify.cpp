@@ -1,4 +1,6 @@
 #include "fiberloom/verify.hpp"
+#include "verify/separation.hpp"
+#include "verify/track.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -7,62 +9,8 @@
 namespace fl::planning {
 namespace {
 
-constexpr double touching_mm = 1e-6; // gaps are proven to be above minus this
 constexpr double gap_true_mm = 1e-4; // the smallest gap is found to within this
 constexpr int deepest = 60;          // halvings; the bound settles long before
-
-int count(const auto &list) { return static_cast<int>(list.size()); }
-
-// One positioner over time: where its arm is, and how far it has travelled.
-class Track {
-  public:
-    Track(const Arm &arm, double from_mm, double to_mm, const Motion &motion)
-        : arm_(arm), from_mm_(from_mm), to_mm_(to_mm), motion_(motion),
-          travelled_(motion.time_s.size(), 0.0) {
-        const double far = std::max(std::abs(from_mm), std::abs(to_mm));
-        for (int k = 1; k < count(travelled_); ++k) {
-            const double a = motion.angles[k].alpha_rad - motion.angles[k - 1].alpha_rad;
-            const double b = motion.angles[k].beta_rad - motion.angles[k - 1].beta_rad;
-            travelled_[k] = travelled_[k - 1] + std::abs(arm.l_alpha_mm * a) + far * std::abs(a + b);
-        }
-    }
-
-    double end_s() const { return motion_.time_s.back(); }
-    bool moves() const { return travelled_.back() > 0.0; }
-    double reach_mm() const {
-        return std::abs(arm_.l_alpha_mm) + std::max(std::abs(from_mm_), std::abs(to_mm_));
-    }
-    Vec2 centre_mm() const { return arm_.centre_mm; }
-
-    Segment line(double time_s) const {
-        const auto [k, part] = locate(time_s);
-        if (part == 0.0) return beta_segment(arm_, from_mm_, to_mm_, motion_.angles[k]);
-        const Angles p = motion_.angles[k], q = motion_.angles[k + 1];
-        return beta_segment(arm_, from_mm_, to_mm_,
-                            {p.alpha_rad + part * (q.alpha_rad - p.alpha_rad),
-                             p.beta_rad + part * (q.beta_rad - p.beta_rad)});
-    }
-
-    double travelled_mm(double time_s) const {
-        const auto [k, part] = locate(time_s);
-        return part == 0.0 ? travelled_[k] : travelled_[k] + part * (travelled_[k + 1] - travelled_[k]);
-    }
-
-  private:
-    // The point before a moment, and which part of the way to the next one is done.
-    std::pair<int, double> locate(double time_s) const {
-        const auto &t = motion_.time_s;
-        if (time_s <= t.front()) return {0, 0.0};
-        if (time_s >= t.back()) return {count(t) - 1, 0.0};
-        const int k = static_cast<int>(std::upper_bound(t.begin(), t.end(), time_s) - t.begin()) - 1;
-        return {k, (time_s - t[k]) / (t[k + 1] - t[k])};
-    }
-
-    const Arm &arm_;
-    double from_mm_, to_mm_;
-    const Motion &motion_;
-    std::vector<double> travelled_;
-};
 
 // The gap of two bodies over time: a positioner and either another one or a fixed segment.
 class Encounter {
@@ -149,6 +97,7 @@ class Verifier {
     void check_pairs();
     void check_pair(int i, int j);
     void check_obstacles();
+    bool separates(int i, int other, Separation pair, Fault fault, Gap &smallest);
     void note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest);
 
     const Bodies &bodies_;
@@ -242,12 +191,28 @@ void Verifier::note(Gap gap, int i, int other, Fault fault, bool moving, Gap &sm
     if (gap.gap_mm < -touching_mm) report(moving ? fault : at_rest(fault), i, other, gap.time_s, -gap.gap_mm);
 }
 
+// Bodies that overlap at the start and may move apart; false: the usual rule holds for them. What still
+// overlaps at the end is told as a contact.
+bool Verifier::separates(int i, int other, Separation pair, Fault fault, Gap &smallest) {
+    if (!rules_.separating || pair.gap_mm(0.0) >= -touching_mm) return false;
+    pair.prove();
+    if (pair.smallest_mm() < smallest.gap_mm) smallest = {pair.smallest_mm(), pair.smallest_s(), i, other};
+    const bool arms = fault == Fault::robots;
+    if (pair.closing_mm() > 0.0)
+        report(arms ? Fault::closing : Fault::obstacle_closing, i, other, pair.closing_s(),
+               pair.closing_mm());
+    if (pair.last_mm() < -touching_mm) report(at_rest(fault), i, other, pair.end_s(), -pair.last_mm());
+    return true;
+}
+
 void Verifier::check_pair(int i, int j) {
     const Track &p = tracks_[i], &q = tracks_[j];
     const Vec2 c = p.centre_mm(), d = q.centre_mm();
     const double radii = 2.0 * bodies_.radius_mm;
     if (std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - radii > 0.0) return;
-    const Gap gap = Encounter(p, &q, {}, radii, out_.robots.gap_mm).closest();
+    const Segment none{};
+    if (separates(i, j, {p, &q, none, radii}, Fault::robots, out_.robots)) return;
+    const Gap gap = Encounter(p, &q, none, radii, out_.robots.gap_mm).closest();
     note(gap, i, j, Fault::robots, p.moves() || q.moves(), out_.robots);
 }
 
@@ -272,6 +237,8 @@ void Verifier::check_obstacles() {
             const double radii = bodies_.radius_mm + o.radius_mm;
             if (point_segment_distance(tracks_[i].centre_mm(), o.line) > tracks_[i].reach_mm() + radii)
                 continue;
+            if (separates(i, k, {tracks_[i], nullptr, o.line, radii}, Fault::obstacle, out_.obstacles))
+                continue;
             const Gap gap = Encounter(tracks_[i], nullptr, o.line, radii, out_.obstacles.gap_mm).closest();
             note(gap, i, k, Fault::obstacle, tracks_[i].moves(), out_.obstacles);
         }
@@ -280,9 +247,9 @@ void Verifier::check_obstacles() {
 } // namespace
 
 const char *to_string(Fault fault) {
-    static constexpr const char *names[] = {"robots", "obstacle", "contact", "obstacle_contact",
-                                            "points", "travel",   "speed",   "acceleration",
-                                            "start",  "goal",     "approach"};
+    static constexpr const char *names[] = {
+        "robots",       "obstacle", "contact", "obstacle_contact", "points",  "travel",          "speed",
+        "acceleration", "start",    "goal",    "approach",         "closing", "obstacle_closing"};
     return names[static_cast<int>(fault)];
 }
 

@@ -22,6 +22,7 @@ from fiberloom.calibration.commissioning.derive import Derivation, derive
 from fiberloom.calibration.commissioning.measured import Quantities
 from fiberloom.calibration.commissioning.own import calibrate_itself
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import Care
 from fiberloom.units import AXES
 
 
@@ -95,11 +96,11 @@ class Commissioned:
         }
 
 
-def derive_units(before: Before, found: Mapping[int, Quantities]) -> dict[int, Derivation]:
-    """Parameters with their cross-checks, of every positioner that got so far."""
+def derive_units(before: Before, found: Mapping[int, Quantities], care: Care) -> dict[int, Derivation]:
+    """Parameters with their cross-checks, of every positioner that got so far; `care` is the instrument's."""
     return {
         i: checked(
-            derive(i, found.get(i, {}), before.factory[i], before.own[i]),
+            derive(i, found.get(i, {}), before.factory[i], before.own[i], care),
             Context(found.get(i, {}), before.own[i], own_cogging=True),
         )
         for i in before.good()

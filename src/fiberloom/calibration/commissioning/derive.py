@@ -15,9 +15,10 @@ import numpy as np
 from fiberloom.bus.parameters import PARAMETERS, PARAMETERS_BY_NAME, AxisParameters
 from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.calibration.commissioning.measured import Quantities
+from fiberloom.instruments.model import Care
 from fiberloom.units import AXES, GEAR, RAD_PER_DEG
 
-MEASURED, DERIVED, OWN, FACTORY = "measured", "derived", "self-calibrated", "factory"
+MEASURED, DERIVED, OWN, FACTORY, CHOSEN = "measured", "derived", "self-calibrated", "factory", "chosen"
 
 OWN_CALIBRATION: dict[str, str] = {
     **dict.fromkeys(
@@ -78,7 +79,7 @@ class FoundParameter:
     standard_error: float | None
     """None where there is no measurement behind it."""
     origin: str
-    """MEASURED, DERIVED, OWN or FACTORY."""
+    """MEASURED, DERIVED, OWN, FACTORY or CHOSEN."""
     provenance: str
     reason: str = ""
     """Why it is refused, and what to do; empty where it is not."""
@@ -168,17 +169,35 @@ class Derivation:
 
 
 def derive(
-    positioner_id: int, found: Quantities, factory: AxisParameters, own: AxisParameters | None = None
+    positioner_id: int,
+    found: Quantities,
+    factory: AxisParameters,
+    own: AxisParameters | None = None,
+    care: Care | None = None,
 ) -> Derivation:
     """Parameters of both axes from what the bench found and what the positioner holds.
 
     `positioner_id`: its number on the bus. `found`: quantities by name, in the units of their Estimates.
     `factory`: (2,) records of PARAMETERS_DTYPE, SI. `own`: the same after its own calibrations; None: it has
-    done none. Cross-checks are not in it: `checks.checked` adds them.
+    done none. `care`: of the instrument, whose host watch is written; None: what it holds is kept.
+    Cross-checks are not in it: `checks.checked` adds them.
     """
     now = factory if own is None else own
     findings = [f for axis in range(2) for f in _of_axis(axis, found, factory[axis], now[axis])]
+    if care is not None:
+        findings = [_chosen(f, care) for f in findings]
     return Derivation(positioner_id, tuple(findings))
+
+
+def _chosen(finding: FoundParameter, care: Care) -> FoundParameter:
+    """The host watch is no property of a unit: the instrument's file says it."""
+    if finding.name != "host_timeout_ms":
+        return finding
+    value = 1e3 * care.host_timeout_s
+    told = replace(finding, value=value, origin=CHOSEN, provenance="the instrument's care.host_timeout_s")
+    if finding.low <= value <= finding.high:
+        return told
+    return _refused(told, f"care.host_timeout_s is {care.host_timeout_s:g}: at most {finding.high / 1e3:g}")
 
 
 def _of_axis(axis: int, found: Quantities, factory: np.void, now: np.void) -> Iterator[FoundParameter]:

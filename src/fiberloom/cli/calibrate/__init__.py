@@ -1,1 +1,1 @@
-"""`fiberloom calibrate ...` and `acceptance`: what is particular to each positioner."""
+"""`fiberloom calibrate ...` and `acceptance`: the properties of each positioner."""

@@ -1,4 +1,4 @@
-"""`fiberloom acceptance`: units on the bench, against the instrument's requirements."""
+"""`fiberloom acceptance`: units on the bench, compared with the instrument's requirements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class AcceptanceOptions(UnitOptions):
 
 
 def acceptance(options: AcceptanceOptions) -> int:
-    """Put units on the bench and hold them against the instrument's requirements."""
+    """Measure units on the bench and compare them with the instrument's requirements."""
     options.check(options.out)
     from fiberloom.calibration.bench.acceptance import AcceptanceSettings
     from fiberloom.report.acceptance_records import Paperwork
@@ -65,11 +65,11 @@ def _refuse(plane: FocalPlane, serial: str) -> None:
 
 
 AcceptanceFound: TypeAlias = "tuple[AcceptanceData, dict[int, str]]"
-"""What was measured, and the firmware's versions by positioner."""
+"""The measurements, and the firmware's versions by positioner."""
 
 
 async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) -> AcceptanceFound:
-    """Measures all units of a bench that is set up."""
+    """Measures all units of a bench."""
     from fiberloom.calibration.bench.acceptance import AcceptanceBench, measure_acceptance
 
     bench = AcceptanceBench(rig.client, rig.camera, rig.close_up, rig.close_up_um)
@@ -80,7 +80,7 @@ async def acceptance_of(rig: BenchRig, papers: Paperwork, progress: Progress) ->
 def write_acceptance(
     out: Path, papers: Paperwork, found: AcceptanceFound
 ) -> tuple[dict[str, Any], list[UnitVerdict]]:
-    """acceptance.json, the maps, and a page for each unit."""
+    """Writes acceptance.json, the maps, and a page for each unit; the content and the verdicts."""
     from fiberloom.calibration.bench.acceptance import judge
     from fiberloom.report.acceptance import acceptance_html
     from fiberloom.report.acceptance_records import page_head, page_name, unit_record

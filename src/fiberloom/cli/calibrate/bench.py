@@ -1,4 +1,4 @@
-"""What the commands of a bench share: units of a preset, alone under a camera, with weights."""
+"""Options and steps of all commands of a bench: units of a preset, alone under a camera, with weights."""
 
 from __future__ import annotations
 
@@ -29,12 +29,14 @@ class BenchOptions(LayoutOptions, JsonOptions):
 
     positioners: Annotated[
         int | None,
-        typer.Option(min=1, help="So many positioners of the preset on the bench, from the centre."),
+        typer.Option(
+            min=1, help="Number of positioners of the preset on the bench, from its centre; default: 1."
+        ),
     ] = None
     faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=1.")] = ""
 
     def check(self, out: Path) -> None:
-        """Refuses what can be refused before anything heavy is imported."""
+        """Raises InputError for bad options that can be found without a slow import."""
         from fiberloom.twin.faults.grammar import parse_faults
         from fiberloom.twin.faults.kinds import OBSERVED
 
@@ -43,11 +45,11 @@ class BenchOptions(LayoutOptions, JsonOptions):
         require_folder(out)
 
     def plane(self) -> FocalPlane:
-        """One positioner of a preset, unless told otherwise."""
+        """The layout, or `positioners` of the preset from its centre; one unless given."""
         return self._plane(self.positioners if self.layout is not None else self.positioners or 1)
 
     def rig(self, plane: FocalPlane, firmware: Knowledge = "identified") -> tuple[BenchRig, Units]:
-        """The bench, and for reports what its units really are; `firmware`: what theirs knows of them."""
+        """The bench, and for reports the true properties of its units; `firmware`: its parameters."""
         from fiberloom.twin import draw_units
         from fiberloom.twin.bench import bench_rig
 
@@ -57,12 +59,12 @@ class BenchOptions(LayoutOptions, JsonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class UnitOptions(BenchOptions):
-    """Of a command that says whether a unit is good."""
+    """Of a command that judges units."""
 
     points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
     visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
     serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
-    engineer: Annotated[str, typer.Option(help="Who measures, for the report.")] = ""
+    engineer: Annotated[str, typer.Option(help="Name of the engineer, for the report.")] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +73,7 @@ class CreepOptions(BenchOptions):
 
     places: Annotated[int, typer.Option(min=2, help="Output angles at which to creep.")] = 5
     span: Annotated[
-        float | None, typer.Option(min=5.0, help="Run over so many deg of the arm; default: the range.")
+        float | None, typer.Option(min=5.0, help="Length of the runs, deg of the arm; default: the range.")
     ] = None
 
 
@@ -86,5 +88,5 @@ def on_bench(rig: BenchRig, work: Callable[[BenchRig], Awaitable[Found]]) -> Fou
 
 
 def counting(count: Progress) -> Progress:
-    """Progress, not more often than a terminal is redrawn."""
+    """Hands on one of eight reports, and the last: a terminal is not redrawn more often."""
     return lambda done, total: count(done, total) if done % 8 == 0 or done == total else None

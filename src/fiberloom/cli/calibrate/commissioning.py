@@ -64,7 +64,7 @@ FIRMWARE_QUANTITIES = ("torque at full voltage", "inertia", "drag", "drag of the
 
 @dataclass(frozen=True)
 class CommissionSettings:
-    """How much is measured, and what is done with it."""
+    """Settings of the measurements, and where their results go."""
 
     friction: FrictionSettings = field(default_factory=FrictionSettings)
     inertia: InertiaSettings = field(default_factory=InertiaSettings)
@@ -75,11 +75,11 @@ class CommissionSettings:
     """Of the transmission, per axis and direction."""
     weights: bool = True
     acceptance: AcceptanceSettings | None = field(default_factory=AcceptanceSettings)
-    """None: none."""
+    """None: no acceptance."""
     earlier: Path | None = None
     """Folder with results of earlier measurements; what it lacks is measured."""
     file_only: bool = False
-    """Parameter files, and nothing over the bus."""
+    """Write parameter files only, and nothing over the bus."""
     serial: str = ""
     engineer: str = ""
 
@@ -95,7 +95,7 @@ class Job:
 
 
 Parts = dict[str, dict[int, Quantities]]
-"""By measurement, by positioner."""
+"""Measured quantities, by measurement and by positioner."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,11 @@ class _Whole:
 
 
 def run_commission(request: Job, rig: BenchRig, settings: CommissionSettings) -> dict[str, Any]:
-    """All units of the bench. Writes a file for each measurement as it ends, commissioning.json, a parameter
-    file and a page for each unit, and the files of the acceptance."""
+    """Commissions all units of the bench; the content of commissioning.json.
+
+    Writes a file for each measurement as it ends, commissioning.json, a parameter file and a page for each
+    unit, and the files of the acceptance.
+    """
     plane = request.plane
     if settings.serial and plane.n > 1:
         raise InputError(
@@ -147,7 +150,7 @@ async def _commission(rig: BenchRig, request: Job, settings: CommissionSettings,
         int(i): merged({name: part.get(int(i), {}) for name, part in parts.items()})
         for i in request.plane.positioner_id
     }
-    derivations = derive_units(before, found)
+    derivations = derive_units(before, found, request.plane.instrument.care)
     for derivation in derivations.values():
         _write_parameters(request, before, derivation)
     wait.say("writing parameters")
@@ -165,7 +168,7 @@ async def _commission(rig: BenchRig, request: Job, settings: CommissionSettings,
 
 
 def _works(settings: CommissionSettings) -> dict[str, Work | None]:
-    """In this order; the transmission has no Estimates and is done by itself."""
+    """Measurements in their order; None for the transmission, which gives maps and no Estimates."""
     return {
         "friction": friction_work(settings.friction, settings.weights),
         "inertia": inertia_work(settings.inertia, settings.weights),
@@ -177,11 +180,11 @@ def _works(settings: CommissionSettings) -> dict[str, Work | None]:
 
 
 class Refused(Exception):
-    """A measurement that no unit of the bench gave."""
+    """A measurement that failed on every unit of the bench."""
 
 
 def _without(before: Before, reason: str) -> Before:
-    """Every unit has this against it, if nothing worse."""
+    """The same, with this reason for every unit that has none."""
     return replace(before, trouble={i: old or reason for i, old in before.trouble.items()})
 
 
@@ -193,7 +196,7 @@ async def _part(
     settings: CommissionSettings,
     wait: Waiting,
 ) -> dict[int, Quantities]:
-    """From the folder of earlier results, else measured now and written to ours."""
+    """Reads a measurement from the folder of earlier results, else measures and writes it."""
     if work is None:
         return await _backlash(rig, request, settings, wait)
     file = f"{name}.json"
@@ -241,7 +244,7 @@ async def _backlash(
     }
 
 
-# what is left on disk
+# files
 
 
 def _papers(request: Job, settings: CommissionSettings, close_up_um: float) -> Paperwork:
@@ -288,7 +291,7 @@ def _record(
 
 
 def _write_parameters(request: Job, before: Before, derivation: Derivation) -> None:
-    """What may be flashed: only of a unit that is not refused."""
+    """Writes the parameters for flashing, of a unit that is not refused."""
     if derivation.refused:
         return
     number = derivation.positioner_id
@@ -316,7 +319,7 @@ def _head(request: Job, unit: dict[str, Any], content: dict[str, Any]) -> dict[s
     }
 
 
-# what is shown
+# terminal
 
 
 def _print(content: dict[str, Any], request: Job) -> None:

@@ -9,16 +9,24 @@ from typing import Annotated, Any
 
 import typer
 
-from fiberloom.cli.observe import CameraKind, FaultsOption, MapsOption, check
+from fiberloom.cli.array.options import ExcludeOptions
+from fiberloom.cli.observe import FaultsOption, MapsOption, check, field_of
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
+SurveyCameraOption = Annotated[
+    str | None,
+    typer.Option(
+        help="image or noise of the twin (default: noise); with --bus: alpaca://HOST:PORT/N, folder:PATH, "
+        "indi://HOST:PORT/NAME, aravis:NAME."
+    ),
+]
 MOUNTED_DEG = 0.2
-"""How far off the first guess of the twin's zeros is, rms."""
+"""Error of the first guess of the twin's zeros, rms."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FocalPlaneOptions(PlaneOptions, JsonOptions):
+class FocalPlaneOptions(ExcludeOptions, PlaneOptions, JsonOptions):
     """Of `calibrate focal-plane`."""
 
     configurations: Annotated[int, typer.Option(min=4, help="Configurations of all positioners.")] = 40
@@ -26,16 +34,16 @@ class FocalPlaneOptions(PlaneOptions, JsonOptions):
         int, typer.Option(min=0, max=5, help="Fit the transmission's lowest orders too, up to this one.")
     ] = 0
     safety_mm: Annotated[
-        float, typer.Option(min=0.0, max=3.0, help="By which arms are taken to be thicker than they are.")
+        float, typer.Option(min=0.0, max=3.0, help="Added to the radius of every arm for planning, mm.")
     ] = 0.5
     mounted_um: Annotated[
-        float, typer.Option(min=0.0, max=200.0, help="How far off the first guess of the twin's arms is.")
+        float, typer.Option(min=0.0, max=200.0, help="Error of the first guess of the twin's arms, um rms.")
     ] = 50.0
-    camera: Annotated[CameraKind, typer.Option(help="Camera images, or a noise model.")] = CameraKind.noise
+    camera: SurveyCameraOption = None
     faults: FaultsOption = ""
     calibration: MapsOption = None
     measured: Annotated[
-        Path | None, typer.Option(help="Fit what a store holds, also of an interrupted run; nothing moves.")
+        Path | None, typer.Option(help="Fit the last run of a store, also an interrupted one; nothing moves.")
     ] = None
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/focal-plane")
 
@@ -45,7 +53,6 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     check(options)
     require_folder(options.out)
     from fiberloom.calibration.focal_plane.fit import FitSettings
-    from fiberloom.field import Field
     from fiberloom.operation.survey import SurveySettings
     from fiberloom.store.calibrations import record_calibration
     from fiberloom.twin.draw import misplaced
@@ -57,9 +64,10 @@ def focal_plane(options: FocalPlaneOptions) -> int:
         seed=options.seed,
         fit=FitSettings(camera_um=plane.instrument.metrology.noise_rms_um, harmonics=options.harmonics),
     )
-    field = Field.twin(plane, options.seed, options.camera.value, options.faults, options.calibration)
+    field = field_of(options, camera="noise")
     field.command_line = " ".join(sys.argv)
-    guess = misplaced(plane, options.mounted_um, MOUNTED_DEG, options.seed)
+    # a real array is where its layout says, as well as that is known
+    guess = plane if options.bus else misplaced(plane, options.mounted_um, MOUNTED_DEG, options.seed)
     with waiting(options.as_json) as field.watcher:
         found = field.run.survey(settings, guess=guess, measured=options.measured, out=out)
     found.save(out)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MeasuredUnit:
-    """What a measurement gave."""
+    """Result of a measurement."""
 
     estimates: Sequence[Estimate]
     draw: Callable[[Path, int], None]
@@ -41,7 +41,7 @@ class MeasuredUnit:
 
 @dataclass(frozen=True)
 class Task:
-    """What a measurement gets."""
+    """Input of a measurement."""
 
     rig: BenchRig
     plane: FocalPlane
@@ -55,14 +55,12 @@ Work = Callable[[Task], Awaitable[MeasuredUnit]]
 class IdentificationOptions(BenchOptions):
     """Of every identification."""
 
-    truth: Annotated[bool, typer.Option("--truth", help="Compare with what the twin knows of itself.")] = (
-        False
-    )
+    truth: Annotated[bool, typer.Option("--truth", help="Compare with the true values of the twin.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class WeightsOptions(BenchOptions):
-    """Of an identification that needs to know the motor's torque."""
+    """Of an identification that needs the motor's torque."""
 
     weights: Annotated[
         bool,
@@ -256,8 +254,10 @@ async def _scales(task: Task, weights: bool) -> tuple[list[TorqueScale], list[Es
 
 
 def _identify(name: str, options: IdentificationOptions, out: Path, work: Work) -> int:
-    """Measures on the bench; writes NAME.json, NAME.ecsv and NAME.png. 0 where every positioner has all
-    its estimates, else 1."""
+    """Measures on the bench; writes NAME.json, NAME.ecsv and NAME.png.
+
+    Returns 0 where every positioner has all its estimates, else 1.
+    """
     plane = options.plane()
     rig, units = options.rig(plane)
     with waiting(options.as_json) as wait:
@@ -298,7 +298,7 @@ def _write(name: str, options: IdentificationOptions, out: Path, content: dict[s
 
 
 def complete_row(estimates: Sequence[Estimate]) -> int:
-    """The first positioner that has everything, else the first."""
+    """Row of the first positioner that has all estimates, else 0."""
     import numpy as np
 
     return int(np.argmax(np.all([e.ok for e in estimates], axis=0)))

@@ -16,5 +16,8 @@ class NoRecord:
     def move(self, move: Move) -> None:
         """Nothing to keep."""
 
+    def left(self, *_: object) -> None:
+        """Nothing."""
+
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """Shows in the moves."""

@@ -232,7 +232,9 @@ class ImagingCamera:
         fiducials_mm: ArrayLike | None = None,
         seed: int = 0,
         instrument: str = "",
+        threads: int | None = None,
     ) -> None:
+        self.threads = threads or os.cpu_count() or 1
         self.scene, self.model, self.seed, self.instrument = scene, model, seed, instrument
         self.fiducials_mm = np.zeros((0, 2))
         if fiducials_mm is not None:
@@ -302,7 +304,7 @@ class ImagingCamera:
         sky = [model.light.background_e, model.light.gradient_e / width, 0.0]
         d = model.detector
         detector = [d.gain_e_adu, d.read_noise_e, d.bias_adu, d.full_well_e]
-        return _core.expose(light, sky, detector, int(rng.integers(2**63)), os.cpu_count() or 1)
+        return _core.expose(light, sky, detector, int(rng.integers(2**63)), self.threads)
 
     def _light(self, rng: np.random.Generator) -> NDArray[np.float32]:
         g = self.model.optics.geometry

@@ -25,9 +25,25 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, Instrument, instrument_names, load_instrument
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
-from fiberloom.metrology.cameras import BENCHES, camera_of, geometry_of, reduction_settings
+from fiberloom.metrology.cameras import (
+    BENCHES,
+    camera_of,
+    check_fiducials,
+    geometry_of,
+    image_camera_of,
+    view_of,
+)
 from fiberloom.metrology.pipeline import ImageCamera
-from fiberloom.twin.camera.imaging import CameraModel, Detector, ImagingCamera, Light, Optics, Psf, TwinScene
+from fiberloom.twin.camera.imaging import (
+    CameraModel,
+    Detector,
+    ImagingCamera,
+    Light,
+    Optics,
+    Psf,
+    Scene,
+    TwinScene,
+)
 
 FIBRE_DIAMETER_UM = 120.0
 """Core of the back-lit fibre of the bench (SDSS-V)."""
@@ -123,10 +139,8 @@ def model_for(plane: FocalPlane) -> CameraModel:
     """
     if plane.instrument.camera is not None:
         return model_of(plane.instrument)
-    places = np.vstack([plane.centres_mm, plane.fiducials[:, :2]])
-    radius_mm = float(np.hypot(*places.T).max()) + float(plane.body_reach_mm.max())
-    optics = Optics(CameraGeometry(4096, 4096, 2.1 * radius_mm / 4096), radius_mm, {9: 2e-3 * radius_mm})
-    return CameraModel(optics)
+    geometry, radius_mm = view_of(plane)
+    return CameraModel(Optics(geometry, radius_mm, {9: 2e-3 * radius_mm}))
 
 
 def misaligned(model: CameraModel, seed: int) -> CameraModel:
@@ -147,15 +161,20 @@ def misaligned(model: CameraModel, seed: int) -> CameraModel:
 def image_camera(twin: Any, seed: int, model: CameraModel | None = None) -> ImageCamera:
     """A camera with images on a twin; the host knows its geometry but not how it is misaligned."""
     plane = twin.plane
-    if len(plane.fiducials) < 4:
-        raise InputError(
-            f"{plane.instrument.name}: {len(plane.fiducials)} fiducials in the layout, images need at "
-            "least 4 to be read; add some, or take --camera noise"
-        )
+    check_fiducials(plane)
     nominal = model or model_for(plane)
-    source = ImagingCamera(
-        TwinScene(twin), misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,
-        instrument=plane.instrument.name,
+    source = imaging_camera(TwinScene(twin), plane, seed, nominal)
+    return image_camera_of(source, plane, nominal.optics.geometry, nominal.optics.field_radius_mm)
+
+
+def imaging_camera(
+    scene: Scene, plane: FocalPlane, seed: int, nominal: CameraModel, threads: int | None = None
+) -> ImagingCamera:
+    """The true camera that looks at a scene of `plane`: `nominal`, but misaligned by the `seed`.
+
+    `scene`: the fibres; `threads` that paint, all cores when None.
+    """
+    return ImagingCamera(
+        scene, misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,
+        instrument=plane.instrument.name, threads=threads,
     )  # fmt: skip
-    settings = reduction_settings(plane.instrument.camera, nominal.optics.geometry)
-    return ImageCamera(source, plane, replace(settings, radius_mm=nominal.optics.field_radius_mm))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 from fiberloom.errors import InputError
-from fiberloom.twin.faults.kinds import ANYWHERE, SHARES, Reach, ServiceKind
+from fiberloom.twin.faults.kinds import ANYWHERE, SHARES, CameraFaultKind, Reach, ServiceKind
 
 POWER_CUT_S = 1.0
 """How long a power cut lasts unless told."""
@@ -116,6 +116,8 @@ def _of_positioners(part: str, match: re.Match[str], when: tuple[float, float | 
     if amount != int(amount):
         raise _refusal(part, f"'{match['amount']}' is not a whole number")
     start_s, duration_s = when
+    if match["kind"] in set(CameraFaultKind) and match["named"]:
+        raise _refusal(part, "no positioner has it but the camera: write it without a number")
     if not match["named"]:
         return FaultRequest(match["kind"], int(amount), start_s=start_s, duration_s=duration_s)
     if match["amount"] is None or match["kind"] == ServiceKind.BUS_OFF:

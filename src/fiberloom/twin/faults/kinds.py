@@ -16,9 +16,12 @@ class FaultKind(StrEnum):
     BLOCKED = "blocked"  # the rotor cannot turn
     DEAF = "deaf"  # frames to it are lost
     MUTE = "mute"  # frames from it are lost
+    NO_START = "nostart"  # it misses one START
+    REFUSE = "refuse"  # it answers one START with an error, and stays
+    REBOOT = "reboot"  # it restarts in its bootloader at one START
 
 
-PER_POSITIONER = frozenset({FaultKind.DARK, FaultKind.DEAF, FaultKind.MUTE})
+PER_POSITIONER = frozenset(set(FaultKind) - {"dead", "lying", "stuck_hall", "blocked"})
 """Kinds that are the same for both axes."""
 
 
@@ -26,6 +29,7 @@ class ServiceKind(StrEnum):
     """Faults of supply and bus, where a twin is served in real time."""
 
     POWER_CUT = "powercut"  # the positioner restarts in its bootloader when power is back
+    CUT = "cut"  # a gateway's connection is cut; it takes none meanwhile
     BUS_OFF = "busoff"  # a CAN port neither sends nor receives
     LOST = "lost"  # a share of the replies does not arrive
     LATE = "late"  # a share of the replies arrives later
@@ -33,6 +37,15 @@ class ServiceKind(StrEnum):
 
 SHARES = frozenset({ServiceKind.LOST, ServiceKind.LATE})
 """Kinds that act on a share of the replies, not on a positioner."""
+
+
+class CameraFaultKind(StrEnum):
+    """Faults of the camera, where a twin is served with one."""
+
+    HANG = "camera_hang"  # an exposure that begins never ends
+    ERROR = "camera_error"  # answers 500 to every request; writes no file
+    HALF = "camera_half"  # half of the image, then nothing
+    STALE = "camera_stale"  # hands out the image before, or one of yesterday
 
 
 class AilmentKind(StrEnum):
@@ -57,11 +70,13 @@ class Reach:
     """Whether faults may begin and end while the command runs (@START, +DURATION)."""
 
 
-OBSERVED = Reach(tuple(sorted(FaultKind)))
-"""`observe`, `calibrate focal-plane` and the bench: a camera looks, faults are there from the beginning."""
+OBSERVED = Reach((*sorted(FaultKind), ServiceKind.LOST), timed=True)
+"""`observe`, `calibrate focal-plane` and the bench: a camera looks; one bus without gateways."""
 SERVED = Reach((*sorted(set(FaultKind) - {FaultKind.DARK}), *ServiceKind), timed=True)
 """`twin`: no camera looks, but there is a bus and a clock."""
+SEEN = Reach((*sorted(FaultKind), *ServiceKind, *CameraFaultKind), timed=True)
+"""`twin` with a camera."""
 AGED = Reach(tuple(sorted(AilmentKind)))
 """`lifetime`: faults begin half-way through the cycles."""
-ANYWHERE = Reach(tuple(sorted({*FaultKind, *ServiceKind, *AilmentKind})), timed=True)
+ANYWHERE = Reach(tuple(sorted({*FaultKind, *ServiceKind, *CameraFaultKind, *AilmentKind})), timed=True)
 """All that the grammar knows."""

@@ -11,7 +11,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.grammar import FaultRequest
-from fiberloom.twin.faults.kinds import SHARES, ServiceKind
+from fiberloom.twin.faults.kinds import SHARES, CameraFaultKind, ServiceKind
 from fiberloom.typing import Ints
 
 _Free = TypeVar("_Free")
@@ -23,7 +23,7 @@ class ScheduledFault:
 
     kind: str
     positioner_id: int = 0  # of faults of a positioner, and power cuts
-    place: tuple[int, int] = (0, 0)  # of bus off: device (from 0), port
+    place: tuple[int, int] = (0, 0)  # of bus off: device (from 0), port; of a cut: device, 0
     share: float = 0.0  # of replies that are lost or late
     late_s: float = 0.0
     start_s: float = 0.0
@@ -37,8 +37,12 @@ class ScheduledFault:
     def __str__(self) -> str:
         if self.kind == ServiceKind.BUS_OFF:
             return f"{self.kind} device {self.place[0] + 1} port {self.place[1]}"
+        if self.kind == ServiceKind.CUT:
+            return f"{self.kind} gateway {self.place[0] + 1}"
         if self.kind in SHARES:
             return f"{self.kind} {100 * self.share:g} % of replies"
+        if self.kind in set(CameraFaultKind):
+            return self.kind
         return f"{self.kind} positioner {self.positioner_id}"
 
 
@@ -58,6 +62,7 @@ def schedule_faults(
         [int(i) for i in positioner_ids],
         [int(i) for i in rng.permutation(positioner_ids)],
         [places[k] for k in rng.permutation(len(places))],
+        [(int(d), 0) for d in rng.permutation(sorted({device for device, _ in places}))],
     )
     return [fault for request in requests for fault in _scheduled(request, pool)]
 
@@ -67,6 +72,7 @@ class _Pool:
     known: list[int]
     free_ids: list[int]
     free_places: list[tuple[int, int]]
+    free_gateways: list[tuple[int, int]]
 
     def named(self, request: FaultRequest) -> int:
         positioner = request.positioner_id
@@ -75,6 +81,15 @@ class _Pool:
         if positioner in self.free_ids:
             self.free_ids.remove(positioner)
         return positioner
+
+    def gateway(self, request: FaultRequest) -> tuple[int, int]:
+        place = ((request.positioner_id or 0) - 1, 0)
+        if place not in self.free_gateways:
+            raise InputError(
+                f"--faults {request}: no such gateway; they are counted from 1, each is cut once"
+            )
+        self.free_gateways.remove(place)
+        return place
 
     def drawn(self, request: FaultRequest, free: list[_Free]) -> list[_Free]:
         if request.count > len(free):
@@ -90,6 +105,14 @@ def _endless(request: FaultRequest, pool: _Pool) -> list[ScheduledFault]:
     kind = request.kind
     if request.share is not None:
         return [ScheduledFault(kind, share=request.share, late_s=request.late_s or 0.0)]
+    if kind == ServiceKind.CUT:
+        one = request.positioner_id is not None
+        places = [pool.gateway(request)] if one else pool.drawn(request, pool.free_gateways)
+        return [ScheduledFault(kind, place=place) for place in places]
+    if kind in set(CameraFaultKind):
+        if request.count > 1:
+            raise InputError(f"--faults {request}: there is one camera; write it without a number")
+        return [ScheduledFault(kind)] * request.count
     if request.positioner_id is not None:
         return [ScheduledFault(kind, pool.named(request))]
     if kind == ServiceKind.BUS_OFF:

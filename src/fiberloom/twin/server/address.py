@@ -19,21 +19,28 @@ class Address:
         return f"{self.host}:{self.port}"
 
 
+def address_of(text: str, option: str = "--listen") -> Address:
+    """HOST:PORT of an option."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"{option} {text}: write HOST:PORT with a port 1 to 65535")
+    return Address(host, int(port))
+
+
 def addresses_of(text: str, devices: int) -> list[Address]:
     """Where the devices listen: HOST:PORT, and what follows it.
 
     jaeger has one port number for all of its devices, so loopback addresses are counted up and the port
     stays (127.0.0.1, 127.0.0.2, ...); with any other host ports are counted up.
     """
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"--listen {text}: write HOST:PORT with a port 1 to 65535")
+    base = address_of(text)
+    host, port = base.host, base.port
     try:
         first = ipaddress.IPv4Address(host)
     except ValueError:
         first = None
     if first is not None and first.is_loopback:
-        return [Address(str(first + k), int(port)) for k in range(devices)]
-    if int(port) + devices > 65536:
-        raise InputError(f"--listen {text}: {devices} devices need the ports up to {int(port) + devices - 1}")
-    return [Address(host, int(port) + k) for k in range(devices)]
+        return [Address(str(first + k), port) for k in range(devices)]
+    if port + devices > 65536:
+        raise InputError(f"--listen {text}: {devices} devices need the ports up to {port + devices - 1}")
+    return [Address(host, port + k) for k in range(devices)]

@@ -19,11 +19,13 @@ import numpy as np
 from fiberloom.bus.cannet import frame_to_line
 from fiberloom.bus.transport import Frame
 from fiberloom.errors import InputError
+from fiberloom.twin.camera.imaging import TwinScene
 from fiberloom.twin.faults.faults import Fault
-from fiberloom.twin.faults.kinds import SHARES, FaultKind, ServiceKind
+from fiberloom.twin.faults.kinds import SHARES, CameraFaultKind, FaultKind, ServiceKind
 from fiberloom.twin.faults.schedule import ScheduledFault
 from fiberloom.twin.real_time import RealTimeTwin
 from fiberloom.twin.server.address import Address
+from fiberloom.twin.server.camera.exposing import Look
 from fiberloom.twin.server.device import PORTS, Device, Port
 from fiberloom.twin.server.wire import Wire
 from fiberloom.twin.twin import Reply, Twin
@@ -103,6 +105,7 @@ class _Listener:
         self.device.say = self.write
         self.host: _Host | None = None
         self._waiting: _Host | None = None
+        self._cut = False
         self._listening: asyncio.Server | None = None
 
     async def open(self) -> None:
@@ -125,8 +128,17 @@ class _Listener:
             if host is not None and host.transport is not None:
                 host.transport.close()
 
+    def cut(self, on: bool) -> None:
+        """Hangs up on the host, and on every connection until it is over."""
+        self._cut = on
+        if on and self.host is not None and self.host.transport is not None:
+            self.host.transport.abort()
+
     def arrived(self, host: _Host) -> None:
-        if self.host is None:
+        if self._cut:
+            assert host.transport is not None
+            host.transport.abort()
+        elif self.host is None:
             self._adopt(host)
         elif self._waiting is None:
             self._waiting = host
@@ -236,6 +248,8 @@ class TwinServer:
         self._inbox: list[tuple[int, bytes, int, float]] = []
         self._flush: asyncio.TimerHandle | None = None
         self._schedule_timer: asyncio.TimerHandle | None = None
+        self.camera_faults: set[str] = set()
+        """Those that are on now."""
         self.happened: list[str] = []
         """What went wrong so far, with the virtual time."""
         if settings.bootloader:
@@ -285,6 +299,17 @@ class TwinServer:
         late = self.real.lateness() if self.real is not None else None
         paced = {} if late is None else asdict(late) | {"share_kept": late.share_kept}
         return {"time_s": self.time_s, **paced, **asdict(self.traffic), "happened": list(self.happened)}
+
+    def look(self) -> Look:
+        """What a camera sees now."""
+        if self.real is None:
+            return Look(self.time_s, TwinScene(self._twin).lit_mm())
+        with self.real.held() as twin:
+            return Look(twin.time_s, TwinScene(twin).lit_mm())
+
+    def faults(self) -> frozenset[str]:
+        """Of the camera, those that are on now."""
+        return frozenset(self.camera_faults)
 
     # from hosts to positioners
 
@@ -375,8 +400,12 @@ class TwinServer:
             port.wire.cut = begins
             if begins:
                 device.break_down(port)
+        elif fault.kind == ServiceKind.CUT:
+            self.listeners[fault.place[0]].cut(begins)
         elif fault.kind == ServiceKind.POWER_CUT:
             self._cut_power(fault.positioner_id, begins)
+        elif fault.kind in set(CameraFaultKind):
+            (self.camera_faults.add if begins else self.camera_faults.discard)(fault.kind)
         else:
             self._break(fault, begins)
 

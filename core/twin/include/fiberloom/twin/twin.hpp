@@ -71,11 +71,15 @@ inline constexpr const char *scope_fields[] = {
 inline constexpr size_t scope_field_count = sizeof scope_fields / sizeof *scope_fields;
 static_assert(sizeof(ScopeSample) == scope_field_count * sizeof(double), "a sample is a row of columns");
 
+// What a positioner does to the next START that it should obey, once.
+enum class AtStart : uint8_t { obeys, misses, refuses, restarts };
+
 struct PositionerFaults {
     AxisFaults axes[FL_AXES];
     bool stuck_hall[FL_AXES] = {false, false}; // the channels repeat what they showed
     bool deaf = false;                         // frames to it are lost
     bool mute = false;                         // frames from it are lost
+    AtStart at_start = AtStart::obeys;
 };
 
 class Twin {

@@ -121,7 +121,8 @@ def observe(row: Row, seed: int, n_units: int) -> InstrumentRun:
     assignment = assign(plane, targets, seed=seed)
     twin = Twin(plane, units, seed=seed)
     camera = NoiseCamera(twin, plane.instrument.metrology.noise_rms_um, seed)
-    hardware = Hardware(TwinTransport(twin), camera, twin)
+    # told at power-up where they are, as after a search of the datum
+    hardware = Hardware(TwinTransport(twin), camera, twin, vouched=np.ones(len(twin.plane), dtype=bool))
     moves = 1 + plane.instrument.operation.corrections_max
     motion = FieldMotion(plane, maps, hardware, NoRecord())
     finish(_whole(Loop(motion, assignment, LoopSettings(moves=moves, seed=seed))))

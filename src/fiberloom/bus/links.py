@@ -1,0 +1,83 @@
+"""Links: the ways from the host to the positioners, each of which can break and come back by itself.
+
+A transport over several links has `links` and `link_of(positioner)`. One that has neither counts as a single
+link that is up until the transport raises TransportLost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+FIRST_RETRY_S = 0.5
+LONGEST_RETRY_S = 10.0
+
+
+@dataclass
+class Link:
+    """One gateway or CAN channel. Times are those of the transport's clock."""
+
+    name: str
+    up: bool = True
+    since_s: float = 0.0
+    """When it went up or down."""
+    reason: str = ""
+    """Why it is down; empty while it is up."""
+
+    def goes_down(self, reason: str, now_s: float) -> None:
+        """It has broken; the first reason counts."""
+        if self.up:
+            self.up, self.reason, self.since_s = False, reason, now_s
+
+    def comes_up(self, now_s: float) -> None:
+        """It carries frames again."""
+        if not self.up:
+            self.up, self.reason, self.since_s = True, "", now_s
+
+    def __str__(self) -> str:
+        return f"{self.name}: {'up' if self.up else f'down, {self.reason}'}"
+
+
+def retries_s() -> Iterator[float]:
+    """How long to wait before each further attempt to reconnect: 0.5, 1, 2, ... 10, 10 s."""
+    wait_s = FIRST_RETRY_S
+    while True:
+        yield wait_s
+        wait_s = min(2.0 * wait_s, LONGEST_RETRY_S)
+
+
+def links_of(transport: object) -> Sequence[Link]:
+    """The links of a transport; none where it does not tell."""
+    links: Sequence[Link] = getattr(transport, "links", ())
+    return links
+
+
+def cut_off(transport: object, positioner: int) -> bool:
+    """True when no frame reaches the positioner now: its link is down, or all of them are.
+
+    A positioner that has not answered yet may hang on any link.
+    """
+    links = links_of(transport)
+    if all(link.up for link in links):
+        return False
+    find = getattr(transport, "link_of", None)
+    link: Link | None = None if find is None else find(positioner)
+    return not any(link.up for link in links) if link is None else not link.up
+
+
+class LinkWatch:
+    """Tells which links have changed since it was last asked."""
+
+    def __init__(self, transport: object) -> None:
+        self._transport = transport
+        self._seen = {link.name: (link.up, link.since_s) for link in links_of(transport)}
+
+    def changes(self) -> list[Link]:
+        """Links that went down or up, also those that did both."""
+        changed = []
+        for link in links_of(self._transport):
+            now = (link.up, link.since_s)
+            if self._seen.get(link.name, (True, 0.0)) != now:
+                self._seen[link.name] = now
+                changed.append(link)
+        return changed

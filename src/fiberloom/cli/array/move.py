@@ -1,0 +1,98 @@
+"""`fiberloom park`, `home`, `recover`, `stop`: commands that move an array, or end its motion."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from fiberloom.cli.array.options import ArrayOptions, BusOptions, excluded, operator
+from fiberloom.cli.options import JsonOptions
+from fiberloom.cli.terminal import waiting
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParkOptions(ArrayOptions, JsonOptions):
+    """Of `fiberloom park`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HomeOptions(ArrayOptions, JsonOptions):
+    """Of `fiberloom home`."""
+
+    only: Annotated[str, typer.Option(help="Positioners to search, numbers with commas; default: all.")] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoverOptions(ArrayOptions, JsonOptions):
+    """Of `fiberloom recover`."""
+
+    look: Annotated[bool, typer.Option("--look", help="Say what touches and what would be done.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopOptions(BusOptions, JsonOptions):
+    """Of `fiberloom stop`."""
+
+
+def park(options: ParkOptions) -> int:
+    """Fold every positioner of an array, by a verified plan after the begin check."""
+    options.check()
+    from fiberloom.blocking import finish
+
+    with waiting(options.as_json) as watcher:
+        report = finish(options.session(watcher.say).park())
+    return _show(options, report)
+
+
+def home(options: HomeOptions) -> int:
+    """Search the datum of positioners, in an order in which no arms can meet; then fold."""
+    options.check()
+    only = excluded(options.only) or None
+    from fiberloom.blocking import finish
+
+    with waiting(options.as_json) as watcher:
+        report = finish(options.session(watcher.say).home(only))
+    return _show(options, report)
+
+
+def recover(options: RecoverOptions) -> int:
+    """After a collision: which arms touch, a verified way apart, fold, unlock."""
+    options.check()
+    from fiberloom.blocking import finish
+
+    with waiting(options.as_json) as watcher:
+        report = finish(options.session(watcher.say).recover(options.look))
+    return _show(options, report)
+
+
+def _show(options: JsonOptions, report: Any) -> int:
+    from fiberloom.operation.session.session import as_table
+
+    table = as_table(report)
+    if not options.as_json:  # a column of numbers tells no more than their count
+        table["datum_found"] = f"{len(report.datum_found)} of {report.n_positioners}"
+        if report.command != "home":
+            del table["datum_found"]
+    options.show(table)
+    return 0 if report.ok else 1
+
+
+def stop(options: StopOptions) -> int:
+    """Stop an array, whichever process moves it; exit code 1 where it could not be stopped."""
+    address = options.address
+    from fiberloom.blocking import finish
+    from fiberloom.bus.spec import BusSpec
+    from fiberloom.connect import TWIN, is_shared
+    from fiberloom.errors import InputError
+    from fiberloom.operation.session.stopping import Stopper
+
+    if address.startswith(TWIN):
+        raise InputError("--bus twin: is inside of the process that moves it: Ctrl-C stops it there")
+    who = f"{operator()} on {socket.gethostname()}"
+    stopper = Stopper(options.book(), BusSpec.parse(address).open, is_shared(address), who)
+    report = finish(stopper.stop())
+    options.show({"stopped": report.stopped, "by": report.by, "text": report.text})
+    return 0 if report.stopped else 1

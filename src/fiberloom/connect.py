@@ -1,0 +1,97 @@
+"""Hardware by its address: a bus and a camera outside of this process, or the twin inside of it.
+
+The one place that knows both. It is above `operation`, which is not to know the twin, and loads the twin for
+an address that names it only.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from fiberloom.bus.cannet import TCP_PORT
+from fiberloom.bus.spec import CANNET, BusSpec
+from fiberloom.bus.transport import Transport
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.source import OpenedArray, Source
+
+if TYPE_CHECKING:
+    from fiberloom.metrology import Camera
+
+TWIN = "twin:"
+
+
+def open_hardware(
+    plane: FocalPlane, bus: str | Transport, camera: Any, *, seed: int = 0, faults: str = ""
+) -> Source:
+    """Bus and camera by their addresses; nothing is connected before something moves.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        The layout of the array.
+    bus : str or Transport
+        `twin:`, `cannet://HOST[:PORT][,HOST...]`, `socketcan:can0[,can1]`, `slcan:/dev/ttyUSB0`, or any
+        `INTERFACE:CHANNEL` of python-can; or an open transport, which stays open.
+    camera : str or Camera
+        `twin:image` or `twin:noise` with the bus `twin:`; else `alpaca://HOST:PORT/N?exposure=S`,
+        `folder:PATH?trigger=CMD`, `indi://HOST:PORT/NAME`, `aravis:NAME`; or an object with
+        `measure(expected_mm) -> Measurement`.
+    seed : int
+        Of the twin's units and noise.
+    faults : str
+        What goes wrong in the twin.
+
+    Returns
+    -------
+    Source
+        What an observation, a calibration and a session open.
+
+    Raises
+    ------
+    InputError
+        An address that cannot be read, a camera that does not go with the bus, faults without a twin.
+    """
+    if isinstance(bus, str) and bus.startswith(TWIN):
+        return _twin(plane, camera, seed, faults)
+    if faults:
+        raise InputError("--faults goes with the twin; a twin on the network takes them when it is started")
+    return OpenedArray.of(bus, _camera(plane, camera) if isinstance(camera, str) else camera)
+
+
+def _twin(plane: FocalPlane, camera: Any, seed: int, faults: str) -> Source:
+    from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
+
+    name = str(camera).removeprefix(TWIN) or "image"
+    return TwinSource(plane, seed, name, faults)
+
+
+def _camera(plane: FocalPlane, address: str) -> Camera:
+    if address.startswith(TWIN) or address in ("image", "noise"):
+        raise InputError(
+            f"--camera {address}: the camera of the twin inside of this process; with a bus outside name a "
+            "camera there, e.g. alpaca://HOST:PORT/0"
+        )
+    from fiberloom.metrology.sources.spec import CameraSpec, open_camera
+
+    return open_camera(CameraSpec.parse(address), plane)
+
+
+def array_address(bus: str) -> str:
+    """The name of an array in the store: the address of its bus, written in one way.
+
+    A twin inside of this process is an array of this process alone.
+    """
+    if bus.startswith(TWIN):
+        return f"{TWIN}{os.getpid()}"
+    spec = BusSpec.parse(bus)
+    if spec.interface != CANNET:
+        return f"{spec.interface}:{','.join(sorted(spec.channels))}"
+    hosts = (host.lower() if ":" in host else f"{host.lower()}:{TCP_PORT}" for host in spec.channels)
+    return f"{CANNET}://{','.join(sorted(hosts))}"
+
+
+def is_shared(bus: str) -> bool:
+    """Whether a second process may talk on the bus: sockets on CAN, not a gateway or a serial line."""
+    return not bus.startswith(TWIN) and BusSpec.parse(bus).interface in ("socketcan", "udp_multicast")

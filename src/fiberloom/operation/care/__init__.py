@@ -1,0 +1,1 @@
+"""Thermal and electrical care: what motors and supply may be asked for."""

@@ -1,0 +1,305 @@
+"""The begin check: before anything moves, what positioners report is held against an image.
+
+A positioner moves only where it is certain that it is where it reports. Every other one is an obstacle:
+where it is seen, or as large as the whole reach of its arm where it is not.
+
+For each positioner the places that an image could show are weighed (Bayes):
+
+    right       as reported, within the scatter of the maps
+    turns       off by whole motor turns of one axis: counts lost where the hall sensors were read anew
+    datum       one axis anywhere, the other as reported: its datum is wrong
+    swapped     as another one reports, and that one as this: two numbers on the bus exchanged
+    elsewhere   anywhere within reach
+
+The name with the highest probability is told to the operator. Whether it may move is another question: how
+far its arm may be from where it reports, anywhere on its way. The miss that is seen now grows with the
+arm stretched, since a wrong alpha turns the whole arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.metrology import Measurement
+from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
+from fiberloom.typing import Flags, Floats, Ints
+
+ALLOWED_MM = 0.5
+"""How far an arm may be from where it reports, anywhere in its range. The collision buffer of two arms
+leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
+
+SCATTER_MM = 0.05
+"""Of healthy positioners about where they report, per coordinate: maps and image together."""
+
+TURNS = 5
+"""Motor turns that are looked at on either side."""
+
+DEEP_SHARE = 0.5
+"""Of the collision buffer: bodies nearer than this share of it cannot be, whatever the calibration."""
+
+PRIOR = {"turns": 2e-3, "datum": 2e-3, "swapped": 1e-3, "elsewhere": 1e-3}
+"""Shares of positioners at the begin of a run; the rest is right."""
+
+
+class Standing(StrEnum):
+    """What the begin check says of one positioner."""
+
+    RIGHT = "right"  # seen where it reports
+    TURNS = "turns"  # off by whole motor turns
+    DATUM = "datum"  # one axis off, the other as reported
+    SWAPPED = "swapped"  # it and another one report each other's place
+    ELSEWHERE = "elsewhere"  # seen where no simple error puts it
+    VOUCHED = "vouched"  # not seen, but its datum was searched since power came on
+    DARK = "dark"  # not seen: nothing says that its report is right
+    BLIND = "blind"  # seen there, but on its alpha axis, where nothing shows alpha; no datum on record
+    UNCLEAR = "unclear"  # spots, but not for certain its own
+    SILENT = "silent"  # does not answer; where it is seen, where it is is known
+    OVERLAPS = "overlaps"  # reports to be where another arm is
+    OFFLINE = "offline"  # switched off: where the layout says
+
+
+NAMED = frozenset({Standing.TURNS, Standing.DATUM, Standing.SWAPPED, Standing.ELSEWHERE})
+"""Of positioners that answer and are seen, but are not taken to be where they report."""
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What is known before anything moves. Arrays over N positioners."""
+
+    angles_deg: Floats
+    """(N, 2) as reported, through the maps."""
+    answered: Flags
+    """(N,) which have answered."""
+    image: Measurement
+    vouched: Flags
+    """(N,) datum searched since power came on, and recorded: believed where the fibre is dark."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What the begin check found. Arrays over N positioners."""
+
+    standing: list[Standing]
+    probability: Floats
+    """(N,) of that standing, among those that the image could show."""
+    where_deg: Floats
+    """(N, 2) alpha and beta: as reported where certain, else as seen; as reported where neither."""
+    certain: Flags
+    """(N,) may move."""
+    somewhere: Flags
+    """(N,) anywhere within reach, as far as is known."""
+    text: list[str]
+    """For each positioner: what is wrong and what to do; empty where it may move."""
+
+    @property
+    def alarms(self) -> list[int]:
+        """Rows of those that report the impossible."""
+        return [i for i, s in enumerate(self.standing) if s is Standing.OVERLAPS]
+
+
+def begin_check(plane: FocalPlane, report: Report) -> Beginning:
+    """Who may move, where the others are, and what to do about them.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        N positioners.
+    report : Report
+        Angles in deg as reported, who answered, an image, and whose datum is on record.
+
+    Returns
+    -------
+    Beginning
+        For every positioner its standing, and whether it may move.
+    """
+    seen_mm = report.image.xy_mm
+    reported_mm = plane.forward(*report.angles_deg.T)
+    standing, probability, partner = _named(plane, report, reported_mm)
+    miss_mm = np.hypot(*(seen_mm - reported_mm).T)
+    allowed_mm = allowed_miss_mm(plane, reported_mm)
+    # so near the alpha axis that nothing can be seen of alpha: the record of its datum has to say it
+    blind = allowed_mm < 3.0 * SCATTER_MM
+    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, allowed_mm)
+    seen_right = report.answered & report.image.seen & near & (~blind | report.vouched)
+    for i in range(len(plane)):
+        standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
+        if near[i] and blind[i] and standing[i] in NAMED:
+            standing[i] = Standing.BLIND
+    right = np.array([s in (Standing.RIGHT, Standing.VOUCHED) for s in standing])
+    certain = right | (seen_right & np.array([s is Standing.TURNS for s in standing]))
+    _overlaps(plane, report, standing, certain)
+    where_deg, placed = _places(plane, report, certain)
+    still = np.array([s is Standing.OFFLINE for s in standing])
+    return Beginning(
+        standing=standing,
+        probability=probability,
+        where_deg=where_deg,
+        certain=certain,
+        somewhere=~(certain | placed | still),
+        text=[
+            "" if certain[i] else _text(plane, i, standing[i], miss_mm[i], partner[i])
+            for i in range(len(plane))
+        ],
+    )
+
+
+def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats) -> Floats:
+    """(N,) largest miss seen now, in mm, of a positioner that is nowhere off by more than ALLOWED_MM.
+
+    A wrong alpha shifts the fibre in proportion to its distance from the alpha axis, and most with the
+    arm stretched; near that axis nothing can be seen of it, so nothing is certain beyond the scatter.
+    """
+    radius_mm = np.hypot(*(reported_mm - plane.centres_mm).T)
+    stretched_mm = plane.l_alpha_mm + plane.l_beta_mm
+    return np.asarray(ALLOWED_MM * np.minimum(1.0, radius_mm / stretched_mm), dtype=np.float64)
+
+
+def _standing(row: int, plane: FocalPlane, report: Report, seen_right: bool, named: Standing) -> Standing:
+    """What is said of one positioner, once its place is named."""
+    if plane.offline[row]:
+        return Standing.OFFLINE
+    if not report.answered[row]:
+        return Standing.SILENT
+    if report.image.seen[row]:
+        # a name that fits better than `right` does not make a small miss a danger, nor the reverse
+        if named is Standing.TURNS:
+            return named
+        if seen_right:
+            return Standing.RIGHT
+        return Standing.ELSEWHERE if named is Standing.RIGHT else named
+    if report.vouched[row]:
+        return Standing.VOUCHED
+    unclear = report.image.ambiguous is not None and bool(report.image.ambiguous[row])
+    return Standing.UNCLEAR if unclear else Standing.DARK
+
+
+def _named(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[list[Standing], Floats, Ints]:
+    """The likeliest hypothesis of each seen positioner, its probability, and its partner (-1: none)."""
+    weights = {
+        Standing.RIGHT: (1.0 - sum(PRIOR.values())) * _normal(report.image.xy_mm - reported_mm),
+        Standing.TURNS: PRIOR["turns"] * _turns(plane, report),
+        Standing.DATUM: PRIOR["datum"] * _one_axis(plane, report),
+        Standing.ELSEWHERE: PRIOR["elsewhere"] / _reach_mm2(plane),
+    }
+    exchanged, partner = _swapped(plane, report, reported_mm)
+    weights[Standing.SWAPPED] = PRIOR["swapped"] * exchanged
+    table = np.nan_to_num(np.stack(list(weights.values())))
+    best = table.argmax(axis=0)
+    names = list(weights)
+    share = table.max(axis=0) / np.maximum(table.sum(axis=0), np.finfo(float).tiny)
+    return [names[k] for k in best], np.asarray(share), partner
+
+
+def _normal(miss_mm: Floats) -> Floats:
+    """Density (per mm2) of a miss (..., 2) of a place that is known."""
+    chi2 = (miss_mm**2).sum(axis=-1) / SCATTER_MM**2
+    return np.asarray(np.exp(-0.5 * chi2) / (2.0 * np.pi * SCATTER_MM**2))
+
+
+def _normal_1d(miss_mm: Floats) -> Floats:
+    return np.asarray(np.exp(-0.5 * (miss_mm / SCATTER_MM) ** 2) / (np.sqrt(2.0 * np.pi) * SCATTER_MM))
+
+
+def _turns(plane: FocalPlane, report: Report) -> Floats:
+    """Mean density over so many motor turns of either axis."""
+    steps = np.array([k for k in range(-TURNS, TURNS + 1) if k])
+    density = np.zeros(len(plane))
+    for column, axis in enumerate(plane.instrument.axes):
+        for k in steps:
+            angles_deg = report.angles_deg.copy()
+            angles_deg[:, column] += k * 360.0 / axis.gear
+            density += _normal(report.image.xy_mm - plane.forward(*angles_deg.T))
+    return density / (2 * len(steps))
+
+
+def _one_axis(plane: FocalPlane, report: Report) -> Floats:
+    """Density where one axis is anywhere: on the circle about the alpha axis, or about the elbow."""
+    seen_mm = report.image.xy_mm
+    elbow_mm = plane.elbows_mm(report.angles_deg[:, 0])
+    density = np.zeros(len(plane))
+    reported_mm = plane.forward(*report.angles_deg.T)
+    for about_mm in (plane.centres_mm, elbow_mm):
+        radius_mm = np.maximum(np.hypot(*(reported_mm - about_mm).T), SCATTER_MM)
+        off_mm = np.hypot(*(seen_mm - about_mm).T) - radius_mm
+        density += 0.5 * _normal_1d(off_mm) / (2.0 * np.pi * radius_mm)
+    return density
+
+
+def _swapped(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[Floats, Ints]:
+    """Density of a place as another one reports it, where that one is as this one reports."""
+    density, partner = np.zeros(len(plane)), np.full(len(plane), -1)
+    off = report.image.seen & ~(np.hypot(*(report.image.xy_mm - reported_mm).T) < 4.0 * SCATTER_MM)
+    rows = np.flatnonzero(off)
+    if len(rows) < 2:
+        return density, partner
+    reach_mm = 2.0 * float(plane.body_reach_mm.max())
+    for a, b in cKDTree(plane.centres_mm[rows]).query_pairs(reach_mm):
+        i, j = rows[a], rows[b]
+        pair = np.array([i, j])
+        alpha_deg, beta_deg = report.angles_deg[pair[::-1]].T
+        places_mm = plane.forward(alpha_deg, beta_deg, index=pair)
+        both = _normal(report.image.xy_mm[pair] - places_mm)
+        if both.min() > density[pair].max():
+            density[pair], partner[pair] = both, pair[::-1]
+    return density, partner
+
+
+def _reach_mm2(plane: FocalPlane) -> Floats:
+    alpha, beta = plane.l_alpha_mm, plane.l_beta_mm
+    return np.asarray(np.pi * ((alpha + beta) ** 2 - (alpha - beta) ** 2))
+
+
+def _overlaps(plane: FocalPlane, report: Report, standing: list[Standing], certain: Flags) -> None:
+    """Arms that overlap as reported cannot be: who is not seen to be right there does not move."""
+    robots = tuple(
+        Trajectory(int(p), np.zeros(1), a[:1], a[1:])
+        for p, a in zip(plane.positioner_id, report.angles_deg, strict=True)
+    )
+    deep_mm = DEEP_SHARE * plane.collision_buffer_mm
+    as_reported = Plan(plane.instrument.name, deep_mm, robots)
+    for contact in verify(plane, as_reported, limits=MotionLimits(collision_buffer_mm=deep_mm)).contacts:
+        pair = [contact.positioner_id] + ([int(contact.other)] if contact.other.isdigit() else [])
+        for row in plane.index_of(pair):
+            # the one that is seen where it reports is there; the other one is not
+            if standing[row] is not Standing.RIGHT and not plane.offline[row]:
+                standing[row], certain[row] = Standing.OVERLAPS, False
+
+
+def _places(plane: FocalPlane, report: Report, certain: Flags) -> tuple[Floats, Flags]:
+    """Angles (N, 2) of where each is, and of which of those that may not move the place is known."""
+    where_deg = np.where(plane.offline[:, None], plane.offline_position_deg, report.angles_deg)
+    rows = np.flatnonzero(~certain & report.image.seen)
+    found = plane.inverse(report.image.xy_mm[rows], METROLOGY, index=rows)
+    reachable = rows[found.reachable]
+    where_deg[reachable] = np.column_stack([found.alpha_deg, found.beta_deg])[found.reachable]
+    placed = np.zeros(len(plane), dtype=bool)
+    placed[reachable] = True
+    return where_deg, placed
+
+
+def _text(plane: FocalPlane, row: int, standing: Standing, miss_mm: float, partner: int) -> str:
+    other = plane.positioner_id[partner] if partner >= 0 else 0
+    datum = "search its datum with the neighbours clear, or exclude it"
+    text = {
+        Standing.OFFLINE: "",
+        Standing.TURNS: f"seen {miss_mm:.2f} mm from where it reports, whole motor turns off; {datum}",
+        Standing.DATUM: f"seen {miss_mm:.2f} mm from where it reports, one axis is off; {datum}",
+        Standing.SWAPPED: f"is where positioner {other} reports to be, and that one where this does; check "
+        "the numbers on the bus against the layout",
+        Standing.ELSEWHERE: f"seen {miss_mm:.2f} mm from where it reports; {datum}",
+        Standing.RIGHT: "",
+        Standing.VOUCHED: "",
+        Standing.DARK: f"its fibre is not seen, and nothing else says where it is; {datum}",
+        Standing.BLIND: "folded onto its alpha axis, where nothing shows alpha, and no datum is on record; "
+        "search its datum, or unfold it with the neighbours clear",
+        Standing.UNCLEAR: f"its spot cannot be told from others; {datum}",
+        Standing.SILENT: "does not answer on the bus",
+        Standing.OVERLAPS: f"reports to be where another arm is, which cannot be; {datum}",
+    }
+    return text[standing]

@@ -1,0 +1,254 @@
+"""The datum search of an array: folded first, then alpha, then beta in rounds in which no arms can meet."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+
+from fiberloom.bus.protocol import Status
+from fiberloom.instruments import FocalPlane
+from fiberloom.operation.move import Goals
+from fiberloom.operation.safety.stop import reason, to_its_end
+from fiberloom.operation.session.clearing import Clearing, Round
+from fiberloom.operation.session.motion import FOLDED_DEG, SessionMotion
+from fiberloom.operation.session.states import Step
+from fiberloom.planning import Plan, Trajectory, verify
+from fiberloom.planning.bodies import travel_rad
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import rad_to_deg
+
+SEARCH_S = 600.0
+"""A search of a whole turn takes less."""
+
+SLOW_S = 200.0
+"""Time in which the verifier is shown a search: slower than any limit."""
+
+TURN_MM = 0.03
+"""An image that agrees so well with a whole motor turn more or less, and not without it, says so."""
+
+TRIES = 2
+"""Rounds in which one is tried whose way turned out not to be clear."""
+
+_INITIALIZED = {"alpha": Status.DATUM_ALPHA_INITIALIZED, "beta": Status.DATUM_BETA_INITIALIZED}
+
+
+class Homing:
+    """Searches the datum of positioners of a field; which were found, and why others were not."""
+
+    def __init__(self, motion: SessionMotion, rows: Ints) -> None:
+        """`motion`: of the field, after its begin check; `rows`: of the positioners to search."""
+        self.motion, self.rows = motion, [int(r) for r in rows]
+        self.found: list[int] = []
+        self.left_out: dict[int, str] = {}
+        self._alpha: set[int] = set()
+        """Rows whose alpha was found."""
+
+    @property
+    def _plane(self) -> FocalPlane:
+        return self.motion.plane
+
+    async def run(self) -> None:
+        """Searches all that can be searched safely."""
+        self._leave_out_the_silent()
+        await self._declare()
+        await self._whole()
+        await self._fold()
+        await self._search_alpha()
+        await self._search_beta()
+        for row in self.rows:
+            if self._id(row) not in self.found:
+                self.left_out.setdefault(
+                    self._id(row), "its way was not clear of neighbours that do not move"
+                )
+
+    def _id(self, row: int) -> int:
+        return int(self._plane.positioner_id[row])
+
+    def _leave_out_the_silent(self) -> None:
+        state = self.motion.state
+        for row in list(self.rows):
+            fault = state.faults[row]
+            if self._id(row) not in self.motion.client.ids:
+                self._give_up(row, "does not answer on the bus")
+            elif state.somewhere[row]:
+                self._give_up(row, "where it is cannot be seen, so no way is known to be free: bring light")
+            elif self._plane.offline[row]:
+                self._give_up(row, f"{fault}: excluded, or switched off")
+
+    def _give_up(self, row: int, why: str) -> None:
+        self.left_out[self._id(row)] = why
+        self.rows.remove(row)
+
+    async def _declare(self) -> None:
+        """One without a datum refuses to move; where the image has proved its report, it is told so."""
+        motion, state = self.motion, self.motion.state
+        rows = np.flatnonzero(state.mobile)
+        answers = await motion.client.status(self._plane.positioner_id[rows])
+        lost = [
+            row
+            for row, answer in zip(rows.tolist(), answers.values(), strict=True)
+            if answer.ok and answer.values[0] & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED
+        ]
+        if lost:
+            await motion.client.set_position(
+                self._plane.positioner_id[lost].tolist(), *state.wire_deg[lost].T
+            )
+
+    # the rounds
+
+    def _clearing(self) -> Clearing:
+        state = self.motion.state
+        return Clearing(self._plane, state.here_deg, state.mobile, state.somewhere & ~state.mobile)
+
+    async def _whole(self) -> None:
+        """Those that are seen, but not where they report: both axes, with the neighbours out of reach."""
+        doubted = [row for row in self.rows if not self.motion.state.mobile[row]]
+        await self._rounds(doubted, "both")
+        for row in doubted:
+            if self._id(row) not in self.found:
+                self._give_up(row, "not where it reports, and its neighbours cannot all get out of its reach")
+
+    async def _search_alpha(self) -> None:
+        waiting = [row for row in self.rows if self._id(row) not in self.found]
+        for row in list(waiting):
+            if not self._folded()[row]:
+                self._give_up(row, "could not be folded")
+                waiting.remove(row)
+        await self._rounds(waiting, "alpha")
+        await self._fold()
+
+    async def _search_beta(self) -> None:
+        await self._rounds([row for row in self.rows if row in self._alpha], "beta")
+
+    async def _rounds(self, waiting: list[int], axis: str) -> None:
+        tried = dict.fromkeys(waiting, 0)
+        while waiting:
+            clearing = self._clearing()
+            make = {"both": clearing.whole_round, "alpha": clearing.alpha_round, "beta": clearing.beta_round}
+            made = await asyncio.to_thread(make[axis], waiting)
+            if not made.searchers:
+                return
+            self.motion.progress(f"datum search, {axis}: {len(made.searchers)} of {len(waiting)} that wait")
+            await self._clear(made)
+            ready = self._ready(made, axis)
+            for row in made.searchers:
+                tried[row] += 1
+            await self._search(ready, axis)
+            waiting = [row for row in waiting if row not in ready and tried[row] < TRIES]
+
+    async def _clear(self, made: Round) -> None:
+        """Brings every other one out of the way, by a verified plan."""
+        here_deg = self.motion.state.here_deg
+        if np.abs(made.goals_deg - here_deg)[self.motion.state.mobile].max(initial=0.0) > 0.0:
+            await self.motion.go(Goals.without_targets(self._plane, made.goals_deg))
+
+    def _ready(self, made: Round, axis: str) -> list[int]:
+        """Searchers whose way is clear as positioners really are, and passes the verifier."""
+        clearing, state = self._clearing(), self.motion.state
+        begun = np.abs(state.here_deg - made.goals_deg).max(axis=1) < FOLDED_DEG
+        rows = [
+            row
+            for row in made.searchers
+            if begun[row] and not clearing.blocked(row, made.sweeps[row], made.sweeps)
+        ]
+        return rows if axis == "both" else [row for row in rows if self._verified(row, axis)]
+
+    def _verified(self, row: int, axis: str) -> bool:
+        """The verifier's word on the way of one searcher, all others at rest."""
+        here_deg, column = self.motion.state.here_deg, 0 if axis == "alpha" else 1
+        low_deg = rad_to_deg(travel_rad(self._plane))[column, 0]
+        way = np.tile(here_deg[row], (2, 1))
+        way[1, column] = low_deg
+        # there and back to zero: the same places
+        trajectories = tuple(
+            Trajectory(int(p), np.array([0.0, SLOW_S]), *way.T)
+            if i == row
+            else Trajectory(int(p), np.zeros(1), *here_deg[[i]].T)
+            for i, p in enumerate(self._plane.positioner_id)
+        )
+        plane = self.motion.state.obstacles()
+        planned = Plan(plane.instrument.name, plane.collision_buffer_mm, trajectories)
+        return verify(plane, planned).ok
+
+    async def _search(self, rows: list[int], axis: str) -> None:
+        """Searches one axis or both of these at once; stops them all where anything goes wrong."""
+        if not rows:
+            return
+        motion, ids = self.motion, [self._id(row) for row in rows]
+        motion.lock.step(Step.MOVE)
+        try:
+            begun = await motion.client.home(ids, None if axis == "both" else axis)
+            ended = await motion.client.wait_until_done(begun.ok_ids, SEARCH_S)
+        except BaseException as error:
+            await to_its_end(motion.stop(reason(error)))
+            raise
+        failed = {**begun.failed, **ended.failed}
+        done = [i for i in ids if i not in failed and i in await self._initialized(ids, axis)]
+        for i in ids:
+            if i not in done:
+                self.left_out[i] = f"its search of {axis} ended otherwise: {failed.get(i, 'no datum')}"
+        await self._book(done, axis)
+
+    async def _initialized(self, ids: list[int], axis: str) -> list[int]:
+        """Which say that the datum is set."""
+        wanted = Status.DATUMS_INITIALIZED if axis == "both" else _INITIALIZED[axis]
+        answers = await self.motion.client.status(ids)
+        return [i for i, a in answers.items() if a.ok and a.values[0] & wanted == wanted]
+
+    async def _book(self, ids: list[int], axis: str) -> None:
+        """Keeps what was found, then sees whether all are where they report."""
+        if axis == "alpha":
+            self._alpha |= {int(r) for r in self._plane.index_of(ids)}
+        else:
+            self.found += ids
+        await self.motion.searched(ids, datum=False)
+        await self._count_turns(ids, axis)
+        await self.motion.searched(ids, datum=axis != "alpha")
+
+    async def _count_turns(self, ids: list[int], axis: str) -> None:
+        """The stop says the angle of the motor, not always its turn: where the image does, it is declared.
+
+        Looked at folded: there the maps are good, and the approach has closed the backlash as usual.
+        """
+        motion, rows = self.motion, np.asarray(self._plane.index_of(ids))
+        if not len(rows):
+            return
+        await self._fold()
+        here_deg, seen_mm = motion.state.here_deg[rows], motion.moves[-1].measurement.xy_mm[rows]
+        turns = _turns_off(self._plane, rows, here_deg, seen_mm, axis)
+        off = np.flatnonzero(turns.any(axis=1))
+        gear = np.array([a.gear for a in self._plane.instrument.axes])
+        right_deg = motion.state.wire_deg[rows] + turns * 360.0 / gear
+        await motion.client.set_position(self._plane.positioner_id[rows[off]].tolist(), *right_deg[off].T)
+        for k in off:
+            text = f"datum found {turns[k].tolist()} motor turns off, by the image; declared so"
+            motion.recorder.event("datum", text, self._id(rows[k]))
+
+    async def _fold(self) -> None:
+        state = self.motion.state
+        if (np.abs(state.here_deg - self._plane.park_deg).max(axis=1)[state.mobile] > 0.0).any():
+            await self.motion.go(Goals.without_targets(self._plane, self._plane.park_deg))
+
+    def _folded(self) -> Flags:
+        off_deg: Floats = np.abs(self.motion.state.here_deg - self._plane.park_deg).max(axis=1)
+        return np.asarray(off_deg < FOLDED_DEG)
+
+
+def _turns_off(plane: FocalPlane, rows: Ints, here_deg: Floats, seen_mm: Floats, axis: str) -> Ints:
+    """(n, 2) motor turns to add to what these report, so that the image fits; 0 where it fits as it is.
+
+    `rows` (n,) of the `plane`, reported at `here_deg` (n, 2) and seen at `seen_mm` (n, 2); `axis`: that
+    was searched, or both.
+    """
+    turn_deg = np.array([360.0 / a.gear for a in plane.instrument.axes])
+    some, few, none = range(-3, 4), range(-1, 2), (0,)  # of both axes at once more would look alike
+    steps = {"alpha": (some, none), "beta": (none, some), "both": (few, few)}[axis]
+    tried = np.array([(a, b) for a in steps[0] for b in steps[1]])
+    turned = [(here_deg + k * turn_deg).T for k in tried]
+    places = [plane.forward(alpha_deg, beta_deg, index=rows) for alpha_deg, beta_deg in turned]
+    miss_mm = np.stack([np.hypot(*(seen_mm - place).T) for place in places])
+    miss_mm = np.where(np.isfinite(miss_mm), miss_mm, np.inf)
+    best, as_is = miss_mm.argmin(axis=0), np.flatnonzero(~tried.any(axis=1))[0]
+    clear = (miss_mm.min(axis=0) < TURN_MM) & (miss_mm[as_is] > TURN_MM)
+    return np.where(clear[:, None], tried[best], 0)

@@ -1,0 +1,223 @@
+"""The motion of a field under the lock of its array: states, exclusions, places that are kept."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from fiberloom.bus.outcome import Results
+from fiberloom.bus.protocol import Status
+from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.hardware import Hardware
+from fiberloom.health.status import FibreStatus
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.metrology import Measurement
+from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
+from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.safety.begin import ALLOWED_MM
+from fiberloom.operation.session.array_lock import ArrayLock
+from fiberloom.operation.session.states import SessionState, Step
+from fiberloom.planning import MotionLimits, Plan, verify
+from fiberloom.store.arrays import REPORTED, SEEN, UNKNOWN, ArrayPlaces
+from fiberloom.typing import Flags, Ints
+
+SAME_DEG = 0.15
+"""A wire position that is so near the recorded one is the recorded one: the cogging pulls a rotor at rest by
+up to a quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
+
+FOLDED_DEG = 2.0
+"""So near its place when parked, a positioner counts as folded."""
+
+_POWER_WENT = Status.ESTIMATED_POSITION | Status.POSITION_RESTORED
+
+
+class SessionMotion(FieldMotion):
+    """As `FieldMotion`; every step is in the store before it is taken, every place after it."""
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        maps: TransmissionMaps,
+        hardware: Hardware,
+        recorder: Recorder,
+        progress: Callable[[str], None],
+        lock: ArrayLock,
+    ) -> None:
+        """`plane`: N positioners, the excluded ones offline; `maps`: of these; `hardware`: bus and camera;
+        `recorder`: keeps every move; `progress`: called with the name of each step; `lock`: of the array,
+        taken."""
+        super().__init__(plane, maps, hardware, recorder, progress)
+        self.lock = lock
+        self.datum = np.zeros(len(plane), dtype=bool)
+        """(N,) searched since power came on."""
+        self._separating = False
+        self._image: Measurement | None = None
+        self._reported = np.zeros(len(plane), dtype=bool)
+
+    async def connect(self) -> None:
+        """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
+        if self.lock.state is not SessionState.CONNECTING:
+            self.lock.step(Step.CONNECT)
+        await self._vouch()
+        self.lock.step(Step.ANSWER)
+        await super().connect()
+        await self._settle_offline()
+        self._note(self._image)
+        self.lock.step(Step.BEGIN)
+
+    async def _vouch(self) -> None:
+        """Whose datum is on record, and which is where the record has it."""
+        book, ids = self.lock.book, self.plane.positioner_id
+        await self.client.discover()
+        there = np.isin(ids, self.client.ids)
+        known = book.places(ids)
+        self._reported = np.zeros(len(ids), dtype=bool)
+        as_recorded = np.zeros(len(ids), dtype=bool)
+        if there.any():
+            wire_deg, answered = await self.client.positions_deg(ids[there])
+            self._reported[there] = answered
+            off_deg = np.abs(wire_deg - known.wire_deg[there]).max(axis=1)
+            as_recorded[there] = answered & (off_deg <= SAME_DEG)
+            as_recorded &= await self._powered(there)
+        self.datum = known.datum & as_recorded
+        given = self.hardware.vouched
+        vouched = self.datum if given is None else self.datum | given
+        self.hardware = dataclasses.replace(self.hardware, vouched=vouched)
+
+    async def _powered(self, there: Flags) -> Flags:
+        """(N,) which say that their datum is set and that power has not gone since."""
+        powered = np.zeros(len(self.plane), dtype=bool)
+        for positioner, answer in (await self.client.status(self.plane.positioner_id[there])).items():
+            bits = answer.values[0] if answer.ok else 0
+            initialised = bits & Status.DATUMS_INITIALIZED == Status.DATUMS_INITIALIZED
+            powered[self.plane.index_of(positioner)] = initialised and not bits & _POWER_WENT
+        return powered
+
+    async def _settle_offline(self) -> None:
+        """Excluded positioners are obstacles where the image has them, not where the record does."""
+        image, state = self._image, self.state
+        rows = np.flatnonzero(self.plane.offline)
+        if image is None or not len(rows):
+            return
+        off_mm = np.hypot(*(image.xy_mm - state.metrology_mm(state.here_deg)).T)
+        for row in rows[image.seen[rows] & (off_mm[rows] > ALLOWED_MM)]:
+            found = self.plane.inverse(image.xy_mm[[row]], METROLOGY, index=[row])
+            text = f"excluded, and seen {off_mm[row]:.2f} mm from where it was"
+            state.recorder.event("alarm", text, int(self.plane.positioner_id[row]))
+            if found.reachable[0]:
+                state.here_deg[row] = found.alpha_deg[0], found.beta_deg[0]
+            else:
+                state.somewhere[row] = True
+        unplaced = np.array(self.lock.book.places(self.plane.positioner_id).how) == UNKNOWN
+        state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
+
+    async def look(self, unknown: Flags | None = None) -> Measurement:
+        """As `FieldMotion.look`; the state says that an image is taken."""
+        self.lock.step(Step.LOOK)
+        self._image = await super().look(unknown)
+        return self._image
+
+    async def move(
+        self, number: int, label: str, planned: Plan, goals: Goals, comparison: bool = False
+    ) -> Flags:
+        """As `FieldMotion.move`: `number`, `label`, `planned`, `goals`, `comparison`; places are kept."""
+        interrupted = await super().move(number, label, planned, goals, comparison)
+        self._note(self._image)
+        self.lock.step(Step.REST)
+        return interrupted
+
+    async def _execute(self, planned: Plan) -> Results:
+        self.lock.step(Step.MOVE)
+        return await super()._execute(planned)
+
+    async def stop(self, why: str) -> None:
+        """As `FieldMotion.stop`; the state says `why`, and where each was left is kept."""
+        await super().stop(why)
+        self._note(None)
+        self.lock.step(Step.STOP, why)
+
+    async def read_positions(self, positioner_id: Ints) -> Flags:
+        """Asks these where they are; (n,) which have answered."""
+        return await self._read_positions(positioner_id)
+
+    async def searched(self, positioner_id: list[int], *, datum: bool) -> None:
+        """After a datum search: reads where all are, keeps it, and does the begin check again.
+
+        `positioner_id`: those that have found it; `datum`: of both axes, so that their places say so.
+        """
+        self.lock.step(Step.REST)
+        ids = self.plane.positioner_id
+        await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
+        if datum and positioner_id:
+            self.datum[self.plane.index_of(positioner_id)] = True
+        self._note(None)
+        await self.begin_again()
+
+    async def begin_again(self) -> None:
+        """The begin check anew: what was said of positioners so far is forgotten."""
+        if self.lock.state is SessionState.LOOKING:
+            self.lock.step(Step.REST)
+        self.state = FieldState(self.plane, self.recorder)
+        await self.connect()
+
+    async def stage(self, label: str, planned: Plan, goals: Goals, separating: bool) -> Flags:
+        """One motion of a recovery; (N,) positioners not at their goal.
+
+        `label`: for the record; `planned`: of all N positioners; `goals`: its ends; `separating`: bodies
+        that touch at its begin move apart, which the verifier has to prove.
+        """
+        self._separating = separating
+        ids = [robot.positioner_id for robot in planned.robots if robot.moves]
+        try:
+            if separating:  # the firmware's own approach would press them together again
+                await self.client.set_precise_moves(ids, on=False)
+            return await self.move(len(self.moves) + 1, label, planned, goals)
+        finally:
+            self._separating = False
+
+    def _verify(self, planned: Plan) -> None:
+        if not self._separating:
+            super()._verify(planned)
+            return
+        found = verify(self.state.obstacles(), planned, limits=MotionLimits(separating=True))
+        self.collisions_verified += len(found.collisions)
+        if not found.ok:
+            raise UnsafePlanError(f"the verifier refused the way apart: {found}")
+
+    @property
+    def folded(self) -> bool:
+        """Every positioner that follows commands is where it is parked."""
+        off_deg = np.abs(self.state.here_deg - self.plane.park_deg).max(axis=1)
+        return bool((off_deg[self.state.mobile] < FOLDED_DEG).all() and self.state.mobile.any())
+
+    @property
+    def collided(self) -> list[int]:
+        """Positioners that said in this command that they had collided, and are not where they should be."""
+        if not self.client.collisions or not self.moves or not self.moves[-1].interrupted:
+            return []
+        return sorted({collision.positioner for collision in self.client.collisions})
+
+    def _note(self, image: Measurement | None) -> None:
+        """ArrayPlaces of all, as they are now; of an excluded one only where it is seen or was known."""
+        state = self.state
+        doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in state.faults])
+        self.datum &= ~doubted
+        seen = np.zeros(len(self.plane), dtype=bool) if image is None else image.seen
+        how = np.where(seen, SEEN, np.where(doubted | ~self._reported, UNKNOWN, REPORTED))
+        angles_deg = np.where(((how == UNKNOWN) | state.somewhere)[:, None], np.nan, state.here_deg)
+        trusted = self._reported & ~self.plane.offline
+        wire_deg = np.where(trusted[:, None], state.wire_deg, np.nan)
+        places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum, [None] * len(self.plane))
+        self.lock.book.note_places(self.plane.positioner_id, places)
+        self.lock.book.forget_datum(self.plane.positioner_id[~self.datum])
+
+
+def last_status(motion: FieldMotion) -> list[FibreStatus]:
+    """Of every positioner, after the last move or the begin check."""
+    moves: list[Move] = motion.moves
+    nothing = np.zeros(len(motion.plane), dtype=bool)
+    unknown_um = np.full(len(motion.plane), np.nan)
+    return moves[-1].status if moves else motion.state.status(nothing, unknown_um)

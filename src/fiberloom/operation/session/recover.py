@@ -1,0 +1,78 @@
+"""After a collision: which arms touch, a verified way apart, flags cleared, the begin check."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiberloom.operation.move import Goals
+from fiberloom.operation.session.motion import SessionMotion
+from fiberloom.operation.session.states import Step
+from fiberloom.planning import untangle
+from fiberloom.planning.untangling import Stage, Untangled
+
+TRIES = 3
+"""Ways that are begun, before a person has to look."""
+
+
+@dataclass
+class Recovery:
+    """Takes the arms of one field apart, and folds them."""
+
+    motion: SessionMotion
+    """After its begin check."""
+    look_only: bool = False
+    """Say what touches and what would be done; move nothing."""
+    touching: list[str] = field(default_factory=list)
+    """Which touch, and by how much they overlap."""
+    stages: list[str] = field(default_factory=list)
+    """What was done, or would be."""
+    stuck: dict[int, str] = field(default_factory=dict)
+    """Why a positioner still touches something."""
+
+    async def run(self) -> bool:
+        """Recovers; True where nothing touches any more. The array is locked otherwise."""
+        for attempt in range(TRIES):
+            way = await self._way(attempt)
+            if attempt == 0:
+                self.touching = [f"{a} and {b}: {mm:.2f} mm" for (a, b), mm in way.overlaps.items()]
+                for text in self.touching:
+                    self.motion.recorder.event("touching", text)
+            self.stuck = dict(way.stuck)
+            if self.look_only:
+                self.stages = [stage.what for stage in way.stages]
+                break
+            await self._clear_flags()
+            if await self._follow(way):
+                break
+            await self.motion.begin_again()
+        free = not self.stuck and not (self.look_only and self.touching)
+        if not free:
+            text = "; ".join(self.stuck.values()) or f"touching: {', '.join(self.touching)}"
+            self.motion.lock.step(Step.COLLIDE, text)
+        return free
+
+    async def _way(self, attempt: int) -> Untangled:
+        state = self.motion.state
+        self.motion.progress("looking for a way apart")
+        return await asyncio.to_thread(untangle, state.obstacles(), state.here_deg, seed=attempt)
+
+    async def _clear_flags(self) -> None:
+        """The one place where flags of collisions are cleared: what touches is on record by now."""
+        await self.motion.client.stop()
+        await self.motion.client.wait_until_done(timeout_s=5.0, stop_on_collision=False)
+
+    async def _follow(self, way: Untangled) -> bool:
+        """Carries out the stages; False where one did not end as planned."""
+        for stage in way.stages:
+            self.stages.append(stage.what)
+            self.motion.progress(stage.what)
+            if await self._stage(stage):
+                return False
+        return True
+
+    async def _stage(self, stage: Stage) -> bool:
+        goals = Goals.without_targets(self.motion.plane, np.asarray(stage.plan.end_deg))
+        return bool((await self.motion.stage(stage.what, stage.plan, goals, stage.separates)).any())

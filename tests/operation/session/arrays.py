@@ -1,0 +1,69 @@
+"""Arrays of a few positioners on the virtual twin, with a store, for the tests of sessions."""
+
+import asyncio
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.operation.session.session import KnownArray, Session
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
+from fiberloom.twin import NoiseCamera, Twin, draw_units
+from fiberloom.twin.source import TwinSource
+from fiberloom.twin.transport import TwinTransport
+from fiberloom.typing import Floats
+
+BUS = "cannet://10.1.10.31:19228"
+
+
+@dataclass
+class TwinArray:
+    """An array whose power stays on from one session to the next; the host knows nothing of its datums."""
+
+    twin: Twin
+    dark: list[int] = field(default_factory=list)
+    """Rows whose fibres are not seen."""
+
+    @classmethod
+    def of(cls, plane, start_deg: Floats | None = None, seed: int = 0):
+        return cls(Twin(plane, draw_units(plane, seed), seed=seed, start_deg=start_deg))
+
+    async def open(self):
+        return Hardware(
+            TwinTransport(self.twin), _Dimmed(NoiseCamera(self.twin, 0.669, 0), self.dark), self.twin
+        )
+
+
+@dataclass
+class _Dimmed:
+    camera: NoiseCamera
+    dark: list[int]
+
+    def measure(self, expected_mm=None):
+        image = self.camera.measure(expected_mm)
+        x, y, seen = image.x_mm.copy(), image.y_mm.copy(), image.seen.copy()
+        x[self.dark], y[self.dark], seen[self.dark] = np.nan, np.nan, False
+        return type(image)(x, y, seen, image.time_s)
+
+
+def layout(n, seed=0):
+    return generate(load_instrument("sdssv"), seed, n_positioners=n)
+
+
+def maps_of(plane, seed=0) -> TransmissionMaps:
+    """Swept once, then from the cache."""
+    from fiberloom.field import Field
+
+    return Field(plane, TwinSource(plane, seed, "noise", "")).run.calibrate()
+
+
+def session(array, plane, store: Store, words="fiberloom test", **how) -> Session:
+    known = KnownArray(plane, maps_of(plane), array, ArrayBook(store, BUS))
+    return Session(known, words, **how)
+
+
+def done(task):
+    return asyncio.run(asyncio.wait_for(task, 300.0))

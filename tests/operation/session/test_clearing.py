@@ -1,0 +1,84 @@
+"""Who may search at the same time: checked by sampling, with other code than that which chooses."""
+
+import numpy as np
+import pytest
+from arrays import layout
+
+from fiberloom.operation.session.clearing import Clearing
+
+PLANE = layout(37)
+ALL = np.ones(37, dtype=bool)
+NONE = ~ALL
+BODY_MM = 2.0
+
+
+def arm(row, angles_deg):
+    """Two ends of the beta arm's centre line, by hand."""
+    alpha = PLANE.alpha_off_rad[row] + np.deg2rad(angles_deg[0])
+    elbow = PLANE.centres_mm[row] + PLANE.l_alpha_mm[row] * np.array([np.cos(alpha), np.sin(alpha)])
+    beta = alpha + PLANE.beta_off_rad[row] + np.deg2rad(angles_deg[1])
+    way = np.array([np.cos(beta), np.sin(beta)])
+    start, end = PLANE.beta_segment_mm
+    return elbow + start * way, elbow + end * way
+
+
+def points(row, angles_deg):
+    a, b = arm(row, angles_deg)
+    return a + np.linspace(0.0, 1.0, 60)[:, None] * (b - a)
+
+
+def nearest_mm(first, second):
+    return np.hypot(*(first[:, None] - second[None]).transpose(2, 0, 1)).min()
+
+
+@pytest.fixture(scope="module")
+def rounds():
+    """Beta rounds until all have searched."""
+    waiting, made = list(range(37)), []
+    while waiting:
+        found = Clearing(PLANE, PLANE.park_deg, ALL, NONE).beta_round(waiting)
+        assert found.searchers
+        made.append(found)
+        waiting = [row for row in waiting if row not in found.searchers]
+    return made
+
+
+def test_every_positioner_gets_its_turn_once(rounds):
+    assert sorted(row for found in rounds for row in found.searchers) == list(range(37))
+    assert len(rounds) < 10
+
+
+def test_no_arm_comes_near_a_searcher_whatever_its_beta(rounds):
+    betas = np.arange(-4.0, 172.0, 5.0)
+    for found in rounds:
+        for row in found.searchers:
+            swept = np.vstack([points(row, (found.goals_deg[row, 0], beta)) for beta in betas])
+            for other in set(range(37)) - {row}:
+                if np.hypot(*(PLANE.centres_mm[row] - PLANE.centres_mm[other])) > 60.0:
+                    continue
+                if other in found.searchers:  # at any place of its own search
+                    there = [points(other, (found.goals_deg[other, 0], beta)) for beta in betas]
+                    assert nearest_mm(swept, np.vstack(there)) > 2.0 * BODY_MM
+                else:
+                    assert nearest_mm(swept, points(other, found.goals_deg[other])) > 2.0 * BODY_MM
+
+
+def test_bodies_that_cannot_move_are_respected():
+    stuck_deg = PLANE.park_deg.copy()
+    stuck_deg[20] = [200.0, 60.0]
+    mobile = ALL.copy()
+    mobile[20] = False
+    clearing = Clearing(PLANE, stuck_deg, mobile, NONE)
+    found = clearing.beta_round([i for i in range(37) if i != 20])
+    np.testing.assert_array_equal(found.goals_deg[20], stuck_deg[20])
+    for row in found.searchers:
+        swept = np.vstack([points(row, (found.goals_deg[row, 0], b)) for b in np.arange(-4.0, 172.0, 5.0)])
+        assert nearest_mm(swept, points(20, stuck_deg[20])) > 2.0 * BODY_MM
+
+
+def test_next_to_one_that_may_be_anywhere_none_searches():
+    somewhere = NONE.copy()
+    somewhere[0] = True
+    near = np.flatnonzero(np.hypot(*(PLANE.centres_mm - PLANE.centres_mm[0]).T) < 23.0)
+    clearing = Clearing(PLANE, PLANE.park_deg, ~somewhere, somewhere)
+    assert set(clearing.beta_round(list(range(1, 37))).searchers).isdisjoint(near)

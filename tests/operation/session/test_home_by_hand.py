@@ -1,0 +1,168 @@
+"""Steps of a datum search by themselves: turns by the image, and clearing the way."""
+
+import asyncio
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fiberloom.bus.outcome import Outcome, Result, Results
+from fiberloom.bus.protocol import Status
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.operation.session.clearing import Clearing, Round
+from fiberloom.operation.session.home import Homing, _turns_off
+
+PLANE = generate(load_instrument("sdssv"), 0, n_positioners=7)
+ROWS = np.arange(7)
+TURN_DEG = np.array([360.0 / a.gear for a in PLANE.instrument.axes])
+HERE = np.column_stack([np.linspace(10.0, 300.0, 7), np.full(7, 90.0)])
+
+
+def off_by(turns, axis):
+    """What is said of positioners that are truly so many motor turns from where they report."""
+    true_deg = HERE + np.array(turns) * TURN_DEG
+    return _turns_off(PLANE, ROWS, HERE, PLANE.forward(*true_deg.T), axis)
+
+
+@pytest.mark.parametrize(
+    ("axis", "turns"),
+    [("alpha", (k, 0)) for k in (-3, -1, 1, 3)]
+    + [("beta", (0, k)) for k in (-3, -1, 1, 3)]
+    + [("both", (a, b)) for a in (-1, 0, 1) for b in (-1, 0, 1)],
+)
+def test_turns_that_the_image_shows_are_told(axis, turns):
+    np.testing.assert_array_equal(off_by(turns, axis), np.tile(turns, (7, 1)))
+
+
+@pytest.mark.parametrize(
+    ("axis", "turns"),
+    [("alpha", (0, 2)), ("beta", (2, 0)), ("alpha", (4, 0)), ("beta", (0, -4)), ("both", (2, 0)),
+     ("both", (-2, 0)), ("both", (0, 2)), ("both", (0, -2))],
+)  # fmt: skip
+def test_turns_that_are_not_tried_are_not_declared(axis, turns):
+    """Of one axis three, of the other none; of both at once one: more would look alike."""
+    assert not off_by(turns, axis).any()
+
+
+def test_what_fits_as_it_is_stays():
+    seen_mm = PLANE.forward(*HERE.T) + 0.015
+    assert not _turns_off(PLANE, ROWS, HERE, seen_mm, "both").any()
+    assert not _turns_off(PLANE, ROWS, HERE, np.full((7, 2), np.nan), "both").any()
+
+
+@pytest.mark.parametrize(("way_deg", "moves"), [(0.0, False), (0.01, True), (0.9, True), (30.0, True)])
+def test_the_others_are_brought_exactly_out_of_the_way(way_deg, moves):
+    """A place that is clear by the margin only is not clear a little beside it."""
+    gone = []
+
+    async def go(goals):
+        gone.append(goals.angles_deg)
+
+    state = SimpleNamespace(here_deg=HERE, mobile=np.ones(7, dtype=bool))
+    homing = Homing(SimpleNamespace(plane=PLANE, state=state, go=go), ROWS[:0])
+    goals_deg = HERE + np.where(ROWS[:, None] == 3, [way_deg, 0.0], 0.0)
+    asyncio.run(homing._clear(Round([0], goals_deg, {})))
+    assert len(gone) == moves
+    for there_deg in gone:
+        np.testing.assert_array_equal(there_deg, goals_deg)
+
+
+def test_one_that_cannot_move_is_not_told_to():
+    async def go(goals):
+        raise AssertionError("moved")
+
+    state = SimpleNamespace(here_deg=HERE, mobile=ROWS != 3)
+    homing = Homing(SimpleNamespace(plane=PLANE, state=state, go=go), ROWS[:0])
+    goals_deg = HERE + np.where(ROWS[:, None] == 3, 5.0, 0.0)
+    asyncio.run(homing._clear(Round([0], goals_deg, {})))
+
+
+def test_searchers_of_beta_wait_folded_at_the_side_to_which_they_sweep():
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=19)
+    nowhere = np.zeros(19, dtype=bool)
+    clearing = Clearing(plane, plane.park_deg, ~nowhere, nowhere)
+    found = clearing.beta_round(list(range(19)))
+    assert len(found.searchers) >= 2
+    for row in found.searchers:
+        alpha_deg, beta_deg = found.goals_deg[row]
+        assert beta_deg == plane.park_deg[row, 1]
+        wanted = clearing.of_beta(row, alpha_deg)
+        np.testing.assert_allclose(found.sweeps[row].segments_mm, wanted.segments_mm, atol=1e-12)
+        assert not clearing.in_the_way(row, wanted, found.goals_deg, found.sweeps)
+
+
+def test_one_that_makes_room_keeps_off_what_may_be_anywhere():
+    """Beside a positioner whose place is not known: its whole reach is a disc that arms keep out of."""
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=19)
+    lost = np.arange(19) == int(np.argmax(plane.centres_mm[:, 0]))
+    clearing = Clearing(plane, plane.park_deg, ~lost, lost)
+    row = int(np.argsort(np.hypot(*(plane.centres_mm - plane.centres_mm[lost][0]).T))[1])
+    place_deg = clearing._elsewhere(row, plane.park_deg, {})
+    (arm,) = clearing.arms_mm(np.array([row]), place_deg[None])
+    along = arm[:2] + np.linspace(0.0, 1.0, 400)[:, None] * (arm[2:] - arm[:2])
+    gap_mm = np.hypot(*(along - plane.centres_mm[lost][0]).T).min() - plane.body_reach_mm[lost][0]
+    assert gap_mm > plane.collision_buffer_mm
+
+
+class Bus:
+    """Answers as told; keeps the positions that are declared."""
+
+    def __init__(self, begun=(), ended=(), bits=0):
+        self.begun, self.ended, self.bits, self.declared = begun, ended, bits, []
+
+    async def home(self, ids, axis):
+        return results(ids, self.begun)
+
+    async def wait_until_done(self, ids, limit_s):
+        return results(ids, self.ended)
+
+    async def status(self, ids):
+        return Results({i: Result(i, Outcome.DONE, values=(self.bits.get(i, 0),)) for i in ids})
+
+    async def set_position(self, ids, alpha_deg, beta_deg):
+        self.declared.append((ids, alpha_deg, beta_deg))
+
+
+def results(ids, failing):
+    return Results({i: Result(i, Outcome.TIMED_OUT if i in failing else Outcome.DONE) for i in ids})
+
+
+def test_a_search_that_failed_is_none_even_where_an_older_datum_is_set():
+    ids = [int(p) for p in PLANE.positioner_id[:4]]
+    both = Status.DATUMS_INITIALIZED
+    # the first does not begin, the second does not end, the third ends without a datum
+    client = Bus(begun=ids[:1], ended=ids[1:2], bits={ids[0]: both, ids[1]: both, ids[3]: both})
+    homing = Homing(
+        SimpleNamespace(plane=PLANE, client=client, lock=SimpleNamespace(step=lambda s: None)), ROWS
+    )
+    booked = []
+
+    async def book(done, axis):
+        booked.append((done, axis))
+
+    homing._book = book
+    asyncio.run(homing._search([0, 1, 2, 3], "both"))
+    assert booked == [([ids[3]], "both")]
+    assert set(homing.left_out) == set(ids[:3])
+
+
+def test_turns_are_counted_in_the_last_image():
+    """The image before was taken elsewhere: by it all would be right."""
+    right_mm = PLANE.forward(*HERE.T)
+    off_mm = PLANE.forward(*(HERE + np.where(ROWS[:, None] == 2, [TURN_DEG[0], 0.0], 0.0)).T)
+    moves = [SimpleNamespace(measurement=SimpleNamespace(xy_mm=xy)) for xy in (right_mm, off_mm)]
+    client, told = Bus(), []
+    state = SimpleNamespace(here_deg=HERE, wire_deg=HERE + 0.01)
+    recorder = SimpleNamespace(event=lambda *what: told.append(what))
+    motion = SimpleNamespace(plane=PLANE, client=client, state=state, moves=moves, recorder=recorder)
+    homing = Homing(motion, ROWS)
+
+    async def folded():
+        pass
+
+    homing._fold = folded
+    asyncio.run(homing._count_turns([int(p) for p in PLANE.positioner_id], "alpha"))
+    ((ids, alpha_deg, beta_deg),) = client.declared
+    assert ids == [int(PLANE.positioner_id[2])]
+    np.testing.assert_allclose([alpha_deg[0], beta_deg[0]], HERE[2] + 0.01 + [TURN_DEG[0], 0.0])
+    assert len(told) == 1

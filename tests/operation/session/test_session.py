@@ -1,0 +1,172 @@
+"""Commands to an array on the virtual twin: park, home, exclusions, what one session leaves to the next."""
+
+import asyncio
+
+import numpy as np
+import pytest
+from arrays import BUS, TwinArray, done, layout, session
+
+from fiberloom.errors import InputError, StoppedError
+from fiberloom.operation.move import Goals
+from fiberloom.operation.session.states import Deed
+from fiberloom.planning import random_configuration
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
+
+PLANE = layout(19)
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store.open(tmp_path / "arrays.sqlite") as store:
+        yield store
+
+
+@pytest.fixture
+def array():
+    return TwinArray.of(PLANE, random_configuration(PLANE, 1))
+
+
+def off_park_mm(array, plane=PLANE):
+    """(N,) how far the fibres truly are from where they are when parked."""
+    return np.hypot(*(array.twin.fibre_xy("metrology") - plane.forward(*plane.park_deg.T)).T)
+
+
+def test_park_folds_all_and_says_so(array, store):
+    report = done(session(array, PLANE, store).park())
+    assert (report.state, report.ok, len(report.folded)) == ("parked", True, len(PLANE))
+    assert off_park_mm(array).max() < 0.3
+    assert array.twin.touches() == []
+    book = ArrayBook(store, BUS)
+    assert (book.state().state, book.state().owned) == ("parked", False)
+    places = book.places(PLANE.positioner_id)
+    assert places.how == ["seen"] * len(PLANE)
+    assert not places.datum.any()
+    np.testing.assert_allclose(places.angles_deg, PLANE.park_deg, atol=0.1)
+    assert [run.status for run in store.runs()] == ["finished"]
+
+
+def test_home_finds_every_datum_without_a_touch(array, store):
+    report = done(session(array, PLANE, store).home())
+    assert report.left_out == {}
+    assert sorted(report.datum_found) == sorted(PLANE.positioner_id.tolist())
+    assert report.state == "parked"
+    assert array.twin.touches() == []
+    assert ArrayBook(store, BUS).places(PLANE.positioner_id).datum.all()
+    # the counters are right after it, to the turn: an observation goes on as before
+    assert off_park_mm(array).max() < 0.05
+
+
+def test_a_datum_on_record_vouches_for_a_dark_fibre(array, store):
+    array.dark = [3]
+    report = done(session(array, PLANE, store).park())
+    # dark, and nothing else says where it is: an obstacle of its whole reach, which its neighbours feel
+    assert report.left_out[PLANE.positioner_id[3]] == "dark"
+    assert {report.left_out[p] for p in set(report.left_out) - {PLANE.positioner_id[3]}} <= {"blocked"}
+    array.dark = []
+    done(session(array, PLANE, store).home())
+    array.dark = [3]
+    assert done(session(array, PLANE, store).park()).left_out == {}
+    # moved by another program since: nothing vouches for it any more
+    array.twin.power_cycle(int(PLANE.positioner_id[3]))
+    report = done(session(array, PLANE, store).park())
+    assert not ArrayBook(store, BUS).places(PLANE.positioner_id[[3]]).datum[0]
+
+
+def test_what_is_excluded_stays_where_it_is(array, store):
+    book, before_mm = ArrayBook(store, BUS), array.twin.fibre_xy("metrology")
+    excluded = PLANE.positioner_id[[2, 7]].tolist()
+    book.exclude(excluded[:1], "ann", "beta slips")
+    report = done(session(array, PLANE, store, exclude=excluded[1:]).park())
+    moved_mm = np.hypot(*(array.twin.fibre_xy("metrology") - before_mm).T)
+    assert moved_mm[[2, 7]].max() < 1e-3
+    assert np.median(moved_mm) > 1.0
+    assert not set(excluded) & set(report.folded)
+    assert array.twin.touches() == []
+    with pytest.raises(InputError, match="--exclude 99999: no such positioner"):
+        session(array, PLANE, store, exclude=[99999])
+
+
+def test_an_excluded_one_is_an_obstacle_where_it_is_seen_not_where_the_record_has_it(array, store):
+    book = ArrayBook(store, BUS)
+    done(session(array, PLANE, store).park())
+    moved = TwinArray.of(PLANE, np.where(np.arange(19)[:, None] == 9, [40.0, 60.0], PLANE.park_deg))
+    book.exclude([int(PLANE.positioner_id[9])], "ann", "pushed by hand")
+    made = session(moved, PLANE, store)
+
+    async def scenario():
+        async with made._moving(Deed.PARK) as motion:
+            return motion.state.here_deg[9], motion.state.mobile[9]
+
+    here_deg, mobile = done(scenario())
+    np.testing.assert_allclose(here_deg, [40.0, 60.0], atol=1.5)
+    assert not mobile
+
+
+def test_one_motion_at_a_time(array, store):
+    first, second = session(array, PLANE, store, "fiberloom park"), session(array, PLANE, store, "other")
+
+    async def both():
+        async with first.owning(Deed.PARK):
+            with pytest.raises(InputError, match=r"is connecting .in use by `fiberloom park`"):
+                async with second.owning(Deed.HOME):
+                    pass
+
+    done(both())
+
+
+class SlowArray(TwinArray):
+    """The same twin at the pace of a clock, so that another process can interfere; `asks` does."""
+
+    asks = None
+
+    async def open(self):
+        hardware = await super().open()
+        receive = hardware.transport.receive
+
+        async def slowly(timeout_s):
+            self.asks()
+            await asyncio.sleep(0.05)
+            return await receive(timeout_s)
+
+        hardware.transport.receive = slowly
+        return hardware
+
+
+def test_another_process_stops_a_session_in_motion(array, store):
+    slow, said, asked = SlowArray(array.twin), [], []
+    made = session(slow, PLANE, store, progress=said.append)
+
+    def asks():
+        if not asked and made.known.book.state().state == "moving":
+            asked.append(made.known.book.ask_stop("bob on far"))
+
+    slow.asks = asks
+    with pytest.raises(StoppedError, match="stopped by bob on far"):
+        done(made.park())
+    assert asked == [True]
+    state = made.known.book.state()
+    assert (state.state, state.owned) == ("stopped", False)
+    assert any("positioners at rest after" in text for text in said)
+    assert store.runs()[-1].status == "interrupted"
+    still_mm = array.twin.fibre_xy("metrology")
+    array.twin.run(1.0)
+    assert np.abs(array.twin.fibre_xy("metrology") - still_mm).max() < 1e-3
+    assert off_park_mm(array).max() > 1.0  # it was on the way
+    assert done(session(array, PLANE, store).park()).state == "parked"
+    assert array.twin.touches() == []
+
+
+def test_an_error_leaves_the_array_unknown(array, store):
+    made = session(array, PLANE, store)
+
+    async def fails():
+        async with made._moving(Deed.PARK) as motion:
+            await motion.go(Goals.without_targets(PLANE, PLANE.park_deg))
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        done(fails())
+    state = ArrayBook(store, BUS).state()
+    assert (state.state, state.text) == ("unknown", "stopped after an error: disk full")
+    assert done(session(array, PLANE, store).park()).state == "parked"
