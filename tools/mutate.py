@@ -115,7 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--sample", type=int, default=SAMPLE, metavar="N", help="of each package; 0: all")
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--skip", type=int, default=0, metavar="K", help="the first K of the sample were tried")
+    parser.add_argument(
+        "--skip", type=int, default=0, metavar="K", help="the first K of the sample were tried"
+    )
     parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose key contains it")
     parser.add_argument("--kind", default="", choices=KINDS, help="only mutants of this kind")
     given = parser.parse_args(arguments)
