@@ -1,5 +1,6 @@
 #include "kernels.hpp"
 #include "pixels.hpp"
+#include "whole.hpp"
 
 #include <algorithm>
 
@@ -126,7 +127,8 @@ FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::ve
         const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
         const Key bar = static_cast<Key>(threshold[c]);
         unsigned char any = 0;
-        for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::key(r.row[i]) > bar);
+        // as stored, which is quicker: a pixel that holds no light costs a second look, and is none
+        for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::stored(r.row[i]) > bar);
         if (any != 0) peaks_in_chunk(r, std::max(begin, 1), std::min(end, width - 1), threshold[c], out);
     }
 }
@@ -158,8 +160,8 @@ FL_INLINE Span covered(const Shape &shape, double x, double dy, float q_max, int
     const double b = 0.5 * shape.xy * dy, root = b * b - shape.xx * (shape.yy * dy * dy - q_max);
     if (!(root > 0)) return {0, 0};
     const double half = std::sqrt(root) / shape.xx, middle = x - b / shape.xx;
-    const int begin = std::clamp(static_cast<int>(middle - half), 0, width) & ~(Stamp::lanes - 1);
-    const int end = std::clamp(static_cast<int>(middle + half) + 1, 0, width);
+    const int begin = whole(middle - half, 0, width) & ~(Stamp::lanes - 1);
+    const int end = std::min(whole(middle + half, -1, width) + 1, width);
     return {begin, (end + Stamp::lanes - 1) & ~(Stamp::lanes - 1)};
 }
 
