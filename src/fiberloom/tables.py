@@ -1,6 +1,10 @@
 """Tables that people write: CSV, ECSV, FITS. Every complaint names file, row and column."""
 
 import csv
+import hashlib
+import io
+import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import check_axes, read_bytes, read_text
 from fiberloom.typing import Array, Floats, Ints
 
 SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
@@ -64,10 +69,13 @@ class TableFile:
         """A column as whole numbers."""
         return self._convert(name, _whole, np.int64, "a whole number")
 
-    def unique(self, name: str) -> None:
-        """Raise InputError where a value of this column appears twice."""
-        first: dict[str, int] = {}
-        for row, value in enumerate(self.strings(name)):
+    def unique(self, name: str, *, number: bool = False) -> None:
+        """Raise InputError where a value of this column appears twice; a `number` (whole) also where it
+        is written in two ways: 252 and 252.0.
+        """
+        first: dict[Any, int] = {}
+        values = self.integers(name) if number else self.strings(name)
+        for row, value in enumerate(values.tolist()):
             if value in first:
                 earlier = self.places[first[value]]
                 raise self.error(row, name, f"= {value} was used before, in {earlier}")
@@ -77,7 +85,7 @@ class TableFile:
         out: Array = np.empty(len(self), dtype=dtype)
         for row, value in enumerate(self.columns[name]):
             try:
-                out[row] = kind(value)
+                out[row] = kind(_plain(value))
             except (TypeError, ValueError, OverflowError):
                 shown = _text(value)
                 raise self.error(row, name, f"= '{shown}' is not {noun}") from None
@@ -100,7 +108,7 @@ def read_table(path: str | Path) -> TableFile:
 def read_csv(path: Path) -> TableFile:
     """A CSV file: a header, then rows; # starts a comment line; blank lines do not count."""
     lines = list(_lines(path))
-    rows = list(csv.reader(line for _, line in lines))
+    rows = _rows(path, lines)
     if not rows:
         raise InputError(f"{path}: the file is empty")
     if len(rows) != len(lines):
@@ -117,12 +125,17 @@ def read_csv(path: Path) -> TableFile:
     return TableFile(path, columns, places)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _rows(path: Path, lines: Sequence[tuple[int, str]]) -> list[list[str]]:
+    reader = csv.reader(line for _, line in lines)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file (UTF-8)") from None
-    for number, line in enumerate(text.splitlines(), start=1):
+        return list(reader)
+    except csv.Error as error:
+        place = lines[min(reader.line_num, len(lines)) - 1][0]
+        raise InputError(f"{path}, line {place}: not CSV ({error})") from None
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.strip() and not line.startswith("#"):
             yield number, line
 
@@ -135,11 +148,16 @@ def _is_ecsv(path: Path) -> bool:
 def _read_astropy(path: Path, kind: str) -> TableFile:
     from astropy.table import Table  # takes a third of a second: only where it is needed
 
+    content = read_bytes(path)
+    if kind == "fits":
+        check_axes(path, io.BytesIO(content))
+    else:
+        check_sum(path, content)
     try:
-        table = Table.read(path, format=kind)
+        with warnings.catch_warnings(action="ignore"):  # the error says it
+            table = Table.read(io.BytesIO(content), format=kind)
     except Exception as error:  # astropy raises many kinds for a broken file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as {kind}: {reason}") from None
+        raise InputError(f"{path}: cannot be read as {kind}: {one_line(error)}") from None
     columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
     return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
 
@@ -149,11 +167,52 @@ def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str,
     from astropy.table import Table
 
     columns = {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}
-    Table(columns, meta=dict(head)).write(path, format="ascii.ecsv", overwrite=True)
+    write_summed(path, Table(columns, meta=dict(head)))
+
+
+SUM = "rows_sum"
+"""Key in the header of an ECSV table: the sum over its rows."""
+_NO_SUM = "sha256-" + 16 * "0"
+
+
+def write_summed(path: Path, table: Any) -> None:
+    """Write an astropy table as ECSV with the sum of its rows in the header: a file that was cut short is
+    not taken for one with fewer rows.
+    """
+    table = table.copy(copy_data=False)
+    table.meta[SUM] = _NO_SUM
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    path.write_text(text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1), encoding="utf-8")
+
+
+def check_sum(path: Path, content: bytes) -> None:
+    """Raise InputError for the content of an ECSV file whose rows are not those it was written with; one
+    without a sum, of another program, is not checked.
+    """
+    text = content.decode("utf-8", errors="replace")
+    found = re.search(rf"^#.*\b{SUM}: '?(sha256-\w+)", text, flags=re.MULTILINE)
+    if found and found[1] != _sum_of(text):
+        raise InputError(
+            f"{path}: was cut short or changed since it was written; copy or make it again, or take {SUM} "
+            "out of its header where the change is meant"
+        )
+
+
+def _sum_of(text: str) -> str:
+    rows = [line.rstrip() for line in text.splitlines() if not line.startswith("#")]
+    return "sha256-" + hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
 
 
 def _cell(value: Any) -> Any:
     return float("nan") if value is None else value
+
+
+def _plain(value: Any) -> Any:
+    """Text as numbers are written in files: float() also takes 1_0.0 and the digits of every script."""
+    if isinstance(value, str) and not (value.isascii() and "_" not in value):
+        raise ValueError
+    return value
 
 
 def _whole(value: Any) -> int:

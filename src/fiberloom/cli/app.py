@@ -131,8 +131,9 @@ def main() -> None:
         _fail(str(error), INTERRUPTED)
     except RuntimeError as error:
         from fiberloom.metrology.sources.errors import CameraError
+        from fiberloom.operation.motion import UnsafePlanError
 
-        if not isinstance(error, CameraError):
+        if not isinstance(error, CameraError | UnsafePlanError):
             raise
         _fail(str(error), BELOW)
     except OSError as error:

@@ -27,6 +27,7 @@ from fiberloom.report.focal_plane import (
 )
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
+from fiberloom.tables import write_summed
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
@@ -431,7 +432,7 @@ def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) 
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     table = fibres_table(observed)
     table.meta = {k: summary[k] for k in MARKS}
-    table.write(out / "fibres.ecsv", overwrite=True)
+    write_summed(out / "fibres.ecsv", table)
     plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
     plans |= {k: summary[k] for k in MARKS}
     (out / "trajectories.json").write_text(json.dumps(plans) + "\n")

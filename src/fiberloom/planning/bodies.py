@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -35,6 +36,7 @@ class CollisionBodies:
     @classmethod
     def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "CollisionBodies":
         """The bodies of a plane; its own collision buffer when left out."""
+        _refuse_wide(plane, plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm)
         discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
         radius = plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
         obstacles = np.vstack([discs, plane.guide_cameras.reshape(-1, 5)])
@@ -46,6 +48,19 @@ class CollisionBodies:
         obstacles in mm.
         """
         return self.arms, self.segment_mm, self.radius_mm, self.obstacles
+
+
+def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
+    """Arms wider than the pitch overlap everywhere: a search or proof among them takes minutes to hours."""
+    if plane.n < 2:
+        return
+    nearest = cKDTree(plane.centres_mm).query(plane.centres_mm, k=2)[0][:, 1]
+    pitch_mm = float(np.median(nearest))
+    if not 2.0 * radius_mm < pitch_mm:
+        raise InputError(
+            f"collision_buffer_mm = {radius_mm:g}: the arms are {2.0 * radius_mm:g} mm wide, the positioners "
+            f"{pitch_mm:g} mm apart; wider than that nothing can move"
+        )
 
 
 def travel_rad(plane: FocalPlane) -> Floats:

@@ -20,7 +20,7 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
     """
     table = read_table(path)
     table.require(*COLUMNS)
-    table.unique(COLUMNS[0])
+    table.unique(COLUMNS[0], number=True)
     ids, angles = table.integers(COLUMNS[0]), [table.numbers(name) for name in COLUMNS[1:]]
     known = np.isin(ids, plane.positioner_id)
     if not known.all():

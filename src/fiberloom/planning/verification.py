@@ -10,7 +10,7 @@ from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import ROUNDING_RAD, CollisionBodies, angles_rad, approach_rad, travel_rad
-from fiberloom.planning.trajectories import Plan
+from fiberloom.planning.trajectories import MOST_DEG, Plan, Trajectory
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -201,6 +201,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
         if plane.offline[place] and robot.moves:
             raise InputError(f"positioner {robot.positioner_id} is offline, but the plan moves it")
         if not plane.offline[place]:
+            _refuse_endless(robot)
             motions[place] = np.column_stack([robot.time_s, deg_to_rad(robot.points_deg)])
     missing = [int(p) for p, m in zip(plane.positioner_id, motions, strict=True) if m is None]
     if missing:
@@ -209,6 +210,15 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
             "give one that does not move a single point"
         )
     return [m for m in motions if m is not None]
+
+
+def _refuse_endless(robot: Trajectory) -> None:
+    """Before a proof begins that would not end. What is not finite is told as a violation."""
+    farthest = np.abs(robot.points_deg).max(initial=0.0, where=np.isfinite(robot.points_deg))
+    if farthest > MOST_DEG:
+        raise InputError(
+            f"positioner {robot.positioner_id} goes to {farthest:g} deg; at most {MOST_DEG:g} deg is sound"
+        )
 
 
 def _arrives(plane: FocalPlane, plan: Plan) -> Flags:
