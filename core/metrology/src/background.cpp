@@ -1,6 +1,5 @@
 #include "background.hpp"
 #include "pixels.hpp"
-#include "whole.hpp"
 
 #include <algorithm>
 

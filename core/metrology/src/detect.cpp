@@ -1,7 +1,6 @@
 #include "detect.hpp"
 #include "kernels.hpp"
 #include "pixels.hpp"
-#include "whole.hpp"
 
 #include <algorithm>
 #include <set>

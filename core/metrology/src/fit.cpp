@@ -1,6 +1,5 @@
 #include "fit.hpp"
 #include "pixels.hpp"
-#include "whole.hpp"
 
 #include <algorithm>
 

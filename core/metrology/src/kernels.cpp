@@ -1,6 +1,5 @@
 #include "kernels.hpp"
 #include "pixels.hpp"
-#include "whole.hpp"
 
 #include <algorithm>
 

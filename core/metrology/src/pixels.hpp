@@ -1,4 +1,4 @@
-// One reader per pixel type, and the switch from the run-time type to it.
+// One reader per pixel type, the switch from the run-time type to it, and from any place to whole pixels.
 #pragma once
 
 #include "fiberloom/image.hpp"
@@ -9,6 +9,14 @@
 #include <limits>
 
 namespace fl::metrology {
+
+// Cut to a range; `low` for NaN, which std::clamp would let through.
+inline double within(double value, double low, double high) {
+    return value > low ? (value < high ? value : high) : low;
+}
+
+// The whole part, towards 0, of what is within a range of integers.
+inline int whole(double value, int low, int high) { return static_cast<int>(within(value, low, high)); }
 
 // ADU. No detector gives more: 32 bits hold 4.3e9. A pixel of floats beyond it, or that is not finite, holds
 // no light: its key is NaN, which no comparison finds.

@@ -1,6 +1,5 @@
 #include "profile.hpp"
 #include "pixels.hpp"
-#include "whole.hpp"
 
 #include <algorithm>
 #include <numeric>

@@ -103,8 +103,8 @@ class TransmissionMaps:
                     f"transmission maps: {name} has the shape {knots.shape}, "
                     f"{n} positioners need ({n}, 2, 2, at least 2)"
                 )
-            self._refuse_unless_angles(name, knots)
             self._refuse_unless_rising(name, knots)
+            self._refuse_unless_angles(name, knots)
         if self.wire_deg.shape != self.output_deg.shape:
             raise InputError("transmission maps: wire_deg and output_deg differ in shape")
 
@@ -119,6 +119,7 @@ class TransmissionMaps:
             )
 
     def _refuse_unless_rising(self, name: str, knots: Floats) -> None:
+        # NaN compares False, so it is caught here too
         bad = np.argwhere(~(np.diff(knots, axis=-1) > 0.0))
         if len(bad) == 0:
             return
