@@ -32,7 +32,8 @@ EACH = 12
 KEPT = {
     "targets.fits": (1, 6, 20),
     "targets.csv": (10, 35, 64),
-    "targets.par": (105,),
+    "targets.par": (105, 214, 3019),
+    "site.toml": (555,),
     "spots.csv": (32, 46, 49),
 }
 """Numbers of mutated files that went wrong once."""
@@ -140,7 +141,7 @@ def test_packed_data_that_is_damaged_is_one_line(tmp_path, name, call):
     valid_files.WRITERS[name](path)
     content = bytearray(path.read_bytes())
     middle = len(content) // 3
-    content[middle : middle + 30] = bytes(30)
+    content[middle : middle + 30] = b"\xff" * 30
     path.write_bytes(content)
     refusal(call, path)
 

@@ -17,7 +17,8 @@ Cell = str | list[str]
 
 _STRUCT = re.compile(r"typedef\s+struct\s*\{(?P<body>[^}]*)\}\s*(?P<name>\w+)\s*;", re.DOTALL)
 _ENUM = re.compile(r"typedef\s+enum\s*\{[^}]*\}\s*\w+\s*;", re.DOTALL)
-_MEMBER = re.compile(r"(?P<type>\w+)\s+(?P<name>\w+)(?P<size>(\s*\[\s*\d*\s*\])*)\s*;")
+# from the begin of a word, without going back into it: a word without end takes no time without end
+_MEMBER = re.compile(r"\b(?P<type>\w++)\s++(?P<name>\w++)(?P<size>(\s*\[\s*\d*\s*\])*)\s*;")
 _TOKEN = re.compile(r'\s*(?:"((?:[^"\\]|\\.)*)"|([{}])|([^\s{}"]+))')
 
 

@@ -16,7 +16,7 @@ Its values take the place of defaults; what is typed comes first.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -49,12 +49,12 @@ class Site(SiteTable):
     camera: str | None = None
     instrument: str | None = None
     layout: Path | None = None
-    positioners: int | None = Field(default=None, ge=1)
-    seed: int | None = Field(default=None, ge=0)
+    positioners: int | None = Field(default=None, ge=1, lt=2**31)
+    seed: int | None = Field(default=None, ge=0, lt=2**63)
     calibration: Path | None = None
     arms: Path | None = None
     store: str | None = None
-    exclude: tuple[int, ...] = ()
+    exclude: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
     limits: Limits = Limits()
 
     def defaults(self) -> dict[str, Any]:
