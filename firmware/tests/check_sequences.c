@@ -5,7 +5,7 @@
  * A step is a move, a trajectory started by a frame or by the SYNC line, a stop, a datum search, a rotor that
  * something holds, a queue that is full, storage that takes only so many bytes, a power cut, a bootloader, or
  * some ticks. The rotors of the port are the truth: they turn with the voltage, on over many turns, and end
- * at a hard stop. Checked after every step: a positioner that says that it knows both datums is where it says.
+ * at a hard stop. Checked after every step: one that says that it knows both datums is where it says.
  */
 #include <stdio.h>
 #include <stdlib.h>
