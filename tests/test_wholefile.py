@@ -8,12 +8,17 @@ from fiberloom.errors import InputError
 from fiberloom.wholefile import whole, write_whole
 
 
+def interrupted(file):
+    with whole(file) as part:
+        part.write_text("half of the n")
+        raise KeyboardInterrupt
+
+
 def test_the_old_file_stays_where_the_new_one_is_not_finished(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("old")
-    with pytest.raises(KeyboardInterrupt), whole(file) as part:
-        part.write_text("half of the n")
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(file)
     assert file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]
 

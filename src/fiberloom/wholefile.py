@@ -14,8 +14,8 @@ from fiberloom.errors import InputError
 def whole(path: str | Path) -> Iterator[Path]:
     """A place to write to, which becomes `path` at the end of the block.
 
-    The old file stays until then, and stays where the block raises. Two processes may write the same file: the
-    last one counts. The place ends as `path` does, for writers that look at it.
+    The old file stays until then, and stays where the block raises. Two processes may write the same file:
+    the last one counts. The place ends as `path` does, for writers that look at it.
 
     Parameters
     ----------
