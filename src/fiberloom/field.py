@@ -270,9 +270,7 @@ class Field:
                 found.maps.save(cached)
         return found.maps, cached
 
-    async def sweep(
-        self, points: int = POINTS, *, out: str | Path = RUNS / "transmission"
-    ) -> Calibration:
+    async def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
         """Sweeps every positioner, whatever is cached, and reports how good its map is.
 
         A twin is swept on a bench. An array is swept where it is: all turn together, after the begin check,
@@ -327,7 +325,7 @@ class Field:
     async def _held(
         self, stack: contextlib.AsyncExitStack, plane: FocalPlane, maps: TransmissionMaps
     ) -> tuple[FocalPlane, MotionMaker]:
-        """The array, owned until the stack ends where it has a book: layout without what is excluded, motion."""
+        """Layout without what is excluded, and motion; an array with a book is owned until the stack ends."""
         if self.book is None:
             return plane, FieldMotion
         array = KnownArray(plane, maps, self.source, self.book)

@@ -75,7 +75,7 @@ class FieldState:
         self.somewhere = np.zeros(len(plane), dtype=bool)
         """Of those: anywhere within reach, as far as is known."""
         self.looser_mm = 0.0
-        """By which a positioner may be further from where it reports than as usual: arms are thicker by that."""
+        """How much further than usual a positioner may be from where it reports: arms are thicker by it."""
         self.why: dict[int, str] = {}
         """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))

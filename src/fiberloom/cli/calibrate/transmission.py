@@ -37,11 +37,12 @@ class TransmissionOptions(ExcludeOptions, PlaneOptions, JsonOptions):
     def check(self) -> None:
         """Raises InputError for bad options that can be found without a slow import."""
         self.check_plane()
+        left = excluded(self.exclude)
         if not self.on_bench and self.camera is None:
             raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")
-        if self.on_bench and self.bus is None and (self.camera or excluded(self.exclude)):
+        if self.on_bench and self.bus is None and (self.camera or left):
             option = "--camera" if self.camera else "--exclude"
-            raise InputError(f"{option} goes with --bus: the bench of the twin has its own camera, and all units")
+            raise InputError(f"{option} goes with --bus: without one, the twin's bench is swept")
 
     def field(self) -> Field:
         """The units of the twin, or the array that `--bus` names."""

@@ -34,7 +34,7 @@ AT_BEGIN_DEG = 2.0
 """So near its place a positioner is at the begin of a pass."""
 
 SAME_DEG = 0.15
-"""A reported position so near the commanded one is it: the cogging pulls a rotor at rest by up to 0.09 deg."""
+"""So near the commanded position, a reported one is it: the cogging pulls rotors at rest by 0.09 deg."""
 
 NOT_ASKED = "excluded, or switched off"
 NO_SIGHT = "dark: its fibre is not seen"
@@ -113,9 +113,10 @@ class ArraySweep:
                 return seen, ways
             self.motion.recorder.event("recovery", f"the sweep of {AXES[swept.axis]} is begun anew")
             await self._fold()
+        which = ", ".join(map(str, self._troubled())) or "none of those that move"
         raise InputError(
-            f"the sweep of {AXES[swept.axis]} was stopped {RECOVERIES + 1} times, last by positioners "
-            f"{', '.join(map(str, self._troubled())) or 'that did not arrive'}; exclude those that do not follow"
+            f"the sweep of {AXES[swept.axis]} was stopped {RECOVERIES + 1} times; positioners that do not "
+            f"follow: {which}; exclude them"
         )
 
     async def _to_begin(self, swept: SweepPass) -> ClearWays:
@@ -209,8 +210,8 @@ class ArraySweep:
 
     async def _fold(self) -> None:
         """Folds those that are not; a move of nothing would tell as little of those that do not follow."""
-        off_deg = np.abs(self.motion.state.here_deg - self.plane.park_deg).max(axis=1)
-        if (off_deg > AT_BEGIN_DEG)[self.motion.state.mobile].any():
+        here_deg = self.motion.state.here_deg[self.motion.state.mobile]
+        if (np.abs(here_deg - self.plane.park_deg[self.motion.state.mobile]) > AT_BEGIN_DEG).any():
             await self.motion.go(Goals.without_targets(self.plane, self.plane.park_deg))
 
     def _troubled(self) -> list[int]:
@@ -234,7 +235,7 @@ class ArraySweep:
     def _trouble(self, xy: Floats) -> list[str]:
         """(N,) why a positioner was not swept; empty for the others."""
         reasons = {**self._left, **self._reasons()}
-        unseen = ~np.isfinite(xy).any(axis=(0, 1, 2, 4))
+        unseen: Flags = np.asarray(np.isnan(xy).all(axis=(0, 1, 2, 4)))
         for row, fault in enumerate(self.motion.state.faults):
             if fault is FibreStatus.DARK and unseen[row]:
                 reasons[row] = NO_SIGHT

@@ -1,9 +1,9 @@
 """How far each positioner of an array can turn while all turn together.
 
-Arms of one length that point the same way are copies of one another, a pitch apart: they do not meet, whatever
-the angle. What does not turn with them is in the way: fiducials, guide cameras, positioners that do not move.
-Whoever meets one keeps its beta more folded, by as little as the verifier asks for; who cannot turn even
-then stays where it is.
+Arms of one length that point the same way are copies of one another, a pitch apart: they do not meet,
+whatever the angle. What does not turn with them is in the way: fiducials, guide cameras, positioners that do
+not move. One that meets them keeps its beta more folded, by as little as the verifier asks for. One that
+cannot turn even then stays where it is.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class SweepPass:
 
 @dataclass(frozen=True)
 class ClearWays:
-    """Who takes part in a pass, and how far. Arrays over N positioners."""
+    """Which positioners take part in a pass, and how far. Arrays over N positioners."""
 
     takes: Flags
     """(N,) turn with the others."""
@@ -68,7 +68,7 @@ class ClearWays:
 
 
 def clear_ways(plane: FocalPlane, here_deg: Floats, takes: Flags, swept: SweepPass) -> ClearWays:
-    """Who of those that may move can take part in a pass, and how far, so that the verifier finds no fault.
+    """Which of those that may move can take part in a pass, and how far, so that the verifier finds no fault.
 
     Parameters
     ----------
@@ -105,9 +105,7 @@ def clear_ways(plane: FocalPlane, here_deg: Floats, takes: Flags, swept: SweepPa
 _NO_SPEED = MotionLimits(speed_deg_s=360.0, acceleration_deg_s2=1e6)
 
 
-def _to_fold(
-    plane: FocalPlane, met: tuple[Violation, ...], takes: Flags, low_deg: Floats
-) -> dict[int, str]:
+def _to_fold(plane: FocalPlane, met: tuple[Violation, ...], takes: Flags, low_deg: Floats) -> dict[int, str]:
     """By row what it meets: of every two that meet the one that is folded less, both where they are alike."""
     fold: dict[int, str] = {}
     for found in met:
@@ -123,8 +121,8 @@ def _to_fold(
 
 
 def slow_plan(plane: FocalPlane, places_deg: Floats, takes: Flags, step_s: float = SLOW_S) -> Plan:
-    """A plan through places (M, N, 2), deg, one in `step_s`; who does not take part (N,) rests at the first."""
-    time_s = step_s * np.arange(len(places_deg))
+    """A plan through places (M, N, 2), deg, one in `step_s` s; those not in `takes` (N,) rest."""
+    time_s: Floats = step_s * np.arange(len(places_deg), dtype=np.float64)
     robots = tuple(
         Trajectory(int(p), time_s, *places_deg[:, i].T)
         if takes[i]
