@@ -1,15 +1,19 @@
 """Maps of an array that is swept where it is, held against those of the same units on a bench."""
 
 import asyncio
+import re
 
 import numpy as np
 import pytest
 
 import fiberloom as fl
+from fiberloom.bus.outcome import Results
 from fiberloom.errors import InputError
+from fiberloom.health.status import FibreStatus
 from fiberloom.metrology import Measurement
-from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.motion import FieldMotion, FieldState
 from fiberloom.operation.safety.begin import ALLOWED_MM, Report, Standing, begin_check
+from fiberloom.operation.sweep import array_sweep
 from fiberloom.operation.sweep.array_sweep import THICKER_MM
 from fiberloom.store import Store
 from fiberloom.store.arrays import SEEN, ArrayBook, ArrayPlaces
@@ -175,7 +179,7 @@ def test_the_begin_check_allows_a_zero_that_a_linear_ratio_cannot_know():
     assert Standing.RIGHT not in found.standing
 
 
-def test_the_sweep_asks_for_what_its_thick_arms_allow(monkeypatch):
+def test_the_sweep_asks_for_what_its_thick_arms_allow(monkeypatch, tmp_path):
     field, _ = array(fl.FocalPlane.of("sdssv", n=3))
     made = []
 
@@ -185,5 +189,32 @@ def test_the_sweep_asks_for_what_its_thick_arms_allow(monkeypatch):
 
     monkeypatch.setattr(FieldMotion, "connect", connect)
     with pytest.raises(InputError, match="enough"):
-        field.run.sweep(POINTS)
+        field.run.sweep(POINTS, out=tmp_path)
     assert made == [(THICKER_MM, field.plane.collision_buffer_mm + THICKER_MM)]
+
+
+def test_points_that_were_not_reached_do_not_count(monkeypatch, tmp_path):
+    """One beside a fiducial, which has no other direction to turn beta in."""
+    monkeypatch.setattr(array_sweep, "ALPHAS_DEG", (180.0,))
+    field, _ = array(fl.FocalPlane.of("sdssv", n=7))
+    refused = field.run.sweep(POINTS, out=tmp_path).summary()["refused"]
+    assert len(refused) == 1
+    assert re.fullmatch(r"only \d+ % of the points of a pass of beta usable, 80 % needed", *refused.values())
+
+
+class Deaf:
+    """A recorder that keeps nothing."""
+
+    def event(self, kind, text, positioner_id=None):
+        pass
+
+
+@pytest.mark.parametrize(("looser_mm", "fault"), [(0.0, FibreStatus.ASTRAY), (THICKER_MM, None)])
+def test_a_miss_that_a_linear_ratio_cannot_know_is_no_fault_while_arms_are_thicker(looser_mm, fault):
+    state = FieldState(PLANE, Deaf())
+    state.looser_mm = looser_mm
+    state.here_deg = np.tile([100.0, 60.0], (len(PLANE), 1))
+    off_mm = state.metrology_mm(state.here_deg) + [0.7, 0.0]
+    image = Measurement(*off_mm.T, np.ones(len(PLANE), dtype=bool), 0.0)
+    state.judge(Results(), image, PLANE.park_deg, state.here_deg)
+    assert set(state.faults) == {fault}

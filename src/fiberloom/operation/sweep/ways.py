@@ -121,7 +121,11 @@ def _to_fold(plane: FocalPlane, met: tuple[Violation, ...], takes: Flags, low_de
 
 
 def slow_plan(plane: FocalPlane, places_deg: Floats, takes: Flags, step_s: float = SLOW_S) -> Plan:
-    """A plan through places (M, N, 2), deg, one in `step_s` s; those not in `takes` (N,) rest."""
+    """A plan of straight ways from place to place.
+
+    `plane`: N positioners; `places_deg`: (M, N, 2), of all in turn; `takes` (N,): which move, the others
+    rest at the first place; `step_s`: from one place to the next, s.
+    """
     time_s: Floats = step_s * np.arange(len(places_deg), dtype=np.float64)
     robots = tuple(
         Trajectory(int(p), time_s, *places_deg[:, i].T)
