@@ -214,7 +214,7 @@ def test_a_miss_that_a_linear_ratio_cannot_know_is_no_fault_while_arms_are_thick
     state = FieldState(PLANE, Deaf())
     state.looser_mm = looser_mm
     state.here_deg = np.tile([100.0, 60.0], (len(PLANE), 1))
-    off_mm = state.metrology_mm(state.here_deg) + [0.7, 0.0]
+    off_mm = np.add(state.metrology_mm(state.here_deg), [0.7, 0.0])
     image = Measurement(*off_mm.T, np.ones(len(PLANE), dtype=bool), 0.0)
     state.judge(Results(), image, PLANE.park_deg, state.here_deg)
     assert set(state.faults) == {fault}
