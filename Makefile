@@ -7,6 +7,7 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
+STEPS  ?= 10000000
 # Shows how far a long step is; all that it prints is in build/*.log.
 PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
@@ -77,6 +78,7 @@ check: lint
 	cmake --build build/checks
 	cd build/checks && ctest --output-on-failure
 	build/checks/firmware/tests/check_dispatch $(FRAMES) 1
+	build/checks/firmware/tests/check_sequences $(STEPS) 1
 	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
 	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
 	$(MAKE) sanitized
