@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fiberloom.cli.array.options import CameraOption, ExcludeOptions, array_book, excluded
+from fiberloom.cli.observe import TWIN
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.field import Field
-
-TWIN = "twin:"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 On a bench each arm turns alone; here all turn together (`ways`). Every step is a plan that has passed the
 verifier, started at once on the whole bus and watched like any other motion. Arms are thicker than they are,
-since the maps are not known: the linear ratio of the gears stands for them.
+since the maps are not known yet: the linear ratio of the gears is used.
 """
 
 from __future__ import annotations
