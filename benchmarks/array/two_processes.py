@@ -17,16 +17,16 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lag import LoopLag
 
 import fiberloom as fl
 from fiberloom.targets import random_targets, write_targets
 
-EVERY_S = 0.002
+CAMERAS = ("alpaca", "folder", "indi")
 
 
 def rms_um(summary: dict[str, Any]) -> list[float]:
@@ -45,30 +45,16 @@ def inside(plane: fl.FocalPlane, seed: int, folder: Path) -> list[float]:
 
 async def host(plane: fl.FocalPlane, seed: int, folder: Path, bus: str, camera: str) -> dict[str, Any]:
     """The other process: what an observatory runs."""
-    lags: list[float] = []
-
-    async def listen() -> None:
-        while True:
-            before_s = time.monotonic()
-            await asyncio.sleep(EVERY_S)
-            lags.append(time.monotonic() - before_s - EVERY_S)
-
     field = fl.Field.open(plane, bus, camera, calibration=folder / "maps.npz", seed=seed)
     targets = fl.read_targets(folder / "targets.csv")
-    listener = asyncio.ensure_future(listen())
-    try:
+    lag = LoopLag()
+    with lag.watched():
         seen = await field.observe(targets, corrections=2, out=folder / "outside")
-    finally:
-        listener.cancel()
-    lag = np.sort(lags)
-    by_time = np.cumsum(lag + EVERY_S) / (lag + EVERY_S).sum()
     return {
         "rms_um": rms_um(seen.summary()),
         "within": seen.summary()["n_within_requirement"],
         "twin_imported": any(name.startswith("fiberloom.twin") for name in sys.modules),
-        "lag_p99_ms": 1e3 * float(lag[np.searchsorted(by_time, 0.99)]),
-        "lag_worst_ms": 1e3 * float(lag[-1]),
-    }
+    } | lag.figures()
 
 
 def outside(positioners: int, seed: int, folder: Path, kind: str) -> dict[str, Any]:
@@ -122,7 +108,7 @@ def main() -> int:
     parser.add_argument("--positioners", type=int, default=37)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--camera", choices=("alpaca", "folder", "indi"), default="alpaca")
+    parser.add_argument("--camera", choices=CAMERAS, default="alpaca")
     parser.add_argument("--out", type=Path)
     for hidden in ("--host", "--bus", "--url"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
