@@ -1,6 +1,6 @@
 """How long the event loop is kept from listening while a field is observed.
 
-    python benchmarks/array/loop_lag.py [--positioners N] [--seed S] [--served alpaca|folder|indi]
+    python benchmarks/array/loop_lag.py [--positioners N] [--seed S] [--served alpaca|folder|indi [--images N]]
                                         [--out FILE.json]
 
 A task asks for the loop every two milliseconds and notes by how much it is late: while an image is read and
@@ -8,7 +8,8 @@ reduced, a field is planned, a plan verified, a move recorded. Wall time, so: on
 
 Without `--served` the twin computes in the same loop, in slices; a real bus does not. With it the array and
 its camera are processes of their own, reached by CAN@net and by the camera's protocol, as at an observatory.
-On few cores those take the host's time, too: the load averages are printed.
+On few cores those take the host's time, too: the load averages are printed. With `--images` nothing moves, and
+so many images are taken: what the camera alone costs the loop.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ import asyncio
 import json
 import os
 import tempfile
+import time
 from pathlib import Path
 
 from lag import LoopLag
-from two_processes import CAMERAS, outside
+from two_processes import CAMERAS, outside, served
 
 import fiberloom as fl
+from fiberloom.metrology.sources.spec import CameraSpec, open_source
 from fiberloom.targets import random_targets, write_targets
 
 TARGETS_EACH = 4
@@ -47,18 +50,39 @@ def observe_served(plane: fl.FocalPlane, seed: int, folder: Path, camera: str) -
     return {key: value for key, value in told.items() if key.startswith("lag_")}
 
 
+async def photograph(url: str, n: int) -> dict[str, float]:
+    """Takes so many images beside the loop, as an observation does; nothing moves."""
+    source = open_source(CameraSpec.parse(f"{url}{'&' if '?' in url else '?'}exposure=1&deadline=120"))
+    await asyncio.to_thread(source.expose)  # the first one begins what has to be begun
+    lag, begin_s = LoopLag(), time.monotonic()
+    with lag.watched():
+        for _ in range(n):
+            await asyncio.to_thread(source.expose)
+    source.close()
+    return lag.figures() | {"image_s": (time.monotonic() - begin_s) / n}
+
+
+def photograph_served(plane: fl.FocalPlane, seed: int, folder: Path, camera: str, n: int) -> dict[str, float]:
+    """The same at an array in processes of its own."""
+    with served(len(plane), seed, folder, camera) as (_, url):
+        return asyncio.run(photograph(url, n))
+
+
 def main() -> None:
     """Prints percentiles of the lag."""
     parser = argparse.ArgumentParser(description="lag of the event loop")
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--served", choices=CAMERAS)
+    parser.add_argument("--images", type=int, default=0)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     plane = fl.FocalPlane.of("sdssv", seed=given.seed, n=given.positioners)
     before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
-        if given.served:
+        if given.served and given.images:
+            figures = photograph_served(plane, given.seed, Path(folder), given.served, given.images)
+        elif given.served:
             figures = observe_served(plane, given.seed, Path(folder), given.served)
         else:
             figures = asyncio.run(observe(plane, given.seed, Path(folder)))

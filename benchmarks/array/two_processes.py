@@ -17,6 +17,8 @@ import socket
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -57,31 +59,36 @@ async def host(plane: fl.FocalPlane, seed: int, folder: Path, bus: str, camera: 
     } | lag.figures()
 
 
-def outside(positioners: int, seed: int, folder: Path, kind: str) -> dict[str, Any]:
-    """A served array and a host, each in a process of its own."""
-    served = {
+@contextmanager
+def served(positioners: int, seed: int, folder: Path, kind: str) -> Iterator[tuple[str, str]]:
+    """An array in a process of its own: the addresses of its bus and of its camera."""
+    doors = {
         "alpaca": ["--camera-listen", f"127.0.0.1:{free_port()}"],
         "folder": ["--camera-folder", str(folder / "images")],
         "indi": ["--camera-indi", f"127.0.0.1:{free_port()}"],
     }[kind]
     command = [sys.executable, "-m", "fiberloom.cli", "twin", "--positioners", str(positioners)]
-    command += ["--seed", str(seed), "--listen", f"127.0.0.1:{free_port()}", *served]
+    command += ["--seed", str(seed), "--listen", f"127.0.0.1:{free_port()}", *doors]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as twin:
         assert twin.stdout is not None
         try:
             address = twin.stdout.readline().split(": ")[1].split(";")[0].strip()
             camera = twin.stdout.readline().split(": ", 1)[1].strip()
-            words = ["--host", str(folder), "--positioners", str(positioners), "--first", str(seed)]
-            words += ["--bus", bus_of(address), "--url", camera]
-            done = subprocess.run(
-                [sys.executable, __file__, *words], capture_output=True, text=True, check=False
-            )
-            if done.returncode:
-                raise RuntimeError(done.stderr)
-            return dict(json.loads(done.stdout.splitlines()[-1]))
+            yield bus_of(address), camera
         finally:
             twin.terminate()
             twin.communicate(timeout=60)
+
+
+def outside(positioners: int, seed: int, folder: Path, kind: str) -> dict[str, Any]:
+    """A served array and a host, each in a process of its own."""
+    with served(positioners, seed, folder, kind) as (bus, camera):
+        words = ["--host", str(folder), "--positioners", str(positioners), "--first", str(seed)]
+        words += ["--bus", bus, "--url", camera]
+        done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def free_port() -> int:

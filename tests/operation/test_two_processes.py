@@ -144,7 +144,7 @@ def test_stop_asks_the_command_that_moves_the_array(desk, tmp_path):
             _, rest = host.communicate(timeout=PATIENCE_S)
         assert (code, told["stopped"], told["by"]) == (0, True, "owner")
         assert "has stopped it: stopped by" in told["text"]
-        assert host.returncode == 1
+        assert host.returncode == 130
         assert f"{N} positioners at rest" in rest
         assert on_their_way(at_rest(bus))
 

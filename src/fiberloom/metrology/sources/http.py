@@ -29,6 +29,11 @@ class CameraHttp:
         self._socket: socket.socket | None = None
         deadline.at_end(self._cut)
 
+    @property
+    def reached(self) -> bool:
+        """Whether the host has taken a connection."""
+        return self._socket is not None
+
     def close(self) -> None:
         """Hangs up."""
         self._connection.close()

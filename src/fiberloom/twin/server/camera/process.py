@@ -28,6 +28,7 @@ from fiberloom.twin.camera.imaging import CameraModel, ImagingCamera, StillScene
 from fiberloom.twin.camera.models import imaging_camera, model_for
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.alpaca import AlpacaServer
+from fiberloom.twin.server.camera.discovery import DiscoveryAnswer
 from fiberloom.twin.server.camera.exposing import Look, TwinShutter, Watched
 from fiberloom.twin.server.camera.folder import TRIGGER, FolderWriter
 from fiberloom.twin.server.camera.indi import NAME as INDI_NAME
@@ -50,6 +51,8 @@ class CameraDoors:
     every_s: float = 0.0
     """Into the folder an image after so many seconds; 0: when triggered."""
     indi: Address | None = None
+    discovery_port: int | None = None
+    """UDP, at which the Alpaca camera answers hosts that look for one."""
 
     def __str__(self) -> str:
         urls = [f"alpaca://{self.alpaca}/0"] if self.alpaca else []
@@ -199,4 +202,7 @@ def _open(shutter: TwinShutter, doors: CameraDoors) -> CameraDoors:
     if doors.alpaca is None:
         return doors
     server = AlpacaServer(shutter, doors.alpaca.host, doors.alpaca.port)
-    return replace(doors, alpaca=Address(doors.alpaca.host, server.port))
+    alpaca = Address(doors.alpaca.host, server.port)
+    if doors.discovery_port is not None:
+        DiscoveryAnswer(alpaca, doors.discovery_port)
+    return replace(doors, alpaca=alpaca)
