@@ -1,15 +1,15 @@
 """How long the event loop is kept from listening while a field is observed.
 
-    python benchmarks/array/loop_lag.py [--positioners N] [--seed S] [--served alpaca|folder|indi [--images N]]
-                                        [--out FILE.json]
+    python benchmarks/array/loop_lag.py [--positioners N] [--seed S] [--out FILE.json]
+                                        [--served alpaca|folder|indi [--images N]]
 
 A task asks for the loop every two milliseconds and notes by how much it is late: while an image is read and
 reduced, a field is planned, a plan verified, a move recorded. Wall time, so: on an idle machine.
 
 Without `--served` the twin computes in the same loop, in slices; a real bus does not. With it the array and
 its camera are processes of their own, reached by CAN@net and by the camera's protocol, as at an observatory.
-On few cores those take the host's time, too: the load averages are printed. With `--images` nothing moves, and
-so many images are taken: what the camera alone costs the loop.
+On few cores those take the host's time, too: the load averages are printed. With `--images` nothing moves,
+and so many images are taken: what the camera alone costs the loop.
 """
 
 from __future__ import annotations

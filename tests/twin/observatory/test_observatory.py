@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from doors import PATIENCE_S, failure
 import fiberloom
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.instruments.model import METROLOGY
+from fiberloom.metrology.sources import alpaca as alpaca_source
 from fiberloom.metrology.sources.errors import CameraSilent, ImageBroken, ImageStale
 from fiberloom.metrology.sources.spec import CameraSpec, open_camera
 from fiberloom.twin import Twin, draw_units
@@ -201,6 +203,15 @@ def test_a_dark_fibre_is_seen_by_nobody(instrument):
     assert np.count_nonzero(~seen) == 2
 
 
+def test_a_camera_that_says_where_it_is(instrument, monkeypatch):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setattr(alpaca_source, "DISCOVERY_PORT", port)
+    with served(instrument, "--camera-listen", CAMERA, "--camera-discovery", str(port)):
+        assert CAMERA in alpaca_source.alpaca_servers()
+
+
 def refused(*options):
     command = [sys.executable, "-m", "fiberloom.cli", "twin", "--positioners", "3", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
@@ -210,6 +221,7 @@ def refused(*options):
 
 def test_what_cannot_be_is_refused():
     assert "--camera-listen here: write HOST:PORT" in refused("--camera-listen", "here")
+    assert "goes with --camera-listen" in refused("--camera-discovery", "32227")
     assert "this command cannot act on camera_half" in refused("--faults", "camera_half")
     assert "this command cannot act on dark" in refused("--faults", "dark=1")
 
