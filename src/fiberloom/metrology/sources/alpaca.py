@@ -91,10 +91,10 @@ class AlpacaCalls:
         self._transaction += 1
         return {"ClientID": _CLIENT, "ClientTransactionID": str(self._transaction)}
 
-    def _answer(self, member: str, data: bytearray) -> dict[str, Any]:
+    def _answer(self, member: str, data: memoryview) -> dict[str, Any]:
         camera = self._http.camera
         try:
-            answer = json.loads(data)
+            answer = json.loads(bytes(data))
             number = int(answer["ErrorNumber"])
         except (ValueError, KeyError, TypeError):
             raise CameraRefused(f"{camera}: its answer to {member} is not of Alpaca; is it one?") from None

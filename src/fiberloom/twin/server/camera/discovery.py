@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import socket
 import threading
 from contextlib import suppress
 
 from fiberloom.metrology.sources.alpaca import DISCOVERY_KEY, DISCOVERY_PORT, DISCOVERY_QUESTION
-from fiberloom.twin.server.address import Address
+from fiberloom.twin.server.address import Address, reachable_from_outside
 
 _QUESTION_BYTES = 64
 _LOOK_S = 0.1
@@ -25,7 +24,7 @@ class DiscoveryAnswer:
 
     def __init__(self, alpaca: Address, port: int = DISCOVERY_PORT) -> None:
         self._answer = json.dumps({DISCOVERY_KEY: alpaca.port}).encode()
-        self._only_here = _is_loopback(alpaca.host)
+        self._only_here = not reachable_from_outside([alpaca])
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -53,11 +52,4 @@ class DiscoveryAnswer:
                     self._socket.sendto(self._answer, host)
 
     def _is_meant(self, host: str) -> bool:
-        return not self._only_here or _is_loopback(host)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+        return not (self._only_here and reachable_from_outside([Address(host, self.port)]))
