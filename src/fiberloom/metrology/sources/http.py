@@ -113,7 +113,7 @@ class CameraHttp:
 
     def _read_known(self, response: http.client.HTTPResponse, length: int) -> memoryview:
         # not a bytearray: to fill that with zeros holds Python's lock for a tenth of a second
-        data, there = memoryview(np.empty(length, np.uint8)), 0
+        data, there = np.empty(length, np.uint8).data, 0
         while there < length and (n := response.readinto(data[there : there + _CHUNK_BYTES])):
             there += n
             self._deadline.check()
