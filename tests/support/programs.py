@@ -40,7 +40,7 @@ def served_array(positioners: int, seed: int = 0) -> Iterator[tuple[str, str]]:
         try:
             served.stdout.readline()
             assert served.stdout.readline().startswith("camera: alpaca://")
-            yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=60"
+            yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=120"
         finally:
             served.terminate()
-            served.communicate(timeout=60)
+            served.communicate(timeout=120)
