@@ -25,7 +25,14 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import NAMED, Beginning, Report, Standing, begin_check
+from fiberloom.operation.safety.begin import (
+    NAMED,
+    Beginning,
+    Report,
+    Standing,
+    allowed_miss_mm,
+    begin_check,
+)
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.stop import reason, to_its_end
@@ -136,7 +143,7 @@ class FieldState:
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
         )
-        back = self.hearing.taken_back(evidence)
+        back = self.hearing.taken_back(evidence, allowed_miss_mm(self.plane, evidence.reported_mm))
         for i in back:
             if self.faults[i] in FROM_SILENCE:
                 self.faults[i] = None
@@ -189,6 +196,7 @@ class FieldState:
             self.flag(row, FibreStatus.DARK, "its fibre is not seen")
         elif standing is Standing.SILENT:
             self.flag(row, FibreStatus.DEAD, found.text[row])
+            self.hearing.silent_at_the_begin(row)
         elif not found.certain[row] and standing is not Standing.OFFLINE:
             self.unproven[row] = True
             dark = standing is Standing.DARK
@@ -259,10 +267,15 @@ class FieldMotion:
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
+        vouched = await self._vouched(answered)
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
+        state.begin(answered, image, vouched)
+
+    async def _vouched(self, answered: Flags) -> Flags:
+        """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""
         vouched = self.hardware.vouched
-        state.begin(answered, image, np.zeros_like(answered) if vouched is None else vouched)
+        return np.zeros_like(answered) if vouched is None else vouched
 
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
@@ -338,10 +351,11 @@ class FieldMotion:
         self.progress("stopping")
         begun_s = self.client.time_s
         stopped = await self.client.stop_all()
-        ids = np.array(stopped.ok_ids, dtype=np.int64)
-        await self.client.wait_until_done(ids.tolist(), REST_TIMEOUT_S, stop_on_collision=False)
+        await self.client.wait_until_done(stopped.ok_ids, REST_TIMEOUT_S, stop_on_collision=False)
         rest_s = self.client.time_s - begun_s
         answered = np.zeros(len(self.plane), dtype=bool)
+        # others on the bus are stopped too, but nothing is known of where they are
+        ids = self.plane.positioner_id[np.isin(self.plane.positioner_id, stopped.ok_ids)]
         answered[self.plane.index_of(ids)] = await self._read_positions(ids)
         silent = self.plane.positioner_id[self.state.mobile & ~answered].tolist()
         text = f"{why}; {int(answered.sum())} positioners at rest after {rest_s:.2f} s"
@@ -366,19 +380,25 @@ class FieldMotion:
             await when_linked(self.client, trajectories)
             rule = MotionRule(self.state.obstacles(), planned, self.recorder.event)
             results = await self.client.run_trajectories(trajectories, watch=rule)
+            if not results.ok.all():
+                await self._come_to_rest(list(trajectories))
+            # one that has not answered may move still
+            asked = np.array([*trajectories, *await self._back_again()], dtype=np.int64)
+            self.state.hearing.hears(self.plane.index_of(asked), await self._read_positions(asked))
         except BaseException as error:
             await to_its_end(self.stop(reason(error)))
             raise
-        if not results.ok.all():
-            await self._come_to_rest(list(trajectories))
-        asked = np.array([*trajectories, *await self._back_again()], dtype=np.int64)
-        self.state.hearing.hears(self.plane.index_of(asked), await self._read_positions(asked))
         return results
 
     async def _back_again(self) -> list[int]:
         """Those that once gave no answer, and answer now."""
         silent = self.plane.positioner_id[self.state.hearing.held_against].tolist()
-        return (await self.client.poll(silent)).ok_ids if silent else []
+        if not silent:
+            return []
+        back = (await self.client.poll(silent)).ok_ids
+        # one that was not found at the begin: a stop has to reach it from now on
+        self.client.ids = sorted({*self.client.ids, *back})
+        return back
 
     async def _come_to_rest(self, ids: list[int]) -> None:
         """Stops all and clears the flags of collisions, so that healthy positioners can move again."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from fiberloom.bus.protocol import Status
 from fiberloom.instruments import FocalPlane
+from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.clearing import Clearing, Round
@@ -134,8 +135,8 @@ class Homing:
             ready = self._ready(made, axis)
             for row in made.searchers:
                 tried[row] += 1
-            await self._search(ready, axis)
-            waiting = [row for row in waiting if row not in ready and tried[row] < TRIES]
+            begun = await self._search(ready, axis)
+            waiting = [row for row in waiting if row not in begun and tried[row] < TRIES]
 
     async def _clear(self, made: Round) -> None:
         """Brings every other one out of the way, by a verified plan."""
@@ -171,24 +172,40 @@ class Homing:
         planned = Plan(plane.instrument.name, plane.collision_buffer_mm, trajectories)
         return verify(plane, planned).ok
 
-    async def _search(self, rows: list[int], axis: str) -> None:
+    async def _search(self, rows: list[int], axis: str) -> list[int]:
+        """Searches one axis or both of these, so many at once as the supply can feed; rows that began.
+
+        Where a group does not end as it should the next one does not begin: where all are is seen first.
+        """
+        ids, begun, done = [self._id(row) for row in rows], [], []
+        for group in groups_within_supply(self._plane.instrument, ids):
+            begun += group
+            found = await self._search_group(group, axis)
+            done += found
+            if len(found) < len(group):
+                break
+        if begun:
+            await self._book(done, axis)
+        return [row for row in rows if self._id(row) in begun]
+
+    async def _search_group(self, ids: list[int], axis: str) -> list[int]:
         """Searches one axis or both of these at once; stops them all where anything goes wrong."""
-        if not rows:
-            return
-        motion, ids = self.motion, [self._id(row) for row in rows]
+        motion = self.motion
         motion.lock.step(Step.MOVE)
         try:
             begun = await motion.client.home(ids, None if axis == "both" else axis)
             ended = await motion.client.wait_until_done(begun.ok_ids, SEARCH_S)
+            initialized = set(await self._initialized(ids, axis))
         except BaseException as error:
             await to_its_end(motion.stop(reason(error)))
             raise
+        motion.lock.step(Step.REST)
         failed = {**begun.failed, **ended.failed}
-        done = [i for i in ids if i not in failed and i in await self._initialized(ids, axis)]
+        done = [i for i in ids if i not in failed and i in initialized]
         for i in ids:
             if i not in done:
                 self.left_out[i] = f"its search of {axis} ended otherwise: {failed.get(i, 'no datum')}"
-        await self._book(done, axis)
+        return done
 
     async def _initialized(self, ids: list[int], axis: str) -> list[int]:
         """Which say that the datum is set."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from fiberloom.bus.outcome import Results
-from fiberloom.bus.protocol import Status
+from fiberloom.bus.protocol import Command, Status
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
@@ -30,6 +29,12 @@ up to a quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
 
 FOLDED_DEG = 2.0
 """So near its place when parked, a positioner counts as folded."""
+
+_PRECISE = (
+    (Status.PRECISE_POSITIONING_ALPHA, Command.SWITCH_ON_PRECISE_MOVE_ALPHA),
+    (Status.PRECISE_POSITIONING_BETA, Command.SWITCH_ON_PRECISE_MOVE_BETA),
+)
+"""Precise moves of each axis: the status bit, and the command that switches them on."""
 
 _POWER_WENT = Status.ESTIMATED_POSITION | Status.POSITION_RESTORED
 
@@ -61,31 +66,26 @@ class SessionMotion(FieldMotion):
         """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
         if self.lock.state is not SessionState.CONNECTING:
             self.lock.step(Step.CONNECT)
-        await self._vouch()
-        self.lock.step(Step.ANSWER)
         await super().connect()
         await self._settle_offline()
         self._note(self._image)
         self.lock.step(Step.BEGIN)
 
-    async def _vouch(self) -> None:
-        """Whose datum is on record, and which is where the record has it."""
-        book, ids = self.lock.book, self.plane.positioner_id
-        await self.client.discover()
-        there = np.isin(ids, self.client.ids)
-        known = book.places(ids)
-        self._reported = np.zeros(len(ids), dtype=bool)
-        as_recorded = np.zeros(len(ids), dtype=bool)
-        if there.any():
-            wire_deg, answered = await self.client.positions_deg(ids[there])
-            self._reported[there] = answered
-            off_deg = np.abs(wire_deg - known.wire_deg[there]).max(axis=1)
-            as_recorded[there] = answered & (off_deg <= SAME_DEG)
-            as_recorded &= await self._powered(there)
-        self.datum = known.datum & as_recorded
+    async def _vouched(self, answered: Flags) -> Flags:
+        """(N,) whose datum is on record, and which are where the record has them; as `FieldMotion`."""
+        ids, known = self.plane.positioner_id, self.lock.book.places(self.plane.positioner_id)
+        self._reported, wire_deg = answered.copy(), self.state.wire_deg.copy()
+        # excluded ones are not read for a motion; their datum is kept where they have not moved
+        further = np.isin(ids, self.client.ids) & self.plane.offline
+        if further.any():
+            wire_deg[further], self._reported[further] = await self.client.positions_deg(ids[further])
+        off_deg = np.abs(wire_deg - known.wire_deg).max(axis=1)
+        self.datum = known.datum & self._reported & (off_deg <= SAME_DEG)
+        if self._reported.any():
+            self.datum &= await self._powered(self._reported)
+        self.lock.step(Step.ANSWER)
         given = self.hardware.vouched
-        vouched = self.datum if given is None else self.datum | given
-        self.hardware = dataclasses.replace(self.hardware, vouched=vouched)
+        return self.datum.copy() if given is None else self.datum | given
 
     async def _powered(self, there: Flags) -> Flags:
         """(N,) which say that their datum is set and that power has not gone since."""
@@ -125,6 +125,7 @@ class SessionMotion(FieldMotion):
     ) -> Flags:
         """As `FieldMotion.move`: `number`, `label`, `planned`, `goals`, `comparison`; places are kept."""
         interrupted = await super().move(number, label, planned, goals, comparison)
+        self._reported |= self.state.hearing.heard & ~self.plane.offline
         self._note(self._image)
         self.lock.step(Step.REST)
         return interrupted
@@ -169,14 +170,25 @@ class SessionMotion(FieldMotion):
         `label`: for the record; `planned`: of all N positioners; `goals`: its ends; `separating`: bodies
         that touch at its begin move apart, which the verifier has to prove.
         """
-        self._separating = separating
+        number = len(self.moves) + 1
+        if not separating:
+            return await self.move(number, label, planned, goals)
         ids = [robot.positioner_id for robot in planned.robots if robot.moves]
+        precise = await self._precise(ids)
+        self._separating = True
         try:
-            if separating:  # the firmware's own approach would press them together again
-                await self.client.set_precise_moves(ids, on=False)
-            return await self.move(len(self.moves) + 1, label, planned, goals)
+            # the firmware's own approach would press them together again
+            await self.client.set_precise_moves(ids, on=False)
+            return await self.move(number, label, planned, goals)
         finally:
             self._separating = False
+            for command, those in precise.items():
+                await self.client.command(command, those)
+
+    async def _precise(self, ids: list[int]) -> dict[Command, list[int]]:
+        """Which of these say that they make precise moves, by the command that switches them on again."""
+        answers = await self.client.status(ids)
+        return {on: [i for i, a in answers.items() if a.ok and a.values[0] & bit] for bit, on in _PRECISE}
 
     def _verify(self, planned: Plan) -> None:
         if not self._separating:
