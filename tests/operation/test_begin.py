@@ -82,6 +82,17 @@ def test_whole_motor_turns_are_named(turns, moves):
     assert found.certain[row] == moves
 
 
+@pytest.mark.parametrize(("beta_deg", "certain"), [(185.0, True), (277.0, False), (-3.0, True)])
+def test_where_no_map_holds_it_is_an_obstacle_where_it_reports(beta_deg, certain):
+    there = DEPLOYED.copy()
+    there[4, 1] = beta_deg
+    found = checked(there, there)
+    assert found.certain[4] == certain
+    assert (found.standing[4] is Standing.BEYOND) != certain
+    np.testing.assert_array_equal(found.where_deg[4], there[4])
+    assert not found.somewhere[4]
+
+
 def test_two_that_have_changed_their_numbers():
     a, b = 7, 8
     assert np.hypot(*(PLANE.centres_mm[a] - PLANE.centres_mm[b])) < 30.0

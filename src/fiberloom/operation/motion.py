@@ -35,6 +35,7 @@ from fiberloom.operation.safety.begin import (
 )
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
+from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -81,6 +82,8 @@ class FieldState:
         """Not certain at the begin to be where they report: they do not move."""
         self.somewhere = np.zeros(len(plane), dtype=bool)
         """Of those: anywhere within reach, as far as is known."""
+        self.beginning: Beginning | None = None
+        """What the begin check has found."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
         self.here_deg = plane.offline_position_deg.copy()
@@ -98,15 +101,15 @@ class FieldState:
         """(N,) positioners without a fault whose way is not blocked."""
         return np.array([fault is None for fault in self.faults]) & ~self.blocked
 
-    def obstacles(self) -> FocalPlane:
+    def obstacles(self, but: int | None = None) -> FocalPlane:
         """The focal plane with the positioners that do not move as obstacles where they were last seen.
 
-        One that could be anywhere is an obstacle of the whole reach of its arm.
+        One that could be anywhere is an obstacle of the whole reach of its arm. `but`: the row of one that
+        is none, whatever is known of it.
         """
-        plane = dataclasses.replace(
-            self.plane, offline=~self.mobile, offline_position_deg=self.here_deg.copy()
-        )
-        rows = np.flatnonzero(self.somewhere & ~self.mobile)
+        still = ~self.mobile & (np.arange(len(self.plane)) != but)
+        plane = dataclasses.replace(self.plane, offline=still, offline_position_deg=self.here_deg.copy())
+        rows = np.flatnonzero(self.somewhere & still)
         discs = np.column_stack([plane.centres_mm[rows], plane.body_reach_mm[rows]])
         return dataclasses.replace(plane, fiducials=np.vstack([plane.fiducials, discs]))
 
@@ -179,6 +182,7 @@ class FieldState:
                 "check the back-illumination"
             )
         found = begin_check(self.plane, Report(self.here_deg, answered, image, vouched))
+        self.beginning = found
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):
             raise InputError(
@@ -246,7 +250,12 @@ class FieldMotion:
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
         self.care = MotorCare(plane, self.client)
+        self.eye = PatientCamera(
+            hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
+        )
         self.state = FieldState(plane, recorder)
+        self.has_moved = False
+        """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
 
@@ -280,12 +289,18 @@ class FieldMotion:
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
-        Taken and reduced beside the event loop, which goes on listening to the bus.
+        Taken and reduced beside the event loop, which goes on listening to the bus. Raises CameraError
+        where no image comes: at once before anything has moved, else after as many tries as the instrument
+        says.
         """
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        return await asyncio.to_thread(self.hardware.camera.measure, expected_mm)
+        return await (self.eye.patiently if self.has_moved else self.eye.once)(expected_mm)
+
+    def _camera_event(self, kind: str, text: str) -> None:
+        self.recorder.event(kind, text)
+        self.progress(text)
 
     async def go(self, goals: Goals, seed: int = 0, recoveries: int = RECOVERIES) -> None:
         """Moves to the goals by the maps, and round positioners that turn out not to move.
@@ -323,7 +338,7 @@ class FieldMotion:
         await asyncio.to_thread(self._verify, planned)
         before_deg = self.state.here_deg.copy()
         results = await self._execute(planned)
-        image = await self.look()
+        image = await self._look_after()
         interrupted = self.state.judge(results, image, before_deg, planned.end_deg)
         error_um = self._measured_error_um(image, goals)
         move = Move(
@@ -342,6 +357,14 @@ class FieldMotion:
         self.moves.append(move)
         self.recorder.move(move)
         return interrupted
+
+    async def _look_after(self) -> Measurement:
+        """The image after a move; where none comes all stay at rest, and where each was left is recorded."""
+        try:
+            return await self.look()
+        except BaseException as error:
+            await to_its_end(self.stop(reason(error)))
+            raise
 
     async def stop(self, why: str) -> None:
         """Brings every positioner that can be reached to rest, and records `why` and where each was left.
@@ -376,6 +399,7 @@ class FieldMotion:
     async def _execute(self, planned: Plan) -> Results:
         trajectories = await asyncio.to_thread(self._all_on_the_wire, planned)
         await self.care.begin(list(trajectories), self.progress)
+        self.has_moved = True
         try:
             await when_linked(self.client, trajectories)
             rule = MotionRule(self.state.obstacles(), planned, self.recorder.event)

@@ -192,6 +192,7 @@ class Homing:
         """Searches one axis or both of these at once; stops them all where anything goes wrong."""
         motion = self.motion
         motion.lock.step(Step.MOVE)
+        motion.has_moved = True
         try:
             begun = await motion.client.home(ids, None if axis == "both" else axis)
             ended = await motion.client.wait_until_done(begun.ok_ids, SEARCH_S)

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fiberloom.bus.outcome import Results
+from fiberloom.bus.outcome import Result, Results
 from fiberloom.bus.protocol import Command, Status
+from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
@@ -16,12 +17,13 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import ALLOWED_MM
+from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, allowed_miss_mm
+from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
 from fiberloom.store.arrays import REPORTED, SEEN, UNKNOWN, ArrayPlaces
-from fiberloom.typing import Flags, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 SAME_DEG = 0.15
 """A wire position that is so near the recorded one is the recorded one: the cogging pulls a rotor at rest by
@@ -156,6 +158,53 @@ class SessionMotion(FieldMotion):
             self.datum[self.plane.index_of(positioner_id)] = True
         self._note(None)
         await self.begin_again()
+
+    @property
+    def image(self) -> Measurement | None:
+        """The last one."""
+        return self._image
+
+    @property
+    def reported_deg(self) -> Floats:
+        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
+        return self.maps.to_output(self.state.wire_deg)
+
+    def shows_alpha(self, row: int, spot_mm: Floats) -> bool:
+        """Whether a spot (2,) of the positioner in `row` is far enough from its alpha axis to show alpha."""
+        places_mm = self.plane.centres_mm.copy()
+        places_mm[row] = spot_mm
+        return bool(allowed_miss_mm(self.plane, places_mm)[row] >= 3.0 * SCATTER_MM)
+
+    async def nudge(self, row: int, way_deg: tuple[float, float], duration_s: float) -> Result:
+        """Moves one positioner from where it reports to be by a little, all others at rest.
+
+        `row`: of the positioner; `way_deg`: of alpha and beta; `duration_s`: of the motion. The caller has
+        proven that the way is clear. Stops it where anything goes wrong.
+        """
+        number = int(self.plane.positioner_id[row])
+        await self.care.begin([number], self.progress)
+        self.lock.step(Step.MOVE)
+        self.has_moved = True
+        try:
+            await self._declare_if_lost(row)
+            path = self.state.wire_deg[row] + np.array([(0.0, 0.0), way_deg])
+            trajectory = WireTrajectory.from_deg([0.0, duration_s], *path.T)
+            results = await self.client.run_trajectories({number: trajectory})
+            if not results.ok.all():
+                await self._come_to_rest([number])
+            await self._read_positions(np.array([number]))
+        except BaseException as error:
+            await to_its_end(self.stop(reason(error)))
+            raise
+        self.lock.step(Step.REST)
+        return results[number]
+
+    async def _declare_if_lost(self, row: int) -> None:
+        """One without a datum refuses to move: it is told to be where it reports."""
+        ids = [int(self.plane.positioner_id[row])]
+        bits = (await self.client.status(ids))[ids[0]]
+        if bits.ok and bits.values[0] & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED:
+            await self.client.set_position(ids, *self.state.wire_deg[[row]].T)
 
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
