@@ -11,7 +11,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.stop import reason, to_its_end
-from fiberloom.operation.session.clearing import Clearing, Round
+from fiberloom.operation.session.clearing import Clearing, Round, within_reach
 from fiberloom.operation.session.motion import FOLDED_DEG, SessionMotion
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
@@ -31,6 +31,8 @@ TURN_MM = 0.03
 TRIES = 2
 """Rounds in which one is tried whose way turned out not to be clear."""
 
+UNSEEN, LIGHT = "where it is cannot be seen", "bring light, or exclude it"
+
 _INITIALIZED = {"alpha": Status.DATUM_ALPHA_INITIALIZED, "beta": Status.DATUM_BETA_INITIALIZED}
 
 
@@ -42,6 +44,8 @@ class Homing:
         self.motion, self.rows = motion, [int(r) for r in rows]
         self.found: list[int] = []
         self.left_out: dict[int, str] = {}
+        self._lost = -1
+        """Row of the one that searches though nothing is known of it; -1: none."""
         self._alpha: set[int] = set()
         """Rows whose alpha was found."""
 
@@ -53,6 +57,7 @@ class Homing:
         """Searches all that can be searched safely."""
         self._leave_out_the_silent()
         await self._declare()
+        await self._search_lost()
         await self._whole()
         await self._fold()
         await self._search_alpha()
@@ -72,8 +77,6 @@ class Homing:
             fault = state.faults[row]
             if self._id(row) not in self.motion.client.ids:
                 self._give_up(row, "does not answer on the bus")
-            elif state.somewhere[row]:
-                self._give_up(row, "where it is cannot be seen, so no way is known to be free: bring light")
             elif self._plane.offline[row]:
                 self._give_up(row, f"{fault}: excluded, or switched off")
 
@@ -100,7 +103,33 @@ class Homing:
 
     def _clearing(self) -> Clearing:
         state = self.motion.state
-        return Clearing(self._plane, state.here_deg, state.mobile, state.somewhere & ~state.mobile)
+        lost = state.somewhere & ~state.mobile & (np.arange(len(self._plane)) != self._lost)
+        return Clearing(self._plane, state.here_deg, state.mobile, lost)
+
+    async def _search_lost(self) -> None:
+        """Those of which nothing is known, one at a time, before the others fold.
+
+        One may be anywhere within its reach. So all others have to be out of it; they keep out of it, and
+        only then it searches. One that is within it now has no way out that is known to be free.
+        """
+        state = self.motion.state
+        for row in [r for r in self.rows if state.somewhere[r] and not state.mobile[r]]:
+            state = self.motion.state
+            near = within_reach(self._plane, state.here_deg, row) & state.mobile
+            if near.any():
+                who = ", ".join(map(str, self._plane.positioner_id[near]))
+                self._give_up(
+                    row, f"{UNSEEN}, and no way out of its reach is known to be free for {who}; {LIGHT}"
+                )
+                continue
+            self._lost = row
+            try:
+                await self._rounds([row], "both")
+            finally:
+                self._lost = -1
+            if self._id(row) not in self.found:
+                why = self.left_out.get(self._id(row), "something that does not move is within its reach")
+                self._give_up(row, f"{UNSEEN}, and {why}; {LIGHT}")
 
     async def _whole(self) -> None:
         """Those that are seen, but not where they report: both axes, with the neighbours out of reach."""

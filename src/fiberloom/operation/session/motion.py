@@ -155,7 +155,8 @@ class SessionMotion(FieldMotion):
         ids = self.plane.positioner_id
         await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
         if datum and positioner_id:
-            self.datum[self.plane.index_of(positioner_id)] = True
+            rows = self.plane.index_of(positioner_id)
+            self.datum[rows], self.state.somewhere[rows] = True, False  # it is where it reports now
         self._note(None)
         await self.begin_again()
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiberloom._core import geometry
 from fiberloom.operation.motion import FieldState
 from fiberloom.operation.move import Goals
+from fiberloom.operation.session.clearing import within_reach
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import untangle
@@ -87,12 +87,9 @@ class Recovery:
 
 def in_reach_of_lost(state: FieldState) -> Flags:
     """(N,) positioners whose arms are where one may be of which nothing is known: they stay."""
-    plane, arms = state.plane, state.plane.beta_segments(*state.here_deg.T)
-    within = np.zeros(len(plane), dtype=bool)
-    for row in np.flatnonzero(state.somewhere & ~state.mobile):
-        centre = np.tile(plane.centres_mm[row], (len(plane), 2))
-        gap_mm = geometry.segment_distance(np.ascontiguousarray(arms), centre)
-        within |= gap_mm < plane.body_reach_mm[row] + plane.collision_buffer_mm
+    within = np.zeros(len(state.plane), dtype=bool)
+    for row in np.flatnonzero(state.somewhere & ~state.mobile).tolist():
+        within |= within_reach(state.plane, state.here_deg, row)
     return np.asarray(within & state.mobile)
 
 
