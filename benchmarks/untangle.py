@@ -22,8 +22,9 @@ import numpy as np
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning import MotionLimits, Plan, Trajectory, Untangled, untangle, verify
-from fiberloom.planning.crashes import BODY_SHARE, KINDS, random_crash
+from fiberloom.planning.crashes import KINDS, random_crash
 from fiberloom.studies.untangling import collide_and_untangle
 
 ANY = 1e9

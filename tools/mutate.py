@@ -1,6 +1,6 @@
 """Changes the code in small ways and looks whether a test notices: `make mutate`.
 
-    python -m tools.mutate [--only NAME ...] [--sample N] [--seed S] [--match TEXT] [--kind KIND]
+    python -m tools.mutate [--only NAME ...] [--sample N] [--seed S] [--skip K] [--match TEXT] [--kind KIND]
 
 Works in copies below build/mutate. A mutant of Python runs the tests that reach its line, the quickest
 first, and where these do not notice all tests of its package; every mutant of C is in one build, and an
@@ -115,6 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--sample", type=int, default=SAMPLE, metavar="N", help="of each package; 0: all")
     parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument(
+        "--skip", type=int, default=0, metavar="K", help="the first K of the sample were tried"
+    )
     parser.add_argument("--match", default="", metavar="TEXT", help="only mutants whose key contains it")
     parser.add_argument("--kind", default="", choices=KINDS, help="only mutants of this kind")
     given = parser.parse_args(arguments)
@@ -123,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for target in (t for t in MUTATED if t.name in given.only and code_of(ROOT, t)):
         runs = runs_of(ROOT, target)
         every_key |= {m.key for m in runs.mutants}
-        chosen = choose(runs.mutants, given.sample, given.seed, given.match, given.kind)
+        chosen = choose(runs.mutants, given.sample, given.seed, given.match, given.kind)[given.skip :]
         print(f"{target.name}: {len(chosen)} of {len(runs.mutants)} mutants", flush=True)
         try:
             results += mutate(runs, chosen, lambda r: print(f"{r.verdict.value:9}{r.mutant.key}", flush=True))

@@ -16,6 +16,7 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
+from events import EventsOnly
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.transmission.maps import TransmissionMaps
@@ -30,26 +31,6 @@ from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.hardware import field_hardware
 
 CASES = ("3 deg off", "40 deg off", "180 deg off", "40 deg off and dark")
-
-
-class Quiet:
-    """A recorder that keeps the events."""
-
-    def __init__(self) -> None:
-        self.events: list[tuple[str, int | None]] = []
-
-    def start(self, *_: object) -> None:
-        """Nothing."""
-
-    def move(self, move: object) -> None:
-        """Nothing."""
-
-    def left(self, *_: object) -> None:
-        """Nothing."""
-
-    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """Kept."""
-        self.events.append((kind, positioner_id))
 
 
 @dataclass(frozen=True)
@@ -88,7 +69,7 @@ async def _begin(
     unchecked: bool,
 ) -> Outcome:
     twin = hardware.truth
-    first = FieldMotion(plane, maps, hardware, Quiet())
+    first = FieldMotion(plane, maps, hardware, EventsOnly())
     await first.connect()
     await first.go(Goals.without_targets(plane, deployed), seed)
     ids = [int(plane.positioner_id[row])]
@@ -106,7 +87,7 @@ async def _begin(
     twin.touches()
     before = twin.truth()[row]
     vouched = np.ones(len(plane), dtype=bool) if unchecked else None
-    second = FieldMotion(plane, maps, replace(hardware, vouched=vouched), Quiet())
+    second = FieldMotion(plane, maps, replace(hardware, vouched=vouched), EventsOnly())
     if unchecked:
         second.state.begin = lambda *_: None
     await second.connect()

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from events import EventsOnly
 
 from fiberloom.bus import CanNetTransport
 from fiberloom.calibration.transmission.maps import identity
@@ -49,20 +50,6 @@ class HeldCamera:
             return self.camera.measure(expected_mm)
 
 
-class Recorder:
-    """Keeps the events only."""
-
-    def __init__(self) -> None:
-        self.events: list[str] = []
-
-    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """Something happened."""
-        self.events.append(f"{kind} {positioner_id}: {text}")
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *args: None
-
-
 async def cut(server: TwinServer, gateway: int, after_s: float, for_s: float) -> None:
     """Cuts one gateway once the arms have moved for a while."""
     before = server.traffic.frames_in
@@ -80,7 +67,7 @@ async def moves(asked: argparse.Namespace) -> list[dict[str, Any]]:
     twin = Twin(plane, draw_units(plane, asked.seed), seed=asked.seed, threads=1)
     server = TwinServer(twin, [Address("127.0.0.1", 0) for _ in range(asked.gateways)])
     await server.open()
-    recorder = Recorder()
+    recorder = EventsOnly()
     camera = HeldCamera(server, NoiseCamera(twin, plane.instrument.metrology.noise_rms_um, asked.seed))
     transport = await CanNetTransport.open([str(listener.address) for listener in server.listeners])
     vouched = np.ones(len(plane), dtype=bool)
@@ -93,7 +80,7 @@ async def moves(asked: argparse.Namespace) -> list[dict[str, Any]]:
         for number in range(asked.cuts):
             goal_deg = random_pair(plane, asked.seed + number)[1]
             rows.append(await one_move(motion, server, goal_deg, rng, asked.seconds))
-            rows[-1]["events"] = recorder.events[:]
+            rows[-1]["events"] = recorder.lines()
             recorder.events.clear()
             print(json.dumps(rows[-1]), flush=True)
     finally:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from events import EventsOnly
 
 from fiberloom.assignment.assign import Assignment
 from fiberloom.calibration.transmission.maps import identity
@@ -60,20 +61,6 @@ class Seen:
     events: list[str]
 
 
-class Recorder:
-    """Keeps the events only."""
-
-    def __init__(self) -> None:
-        self.events: list[str] = []
-
-    def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
-        """Something happened."""
-        self.events.append(f"{kind} {positioner_id}: {text}")
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *args: None
-
-
 def goals_of(plane: FocalPlane, goal_deg: np.ndarray) -> Assignment:
     """A target for every positioner, where the random configuration has its metrology fibre."""
     n = len(plane)
@@ -93,7 +80,7 @@ async def observation(seed: int, faults: str) -> Seen:
     """A blind move into a random configuration and two corrections, with these faults."""
     plane = generate(load_instrument("sdssv"), seed=seed, n_positioners=N)
     hardware = field_hardware(plane, draw_units(plane, seed), seed, faults=faults)
-    recorder = Recorder()
+    recorder = EventsOnly()
     motion = FieldMotion(plane, identity(plane.positioner_id), hardware, recorder)
     loop = Loop(motion, goals_of(plane, random_pair(plane, seed)[1]), LoopSettings(moves=3, seed=seed))
     try:
@@ -112,7 +99,7 @@ async def observation(seed: int, faults: str) -> Seen:
         flagged={int(plane.positioner_id[i]): str(state.faults[i]) for i in rows},
         moves=len(motion.moves),
         missed=plane.positioner_id[far].tolist(),
-        events=recorder.events,
+        events=recorder.lines(),
     )
 
 

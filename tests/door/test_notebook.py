@@ -80,8 +80,9 @@ def test_as_a_doctest(desk):
 
 def run_notebook(path, folder, replace=()):
     """Executes a notebook in a kernel of its own; returns it."""
-    nbformat = pytest.importorskip("nbformat")
-    nbclient = pytest.importorskip("nbclient")
+    reason = "pip install nbformat nbclient: notebooks, as in constraints.txt"
+    nbformat = pytest.importorskip("nbformat", reason=reason)
+    nbclient = pytest.importorskip("nbclient", reason=reason)
     notebook = nbformat.read(path, as_version=4)
     for cell in notebook.cells:
         for old, new in replace:

@@ -8,6 +8,7 @@ import pytest
 from fields import _lines, field, signed
 
 from fiberloom.errors import InputError
+from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning import (
     MotionLimits,
     Plan,
@@ -18,7 +19,7 @@ from fiberloom.planning import (
     untangle,
     verify,
 )
-from fiberloom.planning.crashes import BODY_SHARE, KINDS, random_crash
+from fiberloom.planning.crashes import KINDS, random_crash
 
 BUFFER_MM = 2.0
 

@@ -38,7 +38,7 @@ def test_one_worker_or_three(tmp_path):
 
 
 def test_a_dask_cluster_gives_the_same(tmp_path):
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason="pip install distributed: a Dask cluster")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
     ) as cluster:

@@ -94,6 +94,7 @@ def twin(options: TwinOptions) -> None:
 
     plane = options.plane()
     addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))
+    _warn_of_the_network(options, addresses)
     server = _server(options, plane, addresses)
     camera = _camera(options, plane, server) if options.has_camera else None
     if options.jaeger_config is not None:
@@ -107,6 +108,16 @@ def twin(options: TwinOptions) -> None:
         options.print_json(report)
     else:
         typer.echo(_text(report))
+
+
+def _warn_of_the_network(options: TwinOptions, addresses: list[Address]) -> None:
+    """Neither CAN@net nor the cameras' protocols know passwords."""
+    from fiberloom.twin.server.address import address_of, reachable_from_outside
+
+    doors = [address_of(text) for text in (options.camera_listen, options.camera_indi) if text]
+    if outside := reachable_from_outside([*addresses, *doors]):
+        text = f"{outside[0]} can be reached from other machines, without a password, and arms moved by them"
+        typer.echo(f"fiberloom: warning: {text}; use 127.0.0.1, or a network of its own", err=True)
 
 
 def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinServer:

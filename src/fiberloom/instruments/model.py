@@ -18,6 +18,10 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
 METROLOGY = "metrology"
+
+BODY_SHARE = 0.75
+"""Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
+SDSS-V (assumed; the arm's tube)."""
 """Name of the point that the camera sees, in every plane that has one."""
 
 

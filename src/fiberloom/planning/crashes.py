@@ -6,6 +6,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning.bodies import CollisionBodies
 from fiberloom.planning.fields import random_configuration
 from fiberloom.planning.overlaps import Surroundings
@@ -15,9 +16,6 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 KINDS = ("buffer", "two arms", "knot", "fiducial", "immobile")
 """Arms closer than the buffer; two arms that touch; three; an arm at a fiducial; two arms, of which the one
 that moved can no longer move."""
-
-BODY_SHARE = 0.75
-"""Radius of the beta arm itself over the collision buffer, as on the twin."""
 
 _PRESSED_MM = 0.3
 """How deep arms that touch are said to be in each other at most: they bend, and angles are not exact."""

@@ -17,9 +17,10 @@ from fiberloom._core import geometry
 from fiberloom.bus.identifier import decode, encode
 from fiberloom.bus.protocol import Command
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.studies.legal_moves import FULL_SPEED_DEG_S, go_to, greased
 from fiberloom.twin.draw import draw_units
-from fiberloom.twin.twin import BODY_SHARE, Twin
+from fiberloom.twin.twin import Twin
 from fiberloom.typing import Floats, Ints, Records
 from fiberloom.units import GEAR, TICK_S, deg_to_rad
 

@@ -13,16 +13,12 @@ from fiberloom._core import geometry
 from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import AXES, METROLOGY
+from fiberloom.instruments.model import AXES, BODY_SHARE, METROLOGY
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
 from fiberloom.typing import Floats, Records
 from fiberloom.units import deg_to_rad, rad_to_deg
-
-BODY_SHARE = 0.75
-"""Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
-SDSS-V (assumed; the arm's tube)."""
 
 SCOPE_DTYPE = np.dtype([(name, np.float64) for name in _core.SCOPE_FIELDS])
 
