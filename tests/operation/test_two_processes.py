@@ -1,16 +1,14 @@
 """Host and array as two processes that share sockets and nothing else."""
 
-import contextlib
 import json
 import signal
-import socket
 import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
-from programs import start
+from programs import served_array, start
 
 import fiberloom as fl
 from fiberloom.store import Store
@@ -43,31 +41,10 @@ def desk(tmp_path_factory):
     return folder, field.run.observe(targets, corrections=1, out=folder / "inside").summary()
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-@contextlib.contextmanager
-def array():
-    """Bus and camera of a twin in another process."""
-    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
-    words = ["twin", "--positioners", N, "--listen", bus, "--camera-listen", camera]
-    with start(*words, stdout=subprocess.PIPE) as served:
-        try:
-            served.stdout.readline()
-            assert served.stdout.readline().startswith("camera: alpaca://")
-            yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=60"
-        finally:
-            served.terminate()
-            served.communicate(timeout=60)
-
-
 @pytest.mark.slow
 def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
     folder, inside = desk
-    with array() as addresses:
+    with served_array(N) as addresses:
         done = subprocess.run(
             [sys.executable, "-c", HOST, *addresses], cwd=folder, capture_output=True, text=True, timeout=300
         )
@@ -86,7 +63,7 @@ def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_host_that_is_told_to_end_leaves_the_array_at_rest(desk, tmp_path, number):
     folder, _ = desk
-    with array() as (bus, camera):
+    with served_array(N) as (bus, camera):
         words = ["observe", folder / "targets.csv", "--positioners", N, "--bus", bus, "--camera", camera]
         words += [
             "--calibration",

@@ -26,6 +26,7 @@ from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.operation.safety.begin import (
+    ALLOWED_MM,
     NAMED,
     Beginning,
     Report,
@@ -84,6 +85,10 @@ class FieldState:
         """Of those: anywhere within reach, as far as is known."""
         self.beginning: Beginning | None = None
         """What the begin check has found."""
+        self.looser_mm = 0.0
+        """How much further than usual a positioner may be from where it reports: arms are thicker by it."""
+        self.why: dict[int, str] = {}
+        """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
         self.here_deg = plane.offline_position_deg.copy()
@@ -119,7 +124,7 @@ class FieldState:
 
     def flag(self, row: int, fault: FibreStatus, why: str) -> None:
         """Books a fault of the positioner in `row`; `why`: the text of the record."""
-        self.faults[row] = fault
+        self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
     def book_blocked(self, planned: Plan) -> None:
@@ -145,8 +150,10 @@ class FieldState:
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
+            astray_mm=ASTRAY_MM + self.looser_mm,
         )
-        back = self.hearing.taken_back(evidence, allowed_miss_mm(self.plane, evidence.reported_mm))
+        allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, ALLOWED_MM + self.looser_mm)
+        back = self.hearing.taken_back(evidence, allowed_mm)
         for i in back:
             if self.faults[i] in FROM_SILENCE:
                 self.faults[i] = None
@@ -181,7 +188,8 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        found = begin_check(self.plane, Report(self.here_deg, answered, image, vouched))
+        report = Report(self.here_deg, answered, image, vouched)
+        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
         self.beginning = found
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):
