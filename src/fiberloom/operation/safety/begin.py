@@ -28,7 +28,9 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
+from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import rad_to_deg
 
 ALLOWED_MM = 0.5
 """How far an arm may be from where it reports, anywhere in its range. The collision buffer of two arms
@@ -39,6 +41,9 @@ SCATTER_MM = 0.05
 
 TURNS = 5
 """Motor turns that are looked at on either side."""
+
+BEYOND_DEG = 2.0
+"""Past what plans use of an axis: maps are measured so far, and not farther."""
 
 DEEP_SHARE = 0.5
 """Of the collision buffer: bodies nearer than this share of it cannot be, whatever the calibration."""
@@ -60,6 +65,7 @@ class Standing(StrEnum):
     BLIND = "blind"  # seen there, but on its alpha axis, where nothing shows alpha; no datum on record
     UNCLEAR = "unclear"  # spots, but not for certain its own
     SILENT = "silent"  # does not answer; where it is seen, where it is is known
+    BEYOND = "beyond"  # seen where it reports, but beyond the range of an axis, where no map holds
     OVERLAPS = "overlaps"  # reports to be where another arm is
     OFFLINE = "offline"  # switched off: where the layout says
 
@@ -133,10 +139,14 @@ def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_M
         standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
         if near[i] and blind[i] and standing[i] in NAMED:
             standing[i] = Standing.BLIND
+        if standing[i] in (Standing.RIGHT, Standing.TURNS, Standing.VOUCHED) and _beyond(plane, report, i):
+            standing[i] = Standing.BEYOND
     right = np.array([s in (Standing.RIGHT, Standing.VOUCHED) for s in standing])
     certain = right | (seen_right & np.array([s is Standing.TURNS for s in standing]))
     _overlaps(plane, report, standing, certain)
-    where_deg, placed = _places(plane, report, certain)
+    beyond = np.array([s is Standing.BEYOND for s in standing]) & seen_right
+    where_deg, placed = _places(plane, report, certain | beyond)
+    placed |= beyond
     still = np.array([s is Standing.OFFLINE for s in standing])
     return Beginning(
         standing=standing,
@@ -149,6 +159,13 @@ def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_M
             for i in range(len(plane))
         ],
     )
+
+
+def _beyond(plane: FocalPlane, report: Report, row: int) -> bool:
+    """Whether it reports angles that no plan goes to: the elbow on the other side, or past an end."""
+    low_deg, high_deg = rad_to_deg(travel_rad(plane)).T
+    angles_deg = report.angles_deg[row]
+    return bool((angles_deg < low_deg - BEYOND_DEG).any() or (angles_deg > high_deg + BEYOND_DEG).any())
 
 
 def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats, allowed_mm: float = ALLOWED_MM) -> Floats:
@@ -300,6 +317,7 @@ def _text(plane: FocalPlane, row: int, standing: Standing, miss_mm: float, partn
         Standing.DARK: f"its fibre is not seen, and nothing else says where it is; {datum}",
         Standing.BLIND: "folded onto its alpha axis, where nothing shows alpha, and no datum is on record; "
         "search its datum, or unfold it with the neighbours clear",
+        Standing.BEYOND: f"where it reports an axis is beyond its range, where no map holds; {datum}",
         Standing.UNCLEAR: f"its spot cannot be told from others; {datum}",
         Standing.SILENT: "does not answer on the bus",
         Standing.OVERLAPS: f"reports to be where another arm is, which cannot be; {datum}",
