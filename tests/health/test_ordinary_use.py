@@ -143,7 +143,7 @@ def test_two_runs_that_overlap(store):
 
 def test_a_place_at_which_a_map_errs_is_no_scatter_however_often_it_is_visited(store):
     days = Days()
-    days.map_um = 8.0
+    days.map_um = 15.0
     goal = days.field()
     assert_healthy(in_turn(store, days, [PARKED] * 12, [goal] * 12))
 
