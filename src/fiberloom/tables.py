@@ -146,10 +146,15 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
     """Write rows of like keys as ECSV, with `head` in its header; None becomes NaN."""
+    write_columns(path, {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}, head)
+
+
+def write_columns(path: Path, columns: Mapping[str, Sequence[Any]], head: Mapping[str, Any]) -> None:
+    """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text."""
     from astropy.table import Table
 
-    columns = {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}
-    Table(columns, meta=dict(head)).write(path, format="ascii.ecsv", overwrite=True)
+    cells = {name: column if len(column) else np.empty(0, "U1") for name, column in columns.items()}
+    Table(cells, meta=dict(head)).write(path, format="ascii.ecsv", overwrite=True)
 
 
 def _cell(value: Any) -> Any:

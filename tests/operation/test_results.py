@@ -68,9 +68,12 @@ def test_what_is_faulty_or_parked_does_not_count(seen):
     assert (summary["n_valid"], summary["n_within_requirement"]) == (4, 3)
     named = [int(i) for i in seen.plane.positioner_id]
     assert summary["faults"] == {"dead": [named[1]], "blocked": [named[3]]}
+    # the last one is on target as measured, and 7 um off in truth
+    assert summary["not_on_target"] == {"dead": 1, "parked": 1, "blocked": 1, "truly_off_target": 1}
+    assert summary["share_within_requirement"] == pytest.approx(3 / 7)
     assert repr(observed).endswith("2 moves, 3 within 5 um)")
     title = observed.plot().get_title()
-    assert title == "3 of 4 fibres within 5 µm after move 2; 2 positioners flagged"
+    assert title == "3 of 7 assigned fibres within 5 µm after move 2; 2 positioners flagged"
 
 
 def test_the_table_has_a_row_for_every_positioner_and_move_in_units(seen):

@@ -75,6 +75,31 @@ class JsonOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RequireOptions:
+    """Of a command that fails where too little was achieved."""
+
+    require: Annotated[
+        str, typer.Option(help="Least share that must succeed, 0.95 or 95%; below it the exit code is 1.")
+    ] = "95%"
+
+    @property
+    def required_share(self) -> float:
+        """From 0 to 1; raises InputError for anything else."""
+        text = self.require.strip()
+        try:
+            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"--require {text}: give a share, 0 to 1, or per cent with its sign: 0.95, 95%")
+        return share
+
+    def met(self, done: int, of: int) -> bool:
+        """Are so many of so many enough? Nothing at all never is."""
+        return done > 0 and done >= self.required_share * of
+
+
+@dataclass(frozen=True, kw_only=True)
 class LayoutOptions:
     """Of a command that needs to know which positioners there are."""
 

@@ -10,9 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
+from fiberloom.cli.terminal import waiting
 
 if TYPE_CHECKING:
+    from fiberloom.assignment import Assignment
+    from fiberloom.instruments import FocalPlane
     from fiberloom.planning import Plan
+    from fiberloom.targets import TargetList
 
 TargetsArgument = Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS confSummary file.")]
 
@@ -25,30 +29,58 @@ class AssignOptions(PlaneOptions, JsonOptions):
     out: Annotated[Path, typer.Option(help="Configuration to write.")] = Path("goal.csv")
 
 
-def assign(options: AssignOptions) -> None:
-    """Choose a target for each positioner; write the configuration as CSV."""
+UNASSIGNED = "unassigned.ecsv"
+"""Beside the configuration: the targets without a positioner."""
+
+
+def assign(options: AssignOptions) -> int:
+    """Choose a target for each positioner; write the configuration and what was left out."""
     from fiberloom.targets import read_targets
 
     options.check_plane()
     wanted = read_targets(options.targets)
     require_folder(options.out.parent)
     from fiberloom.assignment import assign_relaxed
-    from fiberloom.planning import write_configuration
 
     plane = options.plane()
-    _, found = assign_relaxed(plane, wanted, seed=options.seed)
-    write_configuration(options.out, plane.positioner_id, found.goal_deg)
-    left_out = [f"{wanted.target_id[k]}: {why}" for k, why in sorted(found.unassigned.items())]
+    with waiting(options.as_json) as wait:
+        _, found = assign_relaxed(plane, wanted, seed=options.seed, progress=wait.say)
+    left_out = options.out.with_name(UNASSIGNED)
+    _write(options, plane, wanted, found)
     options.show(
         {
             "targets": len(wanted),
             "assigned": found.n_assigned,
             "positioners": len(plane),
             "notes": found.notes,
-            "not_assigned": _some(left_out),
+            "not_assigned": found.reasons(),
             "configuration": str(options.out),
+            "left_out": str(left_out),
         }
     )
+    return 0 if found.n_assigned else 1
+
+
+def _write(options: AssignOptions, plane: FocalPlane, wanted: TargetList, found: Assignment) -> None:
+    """The configuration with who takes what, and the targets that nobody takes."""
+    from fiberloom.planning import write_configuration
+    from fiberloom.report.outputs import marks
+    from fiberloom.tables import write_columns
+
+    has = found.target >= 0
+    rows = found.target.tolist()
+    taken = {
+        "target_id": [str(wanted.target_id[k]) if k >= 0 else "" for k in rows],
+        "fibre": [str(fibre) if mine else "" for fibre, mine in zip(found.fibre, has, strict=True)],
+        "priority": [f"{wanted.priority[k]:g}" if k >= 0 else "" for k in rows],
+    }
+    write_configuration(options.out, plane.positioner_id, found.goal_deg, taken)
+    left = sorted(found.unassigned)
+    columns = {
+        "target_id": [str(wanted.target_id[k]) for k in left],
+        "reason": [found.unassigned[k] for k in left],
+    }
+    write_columns(options.out.with_name(UNASSIGNED), columns, marks(plane, options.seed))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +102,11 @@ def plan(options: PlanOptions) -> int:
     plane = options.plane()
     start_deg, goal_deg = (planning.read_configuration(f, plane) for f in (options.start, options.goal))
     require_folder(options.out.parent)
-    planned = planning.plan(plane, start_deg, goal_deg, seed=options.seed)
-    checked = planning.verify(plane, planned)
+    with waiting(options.as_json) as wait:
+        wait.say(f"planning {plane.n} trajectories")
+        planned = planning.plan(plane, start_deg, goal_deg, seed=options.seed)
+        wait.say("verifying them in continuous time")
+        checked = planning.verify(plane, planned)
     if not checked.ok:
         options.show(_verdict([planned], [checked]) | {"trajectories": "not written"})
         return 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +39,9 @@ MARKS = ("version", "seed", "instrument", "config_hash", "utc")
 """Entries that every result file has."""
 
 _UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
+
+TRULY_OFF = "truly_off_target"
+"""On target as measured, not in truth: the twin knows."""
 
 NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
 """Status of a positioner whose error does not count."""
@@ -92,7 +96,7 @@ class Observation:
         made = f"{n} positioners, {self.assignment.n_assigned} with a target, {len(own)} moves"
         if not own:
             return f"Observation({name!r}, {made})"
-        within = int((self.error_um(own[-1])[self.counted(own[-1])] <= self.requirement_um).sum())
+        within = int(self.on_target(own[-1]).sum())
         return f"Observation({name!r}, {made}, {within} within {self.requirement_um:g} um)"
 
     def _repr_html_(self) -> str:
@@ -117,9 +121,10 @@ class Observation:
         Returns
         -------
         dict
-            n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um, a row
-            for each of `moves` (errors in um, motion in s), `faults` by kind, `not_assigned` by reason,
-            and version, seed, instrument, config_hash, utc of the observation.
+            n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um,
+            share_within_requirement (of the assigned), a row for each of `moves` (errors in um, motion
+            in s), `faults` by kind, `not_on_target` and `not_assigned` counted by reason, and version,
+            seed, instrument, config_hash, utc of the observation.
 
         Examples
         --------
@@ -132,16 +137,8 @@ class Observation:
         about = dict(self.about)
         learnt = {"learnt": about.pop("learnt")} if "learnt" in about else {}
         put_in = {"put_in": about.pop("put_in")} if "put_in" in about else {}
-        summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self._reasons()}
+        summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self.assignment.reasons()}
         return summary | {"notes": self.assignment.notes} | put_in | learnt
-
-    def _reasons(self) -> dict[str, int]:
-        """Number of targets that were not assigned, by the first words of the reason."""
-        counts: dict[str, int] = {}
-        for reason in self.assignment.unassigned.values():
-            short = reason.split(":")[0].split("(")[0].strip()
-            counts[short] = counts.get(short, 0) + 1
-        return counts
 
     def table(self) -> QTable:
         """One row for every positioner and move, with units.
@@ -334,18 +331,42 @@ class Observation:
         """
         return np.array([status not in NOT_COUNTED for status in move.status])
 
+    def on_target(self, move: Move) -> Flags:
+        """Positioners that are healthy and whose fibre is within the requirement of its target.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+            By the true error where it is known, else by the measured one.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.on_target(seen.final).sum())
+        7
+        """
+        return self.counted(move) & (self.error_um(move) <= self.requirement_um)
+
 
 def summarise(observed: Observation) -> dict[str, Any]:
     """The figures of summary.json that come from the moves."""
     final = observed.final
-    counted = observed.counted(final)
-    within = observed.error_um(final)[counted] <= observed.requirement_um
+    assigned = observed.assignment.n_assigned
+    within = int(observed.on_target(final).sum())
     return {
         "n_positioners": len(observed.plane),
         "n_targets": len(observed.targets),
-        "n_assigned": int((observed.assignment.target >= 0).sum()),
-        "n_valid": int(counted.sum()),
-        "n_within_requirement": int(within.sum()),
+        "n_assigned": assigned,
+        "n_valid": int(observed.counted(final).sum()),
+        "n_within_requirement": within,
+        "share_within_requirement": within / assigned if assigned else 0.0,
         "requirement_um": observed.requirement_um,
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
@@ -353,7 +374,15 @@ def summarise(observed: Observation) -> dict[str, Any]:
         "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
+        "not_on_target": _not_on_target(observed, final),
     }
+
+
+def _not_on_target(observed: Observation, move: Move) -> dict[str, int]:
+    """How many of the assigned fibres are not on target, by their status; the most frequent first."""
+    missed = (observed.assignment.target >= 0) & ~observed.on_target(move)
+    why = [TRULY_OFF if status is FibreStatus.ON_TARGET else status.value for status in move.status]
+    return dict(Counter(np.array(why, dtype=object)[missed].tolist()).most_common())
 
 
 def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
@@ -454,9 +483,9 @@ def _picture(observed: Observation) -> FieldPicture:
     error = observed.error_um(final)
     counted = observed.counted(final)
     flagged = np.array([s in FAULTS or s is FibreStatus.BLOCKED for s in final.status])
-    within = int((error[counted] <= observed.requirement_um).sum())
+    within = int(observed.on_target(final).sum())
     title = (
-        f"{within} of {int(counted.sum())} fibres within {observed.requirement_um:g} µm "
+        f"{within} of {observed.assignment.n_assigned} assigned fibres within {observed.requirement_um:g} µm "
         f"after move {final.number}"
         + (f"; {int(flagged.sum())} positioners flagged" if flagged.any() else "")
     )

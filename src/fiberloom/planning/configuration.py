@@ -1,5 +1,7 @@
 """Configurations: the angles of every positioner, as CSV `positioner_id,alpha_deg,beta_deg`."""
 
+import csv
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +39,21 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
     return out
 
 
-def write_configuration(path: str | Path, positioner_id: ArrayLike, angles_deg: ArrayLike) -> None:
-    """Write a configuration; angles with 9 decimals (a count of the bus is 3e-7 deg)."""
-    rows = zip(np.asarray(positioner_id), np.asarray(angles_deg, dtype=np.float64), strict=True)
-    lines = [f"{int(number)},{alpha:.9f},{beta:.9f}" for number, (alpha, beta) in rows]
-    Path(path).write_text("\n".join([",".join(COLUMNS), *lines]) + "\n")
+def write_configuration(
+    path: str | Path,
+    positioner_id: ArrayLike,
+    angles_deg: ArrayLike,
+    more: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Write a configuration; angles with 9 decimals (a count of the bus is 3e-7 deg).
+
+    `path`: the CSV file; `positioner_id` (N,); `angles_deg` (N, 2): alpha, beta in deg; `more`: further
+    columns by name, N cells each.
+    """
+    more = more or {}
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    cells = zip(np.asarray(positioner_id), angles, *more.values(), strict=True)
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow([*COLUMNS, *more])
+        out.writerows([int(number), f"{a:.9f}", f"{b:.9f}", *rest] for number, (a, b), *rest in cells)
