@@ -11,6 +11,7 @@ import typer
 
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
 from fiberloom.cli.terminal import waiting
+from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.assignment import Assignment
@@ -132,6 +133,12 @@ class VerifyOptions(PlaneOptions, JsonOptions):
     """Of `fiberloom verify`."""
 
     trajectories: Annotated[Path, typer.Argument(help="trajectories.json of `plan` or `observe`.")]
+    buffer: Annotated[
+        float | None,
+        typer.Option(
+            help="Collision buffer to check with, mm; default: the file's, if the instrument's or more."
+        ),
+    ] = None
 
 
 def verify(options: VerifyOptions) -> int:
@@ -140,9 +147,18 @@ def verify(options: VerifyOptions) -> int:
     options.check_plane()
     from fiberloom import planning
 
-    plane = options.plane()
-    plans = planning.read_plans(options.trajectories, plane)
-    verdict = _verdict(plans, [planning.verify(plane, p) for p in plans])
+    plane, asked_mm = options.plane(), options.buffer
+    if asked_mm is not None and not 0.0 < asked_mm < float("inf"):
+        raise InputError(f"--buffer {asked_mm:g}: must be above 0 mm")
+    plans = planning.read_plans(options.trajectories, plane, buffer_mm=asked_mm)
+    limits = planning.MotionLimits(collision_buffer_mm=asked_mm)
+    verdict = _verdict(plans, [planning.verify(plane, p, limits=limits) for p in plans])
+    file_mm = min(p.collision_buffer_mm for p in plans)
+    verdict |= {
+        "checked_with_buffer_mm": file_mm if asked_mm is None else asked_mm,
+        "buffer_of_file_mm": file_mm,
+        "buffer_of_instrument_mm": plane.collision_buffer_mm,
+    }
     options.show(verdict)
     return 0 if verdict["verified"] else 1
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import beyond_stops_deg
 from fiberloom.tables import read_table
 from fiberloom.typing import Floats
 
@@ -18,7 +19,8 @@ COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
     """(N, 2) alpha and beta in deg, in the order of the plane.
 
-    Every positioner once; offline ones may be left out and keep the angles of the plane.
+    Every positioner once, within its hard stops; offline ones may be left out and keep the angles of the
+    plane.
     """
     table = read_table(path)
     table.require(*COLUMNS)
@@ -34,8 +36,13 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
             f"{path}: no row for positioner {plane.positioner_id[missing][0]} "
             f"({int(missing.sum())} missing); every positioner needs one"
         )
+    found = np.column_stack(angles)
+    for row, axis in np.argwhere(beyond_stops_deg(plane, found) > 0.0)[:1]:
+        low, high = plane.hard_stops_deg[axis]
+        problem = f"= {found[row, axis]:g}: beyond the hard stops at {low:g} and {high:g} deg"
+        raise table.error(int(row), COLUMNS[1 + axis], problem)
     out = plane.offline_position_deg.astype(np.float64)
-    out[plane.index_of(ids)] = np.column_stack(angles)
+    out[plane.index_of(ids)] = found
     return out
 
 
