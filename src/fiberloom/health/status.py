@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import IntFlag, StrEnum
 
 
 class FibreStatus(StrEnum):
@@ -27,3 +27,46 @@ FAULTS = frozenset(
         *(FibreStatus.DISCONNECTED, FibreStatus.DEAD),
     }
 )
+
+
+class FibreFlag(IntFlag):
+    """Bits of the column `flags` of fibres.ecsv: everything that is known against a fibre after a move."""
+
+    NO_TARGET = 1
+    NOT_SEEN = 2
+    AMBIGUOUS = 4
+    OFF_TARGET = 8
+    BLOCKED = 16
+    LYING = 32
+    ASTRAY = 64
+    UNSURE = 128
+    DISCONNECTED = 256
+    DEAD = 512
+    OFFLINE = 1024
+    INTERRUPTED = 2048
+    COMPARISON = 4096
+
+
+class Grade(StrEnum):
+    """How near a fibre came to its target, by the best error that is known."""
+
+    GOOD = "good"  # within the requirement
+    POOR = "poor"  # within POOR_REQUIREMENTS of it
+    BAD = "bad"  # farther out
+    UNKNOWN = "unknown"  # has a target, and nobody knows how far from it
+    NONE = ""  # has no target
+
+
+POOR_REQUIREMENTS = 6.0
+"""[A] Poor up to 30 um at a requirement of 5 um, where DESI begins to call a fibre poor."""
+
+
+def grade(error_um: float, requirement_um: float, has_target: bool) -> Grade:
+    """Grade of one fibre; `error_um` is NaN where it is not known."""
+    if not has_target:
+        return Grade.NONE
+    if not error_um >= 0.0:
+        return Grade.UNKNOWN
+    if error_um <= requirement_um:
+        return Grade.GOOD
+    return Grade.POOR if error_um <= POOR_REQUIREMENTS * requirement_um else Grade.BAD
