@@ -166,3 +166,70 @@ def test_millimetres_raise_no_doubt(fl, folder, tmp_path):
 
 def _lines(path):
     return [line for line in path.read_text().splitlines(keepends=True) if not line.startswith("#")]
+
+
+# words at the terminal
+
+
+@pytest.mark.parametrize("words", [(), ("-h",), ("--help",)])
+def test_help_is_no_error(fl, words):
+    code, out, err = fl(*words)
+    assert (code, err) == (0, "")
+    assert "Usage:" in out
+    assert "observe" in out
+
+
+@pytest.mark.parametrize("words", [("calibrate",), ("calibrate", "-h"), ("exclude",), ("verify", "-h")])
+def test_help_of_groups_and_commands_is_no_error(fl, words):
+    code, out, err = fl(*words)
+    assert (code, err) == (0, "")
+    assert "Usage:" in out
+
+
+def test_runs_can_be_told_apart_at_80_columns(fl, folder, tmp_path, monkeypatch):
+    deep = tmp_path / "a" / "rather" / "long" / "name" / "of" / "a" / "folder" / "of" / "an" / "observatory"
+    for night in ("monday", "tuesday"):
+        assert observe(fl, folder / "targets.csv", deep / night)[0] == 0
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = fl("runs", deep)
+    assert max(map(len, out.splitlines())) <= 80
+    for night in ("monday", "tuesday"):
+        (line,) = (line for line in out.splitlines() if night in line)
+        assert line.split()[0] == "1"
+        assert "finished" in line
+        assert len([word for word in line.split() if word.count(":") == 2]) == 1  # a whole time
+    rows = json.loads(fl("runs", deep, "--json")[1])
+    assert {row["store"] for row in rows} == {str(deep / n / "store.sqlite") for n in ("monday", "tuesday")}
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_other_delimiters_are_read(fl, folder, tmp_path, delimiter):
+    other = tmp_path / "other.csv"
+    other.write_text("".join(_lines(folder / "targets.csv")).replace(",", delimiter))
+    reports = []
+    for file in (folder / "targets.csv", other):
+        code, _, err = fl("assign", file, *PLANE, "--out", tmp_path / "goal.csv", "--json")
+        assert code == 0, err
+        reports.append((tmp_path / "goal.csv").read_text())
+    assert reports[0] == reports[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("target_id x_mm y_mm\na 1 2\n", "divided by commas, semicolons or tabs"),
+        ("target_id,x_m,y_m\na,0.1,0.2\n", "'x_m' is not read: give x_mm, in mm"),
+        ("target_id,x,y\na,0.1,0.2\n", "'x' is not read: give x_mm, in mm"),
+        ("target_id,x_mm,y_mm,fibre\na,1,2,LAMOST\n", "fibre 'LAMOST' is unknown"),
+        ("target_id,x_mm,y_mm,positioner_id\na,1,2,9999\n", "9999"),
+    ],
+)
+@pytest.mark.parametrize("command", ["assign", "observe"])
+def test_a_complaint_names_the_file(fl, tmp_path, text, said, command):
+    file = tmp_path / "list.csv"
+    file.write_text(text)
+    code, _, err = fl(command, file, *PLANE, "--out", tmp_path / "out")
+    assert code == 2
+    assert said in err
+    assert f"{file}:" in err
+    assert err.strip().count("\n") <= 1

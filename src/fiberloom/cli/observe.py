@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, excluded
-from fiberloom.cli.options import JsonOptions, PlaneOptions, RequireOptions, require_file, require_folder
+from fiberloom.cli.options import (
+    JsonOptions,
+    PlaneOptions,
+    RequireOptions,
+    naming,
+    require_file,
+    require_folder,
+)
 from fiberloom.cli.plan import TargetsArgument
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
@@ -99,12 +106,15 @@ def observe(options: ObservationOptions) -> int:
     started_s = time.monotonic()
     check(options)
     required = options.required_share
+    from fiberloom.assignment.candidates import check_targets
     from fiberloom.targets import read_targets
 
     targets = read_targets(options.targets)
     require_folder(options.out)
     field = field_of(options)
     field.command_line = " ".join(sys.argv)
+    with naming(options.targets):
+        check_targets(field.plane, targets)
     with waiting(options.as_json) as field.watcher:
         seen = field.run.observe(
             targets,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -28,7 +29,7 @@ def add(app: typer.Typer, run: Callable[[Options], int | None], name: str | None
     The command has the name of the function unless `name` is given, and exits with what the function
     returns (None: 0).
     """
-    app.command(name)(_typer_function(run))
+    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_typer_function(run))
 
 
 def _typer_function(run: Callable[[Options], int | None]) -> Callable[..., None]:
@@ -155,6 +156,15 @@ def require_file(path: Path | None, hint: str = "") -> None:
     """Raises InputError for a file that does not exist; `hint`: what to do, for the message."""
     if path is not None and not path.is_file():
         raise InputError(f"{path}: no such file{hint and '; ' + hint}")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Puts the name of a file before complaints about what is in it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
 
 def require_folder(out: Path) -> None:

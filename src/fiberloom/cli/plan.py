@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
+from fiberloom.cli.options import JsonOptions, PlaneOptions, naming, require_file, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -44,7 +44,7 @@ def assign(options: AssignOptions) -> int:
     from fiberloom.assignment import assign_relaxed
 
     plane = options.plane()
-    with waiting(options.as_json) as wait:
+    with waiting(options.as_json) as wait, naming(options.targets):
         _, found = assign_relaxed(plane, wanted, seed=options.seed, progress=wait.say)
     left_out = options.out.with_name(UNASSIGNED)
     _write(options, plane, wanted, found)

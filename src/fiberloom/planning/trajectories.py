@@ -259,7 +259,10 @@ def _belongs(made: Plan, plane: FocalPlane, where: str, asked_mm: float | None) 
     name = plane.instrument.name
     if made.instrument != name:
         raise InputError(f"{where}: planned for {made.instrument}, not for {name}; name the --instrument")
-    plane.index_of([robot.positioner_id for robot in made.robots])
+    try:
+        plane.index_of([robot.positioner_id for robot in made.robots])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
     least_mm, has_mm = least_buffer_mm(plane), made.collision_buffer_mm
     if asked_mm is None and has_mm < least_mm - 1e-9:
         raise InputError(
