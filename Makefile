@@ -7,13 +7,14 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
+STEPS  ?= 10000000
 # Shows how far a long step is; all that it prints is in build/*.log.
 PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace stubs clean figures coverage mutate
+.PHONY: firmware-report docs lint format inplace stubs lock clean figures coverage mutate
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -31,6 +32,7 @@ help:
 	@echo "make mutate   small changes of the code that no test notices"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make setup    .venv/bin/fiberloom"
+	@echo "make lock     constraints.txt anew, with hashes (needs uv)"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
 	@echo "make stubs    types of the compiled module anew, after a change of core/bindings"
 
@@ -43,7 +45,7 @@ NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
 $(VENV)/.dependencies: constraints.txt
 	@echo "1 of 4: an environment in $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PROGRESS) "2 of 4: Python packages" build/packages.log --of $(shell grep -c '^[a-zA-Z]' constraints.txt) -- \
+	@$(PROGRESS) "2 of 4: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
 	    $(BIN)/pip install -r constraints.txt
 	@touch $@
 
@@ -77,6 +79,7 @@ check: lint
 	cmake --build build/checks
 	cd build/checks && ctest --output-on-failure
 	build/checks/firmware/tests/check_dispatch $(FRAMES) 1
+	build/checks/firmware/tests/check_sequences $(STEPS) 1
 	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
 	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
 	$(MAKE) sanitized
@@ -151,6 +154,13 @@ format: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format -i $(shell git ls-files '*.c' '*.h' '*.cpp' '*.hpp')
+
+# What pyproject.toml asks for, as new as constraints.txt has it; UPGRADE="--upgrade" or "-P NAME" for newer. Needs uv.
+lock:
+	@head -2 constraints.txt > build/constraints.head
+	uv pip compile pyproject.toml --extra dev --extra cameras --python-version 3.11 \
+	    --generate-hashes --no-header --no-annotate $(UPGRADE) --output-file constraints.txt
+	@cat build/constraints.head constraints.txt > build/constraints.new && mv build/constraints.new constraints.txt
 
 inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \

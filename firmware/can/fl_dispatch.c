@@ -28,8 +28,8 @@ static fl_code_t execute(fl_positioner_t *p, const fl_command_row_t *row, const 
     if (verdict.code != FL_ACCEPTED) return (fl_code_t)verdict.code;
     const fl_request_t rq = {f->data, f->len, row->axes, row->arg, row->input};
     const fl_code_t code = row->handler(p, &rq, re);
-    if (code == FL_ACCEPTED && input != FL_IN_QUERY) fl_positioner_enter(p, verdict.next);
-    return code;
+    if (code != FL_ACCEPTED || input == FL_IN_QUERY) return code;
+    return fl_positioner_enter(p, verdict.next) ? FL_ACCEPTED : FL_INVALID_COMMAND;
 }
 
 static fl_code_t answer(fl_positioner_t *p, fl_identifier_t id, const fl_can_frame_t *f, fl_reply_t *re) {

@@ -10,20 +10,12 @@
 /* Six days; keeps the arithmetic of a segment inside 32 bits. */
 #define LAST_TICK (1 << 29)
 
-static void drop_paths(fl_positioner_t *p) {
-    for (int i = 0; i < FL_AXES; ++i) {
-        fl_path_clear(&p->path[i]);
-        p->points[i] = 0;
-    }
-    p->path_bad = false;
-}
-
 FL_HANDLER(fl_handle_new_trajectory) {
     UNUSED(re);
     const uint32_t n[FL_AXES] = {fl_get_u32(rq->data), fl_get_u32(rq->data + 4)};
     for (int i = 0; i < FL_AXES; ++i)
         if (n[i] < 1 || n[i] > FL_PATH_POINTS) return FL_VALUE_OUT_OF_RANGE;
-    drop_paths(p);
+    fl_positioner_drop_paths(p);
     fl_trace_start(&p->trace, 0); /* its memory is needed */
     for (int i = 0; i < FL_AXES; ++i) p->points[i] = (uint16_t)n[i];
     return FL_ACCEPTED;
@@ -103,7 +95,7 @@ FL_HANDLER(fl_handle_start) {
 
 FL_HANDLER(fl_handle_stop) {
     UNUSED(re);
-    drop_paths(p);
+    fl_positioner_drop_paths(p);
     fl_positioner_brake(p);
     if (rq->arg) {
         p->collided = 0;
@@ -122,7 +114,7 @@ FL_HANDLER(fl_handle_goto) {
             return FL_VALUE_OUT_OF_RANGE;
         target[i] = (int32_t)to;
     }
-    drop_paths(p);
+    fl_positioner_drop_paths(p);
     for (int i = 0; i < FL_AXES; ++i) {
         fl_reply_u32(re, fl_axis_goto_ticks(&p->axis[i], target[i]));
         fl_axis_goto(&p->axis[i], target[i]);
@@ -147,7 +139,7 @@ static void begin(fl_axis_t *a, uint8_t input) {
 
 FL_HANDLER(fl_handle_calibrate) {
     UNUSED(re);
-    drop_paths(p);
+    fl_positioner_drop_paths(p);
     for (int i = 0; i < FL_AXES; ++i) {
         if (!(rq->axes >> i & 1)) continue;
         if (rq->input == FL_IN_HOME || rq->input == FL_IN_CALIBRATE_DATUM)

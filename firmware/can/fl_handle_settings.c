@@ -24,8 +24,7 @@ FL_HANDLER(fl_handle_set_position) {
             (int64_t)position[i] > (int64_t)law->position_max_cnt + beyond)
             return FL_VALUE_OUT_OF_RANGE;
     }
-    fl_positioner_set_position(p, position);
-    return FL_ACCEPTED;
+    return fl_positioner_set_position(p, position) ? FL_ACCEPTED : FL_INVALID_COMMAND;
 }
 
 FL_HANDLER(fl_handle_get_offsets) {

@@ -5,8 +5,6 @@
 #include "fl_status.h"
 #include "fl_storage.h"
 
-enum { BOTH_AXES = 3 };
-
 static bool params_good(const fl_positioner_t *p) {
     return fl_params_fault(&p->params[FL_ALPHA]) < 0 && fl_params_fault(&p->params[FL_BETA]) < 0;
 }
@@ -41,7 +39,7 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     }
     p->state = FL_STATE_IDLE;
     p->collided = p->datum_known = p->cogging_calibrated = 0;
-    p->hall_calibrated = BOTH_AXES; /* the factory parameters describe this unit */
+    p->hall_calibrated = FL_BOTH_AXES; /* the factory parameters describe this unit */
     p->path_bad = p->settings_changed = p->led = p->staging = false;
     p->chores = 0;
     p->options = 0;
@@ -62,13 +60,24 @@ bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params
     return true;
 }
 
-void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
-    for (int axis = 0; axis < FL_AXES; ++axis)
+bool fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
+    const bool noted = fl_storage_declare_position(p, position_cnt);
+    for (int axis = 0; noted && axis < FL_AXES; ++axis)
         fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
-    p->datum_known = BOTH_AXES;
-    p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));
-    fl_storage_note_position(p, false);
+    if (noted) {
+        p->datum_known = FL_BOTH_AXES;
+        p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));
+    }
     fl_status_refresh(p);
+    return noted;
+}
+
+void fl_positioner_drop_paths(fl_positioner_t *p) {
+    for (int i = 0; i < FL_AXES; ++i) {
+        fl_path_clear(&p->path[i]);
+        p->points[i] = 0;
+    }
+    p->path_bad = false;
 }
 
 static bool axes_rest(const fl_positioner_t *p) {
@@ -82,18 +91,25 @@ bool fl_positioner_at_rest(const fl_positioner_t *p) {
 
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks) { p->ticks += ticks; }
 
-void fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
-    const bool rested = p->state <= FL_STATE_REFUSED;
+/* The plan is made and no tick has passed: nothing has moved yet. */
+static void stay(fl_positioner_t *p) {
+    fl_positioner_drop_paths(p);
+    for (int axis = 0; axis < FL_AXES; ++axis) fl_axis_off(&p->axis[axis], &p->port, axis);
+    p->state = FL_STATE_IDLE;
+}
+
+bool fl_positioner_enter(fl_positioner_t *p, uint8_t state) {
+    const bool sets_out = p->state <= FL_STATE_REFUSED && state > FL_STATE_REFUSED;
+    const bool may = !sets_out || fl_storage_note_position(p, true);
+    if (sets_out) p->options &= ~FL_STATUS(HOST_TIMEOUT);
     p->state = state;
-    if (rested && state > FL_STATE_REFUSED) {
-        p->options &= ~FL_STATUS(HOST_TIMEOUT);
-        fl_storage_note_position(p, true);
-    }
+    if (!may) stay(p);
     fl_status_refresh(p);
+    return may;
 }
 
 void fl_positioner_apply(fl_positioner_t *p, fl_input_t input) {
-    p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_status_conditions(p, BOTH_AXES)).next;
+    p->state = fl_supervisor_match((fl_state_t)p->state, input, fl_status_conditions(p, FL_BOTH_AXES)).next;
 }
 
 void fl_positioner_brake(fl_positioner_t *p) {

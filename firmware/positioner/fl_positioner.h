@@ -17,6 +17,8 @@
 extern "C" {
 #endif
 
+enum { FL_BOTH_AXES = 3 }; /* as bits, alpha first */
+
 /* What the end of a motion brings with it, in the order in which it is done. */
 enum {
     FL_CHORE_RESULT_ALPHA = 1, /* of the calibration that has ended */
@@ -84,15 +86,21 @@ bool fl_positioner_at_rest(const fl_positioner_t *p);
  * @pre fl_positioner_at_rest */
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
 
-/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set.
+/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set. False and no
+ * change where the storage does not take it and would bring back an older position.
  * @pre both axes rest */
-void fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
+bool fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
 
 /* Replaces the parameters of an axis. False and no change while it moves. */
 bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params_t *params);
 
-/* A command was carried out: the supervisor's next state (fl_state_t), with all that follows. */
-void fl_positioner_enter(fl_positioner_t *p, uint8_t state);
+/* A command was carried out: the supervisor's next state (fl_state_t), with all that follows. False where a
+ * motion would begin that cannot be noted, so that a power cut would bring back the position from before:
+ * nothing moves then, and what is loaded is dropped. */
+bool fl_positioner_enter(fl_positioner_t *p, uint8_t state);
+
+/* Forgets the trajectories. */
+void fl_positioner_drop_paths(fl_positioner_t *p);
 
 /* An event from inside moves the supervisor on. */
 void fl_positioner_apply(fl_positioner_t *p, fl_input_t input);

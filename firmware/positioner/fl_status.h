@@ -7,7 +7,8 @@
 
 /* X(name, bit). Names are the protocol's; a pair of axes has two bits, that of alpha first. Bits 2, 3, 37
  * and 38 belong to the protocol, and this firmware never sets them, nor 28 and 29. 40 is a mark of hosts; 41
- * is this firmware's own: the host watch ended the last trajectory. */
+ * and 42 are this firmware's own: the host watch ended the last trajectory; the storage did not take the last
+ * position. */
 #define FL_STATUS_BITS(X)                                                                                    \
     X(SYSTEM_INITIALIZED, 0)                                                                                 \
     X(CONFIG_CHANGED, 1)                                                                                     \
@@ -49,7 +50,8 @@
     X(PRECISE_MOVE_IN_OPEN_LOOP_ALPHA, 37)                                                                   \
     X(PRECISE_MOVE_IN_OPEN_LOOP_BETA, 38)                                                                    \
     X(SWITCH_OFF_HALL_AFTER_MOVE, 39)                                                                        \
-    X(HOST_TIMEOUT, 41)
+    X(HOST_TIMEOUT, 41)                                                                                      \
+    X(STORAGE_FAILED, 42)
 
 enum {
 #define X(name, bit) FL_BIT_##name = (bit),

@@ -140,14 +140,36 @@ void fl_storage_load(fl_positioner_t *p) {
     load_position(p);
 }
 
-void fl_storage_note_position(fl_positioner_t *p, bool moving) {
+/* Whether after a power cut now a position would be believed. */
+static bool believes(const fl_port_t *port) {
+    position_record_t r, other;
+    return read_newest(port, &position_place, &r, &other) >= 0 && !r.moving;
+}
+
+static bool note(fl_positioner_t *p, position_record_t *r) {
     p->chores &= (uint8_t)~FL_CHORE_NOTE; /* an older one is overtaken */
-    if (!p->port.storage_write || !p->port.storage_read) return;
+    if (!p->port.storage_write || !p->port.storage_read) return true;
+    uint32_t scratch[2 * POSITION_STRIDE / sizeof(uint32_t)];
+    const bool noted = write_next(&p->port, &position_place, r, scratch);
+    p->options &= ~FL_STATUS(STORAGE_FAILED);
+    if (!noted) p->options |= FL_STATUS(STORAGE_FAILED);
+    return noted || !believes(&p->port);
+}
+
+bool fl_storage_note_position(fl_positioner_t *p, bool moving) {
     position_record_t r = {.moving = moving, .datum_known = p->datum_known};
     for (int i = 0; i < FL_AXES; ++i) {
         r.position_cnt[i] = p->axis[i].position_cnt;
         r.rotor_cnt[i] = fl_sub_i32(r.position_cnt[i], p->axis[i].zero_cnt) & (FL_TURN_CNT - 1);
     }
-    uint32_t scratch[2 * POSITION_STRIDE / sizeof(uint32_t)];
-    write_next(&p->port, &position_place, &r, scratch);
+    return note(p, &r);
+}
+
+bool fl_storage_declare_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
+    position_record_t r = {.datum_known = FL_BOTH_AXES};
+    for (int i = 0; i < FL_AXES; ++i) {
+        r.position_cnt[i] = position_cnt[i];
+        r.rotor_cnt[i] = fl_axis_look(&p->axis[i], &p->port, i) & (FL_TURN_CNT - 1);
+    }
+    return note(p, &r);
 }

@@ -18,7 +18,12 @@ void fl_storage_load(fl_positioner_t *p);
 /* Saves the calibrations; false when the storage did not take them: the last saved ones then still count. */
 bool fl_storage_save(fl_positioner_t *p);
 
-/* Notes the position, at the start (moving) and the end of every motion. */
-void fl_storage_note_position(fl_positioner_t *p, bool moving);
+/* Notes the position, at the start (moving) and the end of every motion. False: the storage did not take it,
+ * and after a power cut an older position at rest would be believed: then nothing may move. Sets or clears
+ * STORAGE_FAILED. */
+bool fl_storage_note_position(fl_positioner_t *p, bool moving);
+
+/* The same for positions that are about to be declared, with both datums known. */
+bool fl_storage_declare_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
 
 #endif

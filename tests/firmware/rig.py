@@ -58,6 +58,7 @@ BIT = {
     "saved": 36,
     "hall_off": 39,
     "host_timeout": 41,
+    "storage_failed": 42,
 }
 
 

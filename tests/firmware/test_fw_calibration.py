@@ -263,6 +263,53 @@ def test_a_power_cut_in_motion_leaves_a_guess_and_asks_for_the_datum():
     assert unit.goto(12, 18) == ACCEPTED
 
 
+@pytest.mark.parametrize("budget", range(0, 70, 3))
+def test_nothing_moves_that_a_power_cut_would_place_wrongly(budget):
+    """The storage takes only some bytes: whatever is known after a power cut is so."""
+    unit = with_stops(Rig())
+    unit.unit.write_budget = budget
+    code = unit.goto(60, 70)
+    unit.unit.tick(1000)
+    moved = abs(unit.true_deg()[0] - 10) > 0.1
+    assert moved == (code == ACCEPTED)
+    assert unit.status("storage_failed") == (code == rig.INVALID)
+    unit.unit.write_budget = -1
+    unit.unit.power_up()
+    known, estimated = unit.status("datum_alpha", "estimated")
+    assert known != estimated
+    assert not known or unit.position_deg == pytest.approx(unit.true_deg(), abs=0.01)
+
+
+def test_a_start_that_cannot_be_noted_is_refused_and_what_is_loaded_is_dropped():
+    unit = Rig()
+    unit.load([(0.0, 10.0), (2.0, 12.0)], [(0.0, 20.0), (2.0, 21.0)])
+    unit.unit.write_budget = 0
+    assert unit.code(14) == rig.INVALID
+    unit.unit.write_budget = -1
+    assert unit.code(14) == ACCEPTED  # nothing is loaded: nothing moves
+    unit.unit.tick(1000)
+    assert unit.true_deg() == pytest.approx((10, 20), abs=0.01)
+    assert unit.goto(12, 21) == ACCEPTED
+    assert not unit.status("storage_failed")
+
+
+def test_without_a_record_that_could_mislead_storage_that_fails_stops_nobody():
+    unit = Rig(known=False)
+    unit.unit.write_budget = 0
+    assert unit.code(23) == ACCEPTED
+    assert unit.status("storage_failed")
+
+
+def test_a_position_that_cannot_be_noted_is_not_declared():
+    unit = Rig()
+    unit.unit.write_budget = 0
+    counts = struct.pack("<ii", *(round(a * rig.COUNTS_PER_DEG) for a in (40, 50)))
+    assert unit.code(33, counts) == rig.INVALID
+    assert unit.position_deg == pytest.approx((10, 20), abs=0.01)
+    unit.unit.power_up()
+    assert unit.position_deg == pytest.approx((10, 20), abs=0.01)
+
+
 def test_no_storage_at_all_starts_as_new():
     unit = Rig(known=False)
     assert unit.status("restored", "estimated", "saved", "datum_alpha") == (False,) * 4

@@ -25,7 +25,7 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import NAMED, Beginning, Report, Standing, begin_check
+from fiberloom.operation.safety.begin import ALLOWED_MM, NAMED, Beginning, Report, Standing, begin_check
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.stop import reason, to_its_end
@@ -74,6 +74,10 @@ class FieldState:
         """Not certain at the begin to be where they report: they do not move."""
         self.somewhere = np.zeros(len(plane), dtype=bool)
         """Of those: anywhere within reach, as far as is known."""
+        self.looser_mm = 0.0
+        """How much further than usual a positioner may be from where it reports: arms are thicker by it."""
+        self.why: dict[int, str] = {}
+        """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
         self.here_deg = plane.offline_position_deg.copy()
@@ -109,7 +113,7 @@ class FieldState:
 
     def flag(self, row: int, fault: FibreStatus, why: str) -> None:
         """Books a fault of the positioner in `row`; `why`: the text of the record."""
-        self.faults[row] = fault
+        self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
     def book_blocked(self, planned: Plan) -> None:
@@ -135,6 +139,7 @@ class FieldState:
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
+            astray_mm=ASTRAY_MM + self.looser_mm,
         )
         back = self.hearing.taken_back(evidence)
         for i in back:
@@ -171,7 +176,8 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        found = begin_check(self.plane, Report(self.here_deg, answered, image, vouched))
+        report = Report(self.here_deg, answered, image, vouched)
+        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):
             raise InputError(

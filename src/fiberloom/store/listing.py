@@ -8,7 +8,6 @@ from typing import Any
 from fiberloom.store.database import Store
 from fiberloom.store.find import stores_below
 
-
 USUAL = "store.sqlite"
 """Name of a store that needs not be told."""
 

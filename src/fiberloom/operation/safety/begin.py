@@ -103,7 +103,7 @@ class Beginning:
         return [i for i, s in enumerate(self.standing) if s is Standing.OVERLAPS]
 
 
-def begin_check(plane: FocalPlane, report: Report) -> Beginning:
+def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_MM) -> Beginning:
     """Who may move, where the others are, and what to do about them.
 
     Parameters
@@ -112,6 +112,8 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
         N positioners.
     report : Report
         Angles in deg as reported, who answered, an image, and whose datum is on record.
+    allowed_mm : float
+        How far an arm may be from where it reports, anywhere in its range.
 
     Returns
     -------
@@ -122,10 +124,10 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
     reported_mm = plane.forward(*report.angles_deg.T)
     standing, probability, partner = _named(plane, report, reported_mm)
     miss_mm = np.hypot(*(seen_mm - reported_mm).T)
-    allowed_mm = allowed_miss_mm(plane, reported_mm)
+    most_mm = allowed_miss_mm(plane, reported_mm, allowed_mm)
     # so near the alpha axis that nothing can be seen of alpha: the record of its datum has to say it
-    blind = allowed_mm < 3.0 * SCATTER_MM
-    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, allowed_mm)
+    blind = most_mm < 3.0 * SCATTER_MM
+    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, most_mm)
     seen_right = report.answered & report.image.seen & near & (~blind | report.vouched)
     for i in range(len(plane)):
         standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
@@ -149,15 +151,15 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
     )
 
 
-def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats) -> Floats:
-    """(N,) largest miss seen now, in mm, of a positioner that is nowhere off by more than ALLOWED_MM.
+def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats, allowed_mm: float = ALLOWED_MM) -> Floats:
+    """(N,) largest miss seen now, in mm, of a positioner that is nowhere off by more than `allowed_mm`.
 
     A wrong alpha shifts the fibre in proportion to its distance from the alpha axis, and most with the
     arm stretched; near that axis nothing can be seen of it, so nothing is certain beyond the scatter.
     """
     radius_mm = np.hypot(*(reported_mm - plane.centres_mm).T)
     stretched_mm = plane.l_alpha_mm + plane.l_beta_mm
-    return np.asarray(ALLOWED_MM * np.minimum(1.0, radius_mm / stretched_mm), dtype=np.float64)
+    return np.asarray(allowed_mm * np.minimum(1.0, radius_mm / stretched_mm), dtype=np.float64)
 
 
 def _standing(row: int, plane: FocalPlane, report: Report, seen_right: bool, named: Standing) -> Standing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fiberloom.errors import InputError
@@ -17,6 +18,18 @@ class Address:
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"
+
+
+def reachable_from_outside(addresses: Iterable[Address]) -> list[Address]:
+    """Those of `addresses` that other machines may reach: all but loopback, and every name but localhost."""
+    return [address for address in addresses if not _is_loopback(address.host)]
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
 
 
 def address_of(text: str, option: str = "--listen") -> Address:
