@@ -25,7 +25,7 @@ Say = Callable[[str], None]
 
 
 def silent(_: str) -> None:
-    """Tells nobody."""
+    """No output."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,10 @@ def assign_relaxed(
 
     The buffer gives way in steps, by `bodies.collision_shrink_mm` at most (SDSS-V's telescope
     configurations keep 1.92 mm of 2.0 mm), and only as far as it brings more of the demanded
-    targets in. Returns the plane with the buffer that holds, for planning and verification. `progress` is
-    called with the name of each step.
+    targets in. Returns the plane with the buffer that holds, for planning and verification.
+
+    `plane`: the positioners; `targets`: in mm; `seed`: as of `assign`; `progress`: called with the name of
+    each step.
     """
     best = plane, assign(plane, targets, seed=seed, progress=progress)
     left = _left_out(best[1], targets)

@@ -63,7 +63,7 @@ def assign(options: AssignOptions) -> int:
 
 
 def _write(options: AssignOptions, plane: FocalPlane, wanted: TargetList, found: Assignment) -> None:
-    """The configuration with who takes what, and the targets that nobody takes."""
+    """The configuration with who takes what, and the targets that no positioner takes."""
     from fiberloom.planning import write_configuration
     from fiberloom.report.outputs import marks
     from fiberloom.tables import write_columns

@@ -32,19 +32,19 @@ FAULTS = frozenset(
 class FibreFlag(IntFlag):
     """Bits of the column `flags` of fibres.ecsv: everything that is known against a fibre after a move."""
 
-    NO_TARGET = 1
-    NOT_SEEN = 2
-    AMBIGUOUS = 4
-    OFF_TARGET = 8
-    BLOCKED = 16
-    LYING = 32
-    ASTRAY = 64
-    UNSURE = 128
-    DISCONNECTED = 256
-    DEAD = 512
-    OFFLINE = 1024
-    INTERRUPTED = 2048
-    COMPARISON = 4096
+    NO_TARGET = 1 << 0
+    NOT_SEEN = 1 << 1
+    AMBIGUOUS = 1 << 2
+    OFF_TARGET = 1 << 3
+    BLOCKED = 1 << 4
+    LYING = 1 << 5
+    ASTRAY = 1 << 6
+    UNSURE = 1 << 7
+    DISCONNECTED = 1 << 8
+    DEAD = 1 << 9
+    OFFLINE = 1 << 10
+    INTERRUPTED = 1 << 11
+    COMPARISON = 1 << 12
 
 
 class Grade(StrEnum):
@@ -53,7 +53,7 @@ class Grade(StrEnum):
     GOOD = "good"  # within the requirement
     POOR = "poor"  # within POOR_REQUIREMENTS of it
     BAD = "bad"  # farther out
-    UNKNOWN = "unknown"  # has a target, and nobody knows how far from it
+    UNKNOWN = "unknown"  # has a target, and its distance is not known
     NONE = ""  # has no target
 
 
