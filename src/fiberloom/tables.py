@@ -41,10 +41,22 @@ class TableFile:
         if missing:
             raise InputError(
                 f"{self.path}: no column {', '.join(missing)}; the columns are "
-                f"{', '.join(self.columns) or 'none'}"
+                f"{', '.join(self.columns) or 'none'}{self._hint(missing)}"
             )
         if not len(self):
             raise InputError(f"{self.path}: no rows below the header")
+
+    def _hint(self, missing: Sequence[str]) -> str:
+        """What may be meant: cells divided by something else, or a quantity in another unit."""
+        if len(self.columns) == 1 and any(c in next(iter(self.columns)) for c in " |:"):
+            return "; cells must be divided by commas, semicolons or tabs"
+        stems = {name.rpartition("_")[0]: name for name in missing if "_" in name}
+        for column in self.columns:
+            stem = column.rpartition("_")[0]
+            wanted = stems.get(stem or column)
+            if wanted is not None:
+                return f"; '{column}' is not read: give {wanted}, in {wanted.rpartition('_')[2]}"
+        return ""
 
     def error(self, row: int, name: str, problem: str) -> InputError:
         """The complaint about one cell."""
@@ -105,12 +117,19 @@ def read_table(path: str | Path) -> TableFile:
     return _read_astropy(path, "ascii.ecsv" if suffix in (".csv", ".ecsv") else "fits")
 
 
+DELIMITERS = ",;\t"
+"""Of CSV files, by preference."""
+
+
 def read_csv(path: Path) -> TableFile:
-    """A CSV file: a header, then rows; # starts a comment line; blank lines do not count."""
+    """A CSV file: a header, then rows; # starts a comment line; blank lines do not count.
+
+    Cells are divided by commas, semicolons or tabs: by what the header has most of.
+    """
     lines = list(_lines(path))
-    rows = _rows(path, lines)
-    if not rows:
+    if not lines:
         raise InputError(f"{path}: the file is empty")
+    rows = _rows(path, lines)
     if len(rows) != len(lines):
         raise InputError(f"{path}: a quoted cell runs over several lines")
     header = [cell.strip() for cell in rows[0]]
@@ -126,7 +145,8 @@ def read_csv(path: Path) -> TableFile:
 
 
 def _rows(path: Path, lines: Sequence[tuple[int, str]]) -> list[list[str]]:
-    reader = csv.reader(line for _, line in lines)
+    delimiter = max(DELIMITERS, key=lines[0][1].count)
+    reader = csv.reader((line for _, line in lines), delimiter=delimiter)
     try:
         return list(reader)
     except csv.Error as error:
@@ -164,10 +184,15 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
     """Write rows of like keys as ECSV, with `head` in its header; None becomes NaN."""
+    write_columns(path, {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}, head)
+
+
+def write_columns(path: Path, columns: Mapping[str, Sequence[Any]], head: Mapping[str, Any]) -> None:
+    """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text."""
     from astropy.table import Table
 
-    columns = {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}
-    write_summed(path, Table(columns, meta=dict(head)))
+    cells = {name: column if len(column) else np.empty(0, "U1") for name, column in columns.items()}
+    write_summed(path, Table(cells, meta=dict(head)))
 
 
 SUM = "rows_sum"

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad
 
@@ -22,6 +23,10 @@ approach, and to fold a little more than fully. All of 360 deg for beta would do
 STOP_ROOM_DEG = 1.0
 """Kept to the hard stops on the way: the motor's angle, which is what the firmware limits, differs from
 the output's by the non-linearity (up to 0.6 deg accepted) and the backlash (0.25 deg)."""
+
+
+STOP_DOUBT_DEG = 5.0
+"""[A] By so much a report may lie beyond a hard stop, after a poor datum. Farther out no arm can be."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,28 @@ def travel_rad(plane: FocalPlane) -> Floats:
     low = np.minimum(low, range_deg[:, 0])
     high = np.maximum(high, range_deg[:, 1] + approach_deg)
     return deg_to_rad(np.column_stack([low, high]))
+
+
+def beyond_stops_deg(plane: FocalPlane, angles_deg: Floats) -> Floats:
+    """(n, 2) deg by which alpha and beta (n, 2) lie beyond the hard stops, where no arm can be.
+
+    0 within `STOP_DOUBT_DEG` of them.
+    """
+    low, high = plane.hard_stops_deg.T
+    beyond = np.maximum(low - angles_deg, angles_deg - high)
+    return np.where(beyond > STOP_DOUBT_DEG, beyond, 0.0)
+
+
+def require_within_stops(name: str, plane: FocalPlane, angles_deg: Floats) -> None:
+    """Raises InputError where a positioner that is not offline has angles (N, 2) that no arm can have."""
+    beyond = np.where(plane.offline[:, None], 0.0, beyond_stops_deg(plane, angles_deg))
+    for row, axis in np.argwhere(beyond > 0.0)[:1]:
+        low, high = plane.hard_stops_deg[axis]
+        whose = f"positioner {plane.positioner_id[row]} has {AXES[axis]} = {angles_deg[row, axis]:g} deg"
+        raise InputError(
+            f"{name}: {whose}, {beyond[row, axis]:g} deg beyond its hard stop; they are at {low:g} and "
+            f"{high:g} deg"
+        )
 
 
 def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:

@@ -226,10 +226,14 @@ class Plan:
         return cls.from_dict(_parse(text, where), where)
 
 
-def read_plans(path: str | Path, plane: FocalPlane | None = None) -> list[Plan]:
+def read_plans(
+    path: str | Path, plane: FocalPlane | None = None, *, buffer_mm: float | None = None
+) -> list[Plan]:
     """All plans of a trajectories.json: one object, or {"plans": [...]} as `observe` writes it.
 
-    With a focal plane: every positioner of a plan must be in it.
+    InputError where there is none. With a focal plane: every positioner of a plan must be in it, the
+    instrument must be its own, and the collision buffer no smaller than it keeps (`least_buffer_mm`),
+    unless `buffer_mm` says with which one they are to be checked.
     """
     where = str(path)
     document = _parse(read_text(Path(path)), where)
@@ -238,10 +242,33 @@ def read_plans(path: str | Path, plane: FocalPlane | None = None) -> list[Plan]:
     else:
         entries = _get(document, "plans", list, where)
         plans = [Plan.from_dict(e, f"{where}, plans[{k}]") for k, e in enumerate(entries)]
+    if not plans:
+        raise InputError(f"{where}: 'plans' is empty: there is nothing in it to check or to carry out")
     if plane is not None:
         for made in plans:
-            plane.index_of([robot.positioner_id for robot in made.robots])
+            _belongs(made, plane, where, buffer_mm)
     return plans
+
+
+def least_buffer_mm(plane: FocalPlane) -> float:
+    """The smallest collision buffer with which plans of this focal plane are made, mm."""
+    return plane.collision_buffer_mm - plane.instrument.bodies.collision_shrink_mm
+
+
+def _belongs(made: Plan, plane: FocalPlane, where: str, asked_mm: float | None) -> None:
+    name = plane.instrument.name
+    if made.instrument != name:
+        raise InputError(f"{where}: planned for {made.instrument}, not for {name}; name the --instrument")
+    try:
+        plane.index_of([robot.positioner_id for robot in made.robots])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    least_mm, has_mm = least_buffer_mm(plane), made.collision_buffer_mm
+    if asked_mm is None and has_mm < least_mm - 1e-9:
+        raise InputError(
+            f"{where}: planned with a collision buffer of {has_mm:g} mm, {name} keeps {least_mm:g} mm or "
+            f"more; plan anew, or name the buffer to check with: --buffer {least_mm:g}"
+        )
 
 
 def _parse(text: str, where: str) -> dict[str, Any]:
