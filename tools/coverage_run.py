@@ -62,9 +62,7 @@ def native_coverage(root: Path) -> bool:
     tests = present(root, NATIVE_TESTS)
     # the very script that runs the sanitized build: it takes an editable installation out of the way
     if not run(
-        [sys.executable, "tests/sanitized.py", str(site), "-m", *tests],
-        root,
-        PYTHONPATH=str(site),
+        [sys.executable, "tests/sanitized.py", str(site), "-m", SMALL, *tests], root, PYTHONPATH=str(site)
     ):
         return False
     filters = [f"--filter={top}/" for top in present(root, TOPS) if "/" not in top]

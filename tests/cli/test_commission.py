@@ -17,6 +17,7 @@ from fiberloom.twin import draw_units
 from fiberloom.twin.bench import seed_of_serial
 
 QUICK = ("--places", 2, "--span", 20, "--points", 16, "--visits", 5, "--targets", 2)
+SERIAL = ("--serial", "S<1>")
 MEASUREMENTS = ("friction", "inertia", "stiffness", "arms", "repeatability")
 
 
@@ -32,7 +33,7 @@ def units_of(folder):
 def whole(tmp_path_factory):
     """One unit through all of it, the acceptance too."""
     out = tmp_path_factory.mktemp("whole")
-    return run("--serial", "S<1>", "--out", out), out
+    return run(*SERIAL, "--out", out), out
 
 
 def test_a_unit_is_commissioned_and_handed_over_to_the_acceptance(whole):
@@ -92,7 +93,7 @@ def test_earlier_results_are_taken_and_what_is_missing_is_measured(whole, tmp_pa
     earlier.mkdir()
     for name in ("friction", "inertia"):
         (earlier / f"{name}.json").write_text((out / f"{name}.json").read_text())
-    found = run("--from", earlier, "--no-acceptance", "--out", tmp_path / "out")
+    found = run(*SERIAL, "--from", earlier, "--no-acceptance", "--out", tmp_path / "out")
     assert found.exit_code == 0, found.output
     (first,), (second,) = units_of(out), units_of(tmp_path / "out")
     for a, b in zip(first["parameters"], second["parameters"], strict=True):
@@ -112,7 +113,7 @@ def test_results_of_other_units_are_refused(whole, tmp_path):
 
 def test_files_only_writes_nothing_over_the_bus(whole, tmp_path):
     _, out = whole
-    found = run("--from", out, "--file", "--no-acceptance", "--out", tmp_path)
+    found = run(*SERIAL, "--from", out, "--file", "--no-acceptance", "--out", tmp_path)
     assert found.exit_code == 0, found.output
     (unit,) = units_of(tmp_path)
     assert unit["in_force"] == "old"
@@ -135,7 +136,7 @@ def test_a_unit_whose_arm_does_not_follow_is_refused_and_the_other_is_not(tmp_pa
 
 def test_json_for_machines(whole, tmp_path):
     _, out = whole
-    found = run("--from", out, "--no-acceptance", "--json", "--out", tmp_path)
+    found = run(*SERIAL, "--from", out, "--no-acceptance", "--json", "--out", tmp_path)
     assert json.loads(found.output)["units"][0]["commissioned"] is True
 
 

@@ -42,9 +42,9 @@ def test_a_crowd_makes_room_or_is_refused(seven, monkeypatch):
     # arms of 7 mm radius: a neighbour has to give way
     crowded = random_configuration(seven, 0, collision_buffer_mm=7.0)
     assert np.isfinite(crowded).all()
-    monkeypatch.setattr(fields, "_DRAWS", 10)
+    monkeypatch.setattr(fields, "_DRAWS", 3)
     with pytest.raises(InputError, match=r"found no room for positioner \d+"):
-        random_configuration(seven, 0, collision_buffer_mm=25.0)
+        random_configuration(seven, 0, collision_buffer_mm=11.0)
 
 
 def test_both_ends_of_a_pair_are_free_and_each_way_exists(seven):

@@ -55,9 +55,7 @@ def commission(options: CommissionOptions) -> int:
         engineer=options.engineer,
     )
     plane = options.plane()
-    # what was measured earlier is of the unit without a number
-    serial = options.serial if options.earlier is None else ""
-    rig, _ = options.rig(plane, firmware="nominal", serial=serial)
+    rig, _ = options.rig(plane, firmware="nominal")
     content = run_commission(Job(plane, options.seed, options.out, options.as_json), rig, settings)
     if options.as_json:
         options.print_json(content)

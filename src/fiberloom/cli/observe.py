@@ -106,13 +106,14 @@ def observe(options: ObservationOptions) -> int:
     started_s = time.monotonic()
     check(options)
     required = options.required_share
-    from fiberloom.assignment.candidates import check_targets
     from fiberloom.targets import read_targets
 
     targets = read_targets(options.targets)
     require_folder(options.out)
     field = field_of(options)
     field.command_line = " ".join(sys.argv)
+    from fiberloom.assignment.candidates import check_targets
+
     with naming(options.targets):
         check_targets(field.plane, targets)
     with waiting(options.as_json) as field.watcher:

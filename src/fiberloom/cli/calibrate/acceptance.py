@@ -44,7 +44,7 @@ def acceptance(options: AcceptanceOptions) -> int:
     settings = AcceptanceSettings(
         n_points=options.points, n_targets=options.targets, visits=options.visits, tilt_deg=options.tilt
     )
-    rig, _ = options.rig(plane, serial=options.serial)
+    rig, _ = options.rig(plane)
     papers = Paperwork(plane, options.seed, settings, rig.close_up_um, options.serial, options.engineer)
     with waiting(options.as_json) as wait:
         wait.say("acceptance")
