@@ -42,7 +42,10 @@ class CentroidOptions(JsonOptions):
 
 
 def centroid(options: CentroidOptions) -> int:
-    """Find and measure the spots of a camera image."""
+    """Find and measure the spots of a camera image.
+
+    Exit code 1 where the image has no spot.
+    """
     require_file(options.image)
     require_file(options.expected)
     from fiberloom.metrology import one_image

@@ -95,7 +95,11 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOpti
 
 
 def observe(options: ObservationOptions) -> int:
-    """Put fibres on the targets of a list, and report the error of each one."""
+    """Put fibres on the targets of a list, and report the error of each one.
+
+    Exit code 1 where an assigned fibre is not within the requirement, or a verified trajectory has a
+    collision.
+    """
     started_s = time.monotonic()
     check(options)
     from fiberloom.targets import read_targets

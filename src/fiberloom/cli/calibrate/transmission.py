@@ -23,7 +23,10 @@ class TransmissionOptions(PlaneOptions, JsonOptions):
 
 
 def transmission(options: TransmissionOptions) -> int:
-    """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7)."""
+    """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7).
+
+    Exit code 1 where a positioner is refused.
+    """
     options.check_plane()
     require_folder(options.out)
     from fiberloom.field import Field
