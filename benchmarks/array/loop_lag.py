@@ -1,10 +1,15 @@
 """How long the event loop is kept from listening while a field is observed.
 
     python benchmarks/array/loop_lag.py [--positioners N] [--seed S] [--out FILE.json]
+                                        [--served alpaca|folder|indi [--images N]]
 
-A task asks for the loop every two milliseconds and notes by how much it is late: while an image is reduced,
-a field is planned, a plan verified, a move recorded. Wall time, so: on an idle machine. The twin computes in
-the same loop, in slices; a real bus does not.
+A task asks for the loop every two milliseconds and notes by how much it is late: while an image is read and
+reduced, a field is planned, a plan verified, a move recorded. Wall time, so: on an idle machine.
+
+Without `--served` the twin computes in the same loop, in slices; a real bus does not. With it the array and
+its camera are processes of their own, reached by CAN@net and by the camera's protocol, as at an observatory.
+On few cores those take the host's time, too: the load averages are printed. With `--images` nothing moves,
+and so many images are taken: what the camera alone costs the loop.
 """
 
 from __future__ import annotations
@@ -12,37 +17,55 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import os
 import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+from lag import LoopLag
+from two_processes import CAMERAS, outside, served
 
 import fiberloom as fl
-from fiberloom.targets import random_targets
+from fiberloom.metrology.sources.spec import CameraSpec, open_source
+from fiberloom.targets import random_targets, write_targets
 
-EVERY_S = 0.002
+TARGETS_EACH = 4
 
 
-async def observe(plane: fl.FocalPlane, seed: int, out: Path) -> np.ndarray:
-    """Lags in s during one observation with two corrections."""
+async def observe(plane: fl.FocalPlane, seed: int, out: Path) -> dict[str, float]:
+    """One observation with two corrections, the twin in the same loop."""
     field = fl.Field.twin(plane, seed=seed)
     await field.calibrate()
-    targets = random_targets(plane, 4 * len(plane), seed)
-    lags: list[tuple[float, float]] = []
+    lag = LoopLag()
+    with lag.watched():
+        await field.observe(random_targets(plane, TARGETS_EACH * len(plane), seed), corrections=2, out=out)
+    return lag.figures()
 
-    async def listen() -> None:
-        while True:
-            before_s = time.monotonic()
-            await asyncio.sleep(EVERY_S)
-            lags.append((time.monotonic() - before_s - EVERY_S, before_s))
 
-    listener = asyncio.ensure_future(listen())
-    try:
-        await field.observe(targets, corrections=2, out=out)
-    finally:
-        listener.cancel()
-    return np.array(lags)
+def observe_served(plane: fl.FocalPlane, seed: int, folder: Path, camera: str) -> dict[str, float]:
+    """The same of an array in processes of its own."""
+    fl.Field.twin(plane, seed=seed).run.calibrate().save(folder / "maps.npz")
+    write_targets(random_targets(plane, TARGETS_EACH * len(plane), seed), folder / "targets.csv")
+    told = outside(len(plane), seed, folder, camera)
+    return {key: value for key, value in told.items() if key.startswith("lag_")}
+
+
+async def photograph(url: str, n: int) -> dict[str, float]:
+    """Takes so many images beside the loop, as an observation does; nothing moves."""
+    source = open_source(CameraSpec.parse(f"{url}{'&' if '?' in url else '?'}exposure=1&deadline=120"))
+    await asyncio.to_thread(source.expose)  # the first one begins what has to be begun
+    lag, begin_s = LoopLag(), time.monotonic()
+    with lag.watched():
+        for _ in range(n):
+            await asyncio.to_thread(source.expose)
+    source.close()
+    return lag.figures() | {"image_s": (time.monotonic() - begin_s) / n}
+
+
+def photograph_served(plane: fl.FocalPlane, seed: int, folder: Path, camera: str, n: int) -> dict[str, float]:
+    """The same at an array in processes of its own."""
+    with served(len(plane), seed, folder, camera) as (_, url):
+        return asyncio.run(photograph(url, n))
 
 
 def main() -> None:
@@ -50,20 +73,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="lag of the event loop")
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--served", choices=CAMERAS)
+    parser.add_argument("--images", type=int, default=0)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     plane = fl.FocalPlane.of("sdssv", seed=given.seed, n=given.positioners)
+    before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
-        lags = asyncio.run(observe(plane, given.seed, Path(folder)))
-    lag_ms = 1e3 * lags[:, 0]
-    # by time, not by number: a lag of a second is one sample and a thousand moments
-    weights = EVERY_S + lags[:, 0]
-    order = np.argsort(lag_ms)
-    shares = np.cumsum(weights[order]) / weights.sum()
-    p50, p99, p999 = (float(lag_ms[order][np.searchsorted(shares, q)]) for q in (0.5, 0.99, 0.999))
-    figures = {"p50_ms": p50, "p99_ms": p99, "p99.9_ms": p999, "worst_ms": float(lag_ms.max())}
-    figures["p99_of_samples_ms"] = float(np.percentile(lag_ms, 99))
-    print(f"{given.positioners} positioners: " + ", ".join(f"{k} {v:.1f}" for k, v in figures.items()))
+        if given.served and given.images:
+            figures = photograph_served(plane, given.seed, Path(folder), given.served, given.images)
+        elif given.served:
+            figures = observe_served(plane, given.seed, Path(folder), given.served)
+        else:
+            figures = asyncio.run(observe(plane, given.seed, Path(folder)))
+    figures |= {"load_before": before, "load_after": os.getloadavg()[0]}
+    array = f"served, {given.served}" if given.served else "the twin in the same loop"
+    print(
+        f"{given.positioners} positioners, {array}: " + ", ".join(f"{k} {v:.1f}" for k, v in figures.items())
+    )
     if given.out:
         given.out.write_text(json.dumps(figures, indent=2) + "\n")
 

@@ -17,16 +17,18 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lag import LoopLag
 
 import fiberloom as fl
 from fiberloom.targets import random_targets, write_targets
 
-EVERY_S = 0.002
+CAMERAS = ("alpaca", "folder", "indi")
 
 
 def rms_um(summary: dict[str, Any]) -> list[float]:
@@ -45,57 +47,48 @@ def inside(plane: fl.FocalPlane, seed: int, folder: Path) -> list[float]:
 
 async def host(plane: fl.FocalPlane, seed: int, folder: Path, bus: str, camera: str) -> dict[str, Any]:
     """The other process: what an observatory runs."""
-    lags: list[float] = []
-
-    async def listen() -> None:
-        while True:
-            before_s = time.monotonic()
-            await asyncio.sleep(EVERY_S)
-            lags.append(time.monotonic() - before_s - EVERY_S)
-
     field = fl.Field.open(plane, bus, camera, calibration=folder / "maps.npz", seed=seed)
     targets = fl.read_targets(folder / "targets.csv")
-    listener = asyncio.ensure_future(listen())
-    try:
+    lag = LoopLag()
+    with lag.watched():
         seen = await field.observe(targets, corrections=2, out=folder / "outside")
-    finally:
-        listener.cancel()
-    lag = np.sort(lags)
-    by_time = np.cumsum(lag + EVERY_S) / (lag + EVERY_S).sum()
     return {
         "rms_um": rms_um(seen.summary()),
         "within": seen.summary()["n_within_requirement"],
         "twin_imported": any(name.startswith("fiberloom.twin") for name in sys.modules),
-        "lag_p99_ms": 1e3 * float(lag[np.searchsorted(by_time, 0.99)]),
-        "lag_worst_ms": 1e3 * float(lag[-1]),
-    }
+    } | lag.figures()
 
 
-def outside(positioners: int, seed: int, folder: Path, kind: str) -> dict[str, Any]:
-    """A served array and a host, each in a process of its own."""
-    served = {
+@contextmanager
+def served(positioners: int, seed: int, folder: Path, kind: str) -> Iterator[tuple[str, str]]:
+    """An array in a process of its own: the addresses of its bus and of its camera."""
+    doors = {
         "alpaca": ["--camera-listen", f"127.0.0.1:{free_port()}"],
         "folder": ["--camera-folder", str(folder / "images")],
         "indi": ["--camera-indi", f"127.0.0.1:{free_port()}"],
     }[kind]
     command = [sys.executable, "-m", "fiberloom.cli", "twin", "--positioners", str(positioners)]
-    command += ["--seed", str(seed), "--listen", f"127.0.0.1:{free_port()}", *served]
+    command += ["--seed", str(seed), "--listen", f"127.0.0.1:{free_port()}", *doors]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as twin:
         assert twin.stdout is not None
         try:
             address = twin.stdout.readline().split(": ")[1].split(";")[0].strip()
             camera = twin.stdout.readline().split(": ", 1)[1].strip()
-            words = ["--host", str(folder), "--positioners", str(positioners), "--first", str(seed)]
-            words += ["--bus", bus_of(address), "--url", camera]
-            done = subprocess.run(
-                [sys.executable, __file__, *words], capture_output=True, text=True, check=False
-            )
-            if done.returncode:
-                raise RuntimeError(done.stderr)
-            return dict(json.loads(done.stdout.splitlines()[-1]))
+            yield bus_of(address), camera
         finally:
             twin.terminate()
             twin.communicate(timeout=60)
+
+
+def outside(positioners: int, seed: int, folder: Path, kind: str) -> dict[str, Any]:
+    """A served array and a host, each in a process of its own."""
+    with served(positioners, seed, folder, kind) as (bus, camera):
+        words = ["--host", str(folder), "--positioners", str(positioners), "--first", str(seed)]
+        words += ["--bus", bus, "--url", camera]
+        done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def free_port() -> int:
@@ -122,7 +115,7 @@ def main() -> int:
     parser.add_argument("--positioners", type=int, default=37)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--camera", choices=("alpaca", "folder", "indi"), default="alpaca")
+    parser.add_argument("--camera", choices=CAMERAS, default="alpaca")
     parser.add_argument("--out", type=Path)
     for hidden in ("--host", "--bus", "--url"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)

@@ -13,11 +13,12 @@ from fiberloom.calibration.focal_plane.survey_data import SurveyData
 from fiberloom.calibration.transmission.cache import load_for
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.calibration.transmission.nominal import nominal_maps
-from fiberloom.calibration.transmission.sweep import Calibration
+from fiberloom.calibration.transmission.sweep import Calibration, SweepSettings, calibration_of
 from fiberloom.connect import open_hardware
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.known import Learning, known_so_far
+from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.results import Observation
@@ -25,6 +26,7 @@ from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.operation.session.states import Deed
 from fiberloom.operation.source import OpenedArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
+from fiberloom.operation.sweep.array_sweep import THICKER_MM, ArraySweep
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -268,13 +270,18 @@ class Field:
                 found.maps.save(cached)
         return found.maps, cached
 
-    async def sweep(self, points: int = POINTS) -> Calibration:
-        """Sweeps every positioner on a bench, whatever is cached, and reports how good its map is.
+    async def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
+        """Sweeps every positioner, whatever is cached, and reports how good its map is.
+
+        A twin is swept on a bench. An array is swept where it is: all turn together, after the begin check,
+        by verified steps; who does not move is gone round.
 
         Parameters
         ----------
         points : int
             Per axis and direction, at least 8.
+        out : str or Path
+            Folder of the record of an array.
 
         Returns
         -------
@@ -284,7 +291,8 @@ class Field:
         Raises
         ------
         InputError
-            Too few points; on hardware, where neighbours are in the way, what to do instead.
+            Too few points; no positioner answers; none can be swept, or the sweep is stopped again and
+            again.
 
         Examples
         --------
@@ -295,7 +303,39 @@ class Field:
         True
         """
         self.watcher.say("calibrating transmissions")
-        return await self.source.sweep(points, self.watcher.count)
+        on_bench = await self.source.sweep(points, self.watcher.count)
+        return on_bench or await self._swept_in_place(SweepSettings(points), prepare_folder(Path(out)))
+
+    async def _swept_in_place(self, settings: SweepSettings, folder: Path) -> Calibration:
+        maps = nominal_maps(self.plane)
+        async with contextlib.AsyncExitStack() as stack:
+            plane, make = await self._held(stack, self.plane, maps)
+            recorder = await self._recorder(stack, folder)
+            hardware = await self.source.open()
+            wide = plane.with_collision_buffer(plane.collision_buffer_mm + THICKER_MM)
+            motion = make(wide, maps, hardware, recorder, self.watcher.say)
+            motion.state.looser_mm = THICKER_MM
+            try:
+                await motion.connect()
+                data = await ArraySweep(motion, settings, self.watcher.count).run()
+            finally:
+                await motion.close()
+        return calibration_of(self.plane, data, settings)
+
+    async def _held(
+        self, stack: contextlib.AsyncExitStack, plane: FocalPlane, maps: TransmissionMaps
+    ) -> tuple[FocalPlane, MotionMaker]:
+        """Layout without what is excluded, and motion; an array with a book is owned until the stack ends."""
+        if self.book is None:
+            return plane, FieldMotion
+        array = KnownArray(plane, maps, self.source, self.book)
+        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
+        return session.plane, held.motion
+
+    async def _recorder(self, stack: contextlib.AsyncExitStack, folder: Path) -> SurveyRecorder:
+        store = stack.enter_context(Store.open(folder / STORE))
+        return SurveyRecorder(stack.enter_context(self._survey_run(store)), self.plane)
 
     async def observe(
         self,
@@ -428,15 +468,11 @@ class Field:
     ) -> SurveyData:
         self.watcher.say("moving and looking")
         async with contextlib.AsyncExitStack() as stack:
-            if self.book is not None:
-                array = KnownArray(begun, maps, self.source, self.book)
-                session = Session(array, self.command_line, self.watcher.say, self.exclude)
-                held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
-                begun, settings = session.plane, replace(settings, motion=held.motion)
-            store = stack.enter_context(Store.open(folder / STORE))
-            recorder = SurveyRecorder(stack.enter_context(self._survey_run(store)), self.plane)
+            begun, make = await self._held(stack, begun, maps)
+            recorder = await self._recorder(stack, folder)
             hardware = await self.source.open()
-            return await survey(begun, maps, hardware, settings, recorder, self.watcher.count)
+            chosen = replace(settings, motion=make) if self.book is not None else settings
+            return await survey(begun, maps, hardware, chosen, recorder, self.watcher.count)
 
     def _survey_run(self, store: Store) -> Any:
         return store.start_run(
@@ -477,9 +513,9 @@ class FieldRun:
         """As `Field.calibrate`."""
         return finish(self._field.calibrate(points))
 
-    def sweep(self, points: int = POINTS) -> Calibration:
-        """As `Field.sweep`."""
-        return finish(self._field.sweep(points))
+    def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
+        """As `Field.sweep`: `points`, `out`."""
+        return finish(self._field.sweep(points, out=out))
 
     def observe(
         self,

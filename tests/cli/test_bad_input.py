@@ -94,3 +94,12 @@ def test_a_twin_that_cannot_be_served(tmp_path):
     refused(run(*twin, "--listen", "19228", cwd=tmp_path), "--listen 19228", "HOST:PORT")
     refused(run(*twin, "--faults", "lying=9", cwd=tmp_path), "--faults lying=9", "at most 3")
     refused(run(*twin, "--listen", "127.0.0.1:19399", "--speed", "0", cwd=tmp_path), "speed 0.0")
+
+
+def test_an_array_that_is_calibrated_needs_bus_and_camera(tmp_path):
+    sweep = ("calibrate", "transmission", "--positioners", "3")
+    refused(run(*sweep, "--bus", "cannet://10.1.10.31", cwd=tmp_path), "--bus: name the camera too")
+    refused(run(*sweep, "--camera", "alpaca://h/0", cwd=tmp_path), "--camera goes with --bus")
+    refused(run(*sweep, "--exclude", "12", cwd=tmp_path), "--exclude goes with --bus")
+    both = ("--bus", "cannet://10.1.10.31", "--camera", "alpaca://10.1.10.40:11111/0")
+    refused(run(*sweep, *both, "--exclude", "x", cwd=tmp_path), "--exclude x")

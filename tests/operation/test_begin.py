@@ -82,6 +82,17 @@ def test_whole_motor_turns_are_named(turns, moves):
     assert found.certain[row] == moves
 
 
+@pytest.mark.parametrize(("beta_deg", "certain"), [(185.0, True), (277.0, False), (-3.0, True)])
+def test_where_no_map_holds_it_is_an_obstacle_where_it_reports(beta_deg, certain):
+    there = DEPLOYED.copy()
+    there[4, 1] = beta_deg
+    found = checked(there, there)
+    assert found.certain[4] == certain
+    assert (found.standing[4] is Standing.BEYOND) != certain
+    np.testing.assert_array_equal(found.where_deg[4], there[4])
+    assert not found.somewhere[4]
+
+
 def test_two_that_have_changed_their_numbers():
     a, b = 7, 8
     assert np.hypot(*(PLANE.centres_mm[a] - PLANE.centres_mm[b])) < 30.0
@@ -140,12 +151,12 @@ def test_what_is_allowed_shrinks_with_the_radius_of_the_fibre():
     np.testing.assert_allclose(allowed_miss_mm(PLANE, folded), 0.5 * ratio, rtol=1e-3)
 
 
-def test_an_arm_folded_onto_its_axis_needs_its_datum_on_record():
-    equal = generate(load_instrument("pfs"), 0, n_positioners=7)
+@pytest.mark.parametrize("name", ["pfs", "desi"])
+def test_an_arm_folded_onto_its_axis_needs_its_datum_on_record(name):
+    equal = generate(load_instrument(name), 0, n_positioners=7)
     folded = np.column_stack([np.full(7, 30.0), np.full(7, equal.limits_deg[1, 1])])
     xy = equal.forward(*folded.T)
-    if (allowed_miss_mm(equal, xy) > 0.15).any():
-        pytest.skip("these arms do not fold onto their axes")
+    assert (allowed_miss_mm(equal, xy) < 0.03).all()  # both arms are of the same length
     seen = Measurement(*xy.T, np.ones(7, dtype=bool), 0.0)
     for vouched in (False, True):
         report = Report(folded, np.ones(7, dtype=bool), seen, np.full(7, vouched))

@@ -157,6 +157,17 @@ def test_one_that_answers_again_is_no_longer_held_to_be_dead():
     assert at_goal(motion).all()
 
 
+def test_one_that_is_silent_at_the_begin_moves_once_it_answers():
+    victim = int(PLANE.positioner_id[4])
+    motion, touches, events = moved(f"mute=#{victim}+10")
+    assert touches == []
+    assert ("dead", victim, "does not answer on the bus") in events
+    assert ("answers", victim, "answers again, and is where it reports") in events
+    assert faults_of(motion) == {}
+    assert at_goal(motion).all()
+    assert victim in motion.client.ids  # a stop reaches it
+
+
 def test_lost_replies_flag_none():
     motion, _, _ = moved("lost=0.01")
     assert faults_of(motion) == {}
@@ -212,7 +223,17 @@ def test_a_fault_from_silence_is_taken_back_by_an_answer_that_the_image_confirms
     made.judged(evidence(Outcome.TIMED_OUT, False))
     made.hears(np.array([0]), np.array([heard]))
     after = evidence(Outcome.DONE, heard, measured_mm=np.array([[off_mm, 0.0]]))
-    assert made.taken_back(after) == taken
+    assert made.taken_back(after, np.array([0.3])) == taken
+
+
+@pytest.mark.parametrize(("off_mm", "taken"), [(0.1, [0]), (0.4, [])])
+def test_one_that_was_silent_at_the_begin_comes_back_by_the_rule_of_the_begin_check(off_mm, taken):
+    """In a move 0.4 mm would do; but this one's report was never checked."""
+    made = Hearing(1)
+    made.silent_at_the_begin(0)
+    made.hears(np.array([0]), np.array([True]))
+    after = evidence(Outcome.DONE, True, measured_mm=np.array([[off_mm, 0.0]]))
+    assert made.taken_back(after, np.array([0.3])) == taken
 
 
 def test_links_are_waited_for_before_a_move():

@@ -82,5 +82,9 @@ def test_places_are_those_that_the_arm_can_reach():
     inside = PLANE.forward(*HERE[row][:, None], index=[row])
     far = PLANE.centres_mm[row] + [60.0, 0.0]
     doubt = places_of(PLANE, row, np.vstack([inside, far]), HERE[row], folded=False)
-    assert len(doubt.places_deg) == 2  # the spot within reach, and what it reports
-    np.testing.assert_allclose(doubt.places_deg[0], HERE[row], atol=1e-6)
+    # the spot within reach, the elbow on either side and alpha a turn further, and what it reports
+    assert len(doubt.places_deg) == 4
+    np.testing.assert_allclose(doubt.places_deg[[0, 1, 3]] % 360.0, np.tile(HERE[row], (3, 1)), atol=1e-6)
+    assert doubt.places_deg[2, 1] > 180.0
+    for place in doubt.places_deg:
+        np.testing.assert_allclose(PLANE.forward(*place[:, None], index=[row]), inside, atol=1e-6)

@@ -12,14 +12,24 @@ from programs import heeding_interrupts
 
 import fiberloom as fl
 from fiberloom.blocking import finish
+from fiberloom.calibration.transmission.maps import identity
+from fiberloom.hardware import Hardware
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.store import Store
 from fiberloom.store.run import STOPPED
 from fiberloom.targets import random_targets
+from fiberloom.twin import NoiseCamera, Twin, draw_units
+from fiberloom.twin.hardware import faulty_transport
 
 CHILD = """
 import asyncio, sys
 from fiberloom.blocking import finish
+from fiberloom.calibration.transmission.maps import identity
+from fiberloom.hardware import Hardware
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.move import Goals
 
 async def work():
     print("moving", flush=True)
@@ -168,3 +178,85 @@ def test_a_cancelled_observation_leaves_every_positioner_at_rest(tmp_path, at_s)
     seen = field.run.observe(targets, corrections=1, out=tmp_path)
     assert seen.summary()["n_within_requirement"] == seen.summary()["n_assigned"] > 0
     assert not twin.touches()
+
+
+class Kept:
+    """A recorder that keeps where each was left, and events."""
+
+    def __init__(self):
+        self.lefts = []
+
+    def left(self, *what):
+        self.lefts.append(what)
+
+    def __getattr__(self, name):
+        return lambda *args: None
+
+
+class OfSome:
+    """The camera of a twin, for the first n positioners."""
+
+    def __init__(self, twin, n):
+        self._camera, self._n = NoiseCamera(twin, 0.669, 0), n
+
+    def measure(self, expected_mm=None):
+        image = self._camera.measure()
+        x, y, seen = (a[: self._n] for a in (image.x_mm, image.y_mm, image.seen))
+        return type(image)(x, y, seen, image.time_s)
+
+
+def motion_of(plane, twin, faults=""):
+    bus = faulty_transport(twin, faults, 0)
+    vouched = np.ones(len(plane), dtype=bool)
+    hardware = Hardware(bus, OfSome(twin, len(plane)), twin, vouched=vouched)
+    return FieldMotion(plane, identity(plane.positioner_id), hardware, Kept())
+
+
+def test_what_is_on_the_bus_and_not_in_the_layout_is_stopped_too_and_only_the_others_are_booked():
+    whole = fl.FocalPlane.of("sdssv", n=7)
+    plane = whole.select(np.arange(5))
+    twin = Twin(whole, draw_units(whole, 0), seed=0)
+    motion = motion_of(plane, twin)
+    strangers = whole.positioner_id[5:].tolist()
+
+    async def scenario():
+        await motion.connect()
+        begun = await motion.client.goto(strangers, 40.0, 150.0)
+        assert begun.ok.all()
+        await motion.client.sleep(1.0)
+        await motion.stop("stopped by the operator")
+
+    asyncio.run(scenario())
+    ((_, _, answered, text),) = motion.recorder.lefts
+    assert answered.tolist() == [True] * 5
+    assert text.startswith("stopped by the operator; 5 positioners at rest")
+    rest_deg = twin.truth()
+    assert np.abs(rest_deg - whole.park_deg)[5:].max() > 2.0  # they were on their way
+    twin.run(1.0)
+    np.testing.assert_allclose(twin.truth(), rest_deg, atol=0.02)
+
+
+@pytest.mark.parametrize("where", ["_come_to_rest", "_read_positions"])
+def test_an_error_before_all_have_been_heard_stops_all(where):
+    plane = fl.FocalPlane.of("sdssv", n=7)
+    motion = motion_of(
+        plane, Twin(plane, draw_units(plane, 0), seed=0), "refuse=#" + str(plane.positioner_id[3])
+    )
+
+    async def scenario():
+        await motion.connect()
+        kept, calls = getattr(motion, where), []
+
+        async def fails(*args):
+            calls.append(args)
+            if len(calls) == 1:
+                raise OSError("no bus")
+            return await kept(*args)
+
+        setattr(motion, where, fails)
+        with pytest.raises(OSError, match="no bus"):
+            await motion.go(Goals.without_targets(plane, plane.park_deg - [0.0, 30.0]))
+
+    asyncio.run(scenario())
+    ((_, _, _, text),) = motion.recorder.lefts
+    assert text.startswith("stopped after an error: no bus")

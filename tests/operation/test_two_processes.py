@@ -1,16 +1,14 @@
 """Host and array as two processes that share sockets and nothing else."""
 
-import contextlib
 import json
 import signal
-import socket
 import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
-from programs import start
+from programs import served_array, start
 
 import fiberloom as fl
 from fiberloom.store import Store
@@ -18,6 +16,8 @@ from fiberloom.store.run import STOPPED
 from fiberloom.targets import random_targets, write_targets
 
 N = 7
+PATIENCE_S = 120
+"""What comes by itself may take so long on a machine with other work."""
 
 HOST = """
 import json, sys
@@ -43,31 +43,10 @@ def desk(tmp_path_factory):
     return folder, field.run.observe(targets, corrections=1, out=folder / "inside").summary()
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-@contextlib.contextmanager
-def array():
-    """Bus and camera of a twin in another process."""
-    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
-    words = ["twin", "--positioners", N, "--listen", bus, "--camera-listen", camera]
-    with start(*words, stdout=subprocess.PIPE) as served:
-        try:
-            served.stdout.readline()
-            assert served.stdout.readline().startswith("camera: alpaca://")
-            yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=60"
-        finally:
-            served.terminate()
-            served.communicate(timeout=60)
-
-
 @pytest.mark.slow
 def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
     folder, inside = desk
-    with array() as addresses:
+    with served_array(N) as addresses:
         done = subprocess.run(
             [sys.executable, "-c", HOST, *addresses], cwd=folder, capture_output=True, text=True, timeout=300
         )
@@ -82,32 +61,34 @@ def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
     assert ours[1] < 2.0 * theirs[1]
 
 
+def observing(desk, tmp_path, bus, camera):
+    """`fiberloom observe` at the array, in a process of its own."""
+    words = ["observe", desk / "targets.csv", "--positioners", N, "--bus", bus, "--camera", camera]
+    words += ["--calibration", desk / "maps.npz", "--out", tmp_path, "--store", tmp_path / "arrays.sqlite"]
+    return start(*words)
+
+
+def in_motion(host):
+    """Waits until the host has begun the blind move, and for some seconds more."""
+    said = []
+    while "blind\n" not in said:
+        said.append(host.stderr.readline())
+        assert said[-1], said
+    time.sleep(5.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_host_that_is_told_to_end_leaves_the_array_at_rest(desk, tmp_path, number):
     folder, _ = desk
-    with array() as (bus, camera):
-        words = ["observe", folder / "targets.csv", "--positioners", N, "--bus", bus, "--camera", camera]
-        words += [
-            "--calibration",
-            folder / "maps.npz",
-            "--out",
-            tmp_path,
-            "--store",
-            tmp_path / "arrays.sqlite",
-        ]
-        with start(*words) as host:
-            said = []
-            while "blind\n" not in said:
-                said.append(host.stderr.readline())
-                assert said[-1], said
-            time.sleep(5.0)
+    with served_array(N) as (bus, camera):
+        with observing(folder, tmp_path, bus, camera) as host:
+            in_motion(host)
             host.send_signal(number)
-            _, rest = host.communicate(timeout=60)
+            _, rest = host.communicate(timeout=PATIENCE_S)
         assert host.returncode == 130, rest
         assert f"stopped by the operator; {N} positioners at rest" in rest
-        before, after = (positions(bus) for _ in range(2))
-    assert np.abs(before - after).max() < 0.02
+        before = at_rest(bus)
     with Store.open(tmp_path / "store.sqlite") as store:
         (run,) = store.runs()
         assert run.status == "interrupted"
@@ -115,6 +96,90 @@ def test_a_host_that_is_told_to_end_leaves_the_array_at_rest(desk, tmp_path, num
         left = np.column_stack([rows[f"wire_{axis}_deg"] for axis in ("alpha", "beta")])
         left = left[rows["kind"] == STOPPED]
     np.testing.assert_allclose(left, before, atol=0.1)  # cogging pulls a rotor at rest
+
+
+# `fiberloom stop`, where the gateway has one connection and a motion may have it
+
+
+def stopping(bus, tmp_path):
+    """What `fiberloom stop` says, and its exit code."""
+    with start(
+        "stop", "--bus", bus, "--store", tmp_path / "arrays.sqlite", "--json", stdout=subprocess.PIPE
+    ) as stop:
+        told, rest = stop.communicate(timeout=PATIENCE_S)
+    assert told, rest
+    return stop.returncode, json.loads(told)
+
+
+@pytest.mark.slow
+def test_stop_asks_the_command_that_moves_the_array(desk, tmp_path):
+    folder, _ = desk
+    with served_array(N) as (bus, camera):
+        with observing(folder, tmp_path, bus, camera) as host:
+            in_motion(host)
+            code, told = stopping(bus, tmp_path)
+            _, rest = host.communicate(timeout=PATIENCE_S)
+        assert (code, told["stopped"], told["by"]) == (0, True, "owner")
+        assert "has stopped it: stopped by" in told["text"]
+        assert host.returncode == 130
+        assert f"{N} positioners at rest" in rest
+        assert on_their_way(at_rest(bus))
+
+
+@pytest.mark.slow
+def test_stop_reaches_an_array_whose_command_was_killed(desk, tmp_path):
+    """No command is left to be asked; the positioners go on, and the gateway is free."""
+    folder, _ = desk
+    with served_array(N) as (bus, camera):
+        with observing(folder, tmp_path, bus, camera) as host:
+            in_motion(host)
+            host.kill()
+        assert np.abs(positions(bus) - positions(bus)).max() > 0.5  # they go on
+        code, told = stopping(bus, tmp_path)
+        assert (code, told["stopped"], told["by"]) == (0, True, "own connection")
+        assert f"{N} positioners have answered" in told["text"]
+        assert on_their_way(at_rest(bus))
+
+
+@pytest.mark.slow
+def test_an_array_without_a_command_is_stopped_where_it_stands(tmp_path):
+    with served_array(N) as (bus, _):
+        before = at_rest(bus)
+        code, told = stopping(bus, tmp_path)
+        assert (code, told["by"]) == (0, "own connection")
+        np.testing.assert_allclose(at_rest(bus), before, atol=0.1)
+
+
+@pytest.mark.slow
+def test_a_command_that_hangs_is_named_and_ends_as_soon_as_it_lives(desk, tmp_path):
+    """It holds the one connection, so nothing else can reach the positioners."""
+    folder, _ = desk
+    with served_array(N) as (bus, camera):
+        with observing(folder, tmp_path, bus, camera) as host:
+            in_motion(host)
+            host.send_signal(signal.SIGSTOP)
+            code, told = stopping(bus, tmp_path)
+            host.send_signal(signal.SIGCONT)
+            _, rest = host.communicate(timeout=PATIENCE_S)
+        assert (code, told["stopped"]) == (1, False)
+        assert "does not answer" in told["text"]
+        assert str(host.pid) in told["text"]
+        assert host.returncode in (1, 130), rest
+        assert f"{N} positioners at rest" in rest
+        at_rest(bus)
+
+
+def on_their_way(where_deg):
+    """They have left the fold. The blind move takes half a minute, and it was stopped after some seconds."""
+    park = fl.FocalPlane.of("sdssv", n=N).park_deg
+    return np.abs(where_deg - park).max() > 5.0
+
+
+def at_rest(bus):
+    """Wire positions (N, 2) in deg of positioners that have stopped."""
+    before, after = (positions(bus) for _ in range(2))
+    assert np.abs(before - after).max() < 0.02
+    return before
 
 
 def positions(bus):

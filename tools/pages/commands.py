@@ -41,6 +41,8 @@ def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
     if inside is None:
         yield name, command
     for word, found in (inside or {}).items():
+        if found.hidden:
+            continue
         yield from _below(f"{name} {word}", found)
 
 
@@ -69,11 +71,9 @@ def _said(command: Any) -> str:
 def _section(name: str, command: Any) -> str:
     context = typer.Context(command, info_name=name)
     usage = " ".join([name, *command.collect_usage_pieces(context)])
-    rows = [_row(p, context) for p in command.params]
     return (
         f"## {name}\n\n{_said(command)}\n\n```text\n{usage}\n```\n\n"
-        + _table("argument", [row for row, p in zip(rows, command.params, strict=True) if _argument(p)])
-        + _table("option", [row for row, p in zip(rows, command.params, strict=True) if not _argument(p)])
+        + "".join(_table(kind, command, context) for kind in ("argument", "option"))
         + f"Exit code 1: {exit_one(command)}.\n"
     )
 
@@ -84,8 +84,14 @@ def exit_one(command: Any) -> str:
     return f"{said[1].lower()} {said[2]}" if said else "none of its own"
 
 
-def _argument(parameter: Any) -> bool:
-    return bool(parameter.param_type_name == "argument")
+def shown(command: Any, kind: str) -> list[Any]:
+    """Parameters of a kind (argument, option) that the help shows."""
+    return [p for p in command.params if p.param_type_name == kind and not getattr(p, "hidden", False)]
+
+
+def _table(kind: str, command: Any, context: typer.Context) -> str:
+    rows = "".join(_row(parameter, context) for parameter in shown(command, kind))
+    return f"| {kind} | meaning | default, range |\n|---|---|---|\n{rows}\n" if rows else ""
 
 
 def _row(parameter: Any, context: typer.Context) -> str:
@@ -95,7 +101,3 @@ def _row(parameter: Any, context: typer.Context) -> str:
     said = BESIDE.sub("", text).strip()
     cells = (f"`{names}`", said, (beside[1] if beside else "").removeprefix("default: "))
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
-
-
-def _table(what: str, rows: list[str]) -> str:
-    return f"| {what} | meaning | default, range |\n|---|---|---|\n{''.join(rows)}\n" if rows else ""

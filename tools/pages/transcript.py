@@ -25,12 +25,13 @@ PROGRESS = re.compile(r"^[a-z][\w ,]*: \d+ of \d+$")
 OTHERWISE = (
     (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?(?:\S*)", "TIME"),
     (r"\b20\d\d…", "TIME"),  # cut off by the width of a column
+    (r"config hash +\w+", "config hash #"),
     (r"[\d.]+ CPU s", "# CPU s"),
     (r"took [\d.]+ s", "took # s"),
     (r"\bcpu s +\S+", "cpu s #"),
     (r"─+", "─"),
 )
-"""What is another with every run: times, and the widths that follow from them."""
+"""What is another with every run or every change of a model: times, the hash of the layout; widths of rules."""
 
 
 @dataclass(frozen=True)

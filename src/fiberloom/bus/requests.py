@@ -104,9 +104,9 @@ class Requests:
 
         `command`: a row of the table in docs/bus.md; `ids`: positioners, all known ones when None;
         `values`: those of the request, in order, each one integer for all or (n,) for each; `timeout_s`:
-        for each reply, above 0, by default that of the command. A repeatable command is sent once more
-        to those that do not answer. Raises InputError where values do not fit the request, ValueError
-        where there are not n of them.
+        for each reply, above 0, by default that of the command. A repeatable command is sent again to
+        those that do not answer, `retries` times. Raises InputError where values do not fit the request,
+        ValueError where there are not n of them.
         """
         spec = COMMANDS[command]
         ids = self._chosen(ids)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.options import JsonOptions, PlaneOptions
+from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.twin.server.address import Address
@@ -26,6 +27,12 @@ class TwinOptions(PlaneOptions, JsonOptions):
     listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228"
     camera_listen: Annotated[
         str | None, typer.Option(help="HOST:PORT of an Alpaca camera that looks at the positioners.")
+    ] = None
+    camera_discovery: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="UDP port at which that camera answers Alpaca discovery; 32227 by custom."
+        ),
     ] = None
     camera_indi: Annotated[
         str | None, typer.Option(help="HOST:PORT of the same camera by INDI; needs the packages for it.")
@@ -84,6 +91,8 @@ def twin(options: TwinOptions) -> None:
     addresses_of(options.listen, 1)
     if options.camera_listen is not None:
         address_of(options.camera_listen, "--camera-listen")
+    elif options.camera_discovery is not None:
+        raise InputError("--camera-discovery: goes with --camera-listen, the camera that is to be found")
     if options.camera_indi is not None:
         from fiberloom.twin.server.camera.indi import check_packages
 
@@ -145,7 +154,7 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProce
         None if text is None else address_of(text) for text in (options.camera_listen, options.camera_indi)
     )
     folder = options.camera_folder and options.camera_folder.resolve()
-    doors = CameraDoors(alpaca, folder, options.camera_every_s, indi)
+    doors = CameraDoors(alpaca, folder, options.camera_every_s, indi, options.camera_discovery)
     return CameraProcess(plane, server, seed=options.seed, speed=options.speed, doors=doors)
 
 

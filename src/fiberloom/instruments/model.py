@@ -206,6 +206,11 @@ class Operation(Table):
     """The limit, as measured; the requirement when left out."""
     correction: Literal["plain", "filtered"] = "filtered"
     """plain: Kronig 2020 Eq. 25. filtered: measurements of all moves weighed by Eq. 31."""
+    camera_retries: Annotated[int, Field(ge=0)] = 5
+    """Further tries where no image comes after a move, before the command ends; the camera's own retries
+    come before each."""
+    camera_wait_s: Annotated[float, Field(ge=0)] = 10.0
+    """Between them; nothing moves meanwhile."""
 
 
 class Acceptance(Table):

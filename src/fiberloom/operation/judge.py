@@ -39,6 +39,8 @@ class Evidence:
     """(N, 2) by the commanded angles."""
     heard: Flags | None = None
     """(N,) told their position after it; None: all did."""
+    astray_mm: float = ASTRAY_MM
+    """Beyond this from where it reports, a positioner is not there."""
 
 
 def judge(evidence: Evidence) -> list[FibreStatus | None]:
@@ -50,7 +52,7 @@ def judge(evidence: Evidence) -> list[FibreStatus | None]:
     heard = np.ones(len(still), dtype=bool) if evidence.heard is None else evidence.heard
     outcomes = [_told(outcome, bool(heard[i])) for i, outcome in enumerate(evidence.outcomes)]
     return [
-        _judge_one(outcome, bool(evidence.seen[i]), bool(apart[i] > ASTRAY_MM), bool(still[i]))
+        _judge_one(outcome, bool(evidence.seen[i]), bool(apart[i] > evidence.astray_mm), bool(still[i]))
         for i, outcome in enumerate(outcomes)
     ]
 

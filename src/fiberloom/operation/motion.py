@@ -25,9 +25,18 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import NAMED, Beginning, Report, Standing, begin_check
+from fiberloom.operation.safety.begin import (
+    ALLOWED_MM,
+    NAMED,
+    Beginning,
+    Report,
+    Standing,
+    allowed_miss_mm,
+    begin_check,
+)
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
+from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -74,6 +83,12 @@ class FieldState:
         """Not certain at the begin to be where they report: they do not move."""
         self.somewhere = np.zeros(len(plane), dtype=bool)
         """Of those: anywhere within reach, as far as is known."""
+        self.beginning: Beginning | None = None
+        """What the begin check has found."""
+        self.looser_mm = 0.0
+        """How much further than usual a positioner may be from where it reports: arms are thicker by it."""
+        self.why: dict[int, str] = {}
+        """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
         self.here_deg = plane.offline_position_deg.copy()
@@ -91,15 +106,15 @@ class FieldState:
         """(N,) positioners without a fault whose way is not blocked."""
         return np.array([fault is None for fault in self.faults]) & ~self.blocked
 
-    def obstacles(self) -> FocalPlane:
+    def obstacles(self, but: int | None = None) -> FocalPlane:
         """The focal plane with the positioners that do not move as obstacles where they were last seen.
 
-        One that could be anywhere is an obstacle of the whole reach of its arm.
+        One that could be anywhere is an obstacle of the whole reach of its arm. `but`: the row of one that
+        is none, whatever is known of it.
         """
-        plane = dataclasses.replace(
-            self.plane, offline=~self.mobile, offline_position_deg=self.here_deg.copy()
-        )
-        rows = np.flatnonzero(self.somewhere & ~self.mobile)
+        still = ~self.mobile & (np.arange(len(self.plane)) != but)
+        plane = dataclasses.replace(self.plane, offline=still, offline_position_deg=self.here_deg.copy())
+        rows = np.flatnonzero(self.somewhere & still)
         discs = np.column_stack([plane.centres_mm[rows], plane.body_reach_mm[rows]])
         return dataclasses.replace(plane, fiducials=np.vstack([plane.fiducials, discs]))
 
@@ -109,7 +124,7 @@ class FieldState:
 
     def flag(self, row: int, fault: FibreStatus, why: str) -> None:
         """Books a fault of the positioner in `row`; `why`: the text of the record."""
-        self.faults[row] = fault
+        self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
     def book_blocked(self, planned: Plan) -> None:
@@ -135,8 +150,10 @@ class FieldState:
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
+            astray_mm=ASTRAY_MM + self.looser_mm,
         )
-        back = self.hearing.taken_back(evidence)
+        allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, ALLOWED_MM + self.looser_mm)
+        back = self.hearing.taken_back(evidence, allowed_mm)
         for i in back:
             if self.faults[i] in FROM_SILENCE:
                 self.faults[i] = None
@@ -171,7 +188,9 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        found = begin_check(self.plane, Report(self.here_deg, answered, image, vouched))
+        report = Report(self.here_deg, answered, image, vouched)
+        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
+        self.beginning = found
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):
             raise InputError(
@@ -189,6 +208,7 @@ class FieldState:
             self.flag(row, FibreStatus.DARK, "its fibre is not seen")
         elif standing is Standing.SILENT:
             self.flag(row, FibreStatus.DEAD, found.text[row])
+            self.hearing.silent_at_the_begin(row)
         elif not found.certain[row] and standing is not Standing.OFFLINE:
             self.unproven[row] = True
             dark = standing is Standing.DARK
@@ -238,7 +258,12 @@ class FieldMotion:
         self.recorder, self.progress = recorder, progress
         self.client = Client(hardware.transport)
         self.care = MotorCare(plane, self.client)
+        self.eye = PatientCamera(
+            hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
+        )
         self.state = FieldState(plane, recorder)
+        self.has_moved = False
+        """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
 
@@ -259,20 +284,31 @@ class FieldMotion:
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
+        vouched = await self._vouched(answered)
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
+        state.begin(answered, image, vouched)
+
+    async def _vouched(self, answered: Flags) -> Flags:
+        """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""
         vouched = self.hardware.vouched
-        state.begin(answered, image, np.zeros_like(answered) if vouched is None else vouched)
+        return np.zeros_like(answered) if vouched is None else vouched
 
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
-        Taken and reduced beside the event loop, which goes on listening to the bus.
+        Taken and reduced beside the event loop, which goes on listening to the bus. Raises CameraError
+        where no image comes: at once before anything has moved, else after as many tries as the instrument
+        says.
         """
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        return await asyncio.to_thread(self.hardware.camera.measure, expected_mm)
+        return await (self.eye.patiently if self.has_moved else self.eye.once)(expected_mm)
+
+    def _camera_event(self, kind: str, text: str) -> None:
+        self.recorder.event(kind, text)
+        self.progress(text)
 
     async def go(self, goals: Goals, seed: int = 0, recoveries: int = RECOVERIES) -> None:
         """Moves to the goals by the maps, and round positioners that turn out not to move.
@@ -310,7 +346,7 @@ class FieldMotion:
         await asyncio.to_thread(self._verify, planned)
         before_deg = self.state.here_deg.copy()
         results = await self._execute(planned)
-        image = await self.look()
+        image = await self._look_after()
         interrupted = self.state.judge(results, image, before_deg, planned.end_deg)
         error_um = self._measured_error_um(image, goals)
         move = Move(
@@ -330,6 +366,14 @@ class FieldMotion:
         self.recorder.move(move)
         return interrupted
 
+    async def _look_after(self) -> Measurement:
+        """The image after a move; where none comes all stay at rest, and where each was left is recorded."""
+        try:
+            return await self.look()
+        except BaseException as error:
+            await to_its_end(self.stop(reason(error)))
+            raise
+
     async def stop(self, why: str) -> None:
         """Brings every positioner that can be reached to rest, and records `why` and where each was left.
 
@@ -338,10 +382,11 @@ class FieldMotion:
         self.progress("stopping")
         begun_s = self.client.time_s
         stopped = await self.client.stop_all()
-        ids = np.array(stopped.ok_ids, dtype=np.int64)
-        await self.client.wait_until_done(ids.tolist(), REST_TIMEOUT_S, stop_on_collision=False)
+        await self.client.wait_until_done(stopped.ok_ids, REST_TIMEOUT_S, stop_on_collision=False)
         rest_s = self.client.time_s - begun_s
         answered = np.zeros(len(self.plane), dtype=bool)
+        # others on the bus are stopped too, but nothing is known of where they are
+        ids = self.plane.positioner_id[np.isin(self.plane.positioner_id, stopped.ok_ids)]
         answered[self.plane.index_of(ids)] = await self._read_positions(ids)
         silent = self.plane.positioner_id[self.state.mobile & ~answered].tolist()
         text = f"{why}; {int(answered.sum())} positioners at rest after {rest_s:.2f} s"
@@ -362,23 +407,30 @@ class FieldMotion:
     async def _execute(self, planned: Plan) -> Results:
         trajectories = await asyncio.to_thread(self._all_on_the_wire, planned)
         await self.care.begin(list(trajectories), self.progress)
+        self.has_moved = True
         try:
             await when_linked(self.client, trajectories)
             rule = MotionRule(self.state.obstacles(), planned, self.recorder.event)
             results = await self.client.run_trajectories(trajectories, watch=rule)
+            if not results.ok.all():
+                await self._come_to_rest(list(trajectories))
+            # one that has not answered may move still
+            asked = np.array([*trajectories, *await self._back_again()], dtype=np.int64)
+            self.state.hearing.hears(self.plane.index_of(asked), await self._read_positions(asked))
         except BaseException as error:
             await to_its_end(self.stop(reason(error)))
             raise
-        if not results.ok.all():
-            await self._come_to_rest(list(trajectories))
-        asked = np.array([*trajectories, *await self._back_again()], dtype=np.int64)
-        self.state.hearing.hears(self.plane.index_of(asked), await self._read_positions(asked))
         return results
 
     async def _back_again(self) -> list[int]:
         """Those that once gave no answer, and answer now."""
         silent = self.plane.positioner_id[self.state.hearing.held_against].tolist()
-        return (await self.client.poll(silent)).ok_ids if silent else []
+        if not silent:
+            return []
+        back = (await self.client.poll(silent)).ok_ids
+        # one that was not found at the begin: a stop has to reach it from now on
+        self.client.ids = sorted({*self.client.ids, *back})
+        return back
 
     async def _come_to_rest(self, ids: list[int]) -> None:
         """Stops all and clears the flags of collisions, so that healthy positioners can move again."""

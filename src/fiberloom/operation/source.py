@@ -24,11 +24,11 @@ class Source(Protocol):
         """Opens the bus and the camera; `FieldMotion.close` closes the bus."""
         ...
 
-    async def sweep(self, points: int, progress: Progress) -> Calibration:
+    async def sweep(self, points: int, progress: Progress) -> Calibration | None:
         """Sweeps every positioner on a bench: transmission maps and their report.
 
-        `points`: per axis and direction; `progress`: called with the points done and all. Raises
-        InputError, which names another way, where the source has no bench.
+        `points`: per axis and direction; `progress`: called with the points done and all. None: there is
+        no bench, the positioners are to be swept where they are.
         """
         ...
 
@@ -101,12 +101,8 @@ class OpenedArray:
         bus = await self.bus.open() if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
         return Hardware(bus, self.camera)
 
-    async def sweep(self, points: int, progress: Progress) -> Calibration:
-        """Raises InputError: arms among neighbours cannot be swept; it names what to do instead."""
-        raise InputError(
-            "an opened field needs calibration=FILE, its transmission maps: sweep the units on a bench with "
-            "fiberloom.calibration.calibrate_transmission(client, camera, plane), then .maps.save(FILE)"
-        )
+    async def sweep(self, points: int, progress: Progress) -> None:
+        """None: an array has no bench."""
 
     def maps_file(self, points: int) -> Path | None:
         """None: maps come from a file that the caller names."""

@@ -11,6 +11,9 @@ import numpy as np
 from fiberloom.metrology.images import utc_text
 from fiberloom.metrology.sources import imagebytes
 
+SILENT_S = 60.0
+"""So long a server that has nothing to say keeps a connection."""
+
 
 @contextmanager
 def server_that(answer):
@@ -21,7 +24,7 @@ def server_that(answer):
 
     def serve(connection):
         with connection:
-            connection.settimeout(5.0)
+            connection.settimeout(SILENT_S)
             rest = b""
             while not over.is_set():
                 try:

@@ -32,7 +32,7 @@ def aravis():
 
 
 def source(name="Fake_1", **settings):
-    told = ExposureSettings(**{"exposure_s": 0.05, "deadline_s": 5.0, "retries": 0} | settings)
+    told = ExposureSettings(**{"exposure_s": 0.05, "deadline_s": 60.0, "retries": 0} | settings)
     return open_source(CameraSpec("aravis", name), told)
 
 
@@ -54,7 +54,7 @@ def test_a_camera_that_is_not_there(aravis):
 
 
 def test_a_long_exposure_is_given_up(aravis, monkeypatch):
-    camera = source(deadline_s=30.0)
+    camera = source(deadline_s=600.0)
     opened = camera._opened
 
     def slow(module):

@@ -21,6 +21,11 @@ from fiberloom.metrology.sources.errors import (
 from fiberloom.metrology.sources.folder import FolderSource
 from fiberloom.metrology.sources.remote import ExposureSettings
 
+PATIENCE_S, SHORT_S = 120.0, 5.0
+"""Deadlines for an image that comes, and for one that never does; it is looked at ten times a second."""
+CLOCK_S, LONG_AGO_S = 100.0, 3000.0
+"""What clocks may differ by; what is not tolerated."""
+
 
 def pixels(seed=0):
     return np.random.default_rng(seed).integers(0, 60000, (40, 60)).astype(np.uint16)
@@ -36,8 +41,8 @@ def image(seed=0, begun_utc_s=None, exposure_s=0.0):
 def source(tmp_path):
     made = []
 
-    def make(deadline_s=20.0, retries=0, **more):
-        made.append(FolderSource(tmp_path, ExposureSettings(0.0, deadline_s, retries), **more))
+    def make(deadline_s=PATIENCE_S, retries=0, **more):
+        made.append(FolderSource(tmp_path, ExposureSettings(0.0, deadline_s, retries, CLOCK_S), **more))
         return made[-1]
 
     yield make
@@ -138,10 +143,8 @@ def test_what_is_no_image_by_its_name_is_left_alone(source, tmp_path):
 def test_a_file_that_is_no_fits(source, tmp_path, data, monkeypatch):
     monkeypatch.setattr(folder_module, "SETTLED_S", 0.3)
     after(0.1, (tmp_path / "a.fits").write_bytes, data)
-    begin_s = time.monotonic()
-    with pytest.raises(ImageBroken, match=r"a\.fits"):
-        source(deadline_s=20.0).expose()
-    assert time.monotonic() - begin_s < 5.0
+    with pytest.raises(ImageBroken, match=r"a\.fits: .*no whole image"):  # not: at the deadline
+        source().expose()
 
 
 def test_half_a_file(source, tmp_path, monkeypatch):
@@ -153,17 +156,18 @@ def test_half_a_file(source, tmp_path, monkeypatch):
         source().expose()
 
 
-def test_half_a_file_at_the_deadline(source, tmp_path):
+def test_half_a_file_at_the_deadline(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(folder_module, "SETTLED_S", PATIENCE_S)
     write_image(image(8), tmp_path / ".whole")
     after(0.1, (tmp_path / "a.fits").write_bytes, (tmp_path / ".whole").read_bytes()[:4000])
-    with pytest.raises(ImageBroken, match="of 8640 bytes"):
-        source(deadline_s=0.6).expose()
+    with pytest.raises(ImageBroken, match=r"no image after 5 s.* of 8640 bytes"):
+        source(deadline_s=SHORT_S).expose()
 
 
 def test_an_exposure_of_before_is_passed_over(source, tmp_path):
     """A camera that runs free: what arrives first may have begun before the request."""
     now = time.time()
-    after(0.1, renamed(tmp_path / "a.fits", image(9, now - 30.0)))
+    after(0.1, renamed(tmp_path / "a.fits", image(9, now - LONG_AGO_S)))
     after(0.8, renamed(tmp_path / "b.fits", image(10, now + 0.1)))
     np.testing.assert_array_equal(source().expose().array(), pixels(10))
 
@@ -171,13 +175,13 @@ def test_an_exposure_of_before_is_passed_over(source, tmp_path):
 def test_yesterdays_image_alone(source, tmp_path):
     after(0.1, renamed(tmp_path / "a.fits", image(9, time.time() - 86400.0)))
     with pytest.raises(ImageStale, match=r"a\.fits was exposed before it was asked for"):
-        source(deadline_s=1.5).expose()
+        source(deadline_s=SHORT_S).expose()
 
 
 def test_without_a_stamp_the_time_of_the_file_counts(source, tmp_path):
-    after(0.1, renamed(tmp_path / "a.fits", image(11, exposure_s=60.0)))
+    after(0.1, renamed(tmp_path / "a.fits", image(11, exposure_s=LONG_AGO_S)))
     with pytest.raises(ImageStale):
-        source(deadline_s=1.5).expose()
+        source(deadline_s=SHORT_S).expose()
 
 
 def test_the_same_pixels_in_a_new_file(source, tmp_path):
@@ -190,12 +194,10 @@ def test_the_same_pixels_in_a_new_file(source, tmp_path):
 
 
 def test_abort(source):
-    camera = source(deadline_s=30.0)
+    camera = source()
     after(0.2, camera.abort)
-    begin_s = time.monotonic()
     with pytest.raises(CameraAborted):
         camera.expose()
-    assert time.monotonic() - begin_s < 2.0
 
 
 # the trigger
@@ -213,7 +215,7 @@ def test_the_trigger_makes_the_image(source, tmp_path):
 
 
 def test_a_trigger_that_fails_is_told_in_its_words(source):
-    camera = source(deadline_s=20.0, trigger=python("import sys; sys.exit('shutter stuck')"))
+    camera = source(trigger=python("import sys; sys.exit('shutter stuck')"))
     with pytest.raises(CameraRefused, match="ended with 1: shutter stuck"):
         camera.expose()
 
@@ -223,7 +225,7 @@ def test_a_trigger_that_hangs_is_ended(source, tmp_path):
     begin_s = time.monotonic()
     with pytest.raises(CameraSilent):
         camera.expose()
-    assert time.monotonic() - begin_s < 5.0
+    assert time.monotonic() - begin_s < 30.0
 
 
 def test_no_shell_reads_the_trigger(source, tmp_path):

@@ -49,6 +49,25 @@ class _Dimmed:
         return type(image)(x, y, seen, image.time_s)
 
 
+@dataclass
+class Spied:
+    """The same array; `sends` is told of all frames before they are on the bus."""
+
+    array: TwinArray
+    sends: object
+
+    async def open(self):
+        hardware = await self.array.open()
+        send = hardware.transport.send
+
+        async def told(frames):
+            await self.sends(hardware.transport, frames)
+            await send(frames)
+
+        hardware.transport.send = told
+        return hardware
+
+
 def layout(n, seed=0):
     return generate(load_instrument("sdssv"), seed, n_positioners=n)
 

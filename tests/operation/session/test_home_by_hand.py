@@ -1,6 +1,7 @@
 """Steps of a datum search by themselves: turns by the image, and clearing the way."""
 
 import asyncio
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.bus.protocol import Status
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.instruments.model import Care
 from fiberloom.operation.session.clearing import Clearing, Round
 from fiberloom.operation.session.home import Homing, _turns_off
 
@@ -109,14 +111,17 @@ class Bus:
 
     def __init__(self, begun=(), ended=(), bits=0):
         self.begun, self.ended, self.bits, self.declared = begun, ended, bits, []
+        self.searched, self.asked = [], 0
 
     async def home(self, ids, axis):
+        self.searched.append(list(ids))
         return results(ids, self.begun)
 
     async def wait_until_done(self, ids, limit_s):
         return results(ids, self.ended)
 
     async def status(self, ids):
+        self.asked += 1
         return Results({i: Result(i, Outcome.DONE, values=(self.bits.get(i, 0),)) for i in ids})
 
     async def set_position(self, ids, alpha_deg, beta_deg):
@@ -127,23 +132,56 @@ def results(ids, failing):
     return Results({i: Result(i, Outcome.TIMED_OUT if i in failing else Outcome.DONE) for i in ids})
 
 
-def test_a_search_that_failed_is_none_even_where_an_older_datum_is_set():
-    ids = [int(p) for p in PLANE.positioner_id[:4]]
-    both = Status.DATUMS_INITIALIZED
-    # the first does not begin, the second does not end, the third ends without a datum
-    client = Bus(begun=ids[:1], ended=ids[1:2], bits={ids[0]: both, ids[1]: both, ids[3]: both})
-    homing = Homing(
-        SimpleNamespace(plane=PLANE, client=client, lock=SimpleNamespace(step=lambda s: None)), ROWS
-    )
-    booked = []
+def homing_by(client, plane=PLANE):
+    """A homing on a bus that answers as told, and what it books."""
+    lock = SimpleNamespace(step=lambda s: None)
+    homing, booked = Homing(SimpleNamespace(plane=plane, client=client, lock=lock), ROWS), []
 
     async def book(done, axis):
         booked.append((done, axis))
 
     homing._book = book
-    asyncio.run(homing._search([0, 1, 2, 3], "both"))
+    return homing, booked
+
+
+BOTH = Status.DATUMS_INITIALIZED
+
+
+def test_a_search_that_failed_is_none_even_where_an_older_datum_is_set():
+    ids = [int(p) for p in PLANE.positioner_id[:4]]
+    # the first does not begin, the second does not end, the third ends without a datum
+    client = Bus(begun=ids[:1], ended=ids[1:2], bits={ids[0]: BOTH, ids[1]: BOTH, ids[3]: BOTH})
+    homing, booked = homing_by(client)
+    assert asyncio.run(homing._search([0, 1, 2, 3], "both")) == [0, 1, 2, 3]
     assert booked == [([ids[3]], "both")]
     assert set(homing.left_out) == set(ids[:3])
+    assert client.asked == 1  # all of them at once
+
+
+def supplied(most):
+    """The plane with a supply for so many positioners at once."""
+    care = {"motor_friction_A": [0.1, 0.1], "motor_speed_A": [0.1, 0.1], "supply_A": 0.4 * most + 0.1}
+    instrument = PLANE.instrument.model_copy(update={"care": Care.model_validate(care)})
+    return replace(PLANE, instrument=instrument)
+
+
+def test_so_many_search_at_once_as_the_supply_can_feed():
+    ids = [int(p) for p in PLANE.positioner_id]
+    client = Bus(bits=dict.fromkeys(ids, BOTH))
+    homing, booked = homing_by(client, supplied(3))
+    assert asyncio.run(homing._search(list(range(7)), "beta")) == list(range(7))
+    assert client.searched == [ids[:3], ids[3:6], ids[6:]]
+    assert booked == [(ids, "beta")]
+
+
+def test_after_a_search_that_did_not_end_no_other_group_begins():
+    ids = [int(p) for p in PLANE.positioner_id]
+    client = Bus(bits=dict.fromkeys(ids, BOTH), ended=ids[4:5])
+    homing, booked = homing_by(client, supplied(3))
+    assert asyncio.run(homing._search(list(range(7)), "beta")) == list(range(6))
+    assert client.searched == [ids[:3], ids[3:6]]
+    assert booked == [([*ids[:4], ids[5]], "beta")]
+    assert set(homing.left_out) == {ids[4]}  # the last one waits for the next round
 
 
 def test_turns_are_counted_in_the_last_image():

@@ -1,12 +1,18 @@
 """After a collision: the array is locked, `recover` says what touches and takes it apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from arrays import BUS, TwinArray, done, layout, session
+from arrays import BUS, Spied, TwinArray, done, layout, session
 
+from fiberloom.bus.client import Client
+from fiberloom.bus.identifier import decode
+from fiberloom.bus.protocol import Command, Status
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.twin.transport import TwinTransport
 
 PLANE = layout(7)
 TANGLED_DEG = np.where(np.arange(7)[:, None] == 0, [60.0, 90.0], PLANE.park_deg)
@@ -50,10 +56,35 @@ def test_arms_are_taken_apart_and_folded(store):
     assert done(session(array, PLANE, store).park()).state == "parked"
 
 
+def test_precise_moves_are_off_while_arms_part_and_on_again_afterwards(store):
+    array = TwinArray.of(PLANE, TANGLED_DEG)
+    moving = int(PLANE.positioner_id[0])
+
+    async def told():
+        return {i: a.values[0] for i, a in (await client.status(ids)).items()}
+
+    client, ids = Client(TwinTransport(array.twin)), PLANE.positioner_id.tolist()
+    done(client.command(Command.SWITCH_ON_PRECISE_MOVE_ALPHA, [moving]))
+    made, seen = session(array, PLANE, store), []
+
+    async def during(transport, frames):
+        seen.extend(frame[0] for frame in frames)
+
+    spied = Spied(array, during)
+    made.known = replace(made.known, source=spied)
+    assert done(made.recover()).ok
+    commands = [decode(i).command for i in seen if decode(i).positioner == moving]
+    off, on = Command.SWITCH_OFF_PRECISE_MOVE_ALPHA, Command.SWITCH_ON_PRECISE_MOVE_ALPHA
+    assert [c for c in commands if c in (off, on)] == [off, on]
+    bits = done(told())
+    alpha, beta = Status.PRECISE_POSITIONING_ALPHA, Status.PRECISE_POSITIONING_BETA
+    assert {i for i, b in bits.items() if b & alpha} == {moving}
+    assert not any(b & beta for b in bits.values())
+
+
 def test_nothing_to_recover_from_unlocks(store):
     report = done(session(TwinArray.of(PLANE), PLANE, store).recover())
     assert (report.touching, report.state) == ([], "parked")
-    with pytest.raises(
-        InputError, match="is parked: recover is not possible now; nothing is to be recovered"
-    ):
-        done(session(TwinArray.of(PLANE), PLANE, store).recover())
+    # at rest it is always possible: those that are not certain to be anywhere are looked for
+    again = done(session(TwinArray.of(PLANE), PLANE, store).recover())
+    assert (again.touching, again.found, again.state) == ([], [], "parked")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from arrays import BUS, TwinArray, done, layout, session
 
+from fiberloom.bus.client import Client
 from fiberloom.errors import InputError, StoppedError
 from fiberloom.operation.move import Goals
 from fiberloom.operation.session.states import Deed
@@ -101,6 +102,32 @@ def test_an_excluded_one_is_an_obstacle_where_it_is_seen_not_where_the_record_ha
     here_deg, mobile = done(scenario())
     np.testing.assert_allclose(here_deg, [40.0, 60.0], atol=1.5)
     assert not mobile
+
+
+def test_the_bus_is_asked_once_who_is_there_and_where(array, store, monkeypatch):
+    asked = []
+    for name in ("discover", "positions_deg"):
+
+        def counted(client, *args, name=name, call=getattr(Client, name)):
+            asked.append(name)
+            return call(client, *args)
+
+        monkeypatch.setattr(Client, name, counted)
+    made = session(array, PLANE, store)
+
+    async def begins():
+        async with made._moving(Deed.PARK):
+            pass
+
+    done(begins())
+    assert asked == ["discover", "positions_deg"]
+
+
+def test_the_datum_of_an_excluded_one_stays_on_record_while_it_has_not_moved(array, store):
+    book, left = ArrayBook(store, BUS), PLANE.positioner_id[[2]]
+    done(session(array, PLANE, store).home())
+    done(session(array, PLANE, store, exclude=left.tolist()).park())
+    assert book.places(left).datum.tolist() == [True]
 
 
 def test_one_motion_at_a_time(array, store):

@@ -12,7 +12,7 @@ from fiberloom.bus.protocol import Status
 from fiberloom.health.past_runs import health_report
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.session import HeldArray
-from fiberloom.operation.session.states import Step
+from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.store import Store
 
 BOTH = Status.DATUMS_INITIALIZED
@@ -70,7 +70,7 @@ class Lock:
     """Keeps the steps."""
 
     def __init__(self, lost=False):
-        self.lost, self.steps = lost, []
+        self.lost, self.state, self.steps = lost, SessionState.MOVING, []
 
     def step(self, step, text=""):
         self.steps.append((step, text))
@@ -93,6 +93,16 @@ def test_a_command_that_ends_with_a_collision_locks_the_array_whatever_else_went
     lost._motion = motion
     lost.leave(Step.LOSE, "disk full")
     assert lost.lock.steps == []
+
+
+def test_an_array_that_was_stopped_stays_so_whatever_the_reason():
+    held = HeldArray(None, Lock(), "")
+    held.lock.state = SessionState.STOPPED
+    held.leave(Step.LOSE, "no image")
+    assert held.lock.steps == []
+    held._motion = SimpleNamespace(collided=[4])
+    held.leave(Step.LOSE, "no image")
+    assert held.lock.steps == [(Step.COLLIDE, "collision; no image")]
 
 
 def test_every_run_of_a_session_is_in_the_report_of_health(tmp_path):

@@ -8,39 +8,20 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from doors import HEIGHT, MODEL, PATIENCE_S, WIDTH, SeenTwin
 
-from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import utc_s_of
 from fiberloom.metrology.sources import imagebytes
 from fiberloom.metrology.sources.alpaca import AlpacaSource
-from fiberloom.metrology.sources.errors import CameraRefused, CameraSilent, ImageBroken, ImageStale
 from fiberloom.metrology.sources.remote import ExposureSettings
-from fiberloom.twin.camera.imaging import CameraModel, Detector, ImagingCamera, Optics, StillScene
+from fiberloom.twin.camera.imaging import ImagingCamera, StillScene
 from fiberloom.twin.server.camera.alpaca import AlpacaServer
-from fiberloom.twin.server.camera.exposing import Look, TwinShutter
-
-WIDTH, HEIGHT = 96, 64
-MODEL = CameraModel(Optics(CameraGeometry(WIDTH, HEIGHT, 0.1), 5.0), detector=Detector(gain_e_adu=1.5))
-
-
-class Twin:
-    """What the camera's process asks."""
-
-    def __init__(self):
-        self.looked_s = []
-        self.on, self.lit_mm, self.time_s = set(), np.array([[0.0, 0.0], [2.0, 1.0]]), 7.0
-
-    def look(self):
-        self.looked_s.append(time.monotonic())
-        return Look(self.time_s, self.lit_mm)
-
-    def faults(self):
-        return frozenset(self.on)
+from fiberloom.twin.server.camera.exposing import TwinShutter
 
 
 @pytest.fixture
 def twin():
-    return Twin()
+    return SeenTwin()
 
 
 @pytest.fixture
@@ -58,7 +39,7 @@ def expected(twin, exposures=1):
 
 
 def call(port, verb, path, body=None, **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     headers.setdefault("Content-Type", "application/x-www-form-urlencoded")
     connection.request(verb, path, body if body is None else urlencode(body), headers)
     response = connection.getresponse()
@@ -84,21 +65,22 @@ def alpyca(port):
 
 
 def finish(camera):
-    for _ in range(500):
-        if camera.ImageReady:
-            return
+    end_s = time.monotonic() + PATIENCE_S
+    while not camera.ImageReady:
+        assert time.monotonic() < end_s, "no image"
         time.sleep(0.01)
-    raise AssertionError("no image")
 
 
 def test_alpyca_reads_the_pixels_that_were_painted(alpyca, twin):
     from alpaca.camera import CameraStates, ImageArrayElementTypes, SensorType
 
-    begin_s = time.time()
     assert alpyca.CameraState == CameraStates.cameraIdle
-    alpyca.StartExposure(5.0, True)
+    alpyca.StartExposure(3000.0, True)  # the next one ends it
     assert not alpyca.ImageReady
     assert alpyca.CameraState == CameraStates.cameraExposing
+    begin_s = time.time()
+    alpyca.StartExposure(5.0, True)
+    started_s = time.time()
     finish(alpyca)
     raw = np.array(alpyca.ImageArrayRaw).reshape(WIDTH, HEIGHT).T
     np.testing.assert_array_equal(raw, expected(twin).pixels)
@@ -107,7 +89,7 @@ def test_alpyca_reads_the_pixels_that_were_painted(alpyca, twin):
     assert (info.Rank, info.Dimension1, info.Dimension2) == (2, WIDTH, HEIGHT)
     assert info.TransmissionElementType == ImageArrayElementTypes.UInt16
     assert alpyca.LastExposureDuration == 5.0
-    assert abs(utc_s_of(alpyca.LastExposureStartTime) - begin_s) < 2.0
+    assert begin_s - 1e-3 < utc_s_of(alpyca.LastExposureStartTime) < started_s
     assert (alpyca.SensorType, alpyca.ElectronsPerADU) == (SensorType.Monochrome, 1.5)
     assert (alpyca.CameraXSize, alpyca.CameraYSize, alpyca.MaxADU) == (WIDTH, HEIGHT, 40500)
 
@@ -217,7 +199,7 @@ def test_calls_that_are_none_are_bad_requests(port, verb, path, form):
 
 
 def test_a_body_without_end_is_not_read(port):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     connection.putrequest("PUT", "/api/v1/camera/0/connected")
     connection.putheader("Content-Length", str(1 << 40))
     connection.endheaders()
@@ -232,15 +214,15 @@ def test_no_image_is_told_as_json(port):
     assert (kind, json.loads(data)["ErrorNumber"]) == ("application/json", 0x40B)
 
 
-# our own client; faults
+# our own client
 
 
-def source(port, exposure_s=0.1, deadline_s=20.0, retries=0, **more):
-    return AlpacaSource("127.0.0.1", port, 0, ExposureSettings(exposure_s, deadline_s, retries, **more))
+def source(port, exposure_s=0.1):
+    return AlpacaSource("127.0.0.1", port, 0, ExposureSettings(exposure_s, PATIENCE_S, retries=0))
 
 
 def test_our_client_gets_what_the_twin_paints(port, twin):
-    image = source(port, exposure_s=5.0, deadline_s=30.0).expose()
+    image = source(port, exposure_s=5.0).expose()
     wanted = expected(twin)
     np.testing.assert_array_equal(image.pixels, wanted.pixels)
     assert (image.gain_e_adu, image.saturation_adu) == (wanted.gain_e_adu, wanted.saturation_adu)
@@ -256,7 +238,7 @@ def test_a_longer_exposure_is_brighter(port):
 def test_the_scene_is_that_of_mid_exposure(port, twin):
     """Half a second of ours on either side, at least."""
     begin_s = time.monotonic()
-    source(port, exposure_s=10.0, deadline_s=30.0).expose()
+    source(port, exposure_s=10.0).expose()
     (looked_s,) = twin.looked_s
     assert looked_s - begin_s >= 0.5
     assert time.monotonic() - looked_s >= 0.5
@@ -271,26 +253,3 @@ def test_averages_go_as_doubles(twin):
     wanted = ImagingCamera(StillScene(twin.lit_mm), model, seed=3).expose()
     np.testing.assert_array_equal(image.pixels, wanted.pixels)
     assert image.gain_e_adu == wanted.gain_e_adu
-
-
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("camera_hang", CameraSilent),
-        ("camera_error", CameraRefused),
-        ("camera_half", ImageBroken),
-        ("camera_stale", ImageStale),
-    ],
-)
-def test_faults_of_the_camera_reach_the_host_as_what_they_are(port, twin, fault, kind):
-    camera = source(port, deadline_s=1.0)
-    twin.on = {fault}
-    with pytest.raises(kind):
-        camera.expose()
-    twin.on = set()
-    before = camera.expose()  # it recovers
-    twin.on = {fault}
-    with pytest.raises(kind):
-        camera.expose()
-    twin.on = set()
-    assert (camera.expose().pixels != before.pixels).any()

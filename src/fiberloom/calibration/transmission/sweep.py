@@ -76,15 +76,22 @@ class Calibration:
 
     def summary(self) -> dict[str, Any]:
         """How many positioners have a map, why the others have none, and how good the maps are."""
+        report, ok = self.report, self.report.ok
+        counts = {
+            "positioners": len(self.maps),
+            "calibrated": int(ok.sum()),
+            "refused": {int(p): r for p, r in zip(report.positioner_id, report.reason, strict=True) if r},
+        }
+        return counts | self._figures() if ok.any() else counts
+
+    def _figures(self) -> dict[str, Any]:
+        """How good the maps are of those that have one."""
         report, maps = self.report, self.maps
         ok = report.ok
         # at the knots themselves: between them the interpolation of both directions would come in
         gap_deg = maps.output_deg[ok, :, 0] - maps.output_deg[ok, :, 1]
         backlash = maps.provenance.gear * gap_deg
         return {
-            "positioners": len(maps),
-            "calibrated": int(ok.sum()),
-            "refused": {int(p): r for p, r in zip(report.positioner_id, report.reason, strict=True) if r},
             "backlash_motor_deg": [float(backlash.min()), float(backlash.max())],
             "circle_rms_um": [float(np.median(c)) for c in report.circle_rms_um[ok].T],
             "l_alpha_se_um": units.UM_PER_MM * float(np.median(report.l_alpha_se_mm[ok])),
@@ -110,6 +117,17 @@ async def calibrate_transmission(
     """
     settings = settings or SweepSettings()
     data = await measure_sweeps(client, camera, plane, settings, progress)
+    return calibration_of(plane, data, settings, seed)
+
+
+def calibration_of(
+    plane: FocalPlane, data: SweepData, settings: SweepSettings, seed: int | None = None
+) -> Calibration:
+    """Maps and report of what a sweep of the `plane` has measured.
+
+    `data`: N positioners, angles in deg and places in mm; `settings`: of the sweep; `seed` goes into the
+    provenance.
+    """
     provenance = Provenance(
         plane.config_hash(), seed, gear=plane.instrument.alpha.gear, note=f"{settings.n_points} points"
     )

@@ -65,7 +65,7 @@ def home(options: HomeOptions) -> int:
 
 
 def recover(options: RecoverOptions) -> int:
-    """After a collision: which arms touch, a verified way apart, fold, unlock.
+    """Take arms apart that touch, by a verified way, and find positioners that are not where they report.
 
     Exit code 1 where a positioner did not do what was asked.
     """

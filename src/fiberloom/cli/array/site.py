@@ -24,6 +24,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fiberloom.errors import InputError
 from fiberloom.instruments.load import first_problem
 
+BENCH = ("friction", "inertia", "stiffness", "arms", "repeatability")
+"""Measurements of single units: they refuse the bus of an array."""
+
 
 class SiteTable(BaseModel):
     """A table of a site file: a key that is not known is a mistake."""
@@ -74,7 +77,10 @@ class Site(SiteTable):
             "doctor": moved | limits,
             **dict.fromkeys(("stop", "status"), array),
             "exclude": dict.fromkeys(("add", "list", "clear"), array),
-            "calibrate": dict.fromkeys(("transmission", "focal-plane"), moved),
+            "calibrate": dict.fromkeys(("transmission", "focal-plane"), moved)
+            | {name: {"bus": self.bus} for name in BENCH},
+            "acceptance": {"bus": self.bus},
+            "commission": {"bus": self.bus},
             **dict.fromkeys(("assign", "plan", "verify"), plane),
         }
         return {name: _given(values) for name, values in by_command.items()}

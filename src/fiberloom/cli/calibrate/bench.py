@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from fiberloom.cli.options import JsonOptions, LayoutOptions, require_folder
+from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,12 +35,20 @@ class BenchOptions(LayoutOptions, JsonOptions):
         ),
     ] = None
     faults: Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=1.")] = ""
+    bus: Annotated[str | None, typer.Option(help="A bus that a site file names is refused.", hidden=True)] = (
+        None
+    )
 
     def check(self, out: Path) -> None:
         """Raises InputError for bad options that can be found without a slow import."""
         from fiberloom.twin.faults.grammar import parse_faults
         from fiberloom.twin.faults.kinds import OBSERVED
 
+        if self.bus is not None and not self.bus.startswith("twin:"):
+            raise InputError(
+                f"--bus {self.bus}: single units are measured on the bench of the twin here, not in an "
+                "array; leave --site out, or use fiberloom.calibration.bench with your own rig"
+            )
         parse_faults(self.faults, OBSERVED)
         self.check_plane()
         require_folder(out)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import socket
+import time
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -13,13 +15,18 @@ import numpy as np
 from fiberloom.metrology.images import CameraImage, utc_s_of
 from fiberloom.metrology.sources import imagebytes
 from fiberloom.metrology.sources.deadline import Deadline
-from fiberloom.metrology.sources.errors import CameraError, CameraRefused, ImageBroken
+from fiberloom.metrology.sources.errors import CameraError, CameraRefused, CameraSilent, ImageBroken
 from fiberloom.metrology.sources.http import CameraHttp
 from fiberloom.metrology.sources.remote import ExposureSettings, RemoteSource
 from fiberloom.typing import Array
 
 PORT = 11111
 """Where Alpaca servers listen by custom."""
+DISCOVERY_PORT, DISCOVERY_QUESTION, DISCOVERY_KEY = 32227, b"alpacadiscovery1", "AlpacaPort"
+"""Servers answer the question, sent to all by UDP, with the port at which they listen."""
+_EVERYWHERE = ("255.255.255.255", "127.255.255.255")
+_DISCOVERY_S = 0.5
+_DISCOVERY_BYTES = 4096
 NOT_IMPLEMENTED = 0x400
 POLL_S, _SLOW_POLL_S, _POLL_SHARE = 0.05, 0.5, 0.02
 """How often it is asked whether the image is ready: a share of the exposure, between these."""
@@ -84,10 +91,10 @@ class AlpacaCalls:
         self._transaction += 1
         return {"ClientID": _CLIENT, "ClientTransactionID": str(self._transaction)}
 
-    def _answer(self, member: str, data: bytearray) -> dict[str, Any]:
+    def _answer(self, member: str, data: memoryview) -> dict[str, Any]:
         camera = self._http.camera
         try:
-            answer = json.loads(data)
+            answer = json.loads(bytes(data))
             number = int(answer["ErrorNumber"])
         except (ValueError, KeyError, TypeError):
             raise CameraRefused(f"{camera}: its answer to {member} is not of Alpaca; is it one?") from None
@@ -115,14 +122,19 @@ class AlpacaSource(RemoteSource):
         super().__init__(f"alpaca://{host}:{port}/{device}", settings)
         self.host, self.port, self.device = host, port, device
         self._about: AlpacaCamera | None = None
+        self._others: str | None = None
 
     def _take(self, deadline: Deadline) -> CameraImage:
+        http = CameraHttp(self.host, self.port, deadline)
         try:
-            with closing(CameraHttp(self.host, self.port, deadline)) as http:
+            with closing(http):
                 return self._exposed(AlpacaCalls(http, self.device), deadline)
-        except CameraError:
+        except CameraError as error:
             self._about = None  # asked anew next time: it may be another camera by then
-            self._give_up()
+            if http.reached:
+                self._give_up()
+            elif isinstance(error, CameraSilent):
+                raise CameraSilent(f"{error}{self._where_else()}") from None
             raise
 
     def _exposed(self, camera: AlpacaCalls, deadline: Deadline) -> CameraImage:
@@ -177,12 +189,36 @@ class AlpacaSource(RemoteSource):
         lasted = camera.known("lastexposureduration", None)
         return utc_s_of(str(text)) if text else None, _positive(lasted, self.settings.exposure_s)
 
+    def _where_else(self) -> str:
+        """Servers that answer, for one who may have the wrong address; searched for once."""
+        if self._others is None:
+            found = ", ".join(f"alpaca://{place}" for place in alpaca_servers())
+            self._others = f" Alpaca servers that answer: {found}" if found else ""
+        return self._others
+
     def _give_up(self) -> None:
         """So that the camera is free for the next exposure, if it hears."""
         last = Deadline(self.name, _LAST_WORD_S)
         with suppress(CameraError), closing(CameraHttp(self.host, self.port, last)) as http:
             AlpacaCalls(http, self.device).put("abortexposure")
         last.close()
+
+
+def alpaca_servers() -> list[str]:
+    """Alpaca servers of the local network that say where they are, as HOST:PORT; takes half a second."""
+    found: set[str] = set()
+    end_s = time.monotonic() + _DISCOVERY_S
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        for place in _EVERYWHERE:
+            with suppress(OSError):  # no such network
+                asking.sendto(DISCOVERY_QUESTION, (place, DISCOVERY_PORT))
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            asking.settimeout(left_s)
+            with suppress(OSError, ValueError, KeyError, TypeError):  # silence, or no answer of Alpaca
+                said, (host, _) = asking.recvfrom(_DISCOVERY_BYTES)
+                found.add(f"{host}:{int(json.loads(said)[DISCOVERY_KEY])}")
+    return sorted(found)
 
 
 def _count(value: object) -> int:

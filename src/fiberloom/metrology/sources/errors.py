@@ -23,3 +23,7 @@ class ImageBroken(CameraError):
 
 class ImageStale(CameraError):
     """An image whose exposure began before it was asked for, or that has been seen before."""
+
+
+class CameraGone(CameraError):
+    """In the middle of a command no image came, however often it was asked for."""

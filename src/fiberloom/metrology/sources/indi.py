@@ -1,22 +1,27 @@
-"""A camera by INDI, with `indipyclient`: whatever driver an `indiserver` runs."""
+"""A camera by INDI, with `indipyclient`: whatever driver an `indiserver` runs.
+
+The talking is done by a process of its own (`indi_child`), which is begun with the first exposure.
+"""
 
 from __future__ import annotations
 
-import asyncio
-import importlib
+import itertools
+import shutil
 import socket
+import subprocess
 import tempfile
-import zlib
-from collections.abc import Callable
+import weakref
 from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
-from fiberloom.blocking import finish
 from fiberloom.errors import InputError
 from fiberloom.metrology.images import CameraImage
+from fiberloom.metrology.sources import errors, indi_child
+from fiberloom.metrology.sources.child import begin_child, end_child
 from fiberloom.metrology.sources.deadline import Deadline
 from fiberloom.metrology.sources.errors import (
+    CameraAborted,
     CameraError,
     CameraRefused,
     CameraSilent,
@@ -24,14 +29,14 @@ from fiberloom.metrology.sources.errors import (
 )
 from fiberloom.metrology.sources.fits import FitsForeign, FitsIncomplete, check_complete
 from fiberloom.metrology.sources.folder import image_in_memory
+from fiberloom.metrology.sources.indi_child import IndiOrder, IndiWord
 from fiberloom.metrology.sources.remote import ExposureSettings, RemoteSource
 
-POLL_S = 0.02
-BLOB = "CCD1"
-"""The property, and its member, in which drivers send the image of the first chip."""
 _CONNECT_S = 5.0
-_SETTLE_S = 1.0
-"""So long a driver may take to define what it has; one that reconnects defines it twice."""
+_POLL_S = 0.05
+"""How often it is looked whether the exposure is given up."""
+_GIVEN_UP_S = indi_child.GIVE_UP_S + 0.5
+"""So long the process may take to tell the camera."""
 
 
 class IndiSource(RemoteSource):
@@ -40,6 +45,13 @@ class IndiSource(RemoteSource):
     def __init__(self, host: str, port: int, name: str, settings: ExposureSettings) -> None:
         super().__init__(f"indi://{host}:{port}/{name}", settings)
         self.host, self.port, self.device = host, port, name
+        self._talker: IndiTalker | None = None
+
+    def close(self) -> None:
+        """Gives up what is running and ends the process; a further exposure begins another one."""
+        super().close()
+        with self._busy:
+            self._end_talker()
 
     def _take(self, deadline: Deadline) -> CameraImage:
         deadline.doing = "connecting"
@@ -49,137 +61,99 @@ class IndiSource(RemoteSource):
             raise CameraSilent(
                 f"{self.name}: no connection ({error}); is indiserver running, and is this its address?"
             ) from None
-        data, kind = finish(self._exposed(deadline))
-        return self._image(data, kind)
-
-    async def _exposed(self, deadline: Deadline) -> tuple[bytes, str]:
-        """The image as the driver sends it: its bytes, and their format."""
-        talk = _Talk(self, deadline)
-        running = asyncio.create_task(talk.client.asyncrun())
+        talker = self._talker = self._talker or IndiTalker(self.name)
         try:
-            return await talk.expose(self.settings.exposure_s)
-        except CameraError:
-            await talk.give_up()
-            raise
+            return self._image(talker.expose(self, deadline))
+        except EOFError:
+            self._end_talker()
+            raise CameraSilent(
+                f"{self.name}: the process that talks to the server has ended; what it wrote says why"
+            ) from None
+
+    def _end_talker(self) -> None:
+        if self._talker is not None:
+            self._talker.end()
+            self._talker = None
+
+    def _image(self, path: Path) -> CameraImage:
+        try:
+            check_complete(path)
+            return image_in_memory(path)
+        except (FitsIncomplete, FitsForeign, InputError) as error:
+            raise ImageBroken(f"{self.name}: no whole image in FITS ({error}); take another one") from None
         finally:
-            talk.client.shutdown()
-            running.cancel()
-            with suppress(asyncio.CancelledError):
-                await running
-
-    def _image(self, data: bytes, kind: str) -> CameraImage:
-        if kind.endswith(".z"):
-            try:
-                data = zlib.decompress(data)
-            except zlib.error as error:
-                raise ImageBroken(f"{self.name}: an image that cannot be unpacked: {error}") from None
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "image.fits"
-            path.write_bytes(data)
-            try:
-                check_complete(path)
-                return image_in_memory(path)
-            except (FitsIncomplete, FitsForeign, InputError) as error:
-                raise ImageBroken(
-                    f"{self.name}: no whole image in FITS ({error}); take another one"
-                ) from None
+            path.unlink(missing_ok=True)
 
 
-class _Talk:
-    """One conversation with the server, within one event loop."""
+class IndiTalker:
+    """The process that talks to the server of a `camera`, and the folder that it writes into."""
 
-    def __init__(self, source: IndiSource, deadline: Deadline) -> None:
-        base = importlib.import_module("indipyclient").IPyClient
-        talk = self
+    def __init__(self, camera: str) -> None:
+        try:
+            self.folder = Path(tempfile.mkdtemp(prefix="fiberloom-indi-"))
+            self.process, self._connection = begin_child(indi_child.__name__)
+        except OSError as error:
+            raise CameraRefused(f"{camera}: no process can be begun ({error})") from None
+        self.end = weakref.finalize(self, _end, self.process, self._connection, self.folder)
+        """Ends the process and removes the folder; called by itself where this is held no longer."""
+        self._numbers = itertools.count(1)
 
-        class _IndiEvents(base):  # type: ignore[misc, valid-type]  # of a package without types
-            """Hands events on."""
+    def expose(self, source: IndiSource, deadline: Deadline) -> Path:
+        """A file with the image. Raises CameraError, and EOFError where the process has ended."""
+        number = next(self._numbers)
+        self._send(
+            IndiOrder(
+                number,
+                source.name,
+                source.host,
+                source.port,
+                source.device,
+                source.settings.exposure_s,
+                self.folder,
+            )
+        )
+        try:
+            return self._answer(number, deadline)
+        except (CameraAborted, CameraSilent):
+            self._give_up(number)
+            raise
 
-            async def rxevent(self, event: Any) -> None:
-                talk.heard(event)
+    def _answer(self, number: int, deadline: Deadline) -> Path:
+        while True:
+            while not self._connection.poll(_POLL_S):
+                deadline.check()
+            word = self._word()
+            if word.number != number:
+                continue
+            deadline.doing = word.doing or deadline.doing
+            if word.error:
+                kind: type[CameraError] = getattr(errors, word.error)
+                raise kind(word.text)
+            if word.image is not None:
+                return word.image
 
-            async def warning(self, message: str) -> None:
-                """Not onto the screen: what matters here ends in an error."""
+    def _give_up(self, number: int) -> None:
+        """So that the camera is free for the next exposure, if it hears."""
+        last = Deadline("", _GIVEN_UP_S)
+        with suppress(EOFError, CameraError):
+            self._send(None)
+            self._answer(number, last)
+        last.close()
 
-        self.client: Any = _IndiEvents(source.host, source.port)
-        self.client.set_vector_timeouts(timeout_enable=False)
-        self._source, self._deadline = source, deadline
-        self._image: tuple[bytes, str] | None = None
-        self._failed = ""
-        self._exposing = False
+    def _send(self, order: IndiOrder | None) -> None:
+        try:
+            self._connection.send(order)
+        except OSError:
+            raise EOFError from None
 
-    def heard(self, event: Any) -> None:
-        """An event of the server."""
-        if getattr(event, "devicename", None) != self._source.device:
-            return
-        kind, vector = event.eventtype, getattr(event, "vectorname", "")
-        if kind == "SetBLOB" and vector == BLOB and self._exposing:
-            member = BLOB if BLOB in event else next(iter(event))
-            self._image = event[member], event.sizeformat[member][1]
-        elif vector == "CCD_EXPOSURE" and self._exposing and getattr(event, "state", "") == "Alert":
-            self._failed = self._last_message() or "the exposure failed"
+    def _word(self) -> IndiWord:
+        try:
+            word: IndiWord = self._connection.recv()
+        except OSError:
+            raise EOFError from None
+        return word
 
-    async def expose(self, exposure_s: float) -> tuple[bytes, str]:
-        """Connects the camera, sets the whole frame, exposes."""
-        name = self._source.device
-        await self._until(lambda: name in self.client, f"looking for the camera {name}")
-        await self._until(lambda: self._has("CONNECTION"), "connecting")
-        if self._value("CONNECTION", "CONNECT") != "On":
-            await self._set("CONNECTION", {"CONNECT": "On", "DISCONNECT": "Off"})
-        await self._until(lambda: self._value("CONNECTION", "CONNECT") == "On", "connecting the camera")
-        await self._until(lambda: self._has("CCD_EXPOSURE") and self._has(BLOB), "asking what the camera has")
-        await self._whole_frame()
-        # without the name of the property some servers send nothing
-        await self.client.send_enableBLOB("Also", name)
-        await self.client.send_enableBLOB("Also", name, BLOB)
-        self._exposing = True
-        await self._set("CCD_EXPOSURE", {"CCD_EXPOSURE_VALUE": exposure_s})
-        await self._until(lambda: self._image is not None, "exposing")
-        assert self._image is not None
-        return self._image
 
-    async def give_up(self) -> None:
-        """So that the camera is free for the next exposure."""
-        with suppress(Exception):
-            await asyncio.wait_for(self._set("CCD_ABORT_EXPOSURE", {"ABORT": "On"}), 1.0)
-
-    async def _whole_frame(self) -> None:
-        """No binning, no part of the frame, plain FITS, as far as the driver has these."""
-        settled_s = asyncio.get_running_loop().time() + _SETTLE_S
-        while not self._has("CCD_INFO") and asyncio.get_running_loop().time() < settled_s:
-            await self._pause()
-        if self._has("CCD_BINNING"):
-            await self._set("CCD_BINNING", {"HOR_BIN": 1, "VER_BIN": 1})
-        width, height = (self._value("CCD_INFO", key) for key in ("CCD_MAX_X", "CCD_MAX_Y"))
-        if self._has("CCD_FRAME") and width and height:
-            await self._set("CCD_FRAME", {"X": 0, "Y": 0, "WIDTH": float(width), "HEIGHT": float(height)})
-        if self._has("UPLOAD_MODE"):
-            modes = dict.fromkeys(self.client[self._source.device]["UPLOAD_MODE"], "Off")
-            await self._set("UPLOAD_MODE", modes | {"UPLOAD_CLIENT": "On"})
-
-    async def _until(self, condition: Callable[[], bool], doing: str) -> None:
-        self._deadline.doing = doing
-        while not condition():
-            if self._failed:
-                raise CameraRefused(f"{self._source.name}: {self._failed}")
-            await self._pause()
-
-    async def _pause(self) -> None:
-        self._deadline.check()
-        await asyncio.sleep(POLL_S)
-
-    def _has(self, vector: str) -> bool:
-        device = self.client.get(self._source.device, {})
-        return vector in device and bool(device[vector].enable)
-
-    def _value(self, vector: str, member: str) -> Any:
-        device = self.client.get(self._source.device, {})
-        return device[vector].get(member) if vector in device else None
-
-    async def _set(self, vector: str, members: dict[str, Any]) -> None:
-        await self.client.send_newVector(self._source.device, vector, members=members)
-
-    def _last_message(self) -> str:
-        device = self.client.get(self._source.device)
-        messages = getattr(device, "messages", None)
-        return str(messages[0][1]) if messages else ""
+def _end(process: subprocess.Popen[bytes], connection: Connection, folder: Path) -> None:
+    end_child(process, connection)
+    shutil.rmtree(folder, ignore_errors=True)

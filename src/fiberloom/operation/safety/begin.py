@@ -28,7 +28,9 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
+from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import rad_to_deg
 
 ALLOWED_MM = 0.5
 """How far an arm may be from where it reports, anywhere in its range. The collision buffer of two arms
@@ -39,6 +41,9 @@ SCATTER_MM = 0.05
 
 TURNS = 5
 """Motor turns that are looked at on either side."""
+
+BEYOND_DEG = 2.0
+"""Past what plans use of an axis: maps are measured so far, and not farther."""
 
 DEEP_SHARE = 0.5
 """Of the collision buffer: bodies nearer than this share of it cannot be, whatever the calibration."""
@@ -60,6 +65,7 @@ class Standing(StrEnum):
     BLIND = "blind"  # seen there, but on its alpha axis, where nothing shows alpha; no datum on record
     UNCLEAR = "unclear"  # spots, but not for certain its own
     SILENT = "silent"  # does not answer; where it is seen, where it is is known
+    BEYOND = "beyond"  # seen where it reports, but beyond the range of an axis, where no map holds
     OVERLAPS = "overlaps"  # reports to be where another arm is
     OFFLINE = "offline"  # switched off: where the layout says
 
@@ -103,7 +109,7 @@ class Beginning:
         return [i for i, s in enumerate(self.standing) if s is Standing.OVERLAPS]
 
 
-def begin_check(plane: FocalPlane, report: Report) -> Beginning:
+def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_MM) -> Beginning:
     """Who may move, where the others are, and what to do about them.
 
     Parameters
@@ -112,6 +118,8 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
         N positioners.
     report : Report
         Angles in deg as reported, who answered, an image, and whose datum is on record.
+    allowed_mm : float
+        How far an arm may be from where it reports, anywhere in its range.
 
     Returns
     -------
@@ -122,19 +130,23 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
     reported_mm = plane.forward(*report.angles_deg.T)
     standing, probability, partner = _named(plane, report, reported_mm)
     miss_mm = np.hypot(*(seen_mm - reported_mm).T)
-    allowed_mm = allowed_miss_mm(plane, reported_mm)
+    most_mm = allowed_miss_mm(plane, reported_mm, allowed_mm)
     # so near the alpha axis that nothing can be seen of alpha: the record of its datum has to say it
-    blind = allowed_mm < 3.0 * SCATTER_MM
-    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, allowed_mm)
+    blind = most_mm < 3.0 * SCATTER_MM
+    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, most_mm)
     seen_right = report.answered & report.image.seen & near & (~blind | report.vouched)
     for i in range(len(plane)):
         standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
         if near[i] and blind[i] and standing[i] in NAMED:
             standing[i] = Standing.BLIND
+        if standing[i] in (Standing.RIGHT, Standing.TURNS, Standing.VOUCHED) and _beyond(plane, report, i):
+            standing[i] = Standing.BEYOND
     right = np.array([s in (Standing.RIGHT, Standing.VOUCHED) for s in standing])
     certain = right | (seen_right & np.array([s is Standing.TURNS for s in standing]))
     _overlaps(plane, report, standing, certain)
-    where_deg, placed = _places(plane, report, certain)
+    beyond = np.array([s is Standing.BEYOND for s in standing]) & seen_right
+    where_deg, placed = _places(plane, report, certain | beyond)
+    placed |= beyond
     still = np.array([s is Standing.OFFLINE for s in standing])
     return Beginning(
         standing=standing,
@@ -149,15 +161,22 @@ def begin_check(plane: FocalPlane, report: Report) -> Beginning:
     )
 
 
-def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats) -> Floats:
-    """(N,) largest miss seen now, in mm, of a positioner that is nowhere off by more than ALLOWED_MM.
+def _beyond(plane: FocalPlane, report: Report, row: int) -> bool:
+    """Whether it reports angles that no plan goes to: the elbow on the other side, or past an end."""
+    low_deg, high_deg = rad_to_deg(travel_rad(plane)).T
+    angles_deg = report.angles_deg[row]
+    return bool((angles_deg < low_deg - BEYOND_DEG).any() or (angles_deg > high_deg + BEYOND_DEG).any())
+
+
+def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats, allowed_mm: float = ALLOWED_MM) -> Floats:
+    """(N,) largest miss seen now, in mm, of a positioner that is nowhere off by more than `allowed_mm`.
 
     A wrong alpha shifts the fibre in proportion to its distance from the alpha axis, and most with the
     arm stretched; near that axis nothing can be seen of it, so nothing is certain beyond the scatter.
     """
     radius_mm = np.hypot(*(reported_mm - plane.centres_mm).T)
     stretched_mm = plane.l_alpha_mm + plane.l_beta_mm
-    return np.asarray(ALLOWED_MM * np.minimum(1.0, radius_mm / stretched_mm), dtype=np.float64)
+    return np.asarray(allowed_mm * np.minimum(1.0, radius_mm / stretched_mm), dtype=np.float64)
 
 
 def _standing(row: int, plane: FocalPlane, report: Report, seen_right: bool, named: Standing) -> Standing:
@@ -298,6 +317,7 @@ def _text(plane: FocalPlane, row: int, standing: Standing, miss_mm: float, partn
         Standing.DARK: f"its fibre is not seen, and nothing else says where it is; {datum}",
         Standing.BLIND: "folded onto its alpha axis, where nothing shows alpha, and no datum is on record; "
         "search its datum, or unfold it with the neighbours clear",
+        Standing.BEYOND: f"where it reports an axis is beyond its range, where no map holds; {datum}",
         Standing.UNCLEAR: f"its spot cannot be told from others; {datum}",
         Standing.SILENT: "does not answer on the bus",
         Standing.OVERLAPS: f"reports to be where another arm is, which cannot be; {datum}",

@@ -11,9 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning import Plan, Trajectory, verify
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.operation.safety.begin import DEEP_SHARE
+from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
 from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad, rad_to_deg
 
 WAYS_DEG = tuple(way for size in (6.0, 3.0) for way in ((0.0, -size), (0.0, size), (size, 0.0), (-size, 0.0)))
 """Moves of alpha and beta that are tried, the first that is safe is made."""
@@ -49,10 +53,32 @@ def places_of(plane: FocalPlane, row: int, spots_mm: Floats, reported_deg: Float
         inside = low + np.mod(alpha - low, 360.0)
         kept = inside[inside <= high]
         return Doubt(row, np.column_stack([kept, np.full(len(kept), reported_deg[1])]))
-    rows = np.full(len(spots_mm), row)
-    found = plane.inverse(spots_mm, index=rows)
-    angles = np.column_stack([found.alpha_deg, found.beta_deg])[found.reachable]
-    return Doubt(row, np.vstack([angles, reported_deg]))
+    return Doubt(row, np.vstack([*(at_spot(plane, row, spot) for spot in spots_mm), reported_deg]))
+
+
+def at_spot(plane: FocalPlane, row: int, spot_mm: Floats) -> Floats:
+    """(k, 2) angles in deg at which the fibre of a positioner is at a spot, the elbow on either side.
+
+    `row` of the `plane`; `spot_mm` (2,); as far as the hard stops let it, also where no target would put it.
+    """
+    found, count, _ = geometry.inverse(
+        np.ascontiguousarray(plane.arms[[row]]),
+        np.ascontiguousarray(plane.points[METROLOGY][[row]]),
+        np.ascontiguousarray(spot_mm, dtype=np.float64).reshape(1, 2),
+        deg_to_rad(plane.hard_stops_deg),
+    )
+    return rad_to_deg(found[0, : count[0]])
+
+
+def possible(obstacles: FocalPlane, here_deg: Floats, doubt: Doubt) -> Doubt:
+    """Without the places at which the arm would be deep in another body: there it cannot be.
+
+    `obstacles`: the plane, the others where they are; `here_deg` (N, 2): their angles.
+    """
+    plane, row, here = _alone(obstacles, here_deg, doubt.row)
+    deep_mm = DEEP_SHARE * plane.collision_buffer_mm
+    inside = [_meets(plane, row, here, np.array([p]), deep_mm) for p in doubt.places_deg]
+    return Doubt(doubt.row, doubt.places_deg[~np.array(inside, dtype=bool)])
 
 
 def safe_way(obstacles: FocalPlane, here_deg: Floats, doubt: Doubt) -> tuple[float, float] | None:
@@ -60,15 +86,26 @@ def safe_way(obstacles: FocalPlane, here_deg: Floats, doubt: Doubt) -> tuple[flo
 
     `obstacles`: the plane, the others where they are; `here_deg` (N, 2): their angles. deg of alpha, beta.
     """
-    near = _neighbourhood(obstacles, doubt.row)
-    plane = obstacles.select(near)
-    row = int(np.flatnonzero(near == doubt.row)[0])
+    return next((way for way in WAYS_DEG if is_clear(obstacles, here_deg, doubt, way)), None)
+
+
+def is_clear(obstacles: FocalPlane, here_deg: Floats, doubt: Doubt, way: tuple[float, float]) -> bool:
+    """Whether a way is clear of everything wherever the positioner is.
+
+    `obstacles`: the plane, the others where they are; `here_deg` (N, 2): their angles; `doubt`: the places;
+    `way`: in deg of alpha and beta.
+    """
+    plane, row, here = _alone(obstacles, here_deg, doubt.row)
+    return all(_clear(plane, row, here, place, way) for place in doubt.places_deg)
+
+
+def _alone(obstacles: FocalPlane, here_deg: Floats, number: int) -> tuple[FocalPlane, int, Floats]:
+    """The neighbourhood of one positioner, in which it alone can move; its row there, and all angles."""
+    near = _neighbourhood(obstacles, number)
+    plane, here = obstacles.select(near), here_deg[near]
+    row = int(np.flatnonzero(near == number)[0])
     alone = np.arange(plane.n) != row
-    plane = plane.with_offline(plane.positioner_id[alone], here_deg[near][alone])
-    for way in WAYS_DEG:
-        if all(_clear(plane, row, here_deg[near], place, way) for place in doubt.places_deg):
-            return way
-    return None
+    return plane.with_offline(plane.positioner_id[alone], here[alone]), row, here
 
 
 def _neighbourhood(plane: FocalPlane, row: int) -> Ints:
@@ -85,16 +122,21 @@ def _clear(
     stops = plane.hard_stops_deg
     if (end_deg < stops[:, 0] + 1.0).any() or (end_deg > stops[:, 1] - 1.0).any():
         return False
+    return not _meets(plane, row, here_deg, np.array([place_deg, end_deg]), plane.collision_buffer_mm)
+
+
+def _meets(plane: FocalPlane, row: int, here_deg: Floats, points_deg: Floats, buffer_mm: float) -> bool:
+    """Whether one positioner comes near to another body on its way; the others stand as they do."""
     robots = [
         Trajectory(int(p), np.zeros(1), a[:1], a[1:])
         for p, a in zip(plane.positioner_id, here_deg, strict=True)
     ]
-    time_s = np.array([0.0, max(map(abs, way)) / SPEED_DEG_S])
+    way_s = np.abs(np.diff(points_deg, axis=0)).max(axis=1, initial=0.0) / SPEED_DEG_S
     number = int(plane.positioner_id[row])
-    robots[row] = Trajectory(number, time_s, *np.column_stack([place_deg, end_deg]))
-    moved = verify(plane, Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(robots)))
-    # the others stand as they do; what matters is whether this one comes near to any of them
-    return not any(number == v.positioner_id or str(number) == v.other for v in moved.collisions)
+    robots[row] = Trajectory(number, np.concatenate([[0.0], np.cumsum(way_s)]), *points_deg.T)
+    planned = Plan(plane.instrument.name, buffer_mm, tuple(robots))
+    moved = verify(plane, planned, limits=MotionLimits(collision_buffer_mm=buffer_mm))
+    return any(number == v.positioner_id or str(number) == v.other for v in moved.collisions)
 
 
 def found_place(plane: FocalPlane, doubt: Doubt, way: tuple[float, float], spots_mm: Floats) -> Floats | None:

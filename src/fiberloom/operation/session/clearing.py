@@ -213,3 +213,15 @@ class Clearing:
             gaps = self._gaps(arms[free], self.obstacles[:, :4]) - self.obstacles[:, 4]
             free[free] &= gaps.min(axis=1) > self._radius_mm + MARGIN_MM
         return self._places_deg[np.flatnonzero(free)[0]] if free.any() else None
+
+
+def within_reach(plane: FocalPlane, here_deg: Floats, row: int) -> Flags:
+    """(N,) whose arms are, by more than nothing, where the arm of one positioner may be.
+
+    `plane`: N positioners; `here_deg` (N, 2): where each is; `row`: of the one.
+    """
+    arms = np.ascontiguousarray(plane.beta_segments(*here_deg.T))
+    centre = np.tile(plane.centres_mm[row], (len(plane), 2))
+    gap_mm = geometry.segment_distance(arms, centre)
+    near = gap_mm < plane.body_reach_mm[row] + plane.collision_buffer_mm
+    return np.asarray(near & (np.arange(len(plane)) != row))

@@ -8,9 +8,10 @@ import numpy as np
 
 from fiberloom.bus.protocol import Status
 from fiberloom.instruments import FocalPlane
+from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.stop import reason, to_its_end
-from fiberloom.operation.session.clearing import Clearing, Round
+from fiberloom.operation.session.clearing import Clearing, Round, within_reach
 from fiberloom.operation.session.motion import FOLDED_DEG, SessionMotion
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
@@ -30,6 +31,8 @@ TURN_MM = 0.03
 TRIES = 2
 """Rounds in which one is tried whose way turned out not to be clear."""
 
+UNSEEN, LIGHT = "where it is cannot be seen", "bring light, or exclude it"
+
 _INITIALIZED = {"alpha": Status.DATUM_ALPHA_INITIALIZED, "beta": Status.DATUM_BETA_INITIALIZED}
 
 
@@ -41,6 +44,8 @@ class Homing:
         self.motion, self.rows = motion, [int(r) for r in rows]
         self.found: list[int] = []
         self.left_out: dict[int, str] = {}
+        self._lost = -1
+        """Row of the one that searches though nothing is known of it; -1: none."""
         self._alpha: set[int] = set()
         """Rows whose alpha was found."""
 
@@ -52,6 +57,7 @@ class Homing:
         """Searches all that can be searched safely."""
         self._leave_out_the_silent()
         await self._declare()
+        await self._search_lost()
         await self._whole()
         await self._fold()
         await self._search_alpha()
@@ -71,8 +77,6 @@ class Homing:
             fault = state.faults[row]
             if self._id(row) not in self.motion.client.ids:
                 self._give_up(row, "does not answer on the bus")
-            elif state.somewhere[row]:
-                self._give_up(row, "where it is cannot be seen, so no way is known to be free: bring light")
             elif self._plane.offline[row]:
                 self._give_up(row, f"{fault}: excluded, or switched off")
 
@@ -99,7 +103,33 @@ class Homing:
 
     def _clearing(self) -> Clearing:
         state = self.motion.state
-        return Clearing(self._plane, state.here_deg, state.mobile, state.somewhere & ~state.mobile)
+        lost = state.somewhere & ~state.mobile & (np.arange(len(self._plane)) != self._lost)
+        return Clearing(self._plane, state.here_deg, state.mobile, lost)
+
+    async def _search_lost(self) -> None:
+        """Those of which nothing is known, one at a time, before the others fold.
+
+        One may be anywhere within its reach. So all others have to be out of it; they keep out of it, and
+        only then it searches. One that is within it now has no way out that is known to be free.
+        """
+        state = self.motion.state
+        for row in [r for r in self.rows if state.somewhere[r] and not state.mobile[r]]:
+            state = self.motion.state
+            near = within_reach(self._plane, state.here_deg, row) & state.mobile
+            if near.any():
+                who = ", ".join(map(str, self._plane.positioner_id[near]))
+                self._give_up(
+                    row, f"{UNSEEN}, and no way out of its reach is known to be free for {who}; {LIGHT}"
+                )
+                continue
+            self._lost = row
+            try:
+                await self._rounds([row], "both")
+            finally:
+                self._lost = -1
+            if self._id(row) not in self.found:
+                why = self.left_out.get(self._id(row), "something that does not move is within its reach")
+                self._give_up(row, f"{UNSEEN}, and {why}; {LIGHT}")
 
     async def _whole(self) -> None:
         """Those that are seen, but not where they report: both axes, with the neighbours out of reach."""
@@ -134,8 +164,8 @@ class Homing:
             ready = self._ready(made, axis)
             for row in made.searchers:
                 tried[row] += 1
-            await self._search(ready, axis)
-            waiting = [row for row in waiting if row not in ready and tried[row] < TRIES]
+            begun = await self._search(ready, axis)
+            waiting = [row for row in waiting if row not in begun and tried[row] < TRIES]
 
     async def _clear(self, made: Round) -> None:
         """Brings every other one out of the way, by a verified plan."""
@@ -171,24 +201,41 @@ class Homing:
         planned = Plan(plane.instrument.name, plane.collision_buffer_mm, trajectories)
         return verify(plane, planned).ok
 
-    async def _search(self, rows: list[int], axis: str) -> None:
+    async def _search(self, rows: list[int], axis: str) -> list[int]:
+        """Searches one axis or both of these, so many at once as the supply can feed; rows that began.
+
+        Where a group does not end as it should the next one does not begin: where all are is seen first.
+        """
+        ids, begun, done = [self._id(row) for row in rows], [], []
+        for group in groups_within_supply(self._plane.instrument, ids):
+            begun += group
+            found = await self._search_group(group, axis)
+            done += found
+            if len(found) < len(group):
+                break
+        if begun:
+            await self._book(done, axis)
+        return [row for row in rows if self._id(row) in begun]
+
+    async def _search_group(self, ids: list[int], axis: str) -> list[int]:
         """Searches one axis or both of these at once; stops them all where anything goes wrong."""
-        if not rows:
-            return
-        motion, ids = self.motion, [self._id(row) for row in rows]
+        motion = self.motion
         motion.lock.step(Step.MOVE)
+        motion.has_moved = True
         try:
             begun = await motion.client.home(ids, None if axis == "both" else axis)
             ended = await motion.client.wait_until_done(begun.ok_ids, SEARCH_S)
+            initialized = set(await self._initialized(ids, axis))
         except BaseException as error:
             await to_its_end(motion.stop(reason(error)))
             raise
+        motion.lock.step(Step.REST)
         failed = {**begun.failed, **ended.failed}
-        done = [i for i in ids if i not in failed and i in await self._initialized(ids, axis)]
+        done = [i for i in ids if i not in failed and i in initialized]
         for i in ids:
             if i not in done:
                 self.left_out[i] = f"its search of {axis} ended otherwise: {failed.get(i, 'no datum')}"
-        await self._book(done, axis)
+        return done
 
     async def _initialized(self, ids: list[int], axis: str) -> list[int]:
         """Which say that the datum is set."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
-from fiberloom.bus.outcome import Results
-from fiberloom.bus.protocol import Status
+from fiberloom.bus.outcome import Result, Results
+from fiberloom.bus.protocol import Command, Status
+from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
@@ -17,12 +17,13 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import ALLOWED_MM
+from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, allowed_miss_mm
+from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
 from fiberloom.store.arrays import REPORTED, SEEN, UNKNOWN, ArrayPlaces
-from fiberloom.typing import Flags, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 SAME_DEG = 0.15
 """A wire position that is so near the recorded one is the recorded one: the cogging pulls a rotor at rest by
@@ -30,6 +31,12 @@ up to a quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
 
 FOLDED_DEG = 2.0
 """So near its place when parked, a positioner counts as folded."""
+
+_PRECISE = (
+    (Status.PRECISE_POSITIONING_ALPHA, Command.SWITCH_ON_PRECISE_MOVE_ALPHA),
+    (Status.PRECISE_POSITIONING_BETA, Command.SWITCH_ON_PRECISE_MOVE_BETA),
+)
+"""Precise moves of each axis: the status bit, and the command that switches them on."""
 
 _POWER_WENT = Status.ESTIMATED_POSITION | Status.POSITION_RESTORED
 
@@ -61,31 +68,26 @@ class SessionMotion(FieldMotion):
         """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
         if self.lock.state is not SessionState.CONNECTING:
             self.lock.step(Step.CONNECT)
-        await self._vouch()
-        self.lock.step(Step.ANSWER)
         await super().connect()
         await self._settle_offline()
         self._note(self._image)
         self.lock.step(Step.BEGIN)
 
-    async def _vouch(self) -> None:
-        """Whose datum is on record, and which is where the record has it."""
-        book, ids = self.lock.book, self.plane.positioner_id
-        await self.client.discover()
-        there = np.isin(ids, self.client.ids)
-        known = book.places(ids)
-        self._reported = np.zeros(len(ids), dtype=bool)
-        as_recorded = np.zeros(len(ids), dtype=bool)
-        if there.any():
-            wire_deg, answered = await self.client.positions_deg(ids[there])
-            self._reported[there] = answered
-            off_deg = np.abs(wire_deg - known.wire_deg[there]).max(axis=1)
-            as_recorded[there] = answered & (off_deg <= SAME_DEG)
-            as_recorded &= await self._powered(there)
-        self.datum = known.datum & as_recorded
+    async def _vouched(self, answered: Flags) -> Flags:
+        """(N,) whose datum is on record, and which are where the record has them; as `FieldMotion`."""
+        ids, known = self.plane.positioner_id, self.lock.book.places(self.plane.positioner_id)
+        self._reported, wire_deg = answered.copy(), self.state.wire_deg.copy()
+        # excluded ones are not read for a motion; their datum is kept where they have not moved
+        further = np.isin(ids, self.client.ids) & self.plane.offline
+        if further.any():
+            wire_deg[further], self._reported[further] = await self.client.positions_deg(ids[further])
+        off_deg = np.abs(wire_deg - known.wire_deg).max(axis=1)
+        self.datum = known.datum & self._reported & (off_deg <= SAME_DEG)
+        if self._reported.any():
+            self.datum &= await self._powered(self._reported)
+        self.lock.step(Step.ANSWER)
         given = self.hardware.vouched
-        vouched = self.datum if given is None else self.datum | given
-        self.hardware = dataclasses.replace(self.hardware, vouched=vouched)
+        return self.datum.copy() if given is None else self.datum | given
 
     async def _powered(self, there: Flags) -> Flags:
         """(N,) which say that their datum is set and that power has not gone since."""
@@ -125,6 +127,7 @@ class SessionMotion(FieldMotion):
     ) -> Flags:
         """As `FieldMotion.move`: `number`, `label`, `planned`, `goals`, `comparison`; places are kept."""
         interrupted = await super().move(number, label, planned, goals, comparison)
+        self._reported |= self.state.hearing.heard & ~self.plane.offline
         self._note(self._image)
         self.lock.step(Step.REST)
         return interrupted
@@ -152,9 +155,57 @@ class SessionMotion(FieldMotion):
         ids = self.plane.positioner_id
         await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
         if datum and positioner_id:
-            self.datum[self.plane.index_of(positioner_id)] = True
+            rows = self.plane.index_of(positioner_id)
+            self.datum[rows], self.state.somewhere[rows] = True, False  # it is where it reports now
         self._note(None)
         await self.begin_again()
+
+    @property
+    def image(self) -> Measurement | None:
+        """The last one."""
+        return self._image
+
+    @property
+    def reported_deg(self) -> Floats:
+        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
+        return self.maps.to_output(self.state.wire_deg)
+
+    def shows_alpha(self, row: int, spot_mm: Floats) -> bool:
+        """Whether a spot (2,) of the positioner in `row` is far enough from its alpha axis to show alpha."""
+        places_mm = self.plane.centres_mm.copy()
+        places_mm[row] = spot_mm
+        return bool(allowed_miss_mm(self.plane, places_mm)[row] >= 3.0 * SCATTER_MM)
+
+    async def nudge(self, row: int, way_deg: tuple[float, float], duration_s: float) -> Result:
+        """Moves one positioner from where it reports to be by a little, all others at rest.
+
+        `row`: of the positioner; `way_deg`: of alpha and beta; `duration_s`: of the motion. The caller has
+        proven that the way is clear. Stops it where anything goes wrong.
+        """
+        number = int(self.plane.positioner_id[row])
+        await self.care.begin([number], self.progress)
+        self.lock.step(Step.MOVE)
+        self.has_moved = True
+        try:
+            await self._declare_if_lost(row)
+            path = self.state.wire_deg[row] + np.array([(0.0, 0.0), way_deg])
+            trajectory = WireTrajectory.from_deg([0.0, duration_s], *path.T)
+            results = await self.client.run_trajectories({number: trajectory})
+            if not results.ok.all():
+                await self._come_to_rest([number])
+            await self._read_positions(np.array([number]))
+        except BaseException as error:
+            await to_its_end(self.stop(reason(error)))
+            raise
+        self.lock.step(Step.REST)
+        return results[number]
+
+    async def _declare_if_lost(self, row: int) -> None:
+        """One without a datum refuses to move: it is told to be where it reports."""
+        ids = [int(self.plane.positioner_id[row])]
+        bits = (await self.client.status(ids))[ids[0]]
+        if bits.ok and bits.values[0] & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED:
+            await self.client.set_position(ids, *self.state.wire_deg[[row]].T)
 
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
@@ -169,14 +220,25 @@ class SessionMotion(FieldMotion):
         `label`: for the record; `planned`: of all N positioners; `goals`: its ends; `separating`: bodies
         that touch at its begin move apart, which the verifier has to prove.
         """
-        self._separating = separating
+        number = len(self.moves) + 1
+        if not separating:
+            return await self.move(number, label, planned, goals)
         ids = [robot.positioner_id for robot in planned.robots if robot.moves]
+        precise = await self._precise(ids)
+        self._separating = True
         try:
-            if separating:  # the firmware's own approach would press them together again
-                await self.client.set_precise_moves(ids, on=False)
-            return await self.move(len(self.moves) + 1, label, planned, goals)
+            # the firmware's own approach would press them together again
+            await self.client.set_precise_moves(ids, on=False)
+            return await self.move(number, label, planned, goals)
         finally:
             self._separating = False
+            for command, those in precise.items():
+                await self.client.command(command, those)
+
+    async def _precise(self, ids: list[int]) -> dict[Command, list[int]]:
+        """Which of these say that they make precise moves, by the command that switches them on again."""
+        answers = await self.client.status(ids)
+        return {on: [i for i, a in answers.items() if a.ok and a.values[0] & bit] for bit, on in _PRECISE}
 
     def _verify(self, planned: Plan) -> None:
         if not self._separating:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fiberloom.operation.motion import FieldState
 from fiberloom.operation.move import Goals
+from fiberloom.operation.session.clearing import within_reach
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import untangle
 from fiberloom.planning.untangling import Stage, Untangled
+from fiberloom.typing import Flags
 
 TRIES = 3
 """Ways that are begun, before a person has to look."""
@@ -57,7 +60,11 @@ class Recovery:
     async def _way(self, attempt: int) -> Untangled:
         state = self.motion.state
         self.motion.progress("looking for a way apart")
-        return await asyncio.to_thread(untangle, state.obstacles(), state.here_deg, seed=attempt)
+        plane = state.obstacles()
+        within = in_reach_of_lost(state)
+        plane = replace(plane, offline=plane.offline | within)
+        found = await asyncio.to_thread(untangle, plane, state.here_deg, seed=attempt)
+        return _of_bodies(found, len(state.plane.fiducials))
 
     async def _clear_flags(self) -> None:
         """The one place where flags of collisions are cleared: what touches is on record by now."""
@@ -76,3 +83,25 @@ class Recovery:
     async def _stage(self, stage: Stage) -> bool:
         goals = Goals.without_targets(self.motion.plane, np.asarray(stage.plan.end_deg))
         return bool((await self.motion.stage(stage.what, stage.plan, goals, stage.separates)).any())
+
+
+def in_reach_of_lost(state: FieldState) -> Flags:
+    """(N,) positioners whose arms are where one may be of which nothing is known: they stay."""
+    within = np.zeros(len(state.plane), dtype=bool)
+    for row in np.flatnonzero(state.somewhere & ~state.mobile).tolist():
+        within |= within_reach(state.plane, state.here_deg, row)
+    return np.asarray(within & state.mobile)
+
+
+def _of_bodies(found: Untangled, n_fiducials: int) -> Untangled:
+    """Without the reaches of those that may be anywhere: arms in them touch nothing that is known of."""
+    reaches = {
+        pair
+        for pair in found.overlaps
+        for name, _, k in (body.partition(" ") for body in pair)
+        if name == "fiducial" and int(k) >= n_fiducials
+    }
+    overlaps = {pair: mm for pair, mm in found.overlaps.items() if pair not in reaches}
+    touching = {body for pair in overlaps for body in pair}
+    stuck = {p: why for p, why in found.stuck.items() if f"positioner {p}" in touching}
+    return replace(found, overlaps=overlaps, stuck=stuck)

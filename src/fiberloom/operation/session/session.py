@@ -18,6 +18,7 @@ from fiberloom.operation.move import Goals, Recorder
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.session.array_lock import ArrayLock
+from fiberloom.operation.session.exploring import Exploration
 from fiberloom.operation.session.home import Homing
 from fiberloom.operation.session.motion import SessionMotion, last_status
 from fiberloom.operation.session.recover import Recovery
@@ -44,6 +45,8 @@ class SessionReport:
     """Bodies that touched, of a recovery."""
     stages: list[str] = field(default_factory=list)
     """Of a recovery: what was done."""
+    found: list[int] = field(default_factory=list)
+    """Positioners that were not certain to be anywhere and were found by a small move, of a recovery."""
     left_out: dict[int, str] = field(default_factory=dict)
     """Reason for each positioner that did not do what was asked."""
 
@@ -185,15 +188,21 @@ class Session:
     async def recover(self, look_only: bool = False) -> SessionReport:
         """After a collision: says which arms touch, moves them apart by a verified way, folds, unlocks.
 
-        `look_only`: says what touches and what would be done, and moves nothing; the array stays locked
-        where something touches. In the report: why a positioner still touches something.
+        Then those of which it is not certain where they are: a small move of each that is proven clear,
+        an image, and it is told where it is. `look_only`: says what touches and what would be done, and
+        moves nothing; the array stays locked where something touches. In the report: why a positioner still
+        touches something, or is not found.
         """
         async with self._moving(Deed.RECOVER) as motion:
-            recovery = Recovery(motion, look_only)
-            await recovery.run()
+            recovery, exploration = Recovery(motion, look_only), Exploration(motion, look_only)
+            if await recovery.run() or look_only:
+                await exploration.run()
+            if exploration.found and motion.lock.state is not SessionState.LOCKED:
+                await fold(motion)
         report = self._report("recover", motion)
-        report.touching, report.stages = recovery.touching, recovery.stages
-        report.left_out |= recovery.stuck
+        report.touching, report.found = recovery.touching, exploration.found
+        report.stages = recovery.stages + exploration.stages
+        report.left_out |= exploration.left_out | recovery.stuck
         return report
 
     def _rows(self, positioner_id: Iterable[int] | None) -> Ints:
@@ -250,6 +259,8 @@ class HeldArray:
         """The command has ended otherwise; a state that says more stays."""
         if self._motion is not None and self._motion.collided:
             step, text = Step.COLLIDE, f"collision; {text}"
+        elif step is Step.LOSE and self.lock.state is SessionState.STOPPED:
+            return  # all are at rest, and where each was left is on record
         if not self.lock.lost:
             self.lock.step(step, text)
 
@@ -268,6 +279,10 @@ def as_table(report: SessionReport) -> dict[str, Any]:
         "positioners": report.n_positioners,
         "folded": len(report.folded),
         "datum_found": report.datum_found,
-        **({"touching": report.touching, "stages": report.stages} if report.command == "recover" else {}),
+        **(
+            {"touching": report.touching, "stages": report.stages, "found": report.found}
+            if report.command == "recover"
+            else {}
+        ),
         "left_out": report.left_out,
     }

@@ -63,7 +63,7 @@ LEGAL: dict[Deed, frozenset[SessionState]] = {
     Deed.CALIBRATE: AT_REST,
     Deed.PARK: AT_REST,
     Deed.HOME: AT_REST,
-    Deed.RECOVER: frozenset({S.LOCKED, S.STOPPED, S.UNKNOWN, S.OFF}),
+    Deed.RECOVER: AT_REST | {S.LOCKED},
     Deed.STOP: ALWAYS,
     Deed.STATUS: ALWAYS,
     Deed.EXCLUDE: ALWAYS,
@@ -73,8 +73,6 @@ LEGAL: dict[Deed, frozenset[SessionState]] = {
 
 INSTEAD = {
     S.LOCKED: "`fiberloom recover` shows which arms touch and moves them apart",
-    S.IDLE: "nothing is to be recovered from: observe or park",
-    S.PARKED: "nothing is to be recovered from: observe",
     S.CONNECTING: "wait, or `fiberloom stop`",
     S.MOVING: "wait, or `fiberloom stop`",
     S.LOOKING: "wait, or `fiberloom stop`",

@@ -7,12 +7,13 @@ import importlib
 import socket
 import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
 from fiberloom.blocking import finish
 from fiberloom.metrology.images import CameraImage, write_image
-from fiberloom.metrology.sources.indi import BLOB
+from fiberloom.metrology.sources.indi_child import BLOB
 from fiberloom.metrology.sources.spec import require
 from fiberloom.twin.faults.kinds import CameraFaultKind
 from fiberloom.twin.server.address import Address
@@ -21,6 +22,9 @@ from fiberloom.twin.server.camera.exposing import TwinShutter
 NAME = "Fiberloom Twin"
 _HOW = "pip install 'fiberloom[cameras]'"
 _GROUP = "Main Control"
+_LISTENS_S = 20.0
+"""So long the server may take to listen; a tenth of a second where the machine has nothing else to do."""
+_POLL_S = 0.02
 
 
 def check_packages() -> None:
@@ -30,7 +34,10 @@ def check_packages() -> None:
 
 
 class IndiServer:
-    """Serves a shutter at an address, in a thread, until the process ends. OSError where it is in use."""
+    """Serves a shutter at an address, in a thread, until the process ends; listens once it is made.
+
+    OSError where the address is in use, or nothing listens there after `_LISTENS_S`.
+    """
 
     def __init__(self, shutter: TwinShutter, address: Address) -> None:
         check_packages()
@@ -39,6 +46,19 @@ class IndiServer:
             pass
         self._shutter, self._address = shutter, address
         threading.Thread(target=lambda: finish(self._serve()), daemon=True).start()
+        self._wait_listening()
+
+    def _wait_listening(self) -> None:
+        """A host that reads the greeting may connect at once."""
+        end_s = time.monotonic() + _LISTENS_S
+        while True:
+            try:
+                socket.create_connection((self._address.host, self._address.port), _LISTENS_S).close()
+                return
+            except OSError:
+                if time.monotonic() > end_s:
+                    raise
+                time.sleep(_POLL_S)
 
     async def _serve(self) -> None:
         driver = _driver(self._shutter)

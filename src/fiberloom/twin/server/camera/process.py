@@ -10,9 +10,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
 import traceback
@@ -25,10 +23,12 @@ from typing import Any
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.cameras import check_fiducials
+from fiberloom.metrology.sources.child import begin_child, end_child
 from fiberloom.twin.camera.imaging import CameraModel, ImagingCamera, StillScene
 from fiberloom.twin.camera.models import imaging_camera, model_for
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.alpaca import AlpacaServer
+from fiberloom.twin.server.camera.discovery import DiscoveryAnswer
 from fiberloom.twin.server.camera.exposing import Look, TwinShutter, Watched
 from fiberloom.twin.server.camera.folder import TRIGGER, FolderWriter
 from fiberloom.twin.server.camera.indi import NAME as INDI_NAME
@@ -51,6 +51,8 @@ class CameraDoors:
     every_s: float = 0.0
     """Into the folder an image after so many seconds; 0: when triggered."""
     indi: Address | None = None
+    discovery_port: int | None = None
+    """UDP, at which the Alpaca camera answers hosts that look for one."""
 
     def __str__(self) -> str:
         urls = [f"alpaca://{self.alpaca}/0"] if self.alpaca else []
@@ -98,14 +100,7 @@ class CameraProcess:
 
     async def open(self) -> None:
         """Starts the process and waits until it listens. Raises InputError where it cannot."""
-        here, there = socket.socketpair()
-        with there:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", f"from {__name__} import main; main({there.fileno()})"],
-                pass_fds=[there.fileno()],
-                stdin=subprocess.DEVNULL,
-            )
-        self._connection = Connection(here.detach())
+        self._process, self._connection = begin_child(__name__)
         self._connection.send(self._setup)
         said = await asyncio.get_running_loop().run_in_executor(None, self._first_word)
         if isinstance(said, str):
@@ -119,14 +114,9 @@ class CameraProcess:
         if self._connection is not None:
             with suppress(RuntimeError):  # no loop runs any more
                 asyncio.get_running_loop().remove_reader(self._connection.fileno())
-            self._connection.close()
+            assert self._process is not None
+            end_child(self._process, self._connection)
             self._connection = None
-        if self._process is not None:
-            try:
-                self._process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
 
     def _first_word(self) -> CameraDoors | str:
         assert self._connection is not None
@@ -212,4 +202,7 @@ def _open(shutter: TwinShutter, doors: CameraDoors) -> CameraDoors:
     if doors.alpaca is None:
         return doors
     server = AlpacaServer(shutter, doors.alpaca.host, doors.alpaca.port)
-    return replace(doors, alpaca=Address(doors.alpaca.host, server.port))
+    alpaca = Address(doors.alpaca.host, server.port)
+    if doors.discovery_port is not None:
+        DiscoveryAnswer(alpaca, doors.discovery_port)
+    return replace(doors, alpaca=alpaca)

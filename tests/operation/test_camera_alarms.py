@@ -1,0 +1,239 @@
+"""A camera that fails in the middle of a command: alarm, retry, no motion without a fresh image."""
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from programs import start
+
+import fiberloom as fl
+from fiberloom.bus.identifier import decode
+from fiberloom.bus.protocol import Command
+from fiberloom.metrology.acquisition import AcquisitionError
+from fiberloom.metrology.sources.errors import (
+    CameraAborted,
+    CameraError,
+    CameraGone,
+    CameraRefused,
+    CameraSilent,
+    ImageBroken,
+    ImageStale,
+)
+from fiberloom.operation.safety.looking import PatientCamera
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
+from fiberloom.targets import random_targets, write_targets
+
+FAILURES = (CameraSilent("hangs"), ImageBroken("half"), ImageStale("yesterday's"), CameraRefused("500"))
+
+
+class Scripted:
+    """Fails as told, then gives an image."""
+
+    def __init__(self, *failures):
+        self.failures, self.given_up = list(failures), 0
+
+    def measure(self, expected_mm=None):
+        if self.failures:
+            raise self.failures.pop(0)
+        return "image"
+
+    def abort(self):
+        self.given_up += 1
+
+
+def patient(camera, retries=5):
+    """With what it records and how long it waits."""
+    events, waits = [], []
+
+    async def sleep(s):
+        waits.append(s)
+
+    operation = SimpleNamespace(camera_retries=retries, camera_wait_s=7.0)
+    return PatientCamera(camera, operation, lambda *e: events.append(e), sleep), events, waits
+
+
+def test_each_failure_is_an_alarm_and_the_image_is_taken_when_it_comes():
+    eye, events, waits = patient(Scripted(*FAILURES, AcquisitionError("0 spots")))
+    assert asyncio.run(eye.patiently(None)) == "image"
+    assert [kind for kind, _ in events] == ["alarm"] * 5 + ["camera"]
+    assert events[0][1] == "no image: hangs; nothing moves; once more in 7 s (5 left)"
+    assert events[5][1] == "images again, after 5 that could not be used"
+    assert waits == [7.0] * 5
+
+
+def test_after_the_last_try_the_command_ends():
+    eye, events, waits = patient(Scripted(*FAILURES), retries=3)
+    with pytest.raises(CameraGone, match="500; that was image 4 in a row"):
+        asyncio.run(eye.patiently(None))
+    assert len(events) == 4
+    assert events[-1][1].endswith("the command ends")
+    assert len(waits) == 3
+
+
+def test_one_that_was_given_up_is_not_asked_again():
+    eye, events, _ = patient(Scripted(CameraAborted("by hand")))
+    with pytest.raises(CameraAborted):
+        asyncio.run(eye.patiently(None))
+    assert events == []
+
+
+def test_a_cancelled_exposure_is_given_up():
+    camera = Scripted()
+    eye, _, _ = patient(camera)
+
+    async def cancelled():
+        task = asyncio.ensure_future(eye.once(None))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(cancelled())
+    assert camera.given_up == 1
+
+
+# an observation on the twin
+
+N = 7
+PLANE = fl.FocalPlane.of("sdssv", n=N)
+TARGETS = random_targets(PLANE, 20 * N, 1)
+
+
+class Flaky:
+    """The camera of a twin, which fails so often before each image but the first."""
+
+    def __init__(self, camera, failures, log):
+        self._camera, self._failures, self._log = camera, failures, log
+        self._left = ()
+
+    def measure(self, expected_mm=None):
+        if self._left:
+            self._log.append("failure")
+            raise self._left.pop(0)
+        self._left = list(self._failures)
+        self._log.append("image")
+        return self._camera.measure(expected_mm)
+
+
+def observing(failures, out, **how):
+    """A field whose camera fails, and what happens on the bus and to the camera in order."""
+    field = fl.Field.twin(PLANE, camera="noise")
+    field.run.calibrate()
+    hardware, log = field.source.hardware, []
+    send = hardware.transport.send
+
+    async def spied(frames):
+        log.extend("START" for f in frames if decode(f[0]).command == Command.START_TRAJECTORY)
+        await send(frames)
+
+    hardware.transport.send = spied
+    object.__setattr__(hardware, "camera", Flaky(hardware.camera, failures, log))
+    if how.pop("book", False):
+        field.book = ArrayBook(Store.open(out / "arrays.sqlite"), "cannet://10.1.10.31:19228")
+    return field, log
+
+
+def events_of(out, name="store.sqlite"):
+    with Store.open(out / name) as store:
+        (run,) = store.runs()
+        return store.events(run.id), run
+
+
+def test_an_observation_goes_on_when_the_camera_comes_back(tmp_path):
+    field, log = observing(FAILURES, tmp_path)
+    seen = field.run.observe(TARGETS, corrections=1, out=tmp_path)
+    summary = seen.summary()
+    assert summary["n_within_requirement"] == summary["n_assigned"] > 0
+    # no motion begins but after an image
+    assert log == ["image", "START", *["failure"] * 4, "image", "START", *["failure"] * 4, "image"]
+    events, run = events_of(tmp_path)
+    assert run.status == "finished"
+    alarms = [t for k, t in zip(events["kind"], events["text"], strict=True) if k == "alarm"]
+    assert len(alarms) == 8
+    assert "no image: hangs" in alarms[0]
+    assert not field.source.hardware.truth.touches()
+
+
+def test_a_camera_that_stays_away_ends_the_command_with_all_at_rest_and_their_places_kept(tmp_path):
+    field, log = observing([CameraSilent("alpaca://a/0: no answer")] * 99, tmp_path, book=True)
+    twin = field.source.hardware.truth
+    with pytest.raises(CameraError, match=r"no answer; that was image 6 in a row .*`fiberloom doctor`"):
+        field.run.observe(TARGETS, corrections=1, out=tmp_path)
+    assert log == ["image", "START", *["failure"] * 6]
+    events, run = events_of(tmp_path)
+    assert run.status != "running"
+    (stopped,) = events["text"][events["kind"] == "stopped"]
+    assert f"{N} positioners at rest" in stopped
+    rest_deg = twin.truth()
+    twin.run(2.0)
+    np.testing.assert_allclose(twin.truth(), rest_deg, atol=0.02)
+    state = field.book.state()
+    assert (state.state, state.owned) == ("stopped", False)
+    assert "no answer" in state.text
+    np.testing.assert_allclose(field.book.places(PLANE.positioner_id).angles_deg, rest_deg, atol=1.0)
+
+
+def test_before_anything_has_moved_a_camera_that_fails_is_told_at_once(tmp_path):
+    field, log = observing((), tmp_path)
+    field.source.hardware.camera._left = [CameraSilent("no camera there")]
+    with pytest.raises(CameraSilent, match="no camera there"):
+        field.run.observe(TARGETS, corrections=1, out=tmp_path)
+    assert log == ["failure"]
+
+
+# in two processes
+
+
+def small_instrument(folder):
+    """SDSS-V with a camera of a megapixel that is asked again every second."""
+    text = (Path(fl.__file__).parent / "instruments" / "presets" / "sdssv.toml").read_text()
+    wanted = {"width_px": "1000", "height_px": "1022", "scale_mm_px": "0.729", "requirement_um": "30.0"}
+    for key, value in wanted.items():
+        old = next(line for line in text.splitlines() if line.startswith(f"{key} ="))
+        text = text.replace(old, f"{key} = {value}")
+    text = text.replace("[operation]\n", "[operation]\ncamera_retries = 60\ncamera_wait_s = 1.0\n")
+    path = folder / "small.toml"
+    path.write_text(text)
+    return path
+
+
+FAULTS = "camera_hang@40+50,camera_half@90+20,camera_stale@110+20,camera_error@130+10"
+
+
+@pytest.mark.slow
+@pytest.mark.clock
+def test_every_fault_of_the_camera_comes_and_goes_and_the_observation_completes(tmp_path):
+    """One after another while the first image after the move is wanted."""
+    from test_two_processes import free_port
+
+    instrument = small_instrument(tmp_path)
+    plane = fl.FocalPlane.of(str(instrument), n=N)
+    write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")
+    fl.Field.twin(plane, camera="noise").run.calibrate().save(tmp_path / "maps.npz")
+    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
+    same = ["--instrument", instrument, "--positioners", N]
+    words = ["twin", *same, "--listen", bus, "--camera-listen", camera, "--faults", FAULTS]
+    with start(*words, stdout=subprocess.PIPE) as served:
+        try:
+            served.stdout.readline()
+            assert served.stdout.readline().startswith("camera: alpaca://")
+            url = f"alpaca://{camera}/0?deadline=8&retries=0"
+            words = ["observe", tmp_path / "targets.csv", *same, "--bus", f"cannet://{bus}", "--camera", url]
+            words += ["--calibration", tmp_path / "maps.npz", "--store", tmp_path / "arrays.sqlite"]
+            words += ["--moves", 2, "--out", tmp_path / "out"]
+            command = [sys.executable, "-m", "fiberloom.cli", *map(str, words)]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=400)
+        finally:
+            served.terminate()
+            served.communicate(timeout=60)
+    assert done.returncode == 0, done.stderr
+    events, _ = events_of(tmp_path / "out")
+    alarms = "\n".join(t for k, t in zip(events["kind"], events["text"], strict=True) if k == "alarm")
+    for said in ("no image after 8 s", "cut short", "before it was asked for", "500"):
+        assert said in alarms, alarms
+    assert "camera" in events["kind"]
