@@ -31,7 +31,7 @@ OTHERWISE = (
     (r"\bcpu s +\S+", "cpu s #"),
     (r"─+", "─"),
 )
-"""What is another with every run or every change of a model: times, the hash of the layout; widths of rules."""
+"""What is another with every run, or with every change of an instrument's model: times, a hash."""
 
 
 @dataclass(frozen=True)
