@@ -7,6 +7,7 @@ STAMP  := $(VENV)/.installed
 JOBS   ?= 2
 DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
+FUZZED ?= 100000
 STEPS  ?= 10000000
 # Shows how far a long step is; all that it prints is in build/*.log.
 PROGRESS := $(PYTHON) tools/setup/progress.py
@@ -19,7 +20,8 @@ export FIBERLOOM_CACHE := $(CURDIR)/.cache
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
 	@echo "make test     set up, then run the tests"
-	@echo "make check    firmware and core under sanitizers, fuzzed frames, allocation guard, 10 000 legal"
+	@echo "make check    firmware and core under sanitizers, fuzzed frames, 100 000 damaged files for the readers,"
+	@echo "              20 000 images of any bytes, allocation guard, 10 000 legal"
 	@echo "              moves without a false collision or a lost count, linters"
 	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
@@ -81,6 +83,8 @@ check: lint
 	cd build/checks && ctest --output-on-failure
 	build/checks/firmware/tests/check_dispatch $(FRAMES) 1
 	build/checks/firmware/tests/check_sequences $(STEPS) 1
+	$(BIN)/python tests/fuzz/readers.py --files $(FUZZED)
+	$(BIN)/python tests/fuzz/images.py --images 20000
 	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
 	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
 	$(MAKE) sanitized
@@ -88,7 +92,8 @@ check: lint
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
              tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
-             tests/metrology/test_centroids.py tests/metrology/test_images.py
+             tests/metrology/test_centroids.py tests/metrology/test_images.py \
+             tests/fuzz/test_fuzz_images.py
 SITE := $(abspath build/sanitized/site)
 sanitized: setup
 	cmake -S . -B build/sanitized -G Ninja -DFIBERLOOM_SANITIZE=ON \

@@ -1,6 +1,10 @@
 """Tables that people write: CSV, ECSV, FITS. Every complaint names file, row and column."""
 
 import csv
+import hashlib
+import io
+import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import check_axes, read_bytes, read_text
 from fiberloom.typing import Array, Floats, Ints
 
 SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
@@ -36,10 +41,22 @@ class TableFile:
         if missing:
             raise InputError(
                 f"{self.path}: no column {', '.join(missing)}; the columns are "
-                f"{', '.join(self.columns) or 'none'}"
+                f"{', '.join(self.columns) or 'none'}{self._hint(missing)}"
             )
         if not len(self):
             raise InputError(f"{self.path}: no rows below the header")
+
+    def _hint(self, missing: Sequence[str]) -> str:
+        """What may be meant: cells divided by something else, or a quantity in another unit."""
+        if len(self.columns) == 1 and any(c in next(iter(self.columns)) for c in " |:"):
+            return "; cells must be divided by commas, semicolons or tabs"
+        stems = {name.rpartition("_")[0]: name for name in missing if "_" in name}
+        for column in self.columns:
+            stem = column.rpartition("_")[0]
+            wanted = stems.get(stem or column)
+            if wanted is not None:
+                return f"; '{column}' is not read: give {wanted}, in {wanted.rpartition('_')[2]}"
+        return ""
 
     def error(self, row: int, name: str, problem: str) -> InputError:
         """The complaint about one cell."""
@@ -64,10 +81,13 @@ class TableFile:
         """A column as whole numbers."""
         return self._convert(name, _whole, np.int64, "a whole number")
 
-    def unique(self, name: str) -> None:
-        """Raise InputError where a value of this column appears twice."""
-        first: dict[str, int] = {}
-        for row, value in enumerate(self.strings(name)):
+    def unique(self, name: str, *, number: bool = False) -> None:
+        """Raise InputError where a value of this column appears twice; a `number` (whole) also where it
+        is written in two ways: 252 and 252.0.
+        """
+        first: dict[Any, int] = {}
+        values = self.integers(name) if number else self.strings(name)
+        for row, value in enumerate(values.tolist()):
             if value in first:
                 earlier = self.places[first[value]]
                 raise self.error(row, name, f"= {value} was used before, in {earlier}")
@@ -77,7 +97,7 @@ class TableFile:
         out: Array = np.empty(len(self), dtype=dtype)
         for row, value in enumerate(self.columns[name]):
             try:
-                out[row] = kind(value)
+                out[row] = kind(_plain(value))
             except (TypeError, ValueError, OverflowError):
                 shown = _text(value)
                 raise self.error(row, name, f"= '{shown}' is not {noun}") from None
@@ -97,12 +117,19 @@ def read_table(path: str | Path) -> TableFile:
     return _read_astropy(path, "ascii.ecsv" if suffix in (".csv", ".ecsv") else "fits")
 
 
+DELIMITERS = ",;\t"
+"""Of CSV files, by preference."""
+
+
 def read_csv(path: Path) -> TableFile:
-    """A CSV file: a header, then rows; # starts a comment line; blank lines do not count."""
+    """A CSV file: a header, then rows; # starts a comment line; blank lines do not count.
+
+    Cells are divided by commas, semicolons or tabs: by what the header has most of.
+    """
     lines = list(_lines(path))
-    rows = list(csv.reader(line for _, line in lines))
-    if not rows:
+    if not lines:
         raise InputError(f"{path}: the file is empty")
+    rows = _rows(path, lines)
     if len(rows) != len(lines):
         raise InputError(f"{path}: a quoted cell runs over several lines")
     header = [cell.strip() for cell in rows[0]]
@@ -117,12 +144,18 @@ def read_csv(path: Path) -> TableFile:
     return TableFile(path, columns, places)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _rows(path: Path, lines: Sequence[tuple[int, str]]) -> list[list[str]]:
+    delimiter = max(DELIMITERS, key=lines[0][1].count)
+    reader = csv.reader((line for _, line in lines), delimiter=delimiter)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file (UTF-8)") from None
-    for number, line in enumerate(text.splitlines(), start=1):
+        return list(reader)
+    except csv.Error as error:
+        place = lines[min(reader.line_num, len(lines)) - 1][0]
+        raise InputError(f"{path}, line {place}: not CSV ({error})") from None
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.strip() and not line.startswith("#"):
             yield number, line
 
@@ -135,25 +168,76 @@ def _is_ecsv(path: Path) -> bool:
 def _read_astropy(path: Path, kind: str) -> TableFile:
     from astropy.table import Table  # takes a third of a second: only where it is needed
 
+    content = read_bytes(path)
+    if kind == "fits":
+        check_axes(path, io.BytesIO(content))
+    else:
+        check_sum(path, content)
     try:
-        table = Table.read(path, format=kind)
+        with warnings.catch_warnings(action="ignore"):  # the error says it
+            table = Table.read(io.BytesIO(content), format=kind)
     except Exception as error:  # astropy raises many kinds for a broken file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as {kind}: {reason}") from None
+        raise InputError(f"{path}: cannot be read as {kind}: {one_line(error)}") from None
     columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
     return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
     """Write rows of like keys as ECSV, with `head` in its header; None becomes NaN."""
+    write_columns(path, {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}, head)
+
+
+def write_columns(path: Path, columns: Mapping[str, Sequence[Any]], head: Mapping[str, Any]) -> None:
+    """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text."""
     from astropy.table import Table
 
-    columns = {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}
-    Table(columns, meta=dict(head)).write(path, format="ascii.ecsv", overwrite=True)
+    cells = {name: column if len(column) else np.empty(0, "U1") for name, column in columns.items()}
+    write_summed(path, Table(cells, meta=dict(head)))
+
+
+SUM = "rows_sum"
+"""Key in the header of an ECSV table: the sum over its rows."""
+_NO_SUM = "sha256-" + 16 * "0"
+
+
+def write_summed(path: Path, table: Any) -> None:
+    """Write an astropy table as ECSV with the sum of its rows in the header: a file that was cut short is
+    not taken for one with fewer rows.
+    """
+    table = table.copy(copy_data=False)
+    table.meta[SUM] = _NO_SUM
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    path.write_text(text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1), encoding="utf-8")
+
+
+def check_sum(path: Path, content: bytes) -> None:
+    """Raise InputError for the content of an ECSV file whose rows are not those it was written with; one
+    without a sum, of another program, is not checked.
+    """
+    text = content.decode("utf-8", errors="replace")
+    found = re.search(rf"^#.*\b{SUM}: '?(sha256-\w+)", text, flags=re.MULTILINE)
+    if found and found[1] != _sum_of(text):
+        raise InputError(
+            f"{path}: was cut short or changed since it was written; copy or make it again, or take {SUM} "
+            "out of its header where the change is meant"
+        )
+
+
+def _sum_of(text: str) -> str:
+    rows = [line.rstrip() for line in text.splitlines() if not line.startswith("#")]
+    return "sha256-" + hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
 
 
 def _cell(value: Any) -> Any:
     return float("nan") if value is None else value
+
+
+def _plain(value: Any) -> Any:
+    """Text as numbers are written in files: float() also takes 1_0.0 and the digits of every script."""
+    if isinstance(value, str) and not (value.isascii() and "_" not in value):
+        raise ValueError
+    return value
 
 
 def _whole(value: Any) -> int:

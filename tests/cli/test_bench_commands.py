@@ -81,7 +81,10 @@ QUICK = ("--points", 40, "--targets", 4, "--visits", 5)
 
 def test_acceptance_is_a_page_to_sign(tmp_path):
     found = run("acceptance", *QUICK, "--serial", "S<1>", "--out", tmp_path)
-    assert "accepted" in found.output, found.output
+    # the tilt is a requirement, and nobody has measured it
+    assert found.exit_code == 1
+    assert "serial S<1>: NOT complete" in found.output, found.output
+    assert "not measured: tilt of the fibre" in found.output
     (unit,) = json.loads((tmp_path / "acceptance.json").read_text())["units"]
     page = (tmp_path / unit["report"]).read_text()
     # self-contained, for a phone, escaped, with what identifies it and a place to sign
@@ -95,6 +98,31 @@ def test_acceptance_is_a_page_to_sign(tmp_path):
     assert by_name["non-linearity, alpha"]["verdict"] == "pass"
     assert by_name["tilt of the fibre"]["verdict"] == "not measured"
     assert (tmp_path / "transmission.npz").is_file()
+    assert (unit["accepted"], unit["verdict"], unit["not_measured"]) == (
+        False, "not complete", ["tilt of the fibre"],
+    )  # fmt: skip
+    assert unit["report"] == "acceptance-S-1.html"
+    assert "not complete: tilt of the fibre not measured" in page
+
+
+def test_a_requirement_that_was_measured_elsewhere_is_told(tmp_path):
+    for tilt, verdict in ((0.1, "accepted"), (0.9, "not accepted")):
+        run("acceptance", *QUICK, "--tilt", tilt, "--out", tmp_path)
+        (unit,) = json.loads((tmp_path / "acceptance.json").read_text())["units"]
+        others = {c["verdict"] for c in unit["checks"] if "tilt" not in c["name"]}
+        assert unit["verdict"] == (verdict if "fail" not in others else "not accepted")
+        assert unit["not_measured"] == []
+
+
+def test_another_serial_number_is_another_unit(tmp_path):
+    found = []
+    for serial in ("A1", "A2", "A1"):
+        run("acceptance", *QUICK, "--serial", serial, "--out", tmp_path)
+        (unit,) = json.loads((tmp_path / "acceptance.json").read_text())["units"]
+        found.append([c["value"] for c in unit["checks"] if c["name"].startswith("non-linearity")])
+    assert found[0] == found[2]
+    assert found[0] != found[1]
+    assert {p.name for p in tmp_path.glob("*.html")} == {"acceptance-A1.html", "acceptance-A2.html"}
 
 
 def test_a_unit_that_misses_a_requirement_fails(tmp_path):

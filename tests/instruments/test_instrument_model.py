@@ -114,7 +114,7 @@ def test_own_file(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(None, "neither a preset"), (b"name = ", "not valid TOML"), (b"\xff", "cannot be read")],
+    [(None, "neither a preset"), (b"name = ", "not valid TOML"), (b"\xff", "not a text file")],
 )
 def test_files_that_are_no_instrument(tmp_path, content, words):
     path = tmp_path / "x.toml"

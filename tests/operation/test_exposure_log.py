@@ -17,7 +17,7 @@ from fiberloom.twin.twin import Twin
 @pytest.fixture
 def plotted(monkeypatch):
     names = []
-    monkeypatch.setattr(exposure, "plot_reduction", lambda folder, name, plane, r: names.append(name))
+    monkeypatch.setattr(exposure, "plot_reduction", lambda folder, name, plane, r, goal: names.append(name))
     return names
 
 
@@ -36,6 +36,22 @@ def test_pages_are_made_of_those_that_were_asked_for(patch, tmp_path, plotted, p
     log.close()
     assert plotted == names
     assert not log.folder.exists()
+
+
+def test_an_exposure_has_the_number_of_the_move_before_it_and_its_targets(patch, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(exposure, "plot_reduction", lambda *told: drawn.append((told[1], told[4])))
+    log = ExposureLog(patch, tmp_path, "all", False)
+    goal_mm, move = np.zeros((len(patch), 2)), iter((0, 0, 1, 1, 2))
+    now = [0]
+    log.follow(lambda: now[0], goal_mm)
+    for now[0] in move:
+        log.seen(reduction(1.0))
+    assert [name for name, _ in drawn] == [
+        "exposure-00", "exposure-00-2", "exposure-01", "exposure-01-2", "exposure-02",
+    ]  # fmt: skip
+    # before the first move nobody is at a target
+    assert [goal is goal_mm for _, goal in drawn] == [False, False, True, True, True]
 
 
 def test_without_an_exposure_there_is_no_last_page(patch, tmp_path, plotted):

@@ -1,14 +1,17 @@
 """What an observation tells of itself, against figures worked out by hand."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy import units as u
+from astropy.table import Table
 
 import fiberloom as fl
 from fiberloom.errors import InputError
-from fiberloom.health.status import FibreStatus
+from fiberloom.health.status import FibreFlag, FibreStatus
 from fiberloom.targets import random_targets
 
 N = 7
@@ -68,9 +71,12 @@ def test_what_is_faulty_or_parked_does_not_count(seen):
     assert (summary["n_valid"], summary["n_within_requirement"]) == (4, 3)
     named = [int(i) for i in seen.plane.positioner_id]
     assert summary["faults"] == {"dead": [named[1]], "blocked": [named[3]]}
+    # the last one is on target as measured, and 7 um off in truth
+    assert summary["not_on_target"] == {"dead": 1, "parked": 1, "blocked": 1, "truly_off_target": 1}
+    assert summary["share_within_requirement"] == pytest.approx(3 / 7)
     assert repr(observed).endswith("2 moves, 3 within 5 um)")
     title = observed.plot().get_title()
-    assert title == "3 of 4 fibres within 5 µm after move 2; 2 positioners flagged"
+    assert title == "3 of 7 assigned fibres within 5 µm after move 2; 2 positioners flagged"
 
 
 def test_the_table_has_a_row_for_every_positioner_and_move_in_units(seen):
@@ -109,3 +115,48 @@ def test_nothing_moved_is_nothing_to_show(seen, tmp_path):
     for shown in (empty.plot, lambda: empty.save(tmp_path)):
         with pytest.raises(InputError, match="no move was made"):
             shown()
+
+
+def test_every_error_of_the_file_can_be_worked_out_from_its_columns(seen, tmp_path):
+    seen.save(tmp_path)
+    table = Table.read(tmp_path / "fibres.ecsv")
+    for place, goal, error in (
+        ("measured", "metrology_goal", "measured_error_um"),
+        ("true", "target", "true_error_um"),
+    ):
+        apart_mm = [np.asarray(table[f"{axis}_{place}_mm"] - table[f"{axis}_{goal}_mm"]) for axis in "xy"]
+        np.testing.assert_allclose(1e3 * np.hypot(*apart_mm), table[error], atol=1e-6)
+        assert (table[error] > 0.0).all()
+    # the two fibres are 0.7 mm apart: neither place can stand for the other
+    assert (
+        np.hypot(*(np.asarray(table[f"{a}_target_mm"] - table[f"{a}_metrology_goal_mm"]) for a in "xy")).min()
+        > 0.5
+    )
+    np.testing.assert_array_equal(table["error_um"], table["true_error_um"])
+
+
+def test_grades_and_flags_tell_everything_that_is_known(seen):
+    status = [FibreStatus.ON_TARGET] * N
+    status[1], status[2], status[4] = FibreStatus.DEAD, FibreStatus.BLOCKED, FibreStatus.LYING
+    observed = with_errors(seen, [4.9, 5.1, 30.1, 29.9, 1.0, np.nan, 5.0], status)
+    last = observed.table()[N:]
+    assert last["grade"].tolist() == ["good", "poor", "bad", "poor", "good", "unknown", "good"]
+    assert last["flags"].tolist() == [0, 512 + 8, 16 + 8, 8, 32, 0, 0]
+    dark = replace(observed.moves[-1].measurement, seen=np.arange(N) > 0, ambiguous=np.arange(N) == 0)
+    stopped = replace(observed.moves[-1], measurement=dark, interrupted=True, comparison=True)
+    flags = replace(observed, moves=[stopped]).table()["flags"]
+    assert flags[0] == 2 + 4 + 2048 + 4096
+    parked = replace(observed.assignment, target=np.where(np.arange(N) == 3, -1, observed.assignment.target))
+    without = replace(observed, assignment=parked).table()[N:]
+    assert (without["grade"][3], without["flags"][3]) == ("", 1)
+
+
+def test_the_bits_are_those_of_the_manual(seen, tmp_path):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "files.md").read_text()
+    bits = {name: int(bit) for bit, name in re.findall(r"^\| (\d+) \| `([A-Z_]+)` \|", page, re.MULTILINE)}
+    assert bits == {flag.name: int(flag) for flag in FibreFlag}
+    seen.save(tmp_path)
+    table = Table.read(tmp_path / "fibres.ecsv")
+    assert table.meta["flags"] == bits
+    columns = re.findall(r"`([a-z_]+)`", page.split("## fibres.ecsv")[1].split("| bit |")[0])
+    assert set(table.colnames) <= set(columns)

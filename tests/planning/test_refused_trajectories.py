@@ -28,7 +28,7 @@ def test_another_kind_of_json_is_told(tmp_path, text, words):
 
 def test_bytes_that_are_no_text_are_told(tmp_path):
     (tmp_path / "t.json").write_bytes(b"\xff\xfe\xfa")
-    with pytest.raises(InputError, match="not a text file; trajectories are JSON"):
+    with pytest.raises(InputError, match="not a text file"):
         read_plans(tmp_path / "t.json")
 
 

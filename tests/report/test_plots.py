@@ -25,6 +25,7 @@ from fiberloom.report.exposure import plot_reduction, plot_spots
 from fiberloom.report.focal_plane import (
     FieldPicture,
     draw_focal_plane,
+    errors_title,
     frame_positioners,
     plot_errors,
     plot_focal_plane,
@@ -108,6 +109,28 @@ def test_without_a_flag_no_ring_is_drawn_and_the_frame_holds_the_arms(few):
     assert right >= few.centres_mm[:, 0].max() + reach
     assert bottom <= few.centres_mm[:, 1].min() - reach
     assert top >= few.centres_mm[:, 1].max() + reach
+
+
+@pytest.mark.parametrize(
+    ("moves", "said"),
+    [
+        ([], "no error is known of any of 3 assigned fibres"),
+        ([[np.nan, np.nan]], "no error is known of any of 3 assigned fibres"),
+        ([[3.0, 4.0]], "2 of 3 assigned fibres within 5 µm; 3.54 µm rms"),
+        ([[30.0, 40.0], [1.0, 1.0]],
+         "2 of 3 assigned fibres within 5 µm; corrected from 35.36 to 1.00 µm rms"),
+        ([[30.0], [1.0], [2.0]],
+         "1 of 3 assigned fibres within 5 µm; the last correction made it worse: 1.00 to 2.00 µm rms"),
+        ([[3.0], [1.0], [6.0]],
+         "0 of 3 assigned fibres within 5 µm; the corrections made it worse: 3.00 to 6.00 µm rms"),
+    ],
+)  # fmt: skip
+def test_the_title_of_the_errors_says_the_result(tmp_path, written, moves, said):
+    errors = [np.array(move) for move in moves]
+    title = errors_title(errors, 3, 5.0)
+    assert title == said
+    plot_errors(tmp_path / "e.png", errors, [f"move {k}" for k in range(len(moves))], 5.0, title)
+    assert written[0].axes[0].get_title() == said
 
 
 def test_errors_are_a_distribution_for_each_move_that_was_seen(tmp_path, written):
@@ -427,6 +450,13 @@ def test_a_reduced_image_is_drawn_with_what_is_missing(few, tmp_path, written):
     assert axes.get_title().startswith("1 of 3 fibres, 1 fiducials (squares)")
     left, right = residuals.axes
     assert left.get_title() == "fiducials: 0.50 µm rms fitted, 1.00 µm left out"
-    assert right.get_title() == "fibres: measured minus expected, 5.0 µm rms"
+    assert right.get_title() == "fibres: measured minus where the motors say, 5.00 µm rms of 1"
     # 3 um in x and in y
     assert distortion.axes[0].get_title().endswith("rotation: 4 µm at most")
+    # against the targets, where they are known; one that has not gone there is none
+    goal_mm = np.stack([xy[0] - [1e-3, 0.0], xy[0] + 1.0, plane.centres_mm[2]])
+    reduction.seen, reduction.xy_mm = np.array([True, True, False]), np.stack([xy[0], xy[0], xy[2]])
+    reduction.spot_of_match = np.array([0, 0, -1])
+    plot_reduction(tmp_path / "new", "g", plane, reduction, goal_mm)
+    title = written[4].axes[1].get_title()
+    assert title == "fibres: measured minus target, 1.00 µm rms of 1; 1 farther than 0.5 mm left out"

@@ -170,8 +170,9 @@ def test_records_of_a_unit_are_json_even_where_a_target_was_never_seen():
     checks = (Check("blind error, largest", float("inf"), None, 50.0, "µm"), CHECKS[0])
     verdict = UnitVerdict(12, 0, checks, "")
     record = json.loads(json.dumps(unit_record(verdict, "SN-7"), allow_nan=False))
-    assert (record["accepted"], record["serial"], record["report"]) == (False, "SN-7", page_name(verdict))
-    assert page_name(verdict) == "acceptance-12.html"
+    assert (record["accepted"], record["serial"], record["report"]) == (False, "SN-7", "acceptance-SN-7.html")
+    assert page_name(verdict) == page_name(verdict, "../") == "acceptance-12.html"
+    assert page_name(verdict, "a/b c") == "acceptance-a-b-c.html"
     assert record["checks"][0]["value"] is None
     assert [c["verdict"] for c in record["checks"]] == ["fail", "pass"]
 

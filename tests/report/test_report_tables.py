@@ -10,7 +10,7 @@ from fiberloom.instruments import load_instrument
 from fiberloom.report.estimates import estimate_records, estimate_rows
 from fiberloom.report.folder import prepare_file, prepare_folder
 from fiberloom.report.outputs import marks
-from fiberloom.report.tables import observation_table, overview, print_estimates, print_report
+from fiberloom.report.tables import observation_table, overview, print_estimates, print_report, shortfall
 
 MOVE = {
     "label": "blind",
@@ -54,6 +54,22 @@ def test_an_observation_ends_in_one_row_a_move_with_units_in_the_heads():
     ]
     assert table.title == "36 of 37 assigned fibres within 5 µm of their targets"
     assert "41.24" in printed(table)
+
+
+def test_what_falls_short_is_told_by_count():
+    told = {"n_positioners": 40, "n_targets": 100, "n_assigned": 37, "n_within_requirement": 36}
+    told |= {"not_on_target": {"truly_off_target": 1}, "not_assigned": {"out of reach": 60, "collision": 3}}
+    assert shortfall(told, 0.9) == []
+    assert shortfall(told, 0.95)[0] == "not assigned: 60 out of reach, 3 collision"
+    assert shortfall(told | {"n_targets": 38}, 1.0) == [
+        "not assigned: 60 out of reach, 3 collision",
+        "not on target: 1 truly off target",
+        "below what is required: 36 of 37 (97 %) on target, at least 100 % must be",
+    ]
+    # nothing on target is never enough
+    assert shortfall(told | {"n_within_requirement": 0}, 0.0)[-1].startswith(
+        "below what is required: 0 of 37"
+    )
 
 
 def test_a_report_is_two_columns_a_list_of_them_one_table(capsys):

@@ -171,7 +171,7 @@ def test_confsummary_without_targets(tmp_path):
 
 def test_broken_gzip(tmp_path):
     (tmp_path / "c.par.gz").write_bytes(gzip.compress(PAR.encode())[:60])
-    with pytest.raises(InputError, match="cannot be read as a parameter file"):
+    with pytest.raises(InputError, match="cannot be unpacked"):
         read_targets(tmp_path / "c.par.gz")
 
 

@@ -67,6 +67,6 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         read_yanny(tmp_path / "none.par")
     (tmp_path / "b.par").write_bytes(b"\xff\xfe\x00")
     (tmp_path / "c.par.gz").write_bytes(gzip.compress(b"field 1\n")[:-6])
-    for name in ("b.par", "c.par.gz"):
-        with pytest.raises(InputError, match="cannot be read as a parameter file"):
+    for name, words in (("b.par", "not a text file"), ("c.par.gz", "cannot be unpacked")):
+        with pytest.raises(InputError, match=rf"{name}: {words}"):
             read_yanny(tmp_path / name)

@@ -67,7 +67,8 @@ struct Sample {
 };
 
 // Replaces every tile by the median of its neighbourhood: a tile full of light must not hide its own spots.
-std::vector<float> smoothed(const std::vector<float> &grid, int nx, int ny) {
+// `without`: where the neighbourhood shows nothing.
+std::vector<float> smoothed(const std::vector<float> &grid, int nx, int ny, float without) {
     std::vector<float> out(grid.size());
     std::vector<float> near;
     for (int j = 0; j < ny; ++j)
@@ -76,7 +77,7 @@ std::vector<float> smoothed(const std::vector<float> &grid, int nx, int ny) {
             for (int v = std::max(j - 1, 0); v <= std::min(j + 1, ny - 1); ++v)
                 for (int u = std::max(i - 1, 0); u <= std::min(i + 1, nx - 1); ++u)
                     if (std::isfinite(grid[v * nx + u])) near.push_back(grid[v * nx + u]);
-            out[j * nx + i] = near.empty() ? 0.0f : median_of(near);
+            out[j * nx + i] = near.empty() ? without : median_of(near);
         }
     return out;
 }
@@ -94,16 +95,16 @@ template <class P> Background measure(const Pixels<P> &pixels) {
             b.level.push_back(s.level);
             b.noise.push_back(s.noise);
         }
-    b.level = smoothed(b.level, b.nx, b.ny);
-    b.noise = smoothed(b.noise, b.nx, b.ny);
+    b.level = smoothed(b.level, b.nx, b.ny, 0.0f);
+    b.noise = smoothed(b.noise, b.nx, b.ny, least_noise);
     return b;
 }
 
 } // namespace
 
 float Background::between(const std::vector<float> &grid, double x_px, double y_px) const {
-    const double u = std::clamp(x_px / tile_px - 0.5, 0.0, nx - 1.0);
-    const double v = std::clamp(y_px / tile_px - 0.5, 0.0, ny - 1.0);
+    const double u = within(x_px / tile_px - 0.5, 0.0, nx - 1.0);
+    const double v = within(y_px / tile_px - 0.5, 0.0, ny - 1.0);
     const int i = std::min(static_cast<int>(u), std::max(nx - 2, 0));
     const int j = std::min(static_cast<int>(v), std::max(ny - 2, 0));
     const int right = nx > 1 ? 1 : 0;

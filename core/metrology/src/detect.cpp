@@ -227,10 +227,10 @@ bool near_in(const Pixels<P> &pixels, const Scene &scene, int box, const Circle 
     const ImageView &image = pixels.image;
     const PeakFinder<P> finder(pixels, scene, box);
     // one pixel more on the left and right, which the scan leaves alone
-    const int x0 = std::max(static_cast<int>(std::floor(where.x - where.radius)) - 1, 0);
-    const int x1 = std::min(static_cast<int>(std::ceil(where.x + where.radius)) + 1, image.width - 1);
-    const int y0 = std::max(static_cast<int>(std::floor(where.y - where.radius)), 1);
-    const int y1 = std::min(static_cast<int>(std::ceil(where.y + where.radius)), image.height - 2);
+    const int x0 = whole(std::floor(where.x - where.radius) - 1, 0, image.width);
+    const int x1 = whole(std::ceil(where.x + where.radius) + 1, -1, image.width - 1);
+    const int y0 = whole(std::floor(where.y - where.radius), 1, image.height);
+    const int y1 = whole(std::ceil(where.y + where.radius), -1, image.height - 2);
     if (x1 - x0 < 2) return false;
     const std::vector<float> thresholds(static_cast<std::size_t>((x1 - x0) / chunk_px + 1),
                                         threshold_at(scene, where.x, where.y));

@@ -18,6 +18,7 @@ constexpr double enough = 0.1;    // of the statistical error: the step after wo
 constexpr float cut_sigma = 5.0f; // a Poisson pixel beyond this is rarer than a cosmic ray
 constexpr double kept_knowledge = 0.99;
 constexpr double flat_square = 0.5;
+constexpr double widest_px2 = 1e4; // FWHM 235 px
 constexpr double pi = 3.14159265358979323846;
 constexpr std::array<double, 6> lambda{0.5, 1, 2, 4, 8, 16};
 
@@ -89,6 +90,9 @@ void take_covariance(const Normal &normal, const Solver &solver, Fit &fit) {
 
 } // namespace
 
+bool Ellipse::sound() const {
+    return xx > 0.1 && yy > 0.1 && xx < widest_px2 && yy < widest_px2 && xx * yy - xy * xy > 0.01;
+}
 double Ellipse::area() const { return std::sqrt(xx * yy - xy * xy); }
 double Ellipse::half_width(double q_max) const { return std::sqrt(q_max * xx); }
 double Ellipse::half_height(double q_max) const { return std::sqrt(q_max * yy); }
@@ -98,8 +102,7 @@ Ellipse ellipse_at(const Profile &profile, double x_px, double y_px) {
     const Ellipse e{polynomial(profile.shape[0], u, v), polynomial(profile.shape[1], u, v),
                     polynomial(profile.shape[2], u, v)};
     // outside the spots it was fitted on the polynomial may leave sense: fall back to the middle of the frame
-    const bool sound = e.xx > 0.1 && e.yy > 0.1 && e.xx * e.yy - e.xy * e.xy > 0.01;
-    return sound ? e : Ellipse{profile.shape[0][0], profile.shape[1][0], profile.shape[2][0]};
+    return e.sound() ? e : Ellipse{profile.shape[0][0], profile.shape[1][0], profile.shape[2][0]};
 }
 
 Shape shape_of(const Profile &profile, const Ellipse &e) {
@@ -161,8 +164,9 @@ Reach::Reach(const Profile &profile) {
 }
 
 double Reach::operator()(double contrast) const {
-    const int k = contrast > 1 ? std::ilogb(contrast) + 1 : 0;
-    return q_max_[static_cast<std::size_t>(std::clamp(k, 0, static_cast<int>(q_max_.size()) - 1))];
+    const double last = std::ldexp(1.0, static_cast<int>(q_max_.size()) - 2);
+    const int k = contrast > 1 ? std::ilogb(std::min(contrast, last)) + 1 : 0;
+    return q_max_[static_cast<std::size_t>(k)];
 }
 
 namespace {
@@ -179,7 +183,7 @@ bool copy_row(const typename P::Raw *row, int width, Slope background, float sat
     unsigned any = 0;
     for (int i = 0; i < width; ++i) {
         const float v = static_cast<float>(P::key(row[i]));
-        const bool good = v < saturation && v > -std::numeric_limits<float>::infinity(); // false for NaN
+        const bool good = v < saturation; // false for NaN: no light
         any |= static_cast<unsigned>(v >= saturation);
         usable[i] = good ? 1.0f : 0.0f;
         value[i] = good ? v - background.left - background.rise * static_cast<float>(i) : 0.0f;
@@ -211,10 +215,11 @@ template <class P> Cut copy_pixels(const Pixels<P> &pixels, const Scene &scene, 
 
 Cut cut_out(const Scene &scene, const Box &box, Stamp &stamp) {
     const ImageView &image = scene.image;
-    const int x0 = static_cast<int>(std::floor(box.x - box.half_width)),
-              x1 = static_cast<int>(std::ceil(box.x + box.half_width));
-    const int y0 = static_cast<int>(std::floor(box.y - box.half_height)),
-              y1 = static_cast<int>(std::ceil(box.y + box.half_height));
+    // a pixel farther out is as good as any farther
+    const int x0 = whole(std::floor(box.x - box.half_width), -1, image.width),
+              x1 = whole(std::ceil(box.x + box.half_width), -1, image.width);
+    const int y0 = whole(std::floor(box.y - box.half_height), -1, image.height),
+              y1 = whole(std::ceil(box.y + box.half_height), -1, image.height);
     const int left = std::clamp(x0, 0, image.width - 1), right = std::clamp(x1, left, image.width - 1);
     const int top = std::clamp(y0, 0, image.height - 1), bottom = std::clamp(y1, top, image.height - 1);
     stamp.resize(left, top, right - left + 1, bottom - top + 1);
@@ -232,10 +237,10 @@ void fetch_ahead(const ImageView &image, const Box &box) {
         if (image.type == PixelType::F64) return 8;
         return image.type == PixelType::U16 || image.type == PixelType::U16Fits ? 2 : 4;
     }();
-    const int x0 = std::clamp(static_cast<int>(box.x - box.half_width), 0, image.width - 1);
-    const int x1 = std::clamp(static_cast<int>(box.x + box.half_width) + 1, 0, image.width - 1);
-    const int y0 = std::clamp(static_cast<int>(box.y - box.half_height), 0, image.height - 1);
-    const int y1 = std::clamp(static_cast<int>(box.y + box.half_height) + 1, 0, image.height - 1);
+    const int x0 = whole(box.x - box.half_width, 0, image.width - 1);
+    const int x1 = whole(box.x + box.half_width + 1, 0, image.width - 1);
+    const int y0 = whole(box.y - box.half_height, 0, image.height - 1);
+    const int y1 = whole(box.y + box.half_height + 1, 0, image.height - 1);
     for (int j = y0; j <= y1; ++j) {
         const std::byte *row = image.data + j * image.row_bytes;
         for (int b = x0 * pixel_bytes; b <= x1 * pixel_bytes; b += line_bytes) __builtin_prefetch(row + b);
@@ -259,6 +264,7 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
         const auto step =
             solver.solve({n.sum[Normal::sf], n.sum[Normal::sx], n.sum[Normal::sy], n.sum[Normal::sb]});
         const double size = std::hypot(step[1], step[2]), brake = size > longest ? longest / size : 1.0;
+        if (!std::isfinite(size + step[0] + step[3])) break;
         state.flux = std::max(state.flux + step[0], 0.3 * state.flux); // a flux below zero has no gradient
         state.x += brake * step[1], state.y += brake * step[2];
         if (solver.n == 4) state.background += step[3];

@@ -9,6 +9,8 @@ namespace fl::metrology {
 struct Ellipse {
     double xx, xy, yy;   // S in px^2
     double area() const; // sqrt|S|
+    // Of a spot: not a point, not a line, not wider than any spot; false where a number is none.
+    bool sound() const;
     // half the size of the box that holds q <= q_max
     double half_width(double q_max) const;
     double half_height(double q_max) const;

@@ -2,6 +2,7 @@
 #include "pixels.hpp"
 
 #include <algorithm>
+#include <type_traits>
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
 #define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
@@ -98,20 +99,40 @@ template <class P> struct Rows {
     const typename P::Raw *above, *row, *below;
 };
 
-template <class P>
-FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
-    using Key = typename P::Key;
-    const Key bar = static_cast<Key>(limit);
-    alignas(64) unsigned char top[chunk_px] = {};
+// Marks the tops of a part of a row. `read` is P::key or, quicker, P::stored.
+template <class P, auto read>
+FL_INLINE void mark_tops(const Rows<P> &r, int from, int to, typename P::Key bar, unsigned char *top) {
     for (int i = from; i < to; ++i) {
-        const Key v = P::key(r.row[i]);
+        const auto v = read(r.row[i]);
         // written as "not higher", so that a neighbour that is not a number is no obstacle
-        const bool is = (v > bar) & !(P::key(r.above[i - 1]) > v) & !(P::key(r.above[i]) > v) &
-                        !(P::key(r.above[i + 1]) > v) & !(P::key(r.row[i - 1]) > v) &
-                        !(P::key(r.row[i + 1]) >= v) & !(P::key(r.below[i - 1]) >= v) &
-                        !(P::key(r.below[i]) >= v) & !(P::key(r.below[i + 1]) >= v);
+        const bool is = (v > bar) & !(read(r.above[i - 1]) > v) & !(read(r.above[i]) > v) &
+                        !(read(r.above[i + 1]) > v) & !(read(r.row[i - 1]) > v) & !(read(r.row[i + 1]) >= v) &
+                        !(read(r.below[i - 1]) >= v) & !(read(r.below[i]) >= v) &
+                        !(read(r.below[i + 1]) >= v);
         top[i - from] = static_cast<unsigned char>(is);
     }
+}
+
+// Whether one of the pixels that decide about tops is brighter than any light.
+template <class P> FL_INLINE bool any_wild(const Rows<P> &r, int from, int to) {
+    unsigned char any = 0;
+    if constexpr (std::is_floating_point_v<typename P::Key>) {
+        constexpr auto most = static_cast<typename P::Key>(most_adu);
+        for (int i = from - 1; i <= to; ++i)
+            any |= static_cast<unsigned char>((P::stored(r.above[i]) > most) | (P::stored(r.row[i]) > most) |
+                                              (P::stored(r.below[i]) > most));
+    }
+    return any != 0;
+}
+
+template <class P>
+FL_INLINE void peaks_in_chunk(const Rows<P> &r, int from, int to, float limit, std::vector<int> &out) {
+    const auto bar = static_cast<typename P::Key>(limit);
+    alignas(64) unsigned char top[chunk_px] = {};
+    if (any_wild(r, from, to))
+        mark_tops<P, P::key>(r, from, to, bar, top);
+    else
+        mark_tops<P, P::stored>(r, from, to, bar, top);
     for (int word = 0; word < chunk_px; word += 8) {
         std::uint64_t eight;
         std::memcpy(&eight, top + word, sizeof eight);
@@ -126,7 +147,8 @@ FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::ve
         const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
         const Key bar = static_cast<Key>(threshold[c]);
         unsigned char any = 0;
-        for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::key(r.row[i]) > bar);
+        // as stored, which is quicker: a pixel that holds no light costs a second look, and is none
+        for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::stored(r.row[i]) > bar);
         if (any != 0) peaks_in_chunk(r, std::max(begin, 1), std::min(end, width - 1), threshold[c], out);
     }
 }
@@ -158,8 +180,8 @@ FL_INLINE Span covered(const Shape &shape, double x, double dy, float q_max, int
     const double b = 0.5 * shape.xy * dy, root = b * b - shape.xx * (shape.yy * dy * dy - q_max);
     if (!(root > 0)) return {0, 0};
     const double half = std::sqrt(root) / shape.xx, middle = x - b / shape.xx;
-    const int begin = std::clamp(static_cast<int>(middle - half), 0, width) & ~(Stamp::lanes - 1);
-    const int end = std::clamp(static_cast<int>(middle + half) + 1, 0, width);
+    const int begin = whole(middle - half, 0, width) & ~(Stamp::lanes - 1);
+    const int end = std::min(whole(middle + half, -1, width) + 1, width);
     return {begin, (end + Stamp::lanes - 1) & ~(Stamp::lanes - 1)};
 }
 

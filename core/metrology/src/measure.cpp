@@ -35,6 +35,7 @@ class Frame {
           profile_(profile), reach_(profile),
           typical_fwhm_(profile.fwhm_px(profile.half_width_px, profile.half_height_px)) {}
 
+    // Drops a seed that leaves nothing to begin with: its place, height or flux is no number.
     void add(const Seed &seed) {
         const Ellipse e = ellipse_at(profile_, seed.x, seed.y);
         Fit fit;
@@ -46,7 +47,7 @@ class Frame {
         const float noise = background_.noise_at(seed.x, seed.y);
         fit.q_max = reach_(seed.height / (settings_.gain_e_adu * noise * noise));
         fit.orphaned = true; // not fitted yet
-        fits_.push_back(fit);
+        if (std::isfinite(seed.x + seed.y + fit.flux)) fits_.push_back(fit);
     }
 
     void drop_doubles() {
@@ -197,8 +198,15 @@ class Frame {
     bool is_spot(const Fit &f) const {
         const double sigma = f.flux / std::sqrt(f.var_flux);
         const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
-        return f.converged && sigma > settings_.threshold && f.lost < cap && has_the_shape(f, sigma) &&
-               f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 && f.y < image_.height - 0.5;
+        return f.converged && is_finite(f) && sigma > settings_.threshold && f.lost < cap &&
+               has_the_shape(f, sigma) && f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 &&
+               f.y < image_.height - 0.5;
+    }
+
+    static bool is_finite(const Fit &f) {
+        const double all = f.x + f.y + f.flux + f.background + f.chi2 + f.var_flux;
+        return std::isfinite(all) && f.var_x > 0 && f.var_y > 0 &&
+               std::isfinite(f.var_x + f.var_y + f.cov_xy);
     }
 
     // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots,

@@ -28,13 +28,15 @@ double median_of(std::vector<double> values) {
     return *middle;
 }
 
-// How far from (x, y) the light falls below half, in one direction, between pixels.
+// How far from (x, y) the light falls below half, in one direction, between pixels; a pixel that holds none
+// is dark.
 template <class P> double half_way(const Pixels<P> &pixels, int x, int y, int dx, int dy, float half) {
     float before = pixels.at(x, y);
     for (int k = 1; k < 100; ++k) {
         const int u = x + k * dx, v = y + k * dy;
         if (!pixels.inside(u, v)) return k;
         const float here = pixels.at(u, v);
+        if (std::isnan(here)) return k - 0.5;
         if (!(here > half)) return k - 1.0 + (before - half) / std::max(before - here, 1e-6f);
         before = here;
     }
@@ -45,6 +47,7 @@ double half_maximum_width(const ImageView &image, const Background &background, 
     return with_pixels(image, [&](const auto &pixels) {
         const int x = static_cast<int>(std::lround(s.x)), y = static_cast<int>(std::lround(s.y));
         const float level = background.level_at(x, y);
+        if (std::isnan(pixels.at(x, y))) return 1.0;
         const float half = level + 0.5f * (pixels.at(x, y) - level);
         const double w = half_way(pixels, x, y, 1, 0, half) + half_way(pixels, x, y, -1, 0, half);
         const double h = half_way(pixels, x, y, 0, 1, half) + half_way(pixels, x, y, 0, -1, half);
@@ -63,8 +66,8 @@ std::vector<const Seed *> bright_seeds(const ImageView &image, const std::vector
     std::array<int, cells * cells> taken{};
     std::vector<const Seed *> out;
     for (const Seed *s : order) {
-        const int i = std::clamp(static_cast<int>(s->x * cells / image.width), 0, cells - 1);
-        const int j = std::clamp(static_cast<int>(s->y * cells / image.height), 0, cells - 1);
+        const int i = whole(s->x * cells / image.width, 0, cells - 1);
+        const int j = whole(s->y * cells / image.height, 0, cells - 1);
         if (++taken[static_cast<std::size_t>(j * cells + i)] <= share) out.push_back(s);
         if (static_cast<int>(out.size()) >= most) break;
     }
@@ -126,6 +129,7 @@ bool adaptive_moments(const Stamp &stamp, Sample &sample) {
         const double idet = ixx * iyy - ixy * ixy;
         if (!(mdet > 0 && idet > 0 && ixx > 0)) return false;
         const Ellipse next{iyy / idet, -ixy / idet, ixx / idet};
+        if (!next.sound()) return false;
         const double change = std::fabs(next.xx - s.xx) + std::fabs(next.yy - s.yy);
         x += 2 * ux, y += 2 * uy; // the weight halves the way
         s = next;
@@ -250,7 +254,7 @@ void take_ladder(const LadderSums &sums, Profile &profile) {
     double flux = 0;
     const auto weights = rung_weights(profile);
     for (std::size_t k = 0; k < 6; ++k) flux += c[k] * weights[k];
-    if (!(flux > 0)) return;
+    if (!(flux > 0 && std::isfinite(flux))) return;
     for (std::size_t k = 0; k < 6; ++k) profile.amplitude[k] = c[k] / flux;
 }
 
@@ -294,11 +298,14 @@ void centre_on_light(const Scene &scene, double fwhm_px, Seed &seed) {
     const float s = static_cast<float>(fwhm_per_sigma * fwhm_per_sigma / (fwhm_px * fwhm_px));
     const Shape weight{s, 0, s, {}};
     Stamp stamp;
+    const double x1 = scene.image.width - 0.5, y1 = scene.image.height - 0.5;
     for (int k = 0; k < 5; ++k) {
         cut_out(scene, {seed.x, seed.y, 1.5 * fwhm_px, 1.5 * fwhm_px}, stamp);
         const auto m = weighted_moments(stamp, weight, seed.x - stamp.x0, seed.y - stamp.y0);
-        if (!(m[0] > 0)) return;
-        seed.x += 2 * m[1] / m[0], seed.y += 2 * m[2] / m[0];
+        const double x = seed.x + 2 * m[1] / m[0], y = seed.y + 2 * m[2] / m[0];
+        // light of a weight near 0 leads anywhere
+        if (!(m[0] > 0 && x > -0.5 && y > -0.5 && x < x1 && y < y1)) return;
+        seed.x = x, seed.y = y;
     }
 }
 
@@ -376,7 +383,9 @@ Profile measure_profile(const Scene &scene, const std::vector<Seed> &seeds) {
         lonely_seeds(seeds, bright_seeds(scene.image, seeds, scene.settings.max_profile_spots), look);
     std::vector<Sample> samples = sample_shapes(scene, bright, look);
     if (samples.empty()) return profile;
+    const Profile round = profile;
     fit_shapes(profile, samples);
+    if (!ellipse_at(profile, profile.half_width_px, profile.half_height_px).sound()) return round;
     std::vector<ProfileSpot> spots = cut_wide(scene, profile, samples);
     fit_profile(profile, scene.settings, spots);
     profile.n_spots = static_cast<int>(spots.size());

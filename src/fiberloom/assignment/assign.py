@@ -9,9 +9,10 @@ from fiberloom.assignment.candidates import Block, Candidates, check_targets, fi
 from fiberloom.assignment.choose import LEVEL_WEIGHT, conflicts, levels_of, pack, shortlist
 from fiberloom.assignment.clearance import sweep
 from fiberloom.assignment.demanded import place_demanded
+from fiberloom.assignment.other_units import unit_hint
 from fiberloom.assignment.park import park
-from fiberloom.assignment.placement import Placement, Rules
-from fiberloom.assignment.reasons import explain
+from fiberloom.assignment.placement import Placement, Rules, Say, silent
+from fiberloom.assignment.reasons import explain, kinds
 from fiberloom.assignment.screen import screen, screen_placed
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
@@ -55,6 +56,10 @@ class Assignment:
         """Positioners with a target."""
         return int(np.count_nonzero(self.target >= 0))
 
+    def reasons(self) -> dict[str, int]:
+        """How many targets were left out for each kind of reason, the most frequent first."""
+        return kinds(self.unassigned.values())
+
 
 def assign(
     plane: FocalPlane,
@@ -63,6 +68,7 @@ def assign(
     seed: int = 0,
     approach_deg: float | None = None,
     margin_mm: float = 0.2,
+    progress: Say = silent,
 ) -> Assignment:
     """Give targets to positioners: most and highest-priority ones, no collision at rest.
 
@@ -85,6 +91,8 @@ def assign(
         Overshoot of the approach on both axes, deg; the instrument's when left out.
     margin_mm : float
         Between two arms, beyond touching, mm.
+    progress : callable
+        Called with the name of each step.
 
     Returns
     -------
@@ -112,13 +120,17 @@ def assign(
     rules = Rules.of(plane, approach_deg, margin_mm)
     rng = np.random.default_rng(seed)
     placement = Placement(plane, np.full(plane.n, approach_deg))
+    progress(f"finding who reaches which of {len(targets)} targets")
     found = find_candidates(plane, targets)
     block = np.full(len(found), Block.NONE, dtype=np.int64)
     mine = targets.positioner_id[found.target] != FREE
     block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng)
+    progress(f"choosing for {plane.n} positioners")
     block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng)
+    progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
     given_up = park(placement, rest, rules, _worth(placement, targets))
+    progress("telling why targets were left out")
     unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
     return _result(placement, unassigned, targets, given_up, rules)
 
@@ -177,6 +189,8 @@ def _result(
         notes.append(f"approach of {least:.3f} deg instead of {rules.approach_deg:g} where the "
                      f"demanded places leave no room: positioners {names}")  # fmt: skip
     notes += [f"target {targets.target_id[row]}: {unassigned[row]}" for row in given_up]
+    hint = unit_hint(placement.plane, targets, int((placement.target >= 0).sum()))
+    notes += [hint] if hint else []
     alpha, beta = placement.goal_deg.T.copy()
     return Assignment(
         target=placement.target,

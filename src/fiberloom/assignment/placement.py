@@ -1,5 +1,6 @@
 """The state of an assignment that is being made: the place of each positioner, and the rules for places."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,13 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
 
 NO_TARGET = -1
+
+Say = Callable[[str], None]
+"""Told the name of each step of an assignment."""
+
+
+def silent(_: str) -> None:
+    """No output."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
 """Why a target has no positioner, in words."""
 
+import re
+from collections import Counter
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +23,16 @@ WORDS = {
     Block.POCKET: "could not get there past what does not move",
     Block.ARM: "would touch a neighbour whose target the list demands",
 }
+
+
+_DETAILS = re.compile(r"[:;,(].*", re.DOTALL)
+_NAMED = re.compile(r"\bpositioner \d+")
+
+
+def kinds(reasons: Iterable[str]) -> dict[str, int]:
+    """How many there are of each kind of reason, without the numbers that differ; most frequent first."""
+    short = (_NAMED.sub("its positioner", _DETAILS.sub("", reason)).strip() for reason in reasons)
+    return dict(Counter(short).most_common())
 
 
 def explain(

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fiberloom.assignment.assign import Assignment, assign
+from fiberloom.assignment.placement import Say, silent
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
@@ -13,20 +14,26 @@ STEPS = 4
 """In which the collision buffer gives way; few, since each is a whole assignment."""
 
 
-def assign_relaxed(plane: FocalPlane, targets: TargetList, *, seed: int = 0) -> tuple[FocalPlane, Assignment]:
+def assign_relaxed(
+    plane: FocalPlane, targets: TargetList, *, seed: int = 0, progress: Say = silent
+) -> tuple[FocalPlane, Assignment]:
     """Assign; where targets that demand a positioner do not fit, shrink the collision buffer a little.
 
     The buffer gives way in steps, by `bodies.collision_shrink_mm` at most (SDSS-V's telescope
     configurations keep 1.92 mm of 2.0 mm), and only as far as it brings more of the demanded
     targets in. Returns the plane with the buffer that holds, for planning and verification.
+
+    `plane`: the positioners; `targets`: in mm; `seed`: as of `assign`; `progress`: called with the name of
+    each step.
     """
-    best = plane, assign(plane, targets, seed=seed)
+    best = plane, assign(plane, targets, seed=seed, progress=progress)
     left = _left_out(best[1], targets)
     bodies = plane.instrument.bodies
     for nearer in relaxed_planes(plane):
         if left == 0:
             break
         buffer_mm = nearer.collision_buffer_mm
+        progress(f"with a collision buffer of {buffer_mm:g} mm")
         tried = assign(nearer, targets, seed=seed)
         if _left_out(tried, targets) < left:
             best, left = (nearer, tried), _left_out(tried, targets)

@@ -33,15 +33,22 @@ from fiberloom.cli.runs import runs
 from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
 
+HELP: dict[str, Any] = {"help_option_names": ["-h", "--help"]}
+
 app = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
+    context_settings=HELP,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="From a target list to fibres on target, for alpha-beta fibre positioners.",
 )
-calibrate = typer.Typer(no_args_is_help=True, help="Measure the properties of each positioner.")
-exclude = typer.Typer(no_args_is_help=True, help="Positioners of an array that must not be moved.")
+calibrate = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="Measure the properties of each positioner."
+)
+exclude = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="Positioners of an array that must not be moved."
+)
 
 add(app, observe)
 add(app, assign)
@@ -102,6 +109,9 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit
     if site is not None:
         from fiberloom.cli.array.site import load_site
 
@@ -126,13 +136,17 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; what was measured is kept: `fiberloom runs`, or the output folder", INTERRUPTED)
     except _BAD_WORDS as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            print(error.format_message())
+            sys.exit(0)
         _fail(f"{error.format_message()}; see `fiberloom --help`", BAD_INPUT)
     except StoppedError as error:
         _fail(str(error), INTERRUPTED)
     except RuntimeError as error:
         from fiberloom.metrology.sources.errors import CameraError
+        from fiberloom.operation.motion import UnsafePlanError
 
-        if not isinstance(error, CameraError):
+        if not isinstance(error, CameraError | UnsafePlanError):
             raise
         _fail(str(error), BELOW)
     except OSError as error:

@@ -43,7 +43,9 @@ def commission(options: CommissionOptions) -> int:
     from fiberloom.calibration.bench.acceptance import AcceptanceSettings
     from fiberloom.cli.calibrate.commissioning import CommissionSettings, Job, run_commission
 
-    judged = AcceptanceSettings(n_points=options.points, n_targets=options.targets, visits=options.visits)
+    judged = AcceptanceSettings(
+        n_points=options.points, n_targets=options.targets, visits=options.visits, tilt_deg=options.tilt
+    )
     settings = CommissionSettings(
         friction=FrictionSettings(n_angles=options.places, run_span_deg=options.span),
         repeatability=RepeatabilitySettings(visits=options.visits),
@@ -56,7 +58,9 @@ def commission(options: CommissionOptions) -> int:
         engineer=options.engineer,
     )
     plane = options.plane()
-    rig, _ = options.rig(plane, firmware="nominal")
+    # what was measured earlier is of the unit without a number
+    serial = options.serial if options.earlier is None else ""
+    rig, _ = options.rig(plane, firmware="nominal", serial=serial)
     content = run_commission(Job(plane, options.seed, options.out, options.as_json), rig, settings)
     if options.as_json:
         options.print_json(content)

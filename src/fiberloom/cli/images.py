@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file
+from fiberloom.cli.options import JsonOptions, PlaneOptions, RequireOptions, require_file
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def centroid(options: CentroidOptions) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatchOptions(PlaneOptions, JsonOptions):
+class MatchOptions(RequireOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom match`."""
 
     source: Annotated[Path, typer.Argument(help="Spots of `centroid`, or an image.")]
@@ -93,8 +93,9 @@ class MatchOptions(PlaneOptions, JsonOptions):
     ] = None
 
 
-def match(options: MatchOptions) -> None:
+def match(options: MatchOptions) -> int:
     """Find the positioner of each spot, and its position in the focal plane."""
+    required = options.required_share
     require_file(options.source)
     require_file(options.expected)
     options.check_plane()
@@ -107,7 +108,11 @@ def match(options: MatchOptions) -> None:
     geometry = one_image.camera_geometry(plane.instrument, (size_px[0], size_px[1]), options.scale_mm_px)
     identified = one_image.identify(plane, spots, _turned(geometry, options), expected_mm)
     one_image.write_positions(prepare_file(options.out), identified)
-    options.show(one_image.match_report(identified) | {"positions_file": str(options.out)})
+    report = one_image.match_report(identified)
+    wanted = int((~plane.offline).sum())
+    report["required"] = f"{100.0 * required:g} % of {wanted}"
+    options.show(report | {"positions_file": str(options.out)})
+    return 0 if options.met(report["matched"], wanted) else 1
 
 
 def _turned(geometry: CameraGeometry, options: MatchOptions) -> CameraGeometry:

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, excluded
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
+from fiberloom.cli.options import (
+    JsonOptions,
+    PlaneOptions,
+    RequireOptions,
+    naming,
+    require_file,
+    require_folder,
+)
 from fiberloom.cli.plan import TargetsArgument
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
@@ -60,7 +67,7 @@ MapsOption = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
+class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom observe`."""
 
     targets: TargetsArgument
@@ -102,12 +109,16 @@ def observe(options: ObservationOptions) -> int:
     """
     started_s = time.monotonic()
     check(options)
+    required = options.required_share
+    from fiberloom.assignment.candidates import check_targets
     from fiberloom.targets import read_targets
 
     targets = read_targets(options.targets)
     require_folder(options.out)
     field = field_of(options)
     field.command_line = " ".join(sys.argv)
+    with naming(options.targets):
+        check_targets(field.plane, targets)
     with waiting(options.as_json) as field.watcher:
         seen = field.run.observe(
             targets,
@@ -127,9 +138,9 @@ def observe(options: ObservationOptions) -> int:
     if options.as_json:
         options.print_json(summary)
     else:
-        _print(summary, options.out)
-    missed = summary["n_valid"] - summary["n_within_requirement"]
-    return 1 if missed or summary["collisions_verified"] else 0
+        _print(summary, options.out, required)
+    enough = options.met(summary["n_within_requirement"], summary["n_assigned"])
+    return 0 if enough and not summary["collisions_verified"] else 1
 
 
 _FILES = {
@@ -181,10 +192,10 @@ def field_of(options: Any, camera: str = "image") -> Field:
     return field
 
 
-def _print(summary: dict[str, Any], out: Path) -> None:
+def _print(summary: dict[str, Any], out: Path, required: float) -> None:
     from rich.console import Console
 
-    from fiberloom.report.tables import observation_table
+    from fiberloom.report.tables import observation_table, shortfall
 
     console = Console()
     console.print(observation_table(summary))
@@ -202,4 +213,6 @@ def _print(summary: dict[str, Any], out: Path) -> None:
         )
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
+    for line in shortfall(summary, required):
+        console.print(line, style="red")
     console.print(f"results in {out}/: summary.json, fibres.ecsv, trajectories.json, *.png")

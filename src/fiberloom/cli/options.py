@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -28,7 +29,7 @@ def add(app: typer.Typer, run: Callable[[Options], int | None], name: str | None
     The command has the name of the function unless `name` is given, and exits with what the function
     returns (None: 0).
     """
-    app.command(name)(_typer_function(run))
+    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_typer_function(run))
 
 
 def _typer_function(run: Callable[[Options], int | None]) -> Callable[..., None]:
@@ -72,6 +73,31 @@ class JsonOptions:
     def print_json(report: Any) -> None:
         """Prints a report as JSON."""
         typer.echo(json.dumps(report, indent=2, default=str))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RequireOptions:
+    """Of a command that fails where too little was achieved."""
+
+    require: Annotated[
+        str, typer.Option(help="Least share that must succeed, 0.95 or 95%; below it the exit code is 1.")
+    ] = "95%"
+
+    @property
+    def required_share(self) -> float:
+        """From 0 to 1; raises InputError for anything else."""
+        text = self.require.strip()
+        try:
+            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"--require {text}: give a share, 0 to 1, or per cent with its sign: 0.95, 95%")
+        return share
+
+    def met(self, done: int, of: int) -> bool:
+        """Are so many of so many enough? Nothing at all never is."""
+        return done > 0 and done >= self.required_share * of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +156,15 @@ def require_file(path: Path | None, hint: str = "") -> None:
     """Raises InputError for a file that does not exist; `hint`: what to do, for the message."""
     if path is not None and not path.is_file():
         raise InputError(f"{path}: no such file{hint and '; ' + hint}")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Puts the name of a file before complaints about what is in it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
 
 def require_folder(out: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,4 +26,27 @@ def runs(options: RunsOptions) -> None:
     stores_below(options.where)
     from fiberloom.store.listing import runs_below
 
-    options.show(runs_below(options.where))
+    rows = runs_below(options.where)
+    if options.as_json:
+        options.print_json(rows)
+    else:
+        _print(rows, options.where)
+
+
+def _print(rows: list[dict[str, Any]], where: str) -> None:
+    """What tells runs apart, within 80 columns: where they are kept comes last and may take a second line."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from fiberloom.store.listing import shortened
+
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
+    for name in ("run", "begun (UTC)", "status", "moves", "seed", "instrument"):
+        table.add_column(name, no_wrap=True, justify="right" if name in ("run", "moves", "seed") else "left")
+    table.add_column("store; what else", overflow="fold")
+    for row in rows:
+        told = [shortened(row["store"], where), row["calibrations"], row["note"]]
+        cells = [row["run"], row["utc"][:19].replace("T", " "), row["status"], row["moves"], row["seed"]]
+        table.add_row(*map(str, cells), row["instrument"], "; ".join(filter(None, told)))
+    Console().print(table)

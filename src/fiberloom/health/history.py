@@ -34,9 +34,10 @@ def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedM
         if np.all(move.kind == STOPPED):  # nothing was seen: only where each was left
             before = np.where(move.known[:, None], move.believed_deg, before)
             continue
-        if np.all(move.kind == START):
+        begins = bool(np.all(move.kind == START))
+        if begins:
             before = move.believed_deg
-        yield move.passage(before)
+        yield move.passage(before, begins)
         before = np.where(move.known[:, None], move.believed_deg, before)
 
 
@@ -54,8 +55,8 @@ class _Move:
         self.believed_deg = self._pair("alpha_deg", "beta_deg")
         self.wire_deg = self._pair("wire_alpha_deg", "wire_beta_deg")
 
-    def passage(self, before_deg: Floats) -> ObservedMove:
-        """What operation saw of it."""
+    def passage(self, before_deg: Floats, begins: bool = False) -> ObservedMove:
+        """What operation saw of it; `begins`: before the first move of a run."""
         seen_mm = self._pair("x_mm", "y_mm")
         seen_mm[self.rows[~self._columns["seen"].astype(bool)]] = np.nan
         stays = np.all(np.abs(self.believed_deg - before_deg) < _STAYS_DEG, axis=1)
@@ -65,7 +66,10 @@ class _Move:
         arrived = near & ~np.isin(status.astype(str), [str(s) for s in _NOT_ARRIVED])
         gave_up = status.astype(str) == str(FibreStatus.DEAD)
         asked = self.known & ~stays
-        return ObservedMove(before_deg, self.believed_deg, seen_mm, asked, arrived, collided=gave_up & asked)
+        collided = gave_up & asked
+        return ObservedMove(
+            before_deg, self.believed_deg, seen_mm, asked, arrived, collided=collided, begins=begins
+        )
 
     def _pair(self, first: str, second: str) -> Floats:
         out = np.full((self.n, 2), np.nan)

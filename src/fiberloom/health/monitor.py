@@ -13,6 +13,7 @@ a fibre does not tell them.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -89,6 +90,8 @@ class ObservedMove:
     """(N,) reports a collision; None: none does."""
     effort: Floats | None = None
     """(N, 2) mean torque of the servo beyond its model, over that at which a way ends as a collision."""
+    begins: bool = False
+    """No move: what a run saw before its first one. What was seen earlier may no longer hold."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,9 @@ class HealthMonitor:
         self.stills_in_a_row = np.zeros((n, 2), dtype=np.int64)
         self.since = np.full((n, len(Ailment)), -1, dtype=np.int64)
         self._slip_deg = np.zeros((n, 2))
+        self._told_deg = np.zeros((n, 2))  # the slip as last found, for words
         self._wobble_mm2 = np.zeros((n, 2))
+        self._visited: deque[Floats] = deque(maxlen=self.settings.revisits)
         self._pending = np.zeros((n, 2), dtype=bool)
         self._way = WayShare(n)
         self._seen_deg = np.full((n, 2), np.nan)
@@ -149,6 +154,8 @@ class HealthMonitor:
         self.moves += 1
         seen: Flags = np.all(np.isfinite(passage.seen_mm), axis=1)
         self.dark.add(of_event(~seen, *self.settings.dark))
+        if passage.begins:
+            self._begin(passage, seen)
         miss_deg, image_sd_deg = self._miss_deg(passage, seen)
         self._ways(passage, miss_deg, image_sd_deg)
         self._collisions(passage)
@@ -159,6 +166,20 @@ class HealthMonitor:
         self._seen_deg = np.where(changed, passage.believed_deg + miss_deg, self._seen_deg)
         self._seen_sd_deg = np.where(changed, image_sd_deg, self._seen_sd_deg)
         self._book()
+
+    def _begin(self, passage: ObservedMove, seen: Flags) -> None:
+        """Forgets where each was seen last: since then it may have been moved, datumed or parked.
+
+        A slip is kept where the image agrees with it better than with none. A fibre that is seen where
+        it should be tells so much of the angles as a blind move needs, also near a folded arm.
+        """
+        self._pending[:] = False
+        self._visited.append(np.full_like(self._seen_deg, np.nan))
+        slipped_mm, plain_mm = (self._from_mm(passage, slip) for slip in (self._slip_deg, 0.0))
+        self._slip_deg[seen & (plain_mm <= slipped_mm)] = 0.0
+        here = seen & (np.fmin(slipped_mm, plain_mm) < self.settings.jump_mm)
+        self._seen_deg = np.where(here[:, None], passage.believed_deg + self._slip_deg, np.nan)
+        self._seen_sd_deg = np.where(here[:, None], self._deg(self.noise.blind_um), np.nan)
 
     def _miss_deg(self, passage: ObservedMove, seen: Flags) -> tuple[Floats, Floats]:
         """(N, 2) seen minus believed angles; NaN where nothing is seen or the fibre does not tell.
@@ -279,6 +300,7 @@ class HealthMonitor:
         stays = self._pending & moved_on & (np.abs(gain) < s.stays_sd * sd)
         self.slip.add(np.where(stays, s.slip_alarms * s.alarm, 0.0))
         self._slip_deg = np.where(stays, miss_deg, self._slip_deg)
+        self._told_deg = np.where(stays, miss_deg, self._told_deg)
         self._pending = np.where(moved_on, False, self._pending)
         away = (self._apart_mm(passage) > s.jump_mm)[:, None]
         self._pending |= told & away & (np.abs(gain) > s.jump_sd * sd)
@@ -287,9 +309,14 @@ class HealthMonitor:
 
     def _apart_mm(self, passage: ObservedMove) -> Floats:
         """(N,) from where a fibre is seen to where it should be, by all slips so far; 0 if not seen."""
-        at = passage.believed_deg + self._slip_deg
+        return np.nan_to_num(self._from_mm(passage, self._slip_deg))
+
+    def _from_mm(self, passage: ObservedMove, slip_deg: Floats | float) -> Floats:
+        """(N,) the same for a slip (N, 2); NaN if not seen."""
+        at = passage.believed_deg + slip_deg
         off_mm = passage.seen_mm - self.plane.forward(at[:, 0], at[:, 1], METROLOGY)
-        return np.nan_to_num(np.hypot(off_mm[:, 0], off_mm[:, 1]))
+        distance: Floats = np.hypot(off_mm[:, 0], off_mm[:, 1])
+        return distance
 
     def _places(self, passage: ObservedMove, value: Floats, told: Flags) -> None:
         """The place on the turn at which a miss was seen."""
@@ -327,7 +354,7 @@ class HealthMonitor:
 
     def _scatters(self, passage: ObservedMove, gain: Floats, sd: Floats, small: Flags) -> None:
         """What small moves miss by, along the beta arm and across, against what is expected."""
-        rows = np.flatnonzero(small)
+        rows = np.flatnonzero(small & self._elsewhere(passage))
         at = passage.believed_deg[rows]
         angles = self._jacobian(at, rows)
         along = self._along(at, self._expected_mm(at, rows), rows)
@@ -339,6 +366,16 @@ class HealthMonitor:
         square[rows] = off**2 / variance
         self.scatter.add(of_spread(square, 1, self.settings.scatter_ratio))
         self._wobble_mm2[rows] += self.settings.wobble_memory * (off**2 - self._wobble_mm2[rows])
+
+    def _elsewhere(self, passage: ObservedMove) -> Flags:
+        """(N,) not at a place of an earlier run: there the map errs again as it did, which is no scatter."""
+        at = passage.believed_deg
+        fresh = np.ones(len(at), dtype=bool)
+        for earlier in list(self._visited)[:-1]:
+            fresh &= ~np.all(np.abs(at - earlier) < self.settings.revisit_deg, axis=1)
+        if self._visited:
+            self._visited[-1] = at.copy()
+        return fresh
 
     def _torques(self, passage: ObservedMove) -> None:
         """Torque over a positioner's own habit, and over what all need today (the temperature)."""
@@ -419,7 +456,8 @@ class HealthMonitor:
                 longer_um = UM_PER_MM * self.geometry.solved(row)[2]
                 return "beta", f"length of the beta arm {longer_um:+.0f} um and not steady"
             case Ailment.SLIPPED:
-                off = self._slip_deg[row] + self.geometry.solved(row)[:2]
+                slip = np.where(self._slip_deg[row] == 0.0, self._told_deg[row], self._slip_deg[row])
+                off = slip + self.geometry.solved(row)[:2]
                 return AXES[int(np.argmax(np.abs(off)))], (
                     f"seen {off[0]:+.2f} / {off[1]:+.2f} deg (alpha / beta) from where it believes"
                 )
@@ -468,6 +506,7 @@ class HealthMonitor:
         self._effort.forget(row)
         self._way.forget(row)
         self.stills_in_a_row[row] = 0
-        self._slip_deg[row], self._pending[row], self.since[row] = 0.0, False, -1
+        self._slip_deg[row], self._told_deg[row] = 0.0, 0.0
+        self._pending[row], self.since[row] = False, -1
         self._wobble_mm2[row] = 0.0
         self._seen_deg[row] = np.nan

@@ -108,6 +108,10 @@ class HealthSettings:
     """[A] Of the variance that is worth knowing: three times the standard deviation."""
     wobble_memory: float = 0.1
     """[A] Weight of the newest move in the mean square along and across the arm."""
+    revisit_deg: float = 0.1
+    """[A] Small moves nearer than this to a place of an earlier run tell of the place, not of scatter."""
+    revisits: int = 64
+    """[A] Runs whose places are remembered."""
     lengthwise: float = 4.0
     """[A] Ratio of these from which scatter is the arm's length, not its angle."""
 

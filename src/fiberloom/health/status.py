@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import IntFlag, StrEnum
 
 
 class FibreStatus(StrEnum):
@@ -27,3 +27,46 @@ FAULTS = frozenset(
         *(FibreStatus.DISCONNECTED, FibreStatus.DEAD),
     }
 )
+
+
+class FibreFlag(IntFlag):
+    """Bits of the column `flags` of fibres.ecsv: everything that is known against a fibre after a move."""
+
+    NO_TARGET = 1 << 0
+    NOT_SEEN = 1 << 1
+    AMBIGUOUS = 1 << 2
+    OFF_TARGET = 1 << 3
+    BLOCKED = 1 << 4
+    LYING = 1 << 5
+    ASTRAY = 1 << 6
+    UNSURE = 1 << 7
+    DISCONNECTED = 1 << 8
+    DEAD = 1 << 9
+    OFFLINE = 1 << 10
+    INTERRUPTED = 1 << 11
+    COMPARISON = 1 << 12
+
+
+class Grade(StrEnum):
+    """How near a fibre came to its target, by the best error that is known."""
+
+    GOOD = "good"  # within the requirement
+    POOR = "poor"  # within POOR_REQUIREMENTS of it
+    BAD = "bad"  # farther out
+    UNKNOWN = "unknown"  # has a target, and its distance is not known
+    NONE = ""  # has no target
+
+
+POOR_REQUIREMENTS = 6.0
+"""[A] Poor up to 30 um at a requirement of 5 um, where DESI begins to call a fibre poor."""
+
+
+def grade(error_um: float, requirement_um: float, has_target: bool) -> Grade:
+    """Grade of one fibre; `error_um` is NaN where it is not known."""
+    if not has_target:
+        return Grade.NONE
+    if not error_um >= 0.0:
+        return Grade.UNKNOWN
+    if error_um <= requirement_um:
+        return Grade.GOOD
+    return Grade.POOR if error_um <= POOR_REQUIREMENTS * requirement_um else Grade.BAD

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from fiberloom.errors import InputError
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.instruments.focal_plane import FocalPlane
-from fiberloom.instruments.model import METROLOGY, Instrument, Layout, Scatter
+from fiberloom.instruments.model import METROLOGY, MOST_POSITIONERS, Instrument, Layout, Scatter
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
@@ -51,6 +51,8 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
     same units that the whole plane has there. Above it, the hexagon grows, and fiducials and guide
     cameras around the field move out with it. The same seed gives the same plane.
     """
+    if n_positioners is not None and n_positioners > MOST_POSITIONERS:
+        raise InputError(f"n_positioners = {n_positioners}: must be at most {MOST_POSITIONERS}")
     layout = _grown(instrument.layout, n_positioners)
     sites = _sites(layout)
     xy, free = sites.xy_mm, np.flatnonzero(~sites.fiducial)

@@ -1,11 +1,11 @@
 """Focal planes from folders: our own TOML + ECSV, or the calibration tables of SDSS-V."""
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 
 from fiberloom.errors import InputError
+from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.layout_sdssv import read_sdssv
 from fiberloom.instruments.model import AXES, Instrument
@@ -94,7 +94,7 @@ def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
         "offline_beta_deg",
         *(f"{n}_x_mm" for n in names),
     )
-    table.unique("positioner_id")
+    table.unique("positioner_id", number=True)
     arms = [table.numbers(c) for c in ("centre_x_mm", "centre_y_mm", "l_alpha_mm")]
     angles = [deg_to_rad(table.numbers(f"{axis}_off_deg")) for axis in AXES]
     stand = [table.numbers(f"offline_{axis}_deg") for axis in AXES]
@@ -112,12 +112,9 @@ def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
 
 
 def _check_format(path: Path) -> None:
-    try:
-        found = tomllib.loads(path.read_text()).get("format")
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+    found = parse_toml(read_text(path), str(path)).get("format")
     if found != FORMAT:
-        raise InputError(f"{path}: format = {found}, this version reads format = {FORMAT}")
+        raise InputError(f"{path}: format = {shown(found)}, this version reads format = {FORMAT}")
 
 
 def _read_point(table: TableFile, name: str) -> Floats:

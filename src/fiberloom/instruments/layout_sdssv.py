@@ -35,7 +35,7 @@ def read_sdssv(folder: Path, instrument: Instrument) -> FocalPlane:
         "dy",
         *(f"{p}{c}" for p in POINTS.values() for c in "XY"),
     )
-    table.unique("positionerID")
+    table.unique("positionerID", number=True)
     table.unique("holeID")
     holes = read_table(folder / "wokCoords.csv")
     place = _join(table, holes)

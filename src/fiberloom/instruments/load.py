@@ -1,6 +1,5 @@
 """Instruments by name or from a file."""
 
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from fiberloom.errors import InputError
+from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.model import Instrument
 from fiberloom.instruments.names import check_name, instrument_names
 
@@ -15,11 +15,7 @@ from fiberloom.instruments.names import check_name, instrument_names
 def load_instrument(name_or_path: str | Path) -> Instrument:
     """A preset by name (`sdssv`), or an instrument of your own from a TOML file."""
     text, where = _read(str(name_or_path))
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: not valid TOML: {error}") from None
-    return parse_instrument(data, where)
+    return parse_instrument(parse_toml(text, where), where)
 
 
 def parse_instrument(data: dict[str, Any], where: str) -> Instrument:
@@ -34,11 +30,7 @@ def _read(name: str) -> tuple[str, str]:
     if name in instrument_names():
         return files("fiberloom.instruments.presets").joinpath(f"{name}.toml").read_text(), name
     check_name(name)
-    path = Path(name)
-    try:
-        return path.read_text(encoding="utf-8"), str(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    return read_text(Path(name)), str(Path(name))
 
 
 def first_problem(error: ValidationError) -> str:
@@ -47,6 +39,6 @@ def first_problem(error: ValidationError) -> str:
     first = problems[0]
     key = ".".join(str(part) for part in first["loc"])
     message = first["msg"].removeprefix("Value error, ")
-    value = "" if isinstance(first["input"], dict) else f" = {first['input']!r}"
+    value = "" if isinstance(first["input"], dict) else f" = {shown(first['input'])}"
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     return f"{key}{value}: {message}{more}".removeprefix(": ")

@@ -14,6 +14,8 @@ from fiberloom.units import AXES as AXES
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+MOST_SIDE_PX = 50_000
+"""Of a camera's image."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
@@ -171,8 +173,8 @@ class Metrology(Table):
 class CameraTable(Table):
     """What the host knows of the camera before it has seen an image; the rest it finds in images."""
 
-    width_px: Annotated[int, Field(ge=64)]
-    height_px: Annotated[int, Field(ge=64)]
+    width_px: Annotated[int, Field(ge=64, le=MOST_SIDE_PX)]
+    height_px: Annotated[int, Field(ge=64, le=MOST_SIDE_PX)]
     scale_mm_px: Positive
     """Focal-plane millimetres on a pixel, in the middle of the field."""
     rotation_deg: Finite = 0.0
@@ -287,7 +289,7 @@ class Care(Table):
 class GuideCameras(Table):
     """Cameras in a ring around the field; only the edge that faces the field can be touched."""
 
-    number: Annotated[int, Field(ge=0)]
+    number: Annotated[int, Field(ge=0, le=1000)]
     first_direction_deg: Finite
     """Direction of the first one from the centre of the field."""
     face_distance_mm: Positive
@@ -297,13 +299,19 @@ class GuideCameras(Table):
     """From the centre of the field to the centre of the chip (calibration files give that)."""
 
 
+MOST_POSITIONERS = 20_000
+"""Of one focal plane: four times as many as any that is built. Memory grows with them."""
+MOST_RINGS = 120
+"""Enough holes for them, and for as many fiducials."""
+
+
 class Layout(Table):
     """A hexagonal array of holes with positioners and fiducials in it."""
 
     pitch_mm: Positive
-    rings: Annotated[int, Field(ge=0)]
+    rings: Annotated[int, Field(ge=0, le=MOST_RINGS)]
     """Rings of holes around the central one."""
-    n_positioners: Annotated[int, Field(ge=1)]
+    n_positioners: Annotated[int, Field(ge=1, le=MOST_POSITIONERS)]
     orientation_deg: Finite
     """Direction of alpha = 0 in the focal plane."""
     fiducial_lattice: tuple[int, int] | None = None
@@ -314,7 +322,7 @@ class Layout(Table):
     guide_cameras: GuideCameras | None = None
     field_radius_mm: Positive | None = None
     """There are no holes farther out; the whole hexagon when left out."""
-    petals: Annotated[int, Field(ge=1)] = 1
+    petals: Annotated[int, Field(ge=1, le=100)] = 1
     """Wedges of the field, each with the same holes, turned."""
     petal_gap_mm: NotNegative = 0.0
     """No hole is nearer to the edge of its petal than half of this."""

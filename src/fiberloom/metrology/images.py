@@ -8,15 +8,17 @@ kind (compressed, scaled, 8, 32 or 64 bits) goes through astropy into a float32 
 from __future__ import annotations
 
 import datetime
+import io
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import IMAGE_BYTES, PACKED, check_axes, read_bytes
 from fiberloom.typing import Array
 
 
@@ -51,7 +53,6 @@ class CameraImage:
 
 
 GAIN_KEYS = ("GAIN", "EGAIN", "CCDGAIN")
-_PACKED = (".gz", ".bz2", ".xz")
 SATURATION_KEYS = ("SATURATE", "SATLEVEL")
 
 
@@ -75,8 +76,13 @@ def read_image(
         raise InputError(f"{path}: no such file")
     try:
         # one line says what is wrong: astropy's warnings would come beside it
-        with warnings.catch_warnings(action="ignore"), fits.open(path, memmap=False) as hdus:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            _opened(path) as file,
+            fits.open(file, memmap=False) as hdus,
+        ):
             hdu = _image_hdu(hdus, extension, path)
+            _check_size(path, hdu)
             _check_whole(path, hdu)
             pixels, fits_bytes = _mapped(path, hdu), True
             if pixels is None:
@@ -85,8 +91,7 @@ def read_image(
     except InputError:
         raise
     except Exception as error:  # astropy raises many kinds for a broken file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as FITS: {reason}") from None
+        raise InputError(f"{path}: cannot be read as FITS: {one_line(error)}") from None
     return CameraImage(
         pixels,
         fits_bytes,
@@ -97,6 +102,24 @@ def read_image(
         path=path,
         begun_utc_s=_begun_utc_s(header),
     )
+
+
+def _opened(path: Path) -> BinaryIO:
+    """The file, unpacked in memory where it is packed."""
+    packed = path.suffix.lower() in PACKED
+    file: BinaryIO = io.BytesIO(read_bytes(path, IMAGE_BYTES)) if packed else path.open("rb")
+    try:
+        check_axes(path, file)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _check_size(path: Path, hdu: Any) -> None:
+    rows, columns = hdu.shape
+    if rows * columns > IMAGE_BYTES // 8:
+        raise InputError(f"{path}: an image of {columns} x {rows} px is larger than any; the file is damaged")
 
 
 _BEGUN_KEYS = ("DATE-BEG", "DATE-OBS")
@@ -148,7 +171,7 @@ def _image_hdu(hdus: Any, extension: int | str | None, path: Path) -> Any:
 
 def _check_whole(path: Path, hdu: Any) -> None:
     """A copy that was interrupted is no image of a dark field."""
-    if path.suffix in _PACKED:
+    if path.suffix.lower() in PACKED:
         return  # the unpacker complains
     needed, there = hdu._data_offset + hdu._data_size, path.stat().st_size
     if there < needed:
@@ -175,7 +198,7 @@ def trouble(image: CameraImage) -> str:
 def _mapped(path: Path, hdu: Any) -> Array | None:
     """The bytes of an uncompressed image, if they are of a kind that is read in place."""
     header = hdu.header
-    if type(hdu).__name__ == "CompImageHDU" or path.suffix in _PACKED:
+    if type(hdu).__name__ == "CompImageHDU" or path.suffix.lower() in PACKED:
         return None
     scale, zero = hdu._orig_bscale, hdu._orig_bzero
     dtype: np.dtype[Any]

@@ -292,6 +292,10 @@ def write_spots(spots: Spots, path: Path, comments: dict[str, object] | None = N
             out.write("{:.5f},{:.5f},{:.5f},{:.5f},{:.1f},{:.0f}\n".format(*row))
 
 
+MOST_ERROR_PX = 1e4
+"""A position that is less certain is none."""
+
+
 def read_spots(path: str | Path) -> Spots:
     """Spots of a table with at least x_px, y_px; what is missing is taken as 0.01 px, flux 1."""
     table = read_table(path)
@@ -302,9 +306,14 @@ def read_spots(path: str | Path) -> Spots:
         return table.numbers(name) if name in table else np.full(n, default)
 
     x_err, y_err = column("x_err_px", 0.01), column("y_err_px", 0.01)
+    for name, error in (("x_err_px", x_err), ("y_err_px", y_err)):
+        for row in np.flatnonzero(~((error > 0.0) & (error < MOST_ERROR_PX))).tolist():
+            raise table.error(row, name, f"= {error[row]:g}: must be above 0 and below {MOST_ERROR_PX:g} px")
+    flags = table.integers("flags") if "flags" in table else np.zeros(n, dtype=np.int64)
+    for row in np.flatnonzero((flags < 0) | (flags > sum(Flag))).tolist():
+        raise table.error(row, "flags", f"= {flags[row]}: must be a sum of 1, 2, 4, ... up to {sum(Flag)}")
     covariance = np.zeros((n, 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = x_err**2, y_err**2
-    flags = table.integers("flags") if "flags" in table else np.zeros(n)
     unknown = np.full(n, np.nan)
     return Spots(
         table.numbers("x_px"), table.numbers("y_px"), covariance, column("flux_e", 1.0),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import write_image
 from fiberloom.metrology.pipeline import ImageCamera, Reduction
+from fiberloom.typing import Floats
 
 FOLDER = "exposures"
 
@@ -24,8 +27,11 @@ class ExposureLog:
         """
         self.plane, self.folder = plane, out / FOLDER
         self.pages, self.save_images = pages, save_images
-        self.taken = 0
+        self._number: Callable[[], int] | None = None
+        self._taken: Counter[int] = Counter()
+        self._goal_mm: Floats | None = None
         self._last: Reduction | None = None
+        self._last_name = ""
         self._watched: ImageCamera | None = None
         for old in self.folder.glob("exposure-*"):  # of an earlier run into the same folder
             old.unlink()
@@ -39,13 +45,19 @@ class ExposureLog:
         elif self.save_images:
             raise InputError("--save-images goes with --camera image: this camera takes no images")
 
+    def follow(self, number: Callable[[], int], goal_mm: Floats) -> None:
+        """From now on exposures have the number of the move before them: `number()`, 0 before the first move.
+
+        `goal_mm` (N, 2): where the metrology fibres should be after a move, NaN without a target.
+        """
+        self._number, self._goal_mm = number, goal_mm
+
     def seen(self, reduction: Reduction) -> None:
         """Takes the next exposure; what is kept of each one is written before the loop goes on."""
-        self.taken += 1
-        self._last = reduction
+        self._last, self._last_name = reduction, self._next_name()
         if self.save_images:
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_image(reduction.image, self.folder / f"{self._name()}.fits")
+            write_image(reduction.image, self.folder / f"{self._last_name}.fits")
         if self.pages == "all":
             self._plot(reduction)
 
@@ -60,10 +72,16 @@ class ExposureLog:
         if self.pages == "last" and self._last is not None:
             self._plot(self._last)
 
-    def _name(self) -> str:
-        return f"exposure-{self.taken:02d}"
+    def _next_name(self) -> str:
+        """With the number of the move; further exposures of the same move count on behind it."""
+        move = self._taken.total() + 1 if self._number is None else self._number()
+        self._taken[move] += 1
+        again = f"-{self._taken[move]}" if self._taken[move] > 1 else ""
+        return f"exposure-{move:02d}{again}"
 
     def _plot(self, reduction: Reduction) -> None:
         from fiberloom.report.exposure import plot_reduction  # matplotlib takes a second
 
-        plot_reduction(self.folder, self._name(), self.plane, reduction)
+        moved = self._number is not None and self._number() > 0
+        goal_mm = self._goal_mm if moved else None  # before the first move none is at its target
+        plot_reduction(self.folder, self._last_name, self.plane, reduction, goal_mm)

@@ -266,6 +266,8 @@ class FieldMotion:
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
+        self.underway = 0
+        """Number of the move under way or just made; 0 before the first one."""
 
     async def connect(self) -> None:
         """Finds the positioners of the bus, and where they and their fibres are.
@@ -344,6 +346,7 @@ class FieldMotion:
         Raises UnsafePlanError where the verifier refuses the plan: nothing has moved then.
         """
         await asyncio.to_thread(self._verify, planned)
+        self.underway = number
         before_deg = self.state.here_deg.copy()
         results = await self._execute(planned)
         image = await self._look_after()

@@ -18,7 +18,7 @@ from fiberloom.operation.known import Known
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.recording import StoreRecorder
-from fiberloom.operation.results import Observation
+from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
 from fiberloom.targets import TargetList
@@ -133,6 +133,7 @@ class Observer:
             log.watch(hardware.camera)
             with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
                 motion = self._motion(kept, targets, assignment, hardware, run)
+                log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
                 self.known.record_used(run)
                 await _whole(loop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,24 +12,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from astropy import units as u
 from astropy.table import QTable, Table, vstack
+from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
 from fiberloom.errors import InputError
-from fiberloom.health.status import FAULTS, FibreStatus
-from fiberloom.instruments import FocalPlane
+from fiberloom.health.status import FAULTS, FibreFlag, FibreStatus, grade
+from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.operation.move import Move
 from fiberloom.report.figures import new_axes
 from fiberloom.report.focal_plane import (
     FieldPicture,
     draw_focal_plane,
+    errors_title,
     frame_positioners,
     plot_errors,
     plot_focal_plane,
 )
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
+from fiberloom.tables import write_summed
 from fiberloom.targets import TargetList
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
 if TYPE_CHECKING:
@@ -38,6 +42,9 @@ MARKS = ("version", "seed", "instrument", "config_hash", "utc")
 """Entries that every result file has."""
 
 _UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
+
+TRULY_OFF = "truly_off_target"
+"""On target as measured, not in truth: the twin knows."""
 
 NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
 """Status of a positioner whose error does not count."""
@@ -92,7 +99,7 @@ class Observation:
         made = f"{n} positioners, {self.assignment.n_assigned} with a target, {len(own)} moves"
         if not own:
             return f"Observation({name!r}, {made})"
-        within = int((self.error_um(own[-1])[self.counted(own[-1])] <= self.requirement_um).sum())
+        within = int(self.on_target(own[-1]).sum())
         return f"Observation({name!r}, {made}, {within} within {self.requirement_um:g} um)"
 
     def _repr_html_(self) -> str:
@@ -117,9 +124,10 @@ class Observation:
         Returns
         -------
         dict
-            n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um, a row
-            for each of `moves` (errors in um, motion in s), `faults` by kind, `not_assigned` by reason,
-            and version, seed, instrument, config_hash, utc of the observation.
+            n_positioners, n_targets, n_assigned, n_valid, n_within_requirement, requirement_um,
+            share_within_requirement (of the assigned), a row for each of `moves` (errors in um, motion
+            in s), `faults` by kind, `not_on_target` and `not_assigned` counted by reason, and version,
+            seed, instrument, config_hash, utc of the observation.
 
         Examples
         --------
@@ -132,16 +140,8 @@ class Observation:
         about = dict(self.about)
         learnt = {"learnt": about.pop("learnt")} if "learnt" in about else {}
         put_in = {"put_in": about.pop("put_in")} if "put_in" in about else {}
-        summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self._reasons()}
+        summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self.assignment.reasons()}
         return summary | {"notes": self.assignment.notes} | put_in | learnt
-
-    def _reasons(self) -> dict[str, int]:
-        """Number of targets that were not assigned, by the first words of the reason."""
-        counts: dict[str, int] = {}
-        for reason in self.assignment.unassigned.values():
-            short = reason.split(":")[0].split("(")[0].strip()
-            counts[short] = counts.get(short, 0) + 1
-        return counts
 
     def table(self) -> QTable:
         """One row for every positioner and move, with units.
@@ -256,6 +256,24 @@ class Observation:
         xy[has] = np.stack([self.targets.x_mm[chosen], self.targets.y_mm[chosen]], axis=1)
         return xy
 
+    def metrology_goal_mm(self) -> Floats:
+        """Where the metrology fibre of each positioner is when the science fibre is on its target.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target. The measured error is the distance of the measured place from it.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.metrology_goal_mm().shape
+        (7, 2)
+        """
+        return metrology_goals_mm(self.plane, self.assignment)
+
     def true_error_um(self, move: Move) -> Floats | None:
         """True distance of the science fibres from their targets.
 
@@ -334,18 +352,48 @@ class Observation:
         """
         return np.array([status not in NOT_COUNTED for status in move.status])
 
+    def on_target(self, move: Move) -> Flags:
+        """Positioners that are healthy and whose fibre is within the requirement of its target.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+            By the true error where it is known, else by the measured one.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.on_target(seen.final).sum())
+        7
+        """
+        return self.counted(move) & (self.error_um(move) <= self.requirement_um)
+
+
+def metrology_goals_mm(plane: FocalPlane, assignment: Assignment) -> Floats:
+    """(N, 2) mm: where each metrology fibre is when the science fibre is on its target; NaN without one."""
+    at = plane.forward(assignment.alpha_deg, assignment.beta_deg, METROLOGY)
+    return np.where((assignment.target >= 0)[:, None], at, np.nan)
+
 
 def summarise(observed: Observation) -> dict[str, Any]:
     """The figures of summary.json that come from the moves."""
     final = observed.final
-    counted = observed.counted(final)
-    within = observed.error_um(final)[counted] <= observed.requirement_um
+    assigned = observed.assignment.n_assigned
+    within = int(observed.on_target(final).sum())
     return {
         "n_positioners": len(observed.plane),
         "n_targets": len(observed.targets),
-        "n_assigned": int((observed.assignment.target >= 0).sum()),
-        "n_valid": int(counted.sum()),
-        "n_within_requirement": int(within.sum()),
+        "n_assigned": assigned,
+        "n_valid": int(observed.counted(final).sum()),
+        "n_within_requirement": within,
+        "share_within_requirement": within / assigned if assigned else 0.0,
         "requirement_um": observed.requirement_um,
         "collisions_verified": observed.collisions_verified,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
@@ -353,7 +401,15 @@ def summarise(observed: Observation) -> dict[str, Any]:
         "stopped": observed.stopped,
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
+        "not_on_target": _not_on_target(observed, final),
     }
+
+
+def _not_on_target(observed: Observation, move: Move) -> dict[str, int]:
+    """How many of the assigned fibres are not on target, by their status; the most frequent first."""
+    missed = (observed.assignment.target >= 0) & ~observed.on_target(move)
+    why = [TRULY_OFF if status is FibreStatus.ON_TARGET else status.value for status in move.status]
+    return dict(Counter(np.array(why, dtype=object)[missed].tolist()).most_common())
 
 
 def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
@@ -401,10 +457,10 @@ def fibres_table(observed: Observation) -> Table:
 
 def _fibres_of(observed: Observation, move: Move) -> Table:
     plane, assignment = observed.plane, observed.assignment
-    target = observed.target_mm()
+    target, goal = observed.target_mm(), observed.metrology_goal_mm()
     names = np.append(observed.targets.target_id, "")  # index -1: no target
     nothing = np.full((len(plane), 2), np.nan)
-    true = nothing if move.true_mm is None else move.true_mm
+    true, true_um = move.true_mm, observed.true_error_um(move)
     seen = move.measurement.seen
     return Table(
         {
@@ -412,18 +468,51 @@ def _fibres_of(observed: Observation, move: Move) -> Table:
             "fibre": assignment.fibre,
             "target_id": names[assignment.target],
             "move": np.full(len(plane), move.number),
-            "x_target_mm": target[:, 0],
-            "y_target_mm": target[:, 1],
+            **_pair("target", target),
             "alpha_deg": assignment.alpha_deg,
             "beta_deg": assignment.beta_deg,
-            "x_measured_mm": np.where(seen, move.measurement.x_mm, np.nan),
-            "y_measured_mm": np.where(seen, move.measurement.y_mm, np.nan),
-            "x_true_mm": true[:, 0],
-            "y_true_mm": true[:, 1],
+            **_pair("metrology_goal", goal),
+            **_pair("measured", np.where(seen[:, None], move.measurement.xy_mm, np.nan)),
+            **_pair("true", nothing if true is None else true),
+            "measured_error_um": move.measured_error_um,
+            "true_error_um": nothing[:, 0] if true_um is None else true_um,
             "error_um": observed.error_um(move),
             "status": np.array([status.value for status in move.status]),
+            "grade": _grades(observed, move),
+            "flags": _flags(observed, move),
         }
     )
+
+
+def _pair(name: str, xy_mm: Floats) -> dict[str, Floats]:
+    return {f"x_{name}_mm": xy_mm[:, 0], f"y_{name}_mm": xy_mm[:, 1]}
+
+
+def _grades(observed: Observation, move: Move) -> NDArray[np.str_]:
+    has = (observed.assignment.target >= 0).tolist()
+    errors = observed.error_um(move).tolist()
+    return np.array([grade(e, observed.requirement_um, h) for e, h in zip(errors, has, strict=True)])
+
+
+def _flags(observed: Observation, move: Move) -> Ints:
+    """(N,) bits of `FibreFlag`."""
+    flags = np.array([_OF_STATUS.get(status, 0) for status in move.status], dtype=np.int64)
+    ambiguous = move.measurement.ambiguous
+    for flag, where in (
+        (FibreFlag.NO_TARGET, observed.assignment.target < 0),
+        (FibreFlag.NOT_SEEN, ~move.measurement.seen),
+        (FibreFlag.AMBIGUOUS, np.zeros(len(flags), dtype=bool) if ambiguous is None else ambiguous),
+        (FibreFlag.OFF_TARGET, observed.error_um(move) > observed.requirement_um),
+        (FibreFlag.INTERRUPTED, np.full(len(flags), move.interrupted)),
+        (FibreFlag.COMPARISON, np.full(len(flags), move.comparison)),
+    ):
+        flags |= np.where(where, int(flag), 0)
+    return flags
+
+
+_OF_STATUS = {
+    status: int(FibreFlag[status.name]) for status in FibreStatus if status.name in FibreFlag.__members__
+}
 
 
 def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
@@ -431,7 +520,8 @@ def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) 
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     table = fibres_table(observed)
     table.meta = {k: summary[k] for k in MARKS}
-    table.write(out / "fibres.ecsv", overwrite=True)
+    table.meta["flags"] = {flag.name: int(flag) for flag in FibreFlag}
+    write_summed(out / "fibres.ecsv", table)
     plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
     plans |= {k: summary[k] for k in MARKS}
     (out / "trajectories.json").write_text(json.dumps(plans) + "\n")
@@ -441,11 +531,14 @@ def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) 
 def _plot(observed: Observation, out: Path) -> None:
     plot_focal_plane(out / "focal_plane.png", observed.plane, _picture(observed))
     ended = [move for move in observed.moves if not move.interrupted]
+    errors = [observed.error_um(m)[observed.counted(m)] for m in ended]
+    own = [error for error, m in zip(errors, ended, strict=True) if not m.comparison]
     plot_errors(
         out / "errors.png",
-        [observed.error_um(m)[observed.counted(m)] for m in ended],
+        errors,
         [f"move {m.number} ({m.label})" for m in ended],
         observed.requirement_um,
+        errors_title(own, observed.assignment.n_assigned, observed.requirement_um),
     )
 
 
@@ -454,9 +547,9 @@ def _picture(observed: Observation) -> FieldPicture:
     error = observed.error_um(final)
     counted = observed.counted(final)
     flagged = np.array([s in FAULTS or s is FibreStatus.BLOCKED for s in final.status])
-    within = int((error[counted] <= observed.requirement_um).sum())
+    within = int(observed.on_target(final).sum())
     title = (
-        f"{within} of {int(counted.sum())} fibres within {observed.requirement_um:g} µm "
+        f"{within} of {observed.assignment.n_assigned} assigned fibres within {observed.requirement_um:g} µm "
         f"after move {final.number}"
         + (f"; {int(flagged.sum())} positioners flagged" if flagged.any() else "")
     )

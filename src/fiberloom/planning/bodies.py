@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad
 
@@ -23,6 +25,10 @@ STOP_ROOM_DEG = 1.0
 the output's by the non-linearity (up to 0.6 deg accepted) and the backlash (0.25 deg)."""
 
 
+STOP_DOUBT_DEG = 5.0
+"""[A] By so much a report may lie beyond a hard stop, after a poor datum. Farther out no arm can be."""
+
+
 @dataclass(frozen=True)
 class CollisionBodies:
     """First arguments of `_core.planning`."""
@@ -35,6 +41,7 @@ class CollisionBodies:
     @classmethod
     def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "CollisionBodies":
         """The bodies of a plane; its own collision buffer when left out."""
+        _refuse_wide(plane, plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm)
         discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
         radius = plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
         obstacles = np.vstack([discs, plane.guide_cameras.reshape(-1, 5)])
@@ -46,6 +53,19 @@ class CollisionBodies:
         obstacles in mm.
         """
         return self.arms, self.segment_mm, self.radius_mm, self.obstacles
+
+
+def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
+    """Arms wider than the pitch overlap everywhere: a search or proof among them takes minutes to hours."""
+    if plane.n < 2:
+        return
+    nearest = cKDTree(plane.centres_mm).query(plane.centres_mm, k=2)[0][:, 1]
+    pitch_mm = float(np.median(nearest))
+    if not 2.0 * radius_mm < pitch_mm:
+        raise InputError(
+            f"collision_buffer_mm = {radius_mm:g}: the arms are {2.0 * radius_mm:g} mm wide, the positioners "
+            f"{pitch_mm:g} mm apart; wider than that nothing can move"
+        )
 
 
 def travel_rad(plane: FocalPlane) -> Floats:
@@ -60,6 +80,28 @@ def travel_rad(plane: FocalPlane) -> Floats:
     low = np.minimum(low, range_deg[:, 0])
     high = np.maximum(high, range_deg[:, 1] + approach_deg)
     return deg_to_rad(np.column_stack([low, high]))
+
+
+def beyond_stops_deg(plane: FocalPlane, angles_deg: Floats) -> Floats:
+    """(n, 2) deg by which alpha and beta (n, 2) lie beyond the hard stops, where no arm can be.
+
+    0 within `STOP_DOUBT_DEG` of them.
+    """
+    low, high = plane.hard_stops_deg.T
+    beyond = np.maximum(low - angles_deg, angles_deg - high)
+    return np.where(beyond > STOP_DOUBT_DEG, beyond, 0.0)
+
+
+def require_within_stops(name: str, plane: FocalPlane, angles_deg: Floats) -> None:
+    """Raises InputError where a positioner that is not offline has angles (N, 2) that no arm can have."""
+    beyond = np.where(plane.offline[:, None], 0.0, beyond_stops_deg(plane, angles_deg))
+    for row, axis in np.argwhere(beyond > 0.0)[:1]:
+        low, high = plane.hard_stops_deg[axis]
+        whose = f"positioner {plane.positioner_id[row]} has {AXES[axis]} = {angles_deg[row, axis]:g} deg"
+        raise InputError(
+            f"{name}: {whose}, {beyond[row, axis]:g} deg beyond its hard stop; they are at {low:g} and "
+            f"{high:g} deg"
+        )
 
 
 def angles_rad(name: str, angles_deg: ArrayLike, plane: FocalPlane) -> Floats:

@@ -1,5 +1,7 @@
 """Configurations: the angles of every positioner, as CSV `positioner_id,alpha_deg,beta_deg`."""
 
+import csv
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import beyond_stops_deg
 from fiberloom.tables import read_table
 from fiberloom.typing import Floats
 
@@ -16,11 +19,12 @@ COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
     """(N, 2) alpha and beta in deg, in the order of the plane.
 
-    Every positioner once; offline ones may be left out and keep the angles of the plane.
+    Every positioner once, within its hard stops; offline ones may be left out and keep the angles of the
+    plane.
     """
     table = read_table(path)
     table.require(*COLUMNS)
-    table.unique(COLUMNS[0])
+    table.unique(COLUMNS[0], number=True)
     ids, angles = table.integers(COLUMNS[0]), [table.numbers(name) for name in COLUMNS[1:]]
     known = np.isin(ids, plane.positioner_id)
     if not known.all():
@@ -32,13 +36,31 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
             f"{path}: no row for positioner {plane.positioner_id[missing][0]} "
             f"({int(missing.sum())} missing); every positioner needs one"
         )
+    found = np.column_stack(angles)
+    for row, axis in np.argwhere(beyond_stops_deg(plane, found) > 0.0)[:1]:
+        low, high = plane.hard_stops_deg[axis]
+        problem = f"= {found[row, axis]:g}: beyond the hard stops at {low:g} and {high:g} deg"
+        raise table.error(int(row), COLUMNS[1 + axis], problem)
     out = plane.offline_position_deg.astype(np.float64)
-    out[plane.index_of(ids)] = np.column_stack(angles)
+    out[plane.index_of(ids)] = found
     return out
 
 
-def write_configuration(path: str | Path, positioner_id: ArrayLike, angles_deg: ArrayLike) -> None:
-    """Write a configuration; angles with 9 decimals (a count of the bus is 3e-7 deg)."""
-    rows = zip(np.asarray(positioner_id), np.asarray(angles_deg, dtype=np.float64), strict=True)
-    lines = [f"{int(number)},{alpha:.9f},{beta:.9f}" for number, (alpha, beta) in rows]
-    Path(path).write_text("\n".join([",".join(COLUMNS), *lines]) + "\n")
+def write_configuration(
+    path: str | Path,
+    positioner_id: ArrayLike,
+    angles_deg: ArrayLike,
+    more: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Write a configuration; angles with 9 decimals (a count of the bus is 3e-7 deg).
+
+    `path`: the CSV file; `positioner_id` (N,); `angles_deg` (N, 2): alpha, beta in deg; `more`: further
+    columns by name, N cells each.
+    """
+    more = more or {}
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    cells = zip(np.asarray(positioner_id), angles, *more.values(), strict=True)
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow([*COLUMNS, *more])
+        out.writerows([int(number), f"{a:.9f}", f"{b:.9f}", *rest] for number, (a, b), *rest in cells)

@@ -9,7 +9,13 @@ from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import CollisionBodies, angles_rad, approach_rad, travel_rad
+from fiberloom.planning.bodies import (
+    CollisionBodies,
+    angles_rad,
+    approach_rad,
+    require_within_stops,
+    travel_rad,
+)
 from fiberloom.planning.trajectories import Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, Verification, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -88,6 +94,7 @@ class _Task:
             np.where(plane.offline[:, None], still, angles_rad(name, angles, plane))
             for name, angles in (("start_deg", start_deg), ("goal_deg", goal_deg))
         )
+        require_within_stops("start_deg", plane, rad_to_deg(start))
         approach = approach_rad(plane, approach_deg)
         return cls(plane, start, goal, approach, (settings or PlanSettings()).of(plane))
 
@@ -148,7 +155,8 @@ def plan(
     Raises
     ------
     InputError
-        Angles of another shape, or beyond the hard stops.
+        Angles of another shape, or a start where no arm can be: beyond the hard stops. A goal there is
+        refused in the plan.
 
     Examples
     --------

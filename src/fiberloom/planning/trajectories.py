@@ -10,10 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
+from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
 
 KEYS = ("time_s", "alpha_deg", "beta_deg")
+
+MOST_DEG = 3600.0
+"""Ten turns: no axis goes there, and a proof along a longer way takes minutes to hours."""
+MOST_S = 1e5
+"""A day: no motion lasts longer."""
+MOST_BUFFER_MM = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,15 +186,14 @@ class Plan:
         twice = sorted({p for p in ids if ids.count(p) > 1}) if len(set(ids)) < len(ids) else []
         if twice:
             raise InputError(f"{where}: positioner {twice[0]} appears twice; keep one of them")
-        buffer_mm = float(_get(document, "collision_buffer_mm", (int, float), where))
-        if not 0.0 < buffer_mm < np.inf:
-            raise InputError(f"{where}: collision_buffer_mm = {buffer_mm} must be above 0")
-        refused = document.get("not_arrived") or {}
+        buffer_mm = _get(document, "collision_buffer_mm", (int, float), where)
+        if not 0.0 < buffer_mm < MOST_BUFFER_MM:
+            raise InputError(f"{where}: collision_buffer_mm = {shown(buffer_mm)} must be above 0")
         return cls(
             instrument=str(_get(document, "instrument", str, where)),
-            collision_buffer_mm=buffer_mm,
+            collision_buffer_mm=float(buffer_mm),
             robots=robots,
-            refused={int(k): str(why) for k, why in refused.items()},
+            refused=_refused(document, where),
         )
 
     @classmethod
@@ -220,37 +226,53 @@ class Plan:
         return cls.from_dict(_parse(text, where), where)
 
 
-def read_plans(path: str | Path, plane: FocalPlane | None = None) -> list[Plan]:
+def read_plans(
+    path: str | Path, plane: FocalPlane | None = None, *, buffer_mm: float | None = None
+) -> list[Plan]:
     """All plans of a trajectories.json: one object, or {"plans": [...]} as `observe` writes it.
 
-    With a focal plane: every positioner of a plan must be in it.
+    InputError where there is none. With a focal plane: every positioner of a plan must be in it, the
+    instrument must be its own, and the collision buffer no smaller than it keeps (`least_buffer_mm`),
+    unless `buffer_mm` says with which one they are to be checked.
     """
     where = str(path)
-    try:
-        text = Path(path).read_text()
-    except OSError as error:
-        raise InputError(f"{where}: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{where}: not a text file; trajectories are JSON") from None
-    document = _parse(text, where)
+    document = _parse(read_text(Path(path)), where)
     if "plans" not in document:
         plans = [Plan.from_dict(document, where)]
     else:
         entries = _get(document, "plans", list, where)
         plans = [Plan.from_dict(e, f"{where}, plans[{k}]") for k, e in enumerate(entries)]
+    if not plans:
+        raise InputError(f"{where}: 'plans' is empty: there is nothing in it to check or to carry out")
     if plane is not None:
         for made in plans:
-            plane.index_of([robot.positioner_id for robot in made.robots])
+            _belongs(made, plane, where, buffer_mm)
     return plans
 
 
-def _parse(text: str, where: str) -> dict[str, Any]:
+def least_buffer_mm(plane: FocalPlane) -> float:
+    """The smallest collision buffer with which plans of this focal plane are made, mm."""
+    return plane.collision_buffer_mm - plane.instrument.bodies.collision_shrink_mm
+
+
+def _belongs(made: Plan, plane: FocalPlane, where: str, asked_mm: float | None) -> None:
+    name = plane.instrument.name
+    if made.instrument != name:
+        raise InputError(f"{where}: planned for {made.instrument}, not for {name}; name the --instrument")
     try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
+        plane.index_of([robot.positioner_id for robot in made.robots])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    least_mm, has_mm = least_buffer_mm(plane), made.collision_buffer_mm
+    if asked_mm is None and has_mm < least_mm - 1e-9:
         raise InputError(
-            f"{where}, line {error.lineno}, column {error.colno}: not JSON ({error.msg})"
-        ) from None
+            f"{where}: planned with a collision buffer of {has_mm:g} mm, {name} keeps {least_mm:g} mm or "
+            f"more; plan anew, or name the buffer to check with: --buffer {least_mm:g}"
+        )
+
+
+def _parse(text: str, where: str) -> dict[str, Any]:
+    document = parse_json(text, where)
     if not isinstance(document, dict):
         raise InputError(f"{where}: a JSON object is expected, found {type(document).__name__}")
     return document
@@ -267,8 +289,20 @@ def _get(document: Mapping[str, Any], key: str, kind: type | tuple[type, ...], w
     return value
 
 
+def _refused(document: Mapping[str, Any], where: str) -> dict[int, str]:
+    refused = document.get("not_arrived") or {}
+    if not isinstance(refused, Mapping):
+        raise InputError(f"{where}: 'not_arrived' has the wrong type ({type(refused).__name__})")
+    wrong = [key for key in refused if not (key.isascii() and key.isdigit() and len(key) < 10)]
+    if wrong:
+        raise InputError(f"{where}: 'not_arrived' names {shown(wrong[0])}, which is no positioner")
+    return {int(key): str(why) for key, why in refused.items()}
+
+
 def _robot(entry: Any, where: str) -> Trajectory:
-    number = int(_get(entry, "positioner_id", int, where))
+    number = _get(entry, "positioner_id", int, where)
+    if not 0 <= number < 2**31:
+        raise InputError(f"{where}: positioner_id = {shown(number)} is no number of a positioner")
     where = f"{where} (positioner {number})"
     time_s, alpha_deg, beta_deg = (_array(entry, key, where) for key in KEYS)
     if not len(time_s) == len(alpha_deg) == len(beta_deg) > 0:
@@ -283,8 +317,14 @@ def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:
     values = _get(entry, key, list, where)
     try:
         array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: '{key}' must be a list of numbers") from None
     if array.ndim != 1 or not np.isfinite(array).all():
         raise InputError(f"{where}: '{key}' must be a flat list of finite numbers")
+    most, unit = (MOST_S, "s") if key == "time_s" else (MOST_DEG, "deg")
+    far = np.flatnonzero(np.abs(array) > most)
+    if len(far):
+        raise InputError(f"{where}: '{key}' holds {array[far[0]]:g} {unit}; at most {most:g} {unit} is sound")
+    if any(isinstance(value, bool | str) for value in values):  # numpy makes numbers of them
+        raise InputError(f"{where}: '{key}' must be a list of numbers")
     return array

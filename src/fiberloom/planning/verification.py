@@ -1,5 +1,6 @@
 """Proof that a plan is safe: other code and another method than the planner's."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,15 @@ from numpy.typing import ArrayLike
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import ROUNDING_RAD, CollisionBodies, angles_rad, approach_rad, travel_rad
-from fiberloom.planning.trajectories import Plan
+from fiberloom.planning.bodies import (
+    ROUNDING_RAD,
+    CollisionBodies,
+    angles_rad,
+    approach_rad,
+    beyond_stops_deg,
+    travel_rad,
+)
+from fiberloom.planning.trajectories import MOST_DEG, Plan, Trajectory
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -20,6 +28,7 @@ _WHAT = {
     "contact": "is closer to positioner {other} than the collision buffer, by {depth:.4g} mm",
     "obstacle_contact": "is closer to {other} than the collision buffer, by {depth:.4g} mm",
     "points": "has times that do not rise from 0, or numbers that are not finite",
+    "stops": "is {depth:.4g} deg beyond a hard stop, where no arm can be",
     "travel": "goes {depth:.4g} deg beyond the travel of an axis",
     "speed": "is {depth:.4g} deg/s too fast",
     "acceleration": "changes speed {depth:.4g} deg/s2 too fast",
@@ -40,7 +49,7 @@ class Violation:
 
     kind: str
     """robots, obstacle; contact, obstacle_contact (of those that do not move, or still overlap at the
-    end); closing, obstacle_closing (they overlapped at the start); points, travel, speed,
+    end); closing, obstacle_closing (they overlapped at the start); points, stops, travel, speed,
     acceleration, start, goal, approach."""
     positioner_id: int
     other: str
@@ -178,13 +187,27 @@ def verify(
     rules.separating = limits.separating
     found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, plan), rules)
     return Verification(
-        violations=tuple(_violation(plane, *entry) for entry in found["violations"]),
+        violations=(
+            *_beyond_stops(plane, plan),
+            *(_violation(plane, *entry) for entry in found["violations"]),
+        ),
         min_robot_clearance_mm=_gap(found["robots"]),
         min_obstacle_clearance_mm=_gap(found["obstacles"]),
         top_speed_deg_s=float(rad_to_deg(found["top_speed_rad_s"])),
         top_acceleration_deg_s2=float(rad_to_deg(found["top_acceleration_rad_s2"])),
         top_jump_deg_s=float(rad_to_deg(found["top_jump_rad_s"])),
     )
+
+
+def _beyond_stops(plane: FocalPlane, plan: Plan) -> Iterator[Violation]:
+    """One for each positioner that the plan puts where no arm can be, the deepest moment."""
+    for robot in plan.robots:
+        if plane.offline[int(plane.index_of(robot.positioner_id))]:
+            continue
+        beyond = beyond_stops_deg(plane, robot.points_deg).max(axis=1)
+        k = int(beyond.argmax())
+        if beyond[k] > 0.0:
+            yield Violation("stops", robot.positioner_id, "", float(robot.time_s[k]), float(beyond[k]))
 
 
 def _gap(found: dict[str, Any]) -> float:
@@ -201,6 +224,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
         if plane.offline[place] and robot.moves:
             raise InputError(f"positioner {robot.positioner_id} is offline, but the plan moves it")
         if not plane.offline[place]:
+            _refuse_endless(robot)
             motions[place] = np.column_stack([robot.time_s, deg_to_rad(robot.points_deg)])
     missing = [int(p) for p, m in zip(plane.positioner_id, motions, strict=True) if m is None]
     if missing:
@@ -209,6 +233,15 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
             "give one that does not move a single point"
         )
     return [m for m in motions if m is not None]
+
+
+def _refuse_endless(robot: Trajectory) -> None:
+    """Before a proof begins that would not end. What is not finite is told as a violation."""
+    farthest = np.abs(robot.points_deg).max(initial=0.0, where=np.isfinite(robot.points_deg))
+    if farthest > MOST_DEG:
+        raise InputError(
+            f"positioner {robot.positioner_id} goes to {farthest:g} deg; at most {MOST_DEG:g} deg is sound"
+        )
 
 
 def _arrives(plane: FocalPlane, plan: Plan) -> Flags:

@@ -42,7 +42,10 @@ dd{margin:0;overflow-wrap:anywhere}
 def acceptance_html(verdict: UnitVerdict, data: AcceptanceData, head: Mapping[str, Any]) -> str:
     """The whole page. `head`: what identifies the unit and the run, in order."""
     number = verdict.positioner_id
-    word, kind = ("accepted", "pass") if verdict.passed else ("not accepted", "fail")
+    word = verdict.word
+    if word == "not complete":
+        word += f": {', '.join(verdict.missing)} not measured"
+    kind = {"accepted": "pass", "not accepted": "fail"}.get(verdict.word, "other")
     title = f"Acceptance of positioner {number}"
     body = [
         f"<h1>{title}</h1>",

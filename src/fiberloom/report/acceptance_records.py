@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,9 +28,10 @@ class Paperwork:
     engineer: str = ""
 
 
-def page_name(verdict: UnitVerdict) -> str:
-    """File name of a unit's report."""
-    return f"acceptance-{verdict.positioner_id}.html"
+def page_name(verdict: UnitVerdict, serial: str = "") -> str:
+    """File name of a unit's report: with its serial number where it has one, else its positioner's."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", serial).strip("-.")
+    return f"acceptance-{plain or verdict.positioner_id}.html"
 
 
 def unit_record(verdict: UnitVerdict, serial: str) -> dict[str, Any]:
@@ -38,8 +40,10 @@ def unit_record(verdict: UnitVerdict, serial: str) -> dict[str, Any]:
         "positioner_id": verdict.positioner_id,
         "serial": serial,
         "accepted": verdict.passed,
+        "verdict": verdict.word,
+        "not_measured": list(verdict.missing),
         "reason": verdict.reason,
-        "report": page_name(verdict),
+        "report": page_name(verdict, serial),
         "checks": [asdict(c) | {"verdict": c.verdict} | _finite(c) for c in verdict.checks],
     }
 

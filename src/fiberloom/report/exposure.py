@@ -20,6 +20,8 @@ from fiberloom.units import UM_PER_MM
 _SHOWN_PX = 1500
 """Pixels of a plotted image per side: more do not fit on a page."""
 _LABELS = 700
+_FAR_MM = 0.5
+"""A fibre farther from its target has not gone there: it is astray, and no residual."""
 _COLOURS = {MatchStatus.DARK: "orange", MatchStatus.AMBIGUOUS: "magenta"}
 
 
@@ -34,15 +36,19 @@ def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     figure.savefig(path, dpi=120)
 
 
-def plot_reduction(folder: Path, name: str, plane: FocalPlane, reduction: Reduction) -> list[Path]:
+def plot_reduction(
+    folder: Path, name: str, plane: FocalPlane, reduction: Reduction, goal_mm: Floats | None = None
+) -> list[Path]:
     """Image with labels, residual vectors, distortion field; returns the files.
 
-    `folder` and the beginning of the `name` of each file; `reduction`: of an image of the `plane`.
+    `folder` and the beginning of the `name` of each file; `reduction`: of an image of the `plane`;
+    `goal_mm` (N, 2): where the metrology fibres should be, NaN without a target; without it the residuals
+    are against where the motors say that the fibres are.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}-{what}.png" for what in ("image", "residuals", "distortion")]
     _plot_labels(paths[0], plane, reduction)
-    _plot_residuals(paths[1], plane, reduction)
+    _plot_residuals(paths[1], plane, reduction, goal_mm)
     _plot_distortion(paths[2], reduction)
     return paths
 
@@ -117,19 +123,34 @@ def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
             _label(axes, number, xy, colour, 7)
 
 
-def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
+def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm: Floats | None) -> None:
     figure, (left, right) = figure_with((16, 8), 1, 2)
     fit = reduction.acquisition.fit
     at = plane.fiducials[reduction.acquisition.fiducial, :2]
     loo_um = UM_PER_MM * fit.leave_one_out_mm
     _arrows(left, at, loo_um)
     left.set_title(f"fiducials: {fit.rms_um:.2f} µm rms fitted, {fit.leave_one_out_rms_um:.2f} µm left out")
-    rows = reduction.seen & np.isfinite(reduction.expected_mm).all(axis=1)
-    off_um = UM_PER_MM * (reduction.xy_mm - reduction.expected_mm)[rows]
-    _arrows(right, reduction.expected_mm[rows], off_um)
-    rms = float(np.sqrt(np.mean(np.sum(off_um**2, axis=1)))) if rows.any() else float("nan")
-    right.set_title(f"fibres: measured minus expected, {rms:.1f} µm rms")
+    wanted, words = (
+        (reduction.expected_mm, "where the motors say") if goal_mm is None else (goal_mm, "target")
+    )
+    rows = reduction.seen & np.isfinite(wanted).all(axis=1)
+    near = rows & (np.hypot(*(reduction.xy_mm - wanted).T) < _FAR_MM)
+    off_um = UM_PER_MM * (reduction.xy_mm - wanted)[near]
+    _arrows(right, wanted[near], off_um)
+    right.set_title(
+        f"fibres: measured minus {words}, {_rms_text(off_um)}{_left_out(int((rows & ~near).sum()))}"
+    )
     figure.savefig(path, dpi=110)
+
+
+def _rms_text(off_um: Floats) -> str:
+    if not len(off_um):
+        return "none seen"
+    return f"{np.sqrt(np.mean(np.sum(off_um**2, axis=1))):.2f} µm rms of {len(off_um)}"
+
+
+def _left_out(n: int) -> str:
+    return f"; {n} farther than {_FAR_MM:g} mm left out" if n else ""
 
 
 def _arrows(axes: Any, at_mm: Floats, vector_um: Floats) -> None:

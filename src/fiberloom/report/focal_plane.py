@@ -89,11 +89,13 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
     return plane.centres_mm, plane.elbows_mm(angles_deg[:, 0]), tip
 
 
-def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float) -> None:
+def plot_errors(
+    path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float, title: str = ""
+) -> None:
     """Cumulative distribution of the true (or measured) error after each move, on a log axis.
 
     `path`: file to write; `errors_um`: (n,) for each move, with its name in `labels`; `requirement_um`:
-    drawn as a line.
+    drawn as a line; `title`: the result, as of `errors_title`.
     """
     figure, axes = figure_with((8, 5))
     for error, label in zip(errors_um, labels, strict=True):
@@ -101,11 +103,42 @@ def plot_errors(path: Path, errors_um: list[Floats], labels: list[str], requirem
         if not len(values):
             continue
         share = 100.0 * np.arange(1, len(values) + 1) / len(values)
-        rms = float(np.sqrt(np.mean(values**2)))
-        axes.step(values, share, where="post", label=f"{label}: {rms:.2f} µm rms")
+        axes.step(values, share, where="post", label=f"{label}: {_rms(values):.2f} µm rms")
     axes.axvline(requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm")
     axes.set(xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
-    axes.set_title("Each correction brings the fibres nearer to their targets")
+    axes.set_title(title, fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(loc="lower right", fontsize=8)
     save(figure, path)
+
+
+def errors_title(errors_um: list[Floats], n_assigned: int, requirement_um: float) -> str:
+    """What the moves of an observation came to, in a line.
+
+    `errors_um`: (n,) for each of its moves, NaN where not measured; `n_assigned`: fibres with a target.
+    """
+    measured = [error[np.isfinite(error)] for error in errors_um]
+    rms_um = [_rms(error) for error in measured if len(error)]
+    if not n_assigned:
+        return "no target was assigned"
+    if not rms_um:
+        return f"no error is known of any of {n_assigned} assigned fibres"
+    within = int((measured[-1] <= requirement_um).sum())
+    head = f"{within} of {n_assigned} assigned fibres within {requirement_um:g} µm"
+    return f"{head}; {_course(rms_um)}"
+
+
+def _course(rms_um: list[float]) -> str:
+    """How the rms went from move to move."""
+    first, last = rms_um[0], rms_um[-1]
+    if len(rms_um) == 1:
+        return f"{first:.2f} µm rms"
+    if last > first:
+        return f"the corrections made it worse: {first:.2f} to {last:.2f} µm rms"
+    if last > rms_um[-2]:
+        return f"the last correction made it worse: {rms_um[-2]:.2f} to {last:.2f} µm rms"
+    return f"corrected from {first:.2f} to {last:.2f} µm rms"
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

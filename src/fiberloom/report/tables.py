@@ -91,9 +91,32 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
             _um(move["true_rms_um"]),
             _um(move["p95_um"]),
             _um(move["max_um"]),
-            f"{move['n_within_requirement']} of {move['n_fibres']}",
+            f"{move['n_within_requirement']} of {summary['n_assigned']}",
         )
     return table
+
+
+def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
+    """What keeps an observation below the `required` share (0 to 1), in lines; none where it is not.
+
+    What was not assigned is told where fewer targets than that have a positioner of those that could.
+    """
+    assigned, within = summary["n_assigned"], summary["n_within_requirement"]
+    lines = []
+    if assigned < required * min(summary["n_positioners"], summary["n_targets"]) or not assigned:
+        lines.append(f"not assigned: {counted(summary['not_assigned'])}")
+    if assigned and (not within or within < required * assigned):
+        lines.append(f"not on target: {counted(summary['not_on_target'])}")
+        share = f"{within} of {assigned} ({100.0 * within / assigned:.0f} %)"
+        lines.append(f"below what is required: {share} on target, at least {100.0 * required:g} % must be")
+    elif not assigned:
+        lines.append("below what is required: no target was assigned, so none was observed")
+    return lines
+
+
+def counted(reasons: Mapping[str, int]) -> str:
+    """Reasons by count, in one line."""
+    return ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in reasons.items()) or "none"
 
 
 def _headline(summary: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import ArrayStateRow, ExclusionRow, PlaceRow
+from fiberloom.store.sums import check, put
 from fiberloom.typing import Flags, Floats, Ints
 
 HEARTBEAT_S = 2.0
@@ -273,7 +274,7 @@ class ArrayBook:
             connection.execute(
                 delete(PlaceRow).where(PlaceRow.address == self.address, PlaceRow.positioner_id.in_(ids))
             )
-            connection.execute(insert(PlaceRow), rows)
+            put(connection, PlaceRow, rows)
 
     def forget_datum(self, positioner_id: Ints) -> None:
         """The datum of these is not known any more; where they were last stays on record."""
@@ -306,9 +307,11 @@ class ArrayBook:
     def places(self, positioner_id: Ints) -> ArrayPlaces:
         """Last known places of these positioners."""
         n = len(positioner_id)
-        query = select(PlaceRow.__table__).where(PlaceRow.address == self.address)
         with self.store.transaction() as connection:
-            rows = {row["positioner_id"]: row for row in connection.execute(query).mappings()}
+            # all of them: a row whose address has changed by itself would not be found by it
+            found = connection.execute(select(PlaceRow.__table__)).mappings().all()
+            check(PlaceRow, found)
+        rows = {row["positioner_id"]: row for row in found if row["address"] == self.address}
         angles, wire = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
         how, datum = [UNKNOWN] * n, np.zeros(n, dtype=bool)
         when: list[datetime | None] = [None] * n

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Engine, create_engine, event, func, insert, select, update
+from sqlalchemy import Connection, Engine, create_engine, event, func, insert, inspect, select, update
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
 from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
 from fiberloom.store.schema import (
     SCHEMA_VERSION,
@@ -25,12 +26,14 @@ from fiberloom.store.schema import (
     RunRow,
     SchemaRow,
 )
+from fiberloom.store.sums import SUM, DamagedError, check
 from fiberloom.typing import Array
 
 Columns = dict[str, Array]
 
 
 _TRIES = 20
+_JUST_MADE = ("already exists", "duplicate column")
 _MOMENT_S = 0.05
 """While another process makes the tables of the same new store."""
 
@@ -64,9 +67,13 @@ class Store:
             try:
                 with self._engine.begin() as connection:
                     return _prepare(connection, self.name)
+            except InputError:
+                raise
+            except (sqlite3.Error, ValueError, TypeError) as error:
+                raise _damaged(self.name, error) from None
             except (IntegrityError, OperationalError) as error:
                 # another process makes the tables in the same moment: soon they are there
-                if isinstance(error, OperationalError) and "already exists" not in str(error.orig):
+                if isinstance(error, OperationalError) and not any(w in str(error.orig) for w in _JUST_MADE):
                     raise _readable(self.name, error) from None
                 time.sleep(_MOMENT_S)
             except SQLAlchemyError as error:
@@ -91,6 +98,10 @@ class Store:
                 yield connection
         except SQLAlchemyError as error:
             raise _readable(self.name, error) from None
+        except InputError:
+            raise
+        except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
+            raise _damaged(self.name, error) from None
 
     def start_run(
         self,
@@ -118,7 +129,7 @@ class Store:
         query = select(RunRow.__table__, moves.label("n_moves"), measured.label("n_measurements"))
         with self.transaction() as connection:
             rows = connection.execute(query.order_by(RunRow.id)).mappings().all()
-        return [info_of(dict(row)) for row in rows]
+            return [info_of(dict(row)) for row in rows]
 
     def last_run(self) -> Run:
         """The run that began last, to record more of it."""
@@ -133,47 +144,71 @@ class Store:
         count = func.count(CalibrationRow.positioner_id.distinct())
         query = select(CalibrationRow.kind, count).where(CalibrationRow.run_id == run_id)
         with self.transaction() as connection:
-            rows = connection.execute(query.group_by(CalibrationRow.kind)).all()
-        return {str(kind): int(n) for kind, n in rows}
+            return {str(kind): int(n) for kind, n in connection.execute(query.group_by(CalibrationRow.kind))}
 
     def measurements(self, run_id: int) -> Columns:
         """Columns of a run's measurements in the order in which they were made.
 
         `move` and `kind` are those of the move; numbers that are not known are NaN, texts empty.
         """
-        table = MeasurementRow.__table__
-        query = (
-            select(MoveRow.number.label("move"), MoveRow.kind, *table.columns)
-            .join(MoveRow, MoveRow.id == MeasurementRow.move_id)
-            .where(MeasurementRow.run_id == run_id)
-            .order_by(MeasurementRow.id)
-        )
-        return self._columns(run_id, query)
+        with self._run(run_id) as connection:
+            moves = {row["id"]: row for row in _rows_of(connection, MoveRow, run_id)}
+            rows = _rows_of(connection, MeasurementRow, run_id)
+            _check_complete(moves, rows)
+            of = [moves[row["move_id"]] for row in rows]
+            head = {name: _column([move[key] for move in of]) for name, key in _OF_MOVE.items()}
+            return head | _columns(MeasurementRow, rows)
 
     def moves(self, run_id: int) -> Columns:
         """Columns of a run's moves."""
-        return self._columns(run_id, _rows_of(MoveRow, run_id))
+        return self._table(run_id, MoveRow)
 
     def events(self, run_id: int) -> Columns:
         """Columns of a run's events."""
-        return self._columns(run_id, _rows_of(EventRow, run_id))
+        return self._table(run_id, EventRow)
 
     def calibrations(self, run_id: int) -> Columns:
         """Columns of the calibrations that a run made or used."""
-        return self._columns(run_id, _rows_of(CalibrationRow, run_id))
+        return self._table(run_id, CalibrationRow)
 
-    def _columns(self, run_id: int, query: Any) -> Columns:
+    def _table(self, run_id: int, table: type[Base]) -> Columns:
+        with self._run(run_id) as connection:
+            return _columns(table, _rows_of(connection, table, run_id))
+
+    @contextmanager
+    def _run(self, run_id: int) -> Iterator[Connection]:
         with self.transaction() as connection:
             if connection.execute(select(RunRow.id).where(RunRow.id == run_id)).first() is None:
                 raise InputError(f"{self.name}: no run {run_id}; 'fiberloom runs' lists them")
-            result = connection.execute(query)
-            names, rows = list(result.keys()), result.all()
-        return {name: _column([row[k] for row in rows]) for k, name in enumerate(names)}
+            yield connection
 
 
-def _rows_of(table: type[Base], run_id: int) -> Any:
+_OF_MOVE = {"move": "number", "kind": "kind"}
+"""Columns of measurements that are those of the move."""
+
+
+def _rows_of(connection: Connection, table: type[Base], run_id: int) -> Sequence[Mapping[Any, Any]]:
+    """All rows of a run, compared with their sums."""
     columns = table.__table__.columns
-    return select(*columns).where(columns.run_id == run_id).order_by(columns.id)
+    query = select(*columns).where(columns.run_id == run_id).order_by(columns.id)
+    rows = connection.execute(query).mappings().all()
+    check(table, rows)
+    return rows
+
+
+def _check_complete(moves: Mapping[int, Mapping[Any, Any]], rows: Sequence[Mapping[Any, Any]]) -> None:
+    """Raises DamagedError where a move or some of its measurements are gone."""
+    there = Counter(row["move_id"] for row in rows)
+    if lost := set(there) - set(moves):
+        raise DamagedError(f"move {min(lost)} is gone, its measurements are there")
+    for number, move in moves.items():
+        if move["n_measured"] is not None and move["n_measured"] != there[number]:
+            raise DamagedError(f"move {number} has {there[number]} measurements of {move['n_measured']}")
+
+
+def _columns(table: type[Base], rows: Sequence[Mapping[Any, Any]]) -> Columns:
+    names = [c.name for c in table.__table__.columns if c.name not in (SUM, "n_measured")]
+    return {name: _column([row[name] for row in rows]) for name in names}
 
 
 def _column(values: list[Any]) -> Array:
@@ -221,14 +256,25 @@ def _prepare(connection: Connection, name: str) -> None:
         Base.metadata.create_all(connection)
         connection.execute(insert(SchemaRow), {"version": SCHEMA_VERSION})
     elif found < SCHEMA_VERSION:
-        # newer versions only add tables: what is there stays as it is
+        # newer versions only add tables and columns that may be empty: what is there stays as it is
         Base.metadata.create_all(connection)
+        _add_columns(connection)
         connection.execute(update(SchemaRow).values(version=SCHEMA_VERSION))
     elif found != SCHEMA_VERSION:
         raise InputError(
             f"store '{name}': its tables are of version {found}, this program writes "
             f"{SCHEMA_VERSION}; name another store"
         )
+
+
+def _add_columns(connection: Connection) -> None:
+    there = inspect(connection)
+    for table in Base.metadata.sorted_tables:
+        known = {column["name"] for column in there.get_columns(table.name)}
+        for column in table.columns:
+            if column.name not in known:
+                kind = column.type.compile(connection.dialect)
+                connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN {column.name} {kind}")
 
 
 _ADVICE = {
@@ -240,6 +286,13 @@ _ADVICE = {
     "malformed": "is damaged; recover what can be read with 'sqlite3 FILE .recover'",
     "locked": "another process holds it; try again when that has ended",
 }
+
+
+def _damaged(name: str, error: Exception) -> InputError:
+    return InputError(
+        f"store '{name}': is damaged: {one_line(error)}; take a copy of it from before, or what "
+        "'sqlite3 FILE .recover' can read"
+    )
 
 
 def _readable(name: str, error: SQLAlchemyError) -> InputError:

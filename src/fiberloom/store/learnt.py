@@ -6,7 +6,7 @@ stands. Going back makes a new generation with the old states, so that this can 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -16,6 +16,7 @@ from sqlalchemy import Connection, delete, func, insert, select
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.schema import GenerationRow, LearntRow
+from fiberloom.store.sums import check, put
 from fiberloom.version import __version__
 
 OBSERVE, UNDO = "observe", "undo"
@@ -87,10 +88,9 @@ class LearntHistory:
 
     def of_generation(self, generation: int) -> dict[int, Learnt]:
         """The states that one generation changed."""
-        columns = (LearntRow.positioner_id, LearntRow.moves, LearntRow.shift_mdeg, LearntRow.data)
-        query = select(*columns).where(LearntRow.generation_id == generation)
+        query = select(LearntRow.__table__).where(LearntRow.generation_id == generation)
         with self._store.transaction() as connection:
-            return {row[0]: Learnt(*row[1:]) for row in connection.execute(query)}
+            return _states(connection.execute(query).mappings().all())
 
     def generations(self) -> list[Generation]:
         """The history, oldest first."""
@@ -173,8 +173,7 @@ def _put(connection: Connection, generation: int, states: Mapping[int, Learnt]) 
         }
         for p, state in states.items()
     ]
-    if rows:
-        connection.execute(insert(LearntRow), rows)
+    put(connection, LearntRow, rows)
 
 
 def _as_of(connection: Connection, origin: str, upto: int | None) -> dict[int, Learnt]:
@@ -187,8 +186,13 @@ def _as_of(connection: Connection, origin: str, upto: int | None) -> dict[int, L
     if upto is not None:
         newest = newest.where(LearntRow.generation_id <= upto)
     last = newest.subquery()
-    query = select(LearntRow.positioner_id, LearntRow.moves, LearntRow.shift_mdeg, LearntRow.data).join(
+    query = select(LearntRow.__table__).join(
         last,
         (last.c.positioner_id == LearntRow.positioner_id) & (last.c.generation == LearntRow.generation_id),
     )
-    return {row[0]: Learnt(*row[1:]) for row in connection.execute(query)}
+    return _states(connection.execute(query).mappings().all())
+
+
+def _states(rows: Sequence[Mapping[Any, Any]]) -> dict[int, Learnt]:
+    check(LearntRow, rows)
+    return {row["positioner_id"]: Learnt(row["moves"], row["shift_mdeg"], row["data"]) for row in rows}

@@ -12,17 +12,18 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, insert, update
+from sqlalchemy import Connection, update
 
 from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, RunRow
+from fiberloom.store.sums import SUM, DamagedError, put, put_one
 from fiberloom.version import __version__
 
 RUNNING, FINISHED, FAILED, INTERRUPTED = "running", "finished", "failed", "interrupted"
 
 MEASURED = frozenset(
-    c.name for c in MeasurementRow.__table__.columns if c.name not in ("id", "run_id", "move_id")
+    c.name for c in MeasurementRow.__table__.columns if c.name not in ("id", "run_id", "move_id", SUM)
 )
 """What can be recorded of a positioner after a move."""
 
@@ -81,6 +82,8 @@ def new_run_values(
 def info_of(row: Mapping[str, Any]) -> RunInfo:
     """The run of a row, with its status as it is now."""
     values = {name: row[name] for name in RunInfo.__dataclass_fields__}
+    if values["utc_start"] is None:
+        raise DamagedError(f"run {row['id']} has no time at which it began")
     for name in ("utc_start", "utc_end"):  # SQLite forgets the zone: all are UTC
         if values[name] is not None:
             values[name] = values[name].replace(tzinfo=UTC)
@@ -141,6 +144,7 @@ class Run:
         for all. NaN is stored as unknown. `time_s`: on the clock of the bus; `plan_digest`: of the
         trajectories.
         """
+        rows = _rows(measured or {}, {"run_id": self.id})
         move = {
             "run_id": self.id,
             "number": number,
@@ -148,12 +152,11 @@ class Run:
             "utc": datetime.now(UTC),
             "time_s": time_s,
             "plan_digest": plan_digest,
+            "n_measured": len(rows),
         }
         with self._transaction() as connection:
-            move_id = connection.execute(insert(MoveRow).returning(MoveRow.id), move).scalar_one()
-            rows = _rows(measured or {}, {"run_id": self.id, "move_id": move_id})
-            if rows:
-                connection.execute(insert(MeasurementRow), rows)
+            move_id = put_one(connection, MoveRow, move)
+            put(connection, MeasurementRow, [{**row, "move_id": move_id} for row in rows])
         return move_id
 
     def record_event(
@@ -176,7 +179,7 @@ class Run:
             "text": text,
         }
         with self._transaction() as connection:
-            connection.execute(insert(EventRow), values)
+            put(connection, EventRow, [values])
 
     def record_calibration(
         self, positioner_id: Iterable[int], axis: str, kind: str, file: str, hash: str
@@ -190,7 +193,7 @@ class Run:
         rows = [{**common, "utc": datetime.now(UTC), "positioner_id": int(p)} for p in positioner_id]
         if rows:
             with self._transaction() as connection:
-                connection.execute(insert(CalibrationRow), rows)
+                put(connection, CalibrationRow, rows)
 
 
 def _rows(measured: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str, Any]]:

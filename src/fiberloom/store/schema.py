@@ -7,18 +7,24 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from sqlalchemy import DateTime, ForeignKey, Index, LargeBinary, MetaData
+from sqlalchemy import BigInteger, DateTime, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-SCHEMA_VERSION = 3
-"""2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. Older stores
-get the new tables when they are opened."""
+SCHEMA_VERSION = 4
+"""2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. 4: sums of
+rows. Older stores get the new tables and columns when they are opened; their rows have no sums."""
 
 
 class Base(DeclarativeBase):
     """Common metadata of all tables."""
 
     metadata = MetaData()
+
+
+class Summed:
+    """Rows that are written once: with a sum over all else, so that a flipped bit is found on reading."""
+
+    row_sum: Mapped[int | None] = mapped_column(BigInteger)  # none: written before version 4
 
 
 class SchemaRow(Base):
@@ -50,7 +56,7 @@ class RunRow(Base):
     process_start: Mapped[str]
 
 
-class MoveRow(Base):
+class MoveRow(Summed, Base):
     """One move of the whole field."""
 
     __tablename__ = "moves"
@@ -62,9 +68,10 @@ class MoveRow(Base):
     utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
     time_s: Mapped[float | None]  # of the twin or bus
     plan_digest: Mapped[str]
+    n_measured: Mapped[int | None]  # measurements that belong to it; none: written before version 4
 
 
-class MeasurementRow(Base):
+class MeasurementRow(Summed, Base):
     """One positioner after one move."""
 
     __tablename__ = "measurements"
@@ -89,7 +96,7 @@ class MeasurementRow(Base):
     __table_args__ = (Index("measurements_of_positioner", "run_id", "positioner_id"),)
 
 
-class CalibrationRow(Base):
+class CalibrationRow(Summed, Base):
     """Which calibration of a positioner's axis a run made or used."""
 
     __tablename__ = "calibrations"
@@ -104,7 +111,7 @@ class CalibrationRow(Base):
     utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
 
 
-class EventRow(Base):
+class EventRow(Summed, Base):
     """Something an operator wants to know later: a collision, a flag, a remark."""
 
     __tablename__ = "events"
@@ -134,7 +141,7 @@ class GenerationRow(Base):
     note: Mapped[str]
 
 
-class LearntRow(Base):
+class LearntRow(Summed, Base):
     """What is known of one positioner since a generation; earlier rows stay."""
 
     __tablename__ = "learnt_states"
@@ -185,7 +192,7 @@ class ArrayStateRow(Base):
     stop_asked_by: Mapped[str]  # empty: nothing
 
 
-class PlaceRow(Base):
+class PlaceRow(Summed, Base):
     """Where one positioner of an array was last, and how that is known."""
 
     __tablename__ = "places"

@@ -122,7 +122,7 @@ def _from_confsummary(file: Yanny) -> TargetList:
         {name: [cells[i] for i in rows] for name, cells in table.columns.items()},
         [table.places[i] for i in rows],
     )
-    chosen.unique("positionerId")
+    chosen.unique("positionerId", number=True)
     fibre, positioner = chosen.strings("fiberType"), chosen.integers("positionerId")
     return TargetList(
         target_id=_distinct(chosen.strings("catalogid"), positioner),

@@ -5,19 +5,20 @@ typed columns, a line that starts with NAME is a row of it, any other line is `k
 with blanks is in double quotes, arrays are in braces, a backslash at the end continues the line.
 """
 
-import gzip
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fiberloom.errors import InputError
+from fiberloom.files import read_text
 
 Cell = str | list[str]
 
 _STRUCT = re.compile(r"typedef\s+struct\s*\{(?P<body>[^}]*)\}\s*(?P<name>\w+)\s*;", re.DOTALL)
 _ENUM = re.compile(r"typedef\s+enum\s*\{[^}]*\}\s*\w+\s*;", re.DOTALL)
-_MEMBER = re.compile(r"(?P<type>\w+)\s+(?P<name>\w+)(?P<size>(\s*\[\s*\d*\s*\])*)\s*;")
+# from the begin of a word, without going back into it: a word without end takes no time without end
+_MEMBER = re.compile(r"\b(?P<type>\w++)\s++(?P<name>\w++)(?P<size>(\s*\[\s*\d*\s*\])*)\s*;")
 _TOKEN = re.compile(r'\s*(?:"((?:[^"\\]|\\.)*)"|([{}])|([^\s{}"]+))')
 
 
@@ -50,12 +51,7 @@ def read_yanny(path: str | Path) -> Yanny:
 def _read_text(path: Path) -> str:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    opener = gzip.open if path.suffix == ".gz" else open
-    try:
-        with opener(path, "rb") as file:
-            return file.read().decode("utf-8")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a parameter file: {error}") from None
+    return read_text(path)
 
 
 def _structs_blanked(out: Yanny, text: str) -> str:

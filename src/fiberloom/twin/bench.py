@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from functools import lru_cache
 
@@ -36,6 +37,13 @@ def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> B
         CLOSE_UP_UM,
         TwinWeights(twin, seed=seed),
     )
+
+
+def seed_of_serial(seed: int, serial: str) -> int:
+    """The seed of the unit with this serial number; that of the bench without one."""
+    if not serial:
+        return seed
+    return int.from_bytes(hashlib.sha256(f"{seed}:{serial}".encode()).digest()[:6], "big")
 
 
 def bench_units(instrument: str, seed: int, units: range) -> tuple[FocalPlane, Units]:

@@ -1,6 +1,7 @@
 // An image in memory of the caller, read in place: rows of pixels with any distance between rows.
 //
-// The centre of the first pixel is (0, 0); x runs along a row. Pixels are digital units (ADU).
+// The centre of the first pixel is (0, 0); x runs along a row. Pixels are digital units (ADU). A pixel of
+// floats that is not finite or beyond 1e10 ADU, which no detector gives, counts as one that holds no light.
 #pragma once
 
 #include <cstddef>

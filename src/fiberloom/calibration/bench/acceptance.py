@@ -48,10 +48,14 @@ class AcceptanceSettings:
     """To each target, the blind one counted."""
     visits: int = 30
     """To each of the three targets of the repeatability, per axis."""
+    tilt_deg: float | None = None
+    """Tilt of the fibre, measured elsewhere: this bench does not see it. None: not measured."""
 
     def __post_init__(self) -> None:
         if self.n_targets < 1 or self.n_moves < 1:
             raise InputError(f"{self.n_targets} targets, {self.n_moves} moves: at least 1 of each")
+        if self.tilt_deg is not None and not 0.0 <= self.tilt_deg < 90.0:
+            raise InputError(f"tilt of the fibre {self.tilt_deg:g} deg: must be from 0 to 90")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +120,21 @@ class UnitVerdict:
     """Why it could not be measured; empty where it was."""
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Requirements for which nothing was measured."""
+        return tuple(c.name for c in self.checks if c.verdict == "not measured")
+
+    @property
     def passed(self) -> bool:
-        """Measured, and no requirement missed."""
-        return not self.reason and all(c.verdict != "fail" for c in self.checks)
+        """Measured, and every requirement met."""
+        return self.word == "accepted"
+
+    @property
+    def word(self) -> str:
+        """accepted; not accepted; not complete, where none is missed and one was not measured."""
+        if self.reason or any(c.verdict == "fail" for c in self.checks):
+            return "not accepted"
+        return "not complete" if self.missing else "accepted"
 
 
 def own_geometry(plane: FocalPlane, report: CalibrationReport) -> FocalPlane:
@@ -131,8 +147,11 @@ def own_geometry(plane: FocalPlane, report: CalibrationReport) -> FocalPlane:
     return replace(plane, arms=arms, points=points)
 
 
-def judge(data: AcceptanceData, nominal: FocalPlane) -> list[UnitVerdict]:
-    """Every unit against the instrument's requirements. InputError when it has none."""
+def judge(data: AcceptanceData, nominal: FocalPlane, tilt_deg: float | None = None) -> list[UnitVerdict]:
+    """Every unit against the instrument's requirements. InputError when it has none.
+
+    `data`: of the units of the layout `nominal`; `tilt_deg`: tilt of the fibre, measured elsewhere.
+    """
     asked = nominal.instrument.acceptance
     if asked is None:
         raise InputError(
@@ -141,7 +160,7 @@ def judge(data: AcceptanceData, nominal: FocalPlane) -> list[UnitVerdict]:
     out = []
     for row, number in enumerate(nominal.positioner_id):
         reason = data.reason[row]
-        checks = () if reason else tuple(_checks(data, nominal, asked, row))
+        checks = () if reason else (*_checks(data, nominal, asked, row), _tilt(asked, tilt_deg))
         out.append(UnitVerdict(int(number), row, checks, reason))
     return out
 
@@ -164,8 +183,12 @@ def _checks(data: AcceptanceData, nominal: FocalPlane, asked: Acceptance, row: i
         ),
         Check("blind error, rms", float(np.sqrt(np.nanmean(blind**2))), None, None, "µm"),
         Check(f"error after {asked.moves or 1} moves, largest", _largest(final), None, None, "µm"),
-        Check("tilt of the fibre", None, None, asked.tilt_deg, "°", "a camera from above does not see it"),
     ]  # fmt: skip
+
+
+def _tilt(asked: Acceptance, tilt_deg: float | None) -> Check:
+    note = "a camera from above does not see it; --tilt" if tilt_deg is None else "measured elsewhere"
+    return Check("tilt of the fibre", tilt_deg, None, asked.tilt_deg, "°", note)
 
 
 def _largest(values: Floats) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,8 @@ import numpy as np
 from fiberloom.calibration.bench.estimate import Estimate
 from fiberloom.calibration.bench.torque import data_sheet_scale
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import parse_json, read_text
 from fiberloom.instruments import FocalPlane
 from fiberloom.units import AXES
 
@@ -125,17 +125,14 @@ def of_file(path: Path, marks: Mapping[str, Any]) -> dict[int, Quantities]:
             }
             for p in content["positioners"]
         }
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not a result of `fiberloom calibrate` ({error!r})") from None
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: not a result of `fiberloom calibrate` ({one_line(repr(error))})") from None
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; `fiberloom calibrate` writes such files") from None
-    except ValueError as error:
-        raise InputError(f"{path}: no JSON ({error})") from None
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; `fiberloom calibrate` writes such files")
+    content = parse_json(read_text(path), str(path))
     if not isinstance(content, dict) or "positioners" not in content:
         raise InputError(f"{path}: not a result of `fiberloom calibrate` (no positioners)")
     return content

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +13,10 @@ import numpy as np
 from astropy.table import Table
 
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalPlaneFit
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import read_bytes
 from fiberloom.instruments import FocalPlane
+from fiberloom.tables import check_sum, write_summed
 from fiberloom.typing import Array, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
 
@@ -45,7 +49,7 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
     }
     table = Table(columns, meta={"format": FORMAT, "format_version": FORMAT_VERSION, **marks})
     try:
-        table.write(path, format="ascii.ecsv", overwrite=True)
+        write_summed(Path(path), table)
     except OSError as error:
         raise InputError(f"{path}: cannot write the arms: {error.strerror or error}") from None
 
@@ -70,7 +74,13 @@ def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: floa
 
 
 def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit]:
-    table = _read(Path(path))
+    try:
+        table = _read(Path(path))
+        _as_fit(table)  # whole, before a part of it is taken
+        _check_sound(table)
+    except (TypeError, ValueError, OverflowError) as error:
+        named = str(error).startswith(str(path))
+        raise InputError(str(error) if named else f"{path}: {one_line(error)}; calibrate again") from None
     known = {int(p): row for row, p in enumerate(plane.positioner_id)}
     here = np.array([int(p) in known for p in table["positioner_id"]], dtype=bool)
     if not here.any():
@@ -97,13 +107,36 @@ def _as_fit(table: Table) -> FocalPlaneFit:
     )
 
 
+MOST = 1e6
+"""Of an arm in mm and deg, and of its variance; what is beyond was never measured."""
+
+
+def _check_sound(table: Table) -> None:
+    """Raises InputError where a positioner that counts as measured was not: no number, or beyond sense."""
+    ids = np.asarray(table["positioner_id"])
+    if ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
+        raise InputError("positioner_id: whole numbers, each once, are needed")
+    values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in _COLUMNS])
+    covariance = np.asarray(table["covariance"], dtype=np.float64).reshape(len(ids), -1)
+    for row in range(len(ids)):
+        if table["reason"][row]:
+            continue
+        for name, numbers in (("its arms", values[row]), ("its covariance", covariance[row])):
+            bad = ~(np.abs(numbers) <= MOST)
+            if bad.any():
+                raise InputError(f"positioner {ids[row]}: {numbers[bad][0]:g} in {name}")
+
+
 def _read(path: Path) -> Table:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate focal-plane'")
+    content = read_bytes(path)
+    check_sum(path, content)
     try:
-        table = Table.read(path, format="ascii.ecsv")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate focal-plane'") from None
+        with warnings.catch_warnings(action="ignore"):  # the error says it
+            table = Table.read(io.BytesIO(content), format="ascii.ecsv")
     except Exception as error:  # astropy raises whatever its readers meet
-        raise InputError(f"{path}: not a file of arms: {str(error).splitlines()[0]}") from None
+        raise InputError(f"{path}: not a file of arms: {one_line(error)}") from None
     found = table.meta.get("format"), table.meta.get("format_version")
     missing = [c for c in ("positioner_id", *_COLUMNS, "covariance", "reason") if c not in table.colnames]
     if found != (FORMAT, FORMAT_VERSION) or missing:

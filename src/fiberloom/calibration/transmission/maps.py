@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import zipfile
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, one_line
+from fiberloom.files import check_zip, parse_json, shown
 from fiberloom.instruments.model import AXES
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import GEAR
@@ -30,6 +30,12 @@ from fiberloom.version import __version__
 
 NEGATIVE, POSITIVE = -1, 1
 """Directions of contact: the side from which the last move came."""
+
+CONTACTS = ("negative", "positive")
+
+MOST_DEG = 3600.0
+"""No axis turns farther, either way."""
+MOST_GEAR = 1e6
 
 FORMAT = "fiberloom transmission maps"
 FORMAT_VERSION = 1
@@ -45,6 +51,16 @@ class Provenance:
     version: str = __version__
     utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     note: str = ""
+
+    def check(self) -> None:
+        """Raises InputError for what a file may hold and no calibration writes: a gear that is none, ..."""
+        if not (type(self.gear) in (int, float) and 0.0 < self.gear <= MOST_GEAR):
+            raise InputError(f"gear = {shown(self.gear)}: must be a ratio above 0")
+        if not (self.seed is None or type(self.seed) is int):
+            raise InputError(f"seed = {shown(self.seed)}: must be a whole number")
+        for name in ("config_hash", "version", "utc", "note"):
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{name} = {shown(getattr(self, name))}: must be a text")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +104,19 @@ class TransmissionMaps:
                     f"{n} positioners need ({n}, 2, 2, at least 2)"
                 )
             self._refuse_unless_rising(name, knots)
+            self._refuse_unless_angles(name, knots)
         if self.wire_deg.shape != self.output_deg.shape:
             raise InputError("transmission maps: wire_deg and output_deg differ in shape")
+
+    def _refuse_unless_angles(self, name: str, knots: Floats) -> None:
+        bad = np.argwhere(~(np.abs(knots) <= MOST_DEG))
+        if len(bad):
+            row, axis, side, k = bad[0]
+            raise InputError(
+                f"transmission map of positioner {self.positioner_id[row]}, {AXES[axis]}, "
+                f"{CONTACTS[side]} contact: {name} of knot {k} is {knots[row, axis, side, k]:g} deg; "
+                f"within {MOST_DEG:g} deg either way is wanted; calibrate this positioner again"
+            )
 
     def _refuse_unless_rising(self, name: str, knots: Floats) -> None:
         # NaN compares False, so it is caught here too
@@ -100,7 +127,7 @@ class TransmissionMaps:
         pair = knots[row, axis, side, k : k + 2]
         raise InputError(
             f"transmission map of positioner {self.positioner_id[row]}, {AXES[axis]}, "
-            f"{('negative', 'positive')[side]} contact: {name} does not rise from knot {k} to "
+            f"{CONTACTS[side]} contact: {name} does not rise from knot {k} to "
             f"{k + 1} ({pair[0]:.6f} to {pair[1]:.6f} deg); calibrate this positioner again"
         )
 
@@ -454,29 +481,49 @@ def load(path: str | Path) -> TransmissionMaps:
     """Reads what save() wrote; anything else is an InputError."""
     path = Path(path)
     try:
+        check_zip(path)
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            parts = {name: file[name] for name in file.files}
+            parts = {name: np.asarray(file[name]) for name in file.files}
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate transmission'") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-        raise InputError(f"{path}: not a file of transmission maps, or broken: {error}") from None
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds for a broken file
+        raise InputError(f"{path}: not a file of transmission maps, or broken: {one_line(error)}") from None
     return _from_parts(path, parts)
 
 
 def _from_parts(path: Path, parts: dict[str, Array]) -> TransmissionMaps:
     try:
-        meta = json.loads(str(parts["meta"]))
+        meta = parse_json(str(parts["meta"]), "meta")
         if meta.pop("format") != FORMAT:
             raise KeyError("format")
         found = meta.pop("format_version")
         if found != FORMAT_VERSION:
             raise InputError(
-                f"{path}: transmission maps of format {found}; this version reads "
-                f"{FORMAT_VERSION}: calibrate again"
+                f"transmission maps of format {shown(found)}; this version reads {FORMAT_VERSION}: "
+                "calibrate again"
             )
-        ids, wire, output = (parts[name] for name in ("positioner_id", "wire_deg", "output_deg"))
-        return TransmissionMaps(ids, wire, output, Provenance(**meta))
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path}: not a file of transmission maps ({error!r})") from None
+        provenance = Provenance(**meta)
+        provenance.check()
+        return TransmissionMaps(_numbers(parts["positioner_id"]), *_knots(parts), provenance)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a file of transmission maps ({one_line(repr(error))})") from None
     except InputError as error:
-        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
+
+
+def _numbers(ids: Array) -> Ints:
+    if ids.ndim != 1 or ids.dtype.kind not in "iu":
+        raise InputError(f"positioner_id: {ids.ndim} dimensions of {ids.dtype}, 1 of whole numbers is needed")
+    if len(np.unique(ids)) < len(ids):
+        raise InputError("positioner_id: a positioner appears twice")
+    return ids
+
+
+def _knots(parts: dict[str, Array]) -> tuple[Floats, Floats]:
+    """Wire and output, deg."""
+    for name in ("wire_deg", "output_deg"):
+        if parts[name].dtype != np.float64:
+            raise InputError(f"{name}: numbers of the type {parts[name].dtype}, float64 is needed")
+    return parts["wire_deg"], parts["output_deg"]

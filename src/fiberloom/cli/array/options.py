@@ -151,6 +151,6 @@ def excluded(text: str) -> tuple[int, ...]:
     """Numbers of positioners from "12,40". InputError where one is no number."""
     parts = [part.strip() for part in text.split(",") if part.strip()]
     for part in parts:
-        if not part.isdigit():
+        if not (part.isascii() and part.isdigit() and len(part) < 10):
             raise InputError(f"--exclude {text}: '{part}' is not the number of a positioner; e.g. 12,40")
     return tuple(int(part) for part in parts)

@@ -15,13 +15,13 @@ Its values take the place of defaults; what is typed comes first.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fiberloom.errors import InputError
+from fiberloom.files import parse_toml, read_text
 from fiberloom.instruments.load import first_problem
 
 BENCH = ("friction", "inertia", "stiffness", "arms", "repeatability")
@@ -52,12 +52,12 @@ class Site(SiteTable):
     camera: str | None = None
     instrument: str | None = None
     layout: Path | None = None
-    positioners: int | None = Field(default=None, ge=1)
-    seed: int | None = Field(default=None, ge=0)
+    positioners: int | None = Field(default=None, ge=1, lt=2**31)
+    seed: int | None = Field(default=None, ge=0, lt=2**63)
     calibration: Path | None = None
     arms: Path | None = None
     store: str | None = None
-    exclude: tuple[int, ...] = ()
+    exclude: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
     limits: Limits = Limits()
 
     def defaults(self) -> dict[str, Any]:
@@ -97,11 +97,9 @@ def _given(values: dict[str, Any]) -> dict[str, Any]:
 def load_site(path: Path) -> Site:
     """Reads a site file; its paths are from its own folder. InputError names file, key and what is wrong."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"--site {path}: cannot be read: {getattr(error, 'strerror', error)}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"--site {path}: not valid TOML: {error}") from None
+        data = parse_toml(read_text(path), str(path))
+    except InputError as error:
+        raise InputError(f"--site {error}") from None
     try:
         site = Site.model_validate(data)
     except ValidationError as error:

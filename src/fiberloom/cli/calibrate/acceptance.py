@@ -44,8 +44,10 @@ def acceptance(options: AcceptanceOptions) -> int:
 
     plane = options.plane()
     _refuse(plane, options.serial)
-    settings = AcceptanceSettings(n_points=options.points, n_targets=options.targets, visits=options.visits)
-    rig, _ = options.rig(plane)
+    settings = AcceptanceSettings(
+        n_points=options.points, n_targets=options.targets, visits=options.visits, tilt_deg=options.tilt
+    )
+    rig, _ = options.rig(plane, serial=options.serial)
     papers = Paperwork(plane, options.seed, settings, rig.close_up_um, options.serial, options.engineer)
     with waiting(options.as_json) as wait:
         wait.say("acceptance")
@@ -54,7 +56,7 @@ def acceptance(options: AcceptanceOptions) -> int:
     if options.as_json:
         options.print_json(content)
     else:
-        _print(verdicts, options.out)
+        _print(verdicts, options.out, options.serial)
     return 0 if all(verdict.passed for verdict in verdicts) else 1
 
 
@@ -91,7 +93,7 @@ def write_acceptance(
     from fiberloom.store.calibrations import record_calibration
 
     data, firmware = found
-    verdicts = judge(data, papers.plane)
+    verdicts = judge(data, papers.plane, papers.settings.tilt_deg)
     content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(papers.settings)}
     content |= {"units": [unit_record(v, papers.serial) for v in verdicts]}
     file = out / "acceptance.json"
@@ -101,27 +103,33 @@ def write_acceptance(
     data.maps.save(out / "transmission.npz")
     for verdict in verdicts:
         head = page_head(verdict, papers, firmware.get(verdict.positioner_id, "unknown"))
-        (out / page_name(verdict)).write_text(acceptance_html(verdict, data, head), encoding="utf-8")
+        (out / page_name(verdict, papers.serial)).write_text(
+            acceptance_html(verdict, data, head), encoding="utf-8"
+        )
     return content, verdicts
 
 
-def _print(verdicts: Sequence[UnitVerdict], out: Path) -> None:
+def _print(verdicts: Sequence[UnitVerdict], out: Path, serial: str) -> None:
     from rich.console import Console
+    from rich.markup import escape
 
     from fiberloom.report.acceptance_records import page_name
 
     console = Console()
     for verdict in verdicts:
-        word = "accepted" if verdict.passed else "NOT accepted"
-        title = f"positioner {verdict.positioner_id}: {word}"
+        word = verdict.word.replace("not", "NOT")
+        unit = f"positioner {verdict.positioner_id}" + (f", serial {escape(serial)}" if serial else "")
+        title = f"{unit}: {word}"
         if verdict.reason:
             console.print(f"{title}: {verdict.reason}", style="red")
             continue
         console.print(_table(title, verdict.checks))
+        for name in verdict.missing:
+            console.print(f"not measured: {name}; without it the unit is not accepted", style="red")
     passed = sum(v.passed for v in verdicts)
+    pages = page_name(verdicts[0], serial) + (", ..." if len(verdicts) > 1 else "")
     console.print(
-        f"{passed} of {len(verdicts)} accepted; reports in {out}/: "
-        f"{page_name(verdicts[0])}{', ...' if len(verdicts) > 1 else ''}, acceptance.json, transmission.npz"
+        f"{passed} of {len(verdicts)} accepted; reports in {out}/: {pages}, acceptance.json, transmission.npz"
     )
 
 

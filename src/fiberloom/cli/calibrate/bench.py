@@ -57,12 +57,17 @@ class BenchOptions(LayoutOptions, JsonOptions):
         """The layout, or `positioners` of the preset from its centre; one unless given."""
         return self._plane(self.positioners if self.layout is not None else self.positioners or 1)
 
-    def rig(self, plane: FocalPlane, firmware: Knowledge = "identified") -> tuple[BenchRig, Units]:
-        """The bench, and for reports the true properties of its units; `firmware`: its parameters."""
-        from fiberloom.twin import draw_units
-        from fiberloom.twin.bench import bench_rig
+    def rig(
+        self, plane: FocalPlane, firmware: Knowledge = "identified", serial: str = ""
+    ) -> tuple[BenchRig, Units]:
+        """The bench, and for reports the true properties of its units.
 
-        units = draw_units(plane, self.seed, firmware=firmware)
+        `firmware`: its parameters; `serial`: number of the unit, another one is another unit.
+        """
+        from fiberloom.twin import draw_units
+        from fiberloom.twin.bench import bench_rig, seed_of_serial
+
+        units = draw_units(plane, seed_of_serial(self.seed, serial), firmware=firmware)
         return bench_rig(plane, units, self.seed, self.faults), units
 
 
@@ -73,6 +78,9 @@ class UnitOptions(BenchOptions):
     points: Annotated[int, typer.Option(min=8, help="Points per axis and direction.")] = 200
     visits: Annotated[int, typer.Option(min=5, help="Visits to each of three targets, per axis.")] = 30
     serial: Annotated[str, typer.Option(help="Serial number of the unit, for the report.")] = ""
+    tilt: Annotated[
+        float | None, typer.Option(help="Tilt of the fibre, deg, measured elsewhere: this bench cannot.")
+    ] = None
     engineer: Annotated[str, typer.Option(help="Name of the engineer, for the report.")] = ""
 
 
