@@ -172,7 +172,7 @@ def test_options_have_their_defaults():
     section = page.split("\n## fiberloom observe\n")[1].split("\n## ")[0]
     assert "| `--instrument <str>` | Preset name, or a TOML file of your own. | sdssv |" in section
     assert "| `--seed <int>` | The one seed of everything random. | 0; x>=0 |" in section
-    assert "Exit code 1: where an assigned fibre" in section
+    assert "Exit code 1: where fewer of the assigned fibres" in section
     rows = [row for row in page.splitlines() if row.startswith("| `--")]
     assert len(rows) == sum(len(commands.shown(command, "option")) for _, command in commands.commands())
     assert len(rows) > 200

@@ -15,7 +15,8 @@ PIECE = re.compile(
 
 OTHER_WORDS = (
     (re.compile(r"\\arg\b"), r"\\operatorname{arg}"),
-    (re.compile(r"\\operatorname\{(\w+)\}"), r"\\text{\1}\\,"),
+    (re.compile(r"\\operatorname\{(\w+)\}"), r"\\,\\text{\1}\\,"),
+    (re.compile(r"\\((?:sin|cos)(?:\^2)?)(?= +[\w\\])"), r"\\\1\\,"),
     (re.compile(r"\\(begin|end)\{aligned\}"), r"\\\1{align*}"),
 )
 """What LaTeX knows and the converter does not, in the converter's words."""

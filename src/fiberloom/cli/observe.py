@@ -104,8 +104,8 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
 def observe(options: ObservationOptions) -> int:
     """Put fibres on the targets of a list, and report the error of each one.
 
-    Exit code 1 where an assigned fibre is not within the requirement, or a verified trajectory has a
-    collision.
+    Exit code 1 where fewer of the assigned fibres than `--require` says are within the requirement, or a
+    verified trajectory has a collision.
     """
     started_s = time.monotonic()
     check(options)

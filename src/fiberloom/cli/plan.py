@@ -35,7 +35,10 @@ UNASSIGNED = "unassigned.ecsv"
 
 
 def assign(options: AssignOptions) -> int:
-    """Choose a target for each positioner; write the configuration and what was left out."""
+    """Choose a target for each positioner; write the configuration and what was left out.
+
+    Exit code 1 where no positioner has a target.
+    """
     from fiberloom.targets import read_targets
 
     options.check_plane()
