@@ -15,7 +15,7 @@ PROGRESS := $(PYTHON) tools/setup/progress.py
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
-.PHONY: firmware-report docs lint format inplace stubs lock clean figures coverage mutate
+.PHONY: firmware-report docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -33,6 +33,7 @@ help:
 	@echo "make coverage line and branch coverage of Python, C and C++, for \`make figures\`"
 	@echo "make mutate   small changes of the code that no test notices"
 	@echo "make docs     the documentation as a site, into site/"
+	@echo "make tutorial what the tutorial's commands answer, written into its page anew"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make lock     constraints.txt anew, with hashes (needs uv)"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -125,7 +126,6 @@ campaign: setup
 reproduce: setup
 	$(BIN)/fiberloom reproduce $(FIGURES) $(REPRODUCE) --out runs/reproduce
 
-# With the report of the last `make reproduce`, where there is one.
 # Built with gcc-arm-none-eabi, counted under QEMU; installs them where it may.
 firmware-report: setup
 	@PYTHONPATH=rig $(BIN)/python -m lab.report --out build
@@ -133,10 +133,14 @@ firmware-report: setup
 identification: setup
 	$(BIN)/python tests/calibration/recovery.py 50 0 full
 
+# With the report of the last `make reproduce`, where there is one.
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
-	@if [ -f runs/reproduce/report.html ]; then cp runs/reproduce/report.html site/reproduction/report.html; \
-	else echo "docs: no report of the reproduction inside; \`make reproduce\` makes one"; fi
+	@[ -f runs/reproduce/report.html ] || echo "docs: no report of the reproduction inside; \`make reproduce\` makes one"
+
+# What the commands of the tutorial answer today, into its page.
+tutorial: setup
+	$(BIN)/python -m tools.pages.transcript docs/start/tutorial.md
 
 # JSON="--json build/figures.json" writes them, JSON="--list" prints every list in full.
 figures: setup

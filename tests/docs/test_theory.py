@@ -52,6 +52,15 @@ def test_every_equation_of_the_paper_has_an_entry():
     assert named >= set(range(1, 35)), sorted(set(range(1, 35)) - named)
 
 
+def test_equations_are_latex():
+    """No equation is left as an indented block of text, and every `$$` is closed."""
+    assert re.findall(r"^ {4}\S.*$", TEXT, re.M) == []
+    assert len(re.findall(r"^\$\$$", TEXT, re.M)) == TEXT.count("$$")
+    assert TEXT.count("$$") % 2 == 0
+    inline = re.sub(r"`[^`\n]*`", "", re.sub(r"^\$\$\n.*?^\$\$$", "", TEXT, flags=re.M | re.S))
+    assert [line for line in inline.splitlines() if line.count("$") % 2] == []
+
+
 def test_links_lead_to_pages():
     pages = re.findall(r"\]\(([\w./]+\.md)\)", TEXT)
     assert pages

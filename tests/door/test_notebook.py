@@ -9,33 +9,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import pytest
-
-import fiberloom as fl
+from door_snippet import as_script, judge, printed, small
 
 mpl.use("Agg")
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def printed():
-    """The block of README.md that begins with the import."""
-    blocks = re.findall(
-        r"```python\n(import fiberloom as fl\n.*?)```", (ROOT / "README.md").read_text(), re.S
-    )
-    assert len(blocks) == 1
-    return blocks[0]
-
-
-def small(text):
-    """The same with seven positioners and without images: what is tested is the text, not the sky."""
-    return text.replace("n=50", "n=7").replace("seed=0)  ", 'seed=0, camera="noise")  ')
-
-
-def judge(names):
-    """What the block must have left behind."""
-    assert isinstance(names["seen"], fl.Observation)
-    assert len(names["seen"].moves) == 3
-    assert names["seen"].summary()["n_within_requirement"] == 7
-    assert names["field"].maps is not None
 
 
 def test_it_is_the_block_that_was_agreed():
@@ -52,9 +29,8 @@ def test_it_is_the_block_that_was_agreed():
 
 
 def test_as_a_script(desk):
-    text = re.sub(r"await field\.", "field.run.", small(printed()))
     names = {}
-    exec(compile(text, "script", "exec"), names)
+    exec(compile(as_script(small(printed())), "script", "exec"), names)
     judge(names)
 
 
@@ -67,7 +43,7 @@ def test_as_printed_with_await_at_the_top(desk):
 
 
 def test_as_a_doctest(desk):
-    lines = re.sub(r"await field\.", "field.run.", small(printed())).splitlines()
+    lines = as_script(small(printed())).splitlines()
     # values are not compared: a name takes them
     text = "\n".join(f">>> {line}" if "=" in line or "import" in line else f">>> _ = {line}"
                      for line in lines if line.strip())  # fmt: skip

@@ -32,7 +32,10 @@ class CommissionOptions(WeightsOptions, CreepOptions, UnitOptions):
 
 
 def commission(options: CommissionOptions) -> int:
-    """Measure units, derive their firmware parameters, write them over the bus, accept."""
+    """Measure units, derive their firmware parameters, write them over the bus, accept.
+
+    Exit code 1 where a unit is not commissioned or not accepted.
+    """
     if options.earlier is not None and not options.earlier.is_dir():
         raise InputError(f"--from {options.earlier}: no such folder; give that of `fiberloom calibrate`")
     options.check(options.out)

@@ -20,7 +20,10 @@ class HealthOptions(PlaneOptions, JsonOptions):
 
 
 def health(options: HealthOptions) -> int:
-    """List the positioners that past runs show to be degraded, suspect or disabled, with what to do."""
+    """List the positioners that past runs show to be degraded, suspect or disabled, with what to do.
+
+    Exit code 1 where a positioner is not healthy.
+    """
     from fiberloom.store.find import stores_below
 
     options.check_plane()

@@ -42,7 +42,10 @@ class CentroidOptions(JsonOptions):
 
 
 def centroid(options: CentroidOptions) -> int:
-    """Find and measure the spots of a camera image."""
+    """Find and measure the spots of a camera image.
+
+    Exit code 1 where the image has no spot.
+    """
     require_file(options.image)
     require_file(options.expected)
     from fiberloom.metrology import one_image
@@ -91,7 +94,10 @@ class MatchOptions(RequireOptions, PlaneOptions, JsonOptions):
 
 
 def match(options: MatchOptions) -> int:
-    """Find the positioner of each spot, and its position in the focal plane."""
+    """Find the positioner of each spot, and its position in the focal plane.
+
+    Exit code 1 where fewer positioners than `--require` says are matched.
+    """
     required = options.required_share
     require_file(options.source)
     require_file(options.expected)

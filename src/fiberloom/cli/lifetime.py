@@ -44,7 +44,10 @@ class LifetimeOptions(JsonOptions):
 
 
 def lifetime(options: LifetimeOptions) -> int:
-    """Wear positioners out, and compare calibrations of their gears (Kronig 2020, Fig. 21 to 26)."""
+    """Wear positioners out, and compare calibrations of their gears (Kronig 2020, Fig. 21 to 26).
+
+    Exit code 1 where learning or maps gain less than is required.
+    """
     _check(options)
     from fiberloom.instruments import load_instrument
     from fiberloom.studies import campaign

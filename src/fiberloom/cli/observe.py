@@ -102,7 +102,11 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
 
 
 def observe(options: ObservationOptions) -> int:
-    """Put fibres on the targets of a list, and report the error of each one."""
+    """Put fibres on the targets of a list, and report the error of each one.
+
+    Exit code 1 where fewer of the assigned fibres than `--require` says are within the requirement, or a
+    verified trajectory has a collision.
+    """
     started_s = time.monotonic()
     check(options)
     required = options.required_share

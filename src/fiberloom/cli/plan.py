@@ -35,7 +35,10 @@ UNASSIGNED = "unassigned.ecsv"
 
 
 def assign(options: AssignOptions) -> int:
-    """Choose a target for each positioner; write the configuration and what was left out."""
+    """Choose a target for each positioner; write the configuration and what was left out.
+
+    Exit code 1 where no positioner has a target.
+    """
     from fiberloom.targets import read_targets
 
     options.check_plane()
@@ -94,7 +97,10 @@ class PlanOptions(PlaneOptions, JsonOptions):
 
 
 def plan(options: PlanOptions) -> int:
-    """Plan collision-free trajectories from one configuration to another."""
+    """Plan collision-free trajectories from one configuration to another.
+
+    Exit code 1 where a positioner does not arrive, or the plan is not verified and not written.
+    """
     require_file(options.start)
     require_file(options.goal)
     options.check_plane()
@@ -142,7 +148,10 @@ class VerifyOptions(PlaneOptions, JsonOptions):
 
 
 def verify(options: VerifyOptions) -> int:
-    """Check trajectories in continuous time: clearances, limits, speeds, accelerations."""
+    """Check trajectories in continuous time: clearances, limits, speeds, accelerations.
+
+    Exit code 1 where the trajectories are not verified.
+    """
     require_file(options.trajectories)
     options.check_plane()
     from fiberloom import planning

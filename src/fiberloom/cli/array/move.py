@@ -38,7 +38,10 @@ class StopOptions(BusOptions, JsonOptions):
 
 
 def park(options: ParkOptions) -> int:
-    """Fold every positioner of an array, by a verified plan after the begin check."""
+    """Fold every positioner of an array, by a verified plan after the begin check.
+
+    Exit code 1 where a positioner did not do what was asked.
+    """
     options.check()
     from fiberloom.blocking import finish
 
@@ -48,7 +51,10 @@ def park(options: ParkOptions) -> int:
 
 
 def home(options: HomeOptions) -> int:
-    """Search the datum of positioners, in an order in which no arms can meet; then fold."""
+    """Search the datum of positioners, in an order in which no arms can meet; then fold.
+
+    Exit code 1 where a positioner did not do what was asked.
+    """
     options.check()
     only = excluded(options.only) or None
     from fiberloom.blocking import finish
@@ -59,7 +65,10 @@ def home(options: HomeOptions) -> int:
 
 
 def recover(options: RecoverOptions) -> int:
-    """Take arms apart that touch, by a verified way, and find positioners that are not where they report."""
+    """Take arms apart that touch, by a verified way, and find positioners that are not where they report.
+
+    Exit code 1 where a positioner did not do what was asked.
+    """
     options.check()
     from fiberloom.blocking import finish
 

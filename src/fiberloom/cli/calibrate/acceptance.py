@@ -34,7 +34,10 @@ class AcceptanceOptions(UnitOptions):
 
 
 def acceptance(options: AcceptanceOptions) -> int:
-    """Measure units on the bench and compare them with the instrument's requirements."""
+    """Measure units on the bench and compare them with the instrument's requirements.
+
+    Exit code 1 where a unit is not accepted.
+    """
     options.check(options.out)
     from fiberloom.calibration.bench.acceptance import AcceptanceSettings
     from fiberloom.report.acceptance_records import Paperwork

@@ -49,7 +49,10 @@ class FocalPlaneOptions(ExcludeOptions, PlaneOptions, JsonOptions):
 
 
 def focal_plane(options: FocalPlaneOptions) -> int:
-    """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26)."""
+    """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26).
+
+    Exit code 1 where a positioner is refused.
+    """
     check(options)
     require_folder(options.out)
     from fiberloom.calibration.focal_plane.fit import FitSettings

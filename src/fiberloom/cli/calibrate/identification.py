@@ -78,7 +78,10 @@ class FrictionOptions(IdentificationOptions, WeightsOptions, CreepOptions):
 
 
 def friction(options: FrictionOptions) -> int:
-    """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12)."""
+    """Coulomb friction, spring, cogging and drag (Kronig 2020, Fig. 11 and 12).
+
+    Exit code 1 where an estimate of a positioner is refused.
+    """
     options.check(options.out)
     from fiberloom.calibration import FrictionSettings
 
@@ -112,7 +115,10 @@ class InertiaOptions(IdentificationOptions, WeightsOptions):
 
 
 def inertia(options: InertiaOptions) -> int:
-    """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14)."""
+    """Inertia from steps of torque (Kronig 2020, Eq. 12 and Fig. 14).
+
+    Exit code 1 where an estimate of a positioner is refused.
+    """
     options.check(options.out)
     from fiberloom.calibration import InertiaSettings
 
@@ -146,7 +152,10 @@ class StiffnessOptions(IdentificationOptions):
 
 
 def stiffness(options: StiffnessOptions) -> int:
-    """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13)."""
+    """Stiffness from a known torque to both sides (Kronig 2020, Fig. 13).
+
+    Exit code 1 where an estimate of a positioner is refused.
+    """
     options.check(options.out)
     from fiberloom.calibration import StiffnessSettings
 
@@ -179,7 +188,10 @@ class ArmsOptions(IdentificationOptions):
 
 
 def arms(options: ArmsOptions) -> int:
-    """Arm lengths and centre from the circles of both axes."""
+    """Arm lengths and centre from the circles of both axes.
+
+    Exit code 1 where an estimate of a positioner is refused.
+    """
     options.check(options.out)
     from fiberloom.calibration import ArmsSettings
 
@@ -211,7 +223,10 @@ class RepeatabilityOptions(IdentificationOptions):
 
 
 def repeatability(options: RepeatabilityOptions) -> int:
-    """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17)."""
+    """Three targets 1 um apart, visited again and again (Kronig 2020, Fig. 17).
+
+    Exit code 1 where an estimate of a positioner is refused.
+    """
     options.check(options.out)
     from fiberloom.calibration import RepeatabilitySettings
 

@@ -58,7 +58,10 @@ class TransmissionOptions(ExcludeOptions, PlaneOptions, JsonOptions):
 
 
 def transmission(options: TransmissionOptions) -> int:
-    """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7)."""
+    """Measure motor angle against output angle in both directions (Kronig 2020, Eq. 6 and 7).
+
+    Exit code 1 where a positioner is refused.
+    """
     options.check()
     require_folder(options.out)
     from fiberloom.report.outputs import marks
