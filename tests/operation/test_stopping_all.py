@@ -57,7 +57,7 @@ def test_signals_let_the_task_stop_what_it_has_set_in_motion(numbers):
         for number in numbers:
             process.send_signal(getattr(signal, number))
             time.sleep(0.1)
-        rest, _ = process.communicate(timeout=30)
+        rest, _ = process.communicate(timeout=120)
     assert rest == "at rest\n"
     assert process.returncode == 130
 

@@ -64,7 +64,7 @@ def test_what_falls_short_is_told_by_count():
     assert shortfall(told | {"n_targets": 38}, 1.0) == [
         "not assigned: 60 out of reach, 3 collision",
         "not on target: 1 truly off target",
-        "below what is required: 36 of 37 (97 %) on target, at least 100 % must be",
+        "below what is required: 36 of 37 (97.2 %) on target, at least 100 % must be",
     ]
     # nothing on target is never enough
     assert shortfall(told | {"n_within_requirement": 0}, 0.0)[-1].startswith(

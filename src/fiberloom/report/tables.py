@@ -107,7 +107,7 @@ def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
         lines.append(f"not assigned: {counted(summary['not_assigned'])}")
     if assigned and (not within or within < required * assigned):
         lines.append(f"not on target: {counted(summary['not_on_target'])}")
-        share = f"{within} of {assigned} ({100.0 * within / assigned:.0f} %)"
+        share = f"{within} of {assigned} ({1000 * within // assigned / 10:g} %)"
         lines.append(f"below what is required: {share} on target, at least {100.0 * required:g} % must be")
     elif not assigned:
         lines.append("below what is required: no target was assigned, so none was observed")

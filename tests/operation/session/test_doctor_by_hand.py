@@ -2,11 +2,14 @@
 
 import asyncio
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from arrays import BUS, TwinArray, layout, maps_of
 
+from fiberloom.bus.protocol import Status
+from fiberloom.operation.session.doctor.array import ArrayCheck
 from fiberloom.operation.session.doctor.doctor import Doctor
 from fiberloom.operation.session.doctor.findings import DoctorLimits, Verdict
 from fiberloom.operation.session.doctor.here import check_clock
@@ -31,6 +34,27 @@ def test_a_healthy_array_has_nothing_wrong(known):
     assert checks[:5] == ["disk", "clock", "owner", "exclusions", "calibration"]
     assert {"positioners", "flags", "camera", "light", "maps"} <= set(checks)
     assert said == ["asking the gateways", "asking the positioners", "taking an image"]
+
+
+@pytest.mark.parametrize(
+    ("bits", "trouble"),
+    [
+        (0, ""),
+        (Status.STORAGE_FAILED, "storage failed"),
+        (Status.COLLISION_ALPHA, "collided"),
+        (Status.ESTIMATED_POSITION, "datum lost"),
+    ],
+)
+def test_what_status_words_tell_is_said_by_number(bits, trouble):
+    async def status(ids):
+        datums = Status.DATUMS_INITIALIZED
+        return {int(i): SimpleNamespace(ok=True, values=[datums | (bits if i == ids[2] else 0)]) for i in ids}
+
+    check = ArrayCheck(PLANE, SimpleNamespace(transport=None, camera=None), DoctorLimits())
+    check.client, check.answered = SimpleNamespace(status=status), np.ones(7, dtype=bool)
+    finding = asyncio.run(check._flags())
+    assert finding.trouble == trouble
+    assert (str(PLANE.positioner_id[2]) in finding.text) == bool(trouble)
 
 
 @pytest.mark.parametrize(

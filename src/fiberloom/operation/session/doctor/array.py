@@ -110,6 +110,10 @@ class ArrayCheck:
             for i, b in bits.items()
             if b & Status.ESTIMATED_POSITION or b & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED
         )
+        forgetful = sorted(i for i, b in bits.items() if b & Status.STORAGE_FAILED)
+        if forgetful:
+            text = f"cannot keep their positions, and may refuse to move: {numbers(forgetful)}; exclude them"
+            return wrong("flags", "storage failed", text)
         if collided:
             return wrong("flags", "collided", f"report a collision: {numbers(collided)}; `fiberloom recover`")
         if lost:
