@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import check_axes, read_bytes, read_text
 from fiberloom.typing import Array, Floats, Ints
+from fiberloom.wholefile import write_whole
 
 SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
 
@@ -208,7 +209,7 @@ def write_summed(path: Path, table: Any) -> None:
     table.meta[SUM] = _NO_SUM
     text = io.StringIO()
     table.write(text, format="ascii.ecsv")
-    path.write_text(text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1), encoding="utf-8")
+    write_whole(path, text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1))
 
 
 def check_sum(path: Path, content: bytes) -> None:

@@ -11,7 +11,7 @@ from fiberloom.errors import InputError
 
 
 @contextlib.contextmanager
-def whole(path: str | Path) -> Iterator[Path]:
+def whole(path: str | Path, *, folders: bool = False) -> Iterator[Path]:
     """A place to write to, which becomes `path` at the end of the block.
 
     The old file stays until then, and stays where the block raises. Two processes may write the same file:
@@ -20,7 +20,9 @@ def whole(path: str | Path) -> Iterator[Path]:
     Parameters
     ----------
     path : str or Path
-        The file; its folder exists.
+        The file.
+    folders : bool
+        Make the folders above it where they are missing.
 
     Yields
     ------
@@ -43,12 +45,15 @@ def whole(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     part = path.with_name(f".{os.getpid()}-{path.name}")
     try:
+        if folders:
+            path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         part.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
 
 
 def write_whole(path: str | Path, text: str) -> None:

@@ -13,6 +13,7 @@ import typer
 
 from fiberloom.cli.options import JsonOptions, PlaneOptions
 from fiberloom.errors import InputError
+from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from fiberloom.twin.server.address import Address
@@ -111,7 +112,7 @@ def twin(options: TwinOptions) -> None:
 
         folder = options.jaeger_config.resolve().parent
         folder.mkdir(parents=True, exist_ok=True)
-        options.jaeger_config.write_text(jaeger_config(addresses, folder))
+        write_whole(options.jaeger_config, jaeger_config(addresses, folder))
     report = asyncio.run(_serve(server, camera, options, _greeting(len(plane), addresses)))
     if options.as_json:
         options.print_json(report)

@@ -13,6 +13,7 @@ from fiberloom.tables import TableFile, read_table
 from fiberloom.typing import Array, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 from fiberloom.version import __version__
+from fiberloom.wholefile import whole, write_whole
 
 FORMAT = 1
 INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"
@@ -37,11 +38,12 @@ def write_layout(plane: FocalPlane, directory: str | Path) -> None:
     """Write a focal plane as layout.toml and three ECSV tables, to be read by `read_layout`."""
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / INDEX).write_text(
+    write_whole(
+        folder / INDEX,
         f"format = {FORMAT}\n"
         f'instrument = "{plane.instrument.name}"\n'
         f'version = "{__version__}"\n'
-        f'config_hash = "{plane.config_hash()}"\n'
+        f'config_hash = "{plane.config_hash()}"\n',
     )
     _write(folder / POSITIONERS, _positioner_columns(plane))
     _write(folder / FIDUCIALS, dict(zip(_FIDUCIAL, plane.fiducials.T, strict=True)))
@@ -74,7 +76,8 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
 def _write(path: Path, columns: dict[str, Array]) -> None:
     from astropy.table import Table
 
-    Table(columns).write(path, format="ascii.ecsv", overwrite=True)
+    with whole(path) as part:
+        Table(columns).write(part, format="ascii.ecsv", overwrite=True)
 
 
 def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:

@@ -20,6 +20,7 @@ import numpy as np
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import IMAGE_BYTES, PACKED, check_axes, read_bytes
 from fiberloom.typing import Array
+from fiberloom.wholefile import whole
 
 
 @dataclass(frozen=True)
@@ -249,4 +250,7 @@ def write_image(image: CameraImage, path: str | Path, *, overwrite: bool = True)
     hdu.header["GAIN"] = (image.gain_e_adu, "[electron/adu]")
     if np.isfinite(image.saturation_adu):
         hdu.header["SATURATE"] = (image.saturation_adu, "[adu]")
-    hdu.writeto(path, overwrite=overwrite)
+    if not overwrite and Path(path).exists():
+        raise InputError(f"{path}: exists already")
+    with whole(path) as part:
+        hdu.writeto(part)

@@ -29,6 +29,7 @@ from fiberloom.metrology.transform import PlaceErrors
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 from fiberloom.version import __version__
+from fiberloom.wholefile import whole
 
 POSITION_COLUMNS = (
     "positioner_id", "x_mm", "y_mm", "x_err_um", "y_err_um", "status", "x_px", "y_px", "flux_e", "flags",
@@ -171,7 +172,7 @@ def write_positions(path: Path, identified: MatchedImage) -> None:
     error_um = UM_PER_MM * np.sqrt(
         np.diagonal(found.transform.covariance(spots.xy_px, spots.covariance_px2), axis1=1, axis2=2)
     )
-    with path.open("w", encoding="utf-8") as out:
+    with whole(path) as part, part.open("w", encoding="utf-8") as out:
         out.write(f"# version: {__version__}\n# instrument: {plane.instrument.name}\n")
         out.write(f"# config_hash: {plane.config_hash()}\n")
         out.write(",".join(POSITION_COLUMNS) + "\n")

@@ -18,6 +18,7 @@ from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
 from fiberloom.tables import read_table
 from fiberloom.typing import Array, Flags, Floats
+from fiberloom.wholefile import whole
 
 CSV_COLUMNS = ("x_px", "y_px", "x_err_px", "y_err_px", "flux_e", "flags")
 _NOT_MEASURED = np.zeros(0)
@@ -284,7 +285,7 @@ def write_spots(spots: Spots, path: Path, comments: dict[str, object] | None = N
     rows = np.column_stack(
         [spots.x_px, spots.y_px, spots.x_err_px, spots.y_err_px, spots.flux_e, spots.flags]
     )
-    with Path(path).open("w", encoding="utf-8") as out:
+    with whole(path) as part, part.open("w", encoding="utf-8") as out:
         for key, value in (comments or {}).items():
             out.write(f"# {key}: {value}\n")
         out.write(",".join(CSV_COLUMNS) + "\n")

@@ -34,6 +34,7 @@ from fiberloom.tables import write_summed
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
+from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -517,15 +518,16 @@ _OF_STATUS = {
 
 def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
     """Writes every result file into the folder `out`, which exists."""
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     table = fibres_table(observed)
     table.meta = {k: summary[k] for k in MARKS}
     table.meta["flags"] = {flag.name: int(flag) for flag in FibreFlag}
     write_summed(out / "fibres.ecsv", table)
     plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
     plans |= {k: summary[k] for k in MARKS}
-    (out / "trajectories.json").write_text(json.dumps(plans) + "\n")
+    write_whole(out / "trajectories.json", json.dumps(plans) + "\n")
     _plot(observed, out)
+    # last: where it is, all are
+    write_whole(out / "summary.json", json.dumps(summary, indent=2) + "\n")
 
 
 def _plot(observed: Observation, out: Path) -> None:

@@ -40,6 +40,7 @@ from fiberloom.store import Store
 from fiberloom.store.database import Columns
 from fiberloom.store.run import STOPPED
 from fiberloom.typing import Flags, Floats
+from fiberloom.wholefile import write_whole
 
 _UNTOLD = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
 """Faults with which the motor position is not that of the arms: such measurements are left out."""
@@ -202,4 +203,4 @@ class FocalPlaneCalibration:
         save_arms(out / "arms.ecsv", self.fit, self.marks)
         write_layout(self.plane, out / "layout")
         plot_convergence(out / "convergence.png", self.convergence, self.guess.n, self.camera_um)
-        (out / "focal_plane.json").write_text(json.dumps(self.summary(), indent=2) + "\n")
+        write_whole(out / "focal_plane.json", json.dumps(self.summary(), indent=2) + "\n")

@@ -12,6 +12,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import beyond_stops_deg
 from fiberloom.tables import read_table
 from fiberloom.typing import Floats
+from fiberloom.wholefile import whole
 
 COLUMNS = ("positioner_id", "alpha_deg", "beta_deg")
 
@@ -60,7 +61,7 @@ def write_configuration(
     more = more or {}
     angles = np.asarray(angles_deg, dtype=np.float64)
     cells = zip(np.asarray(positioner_id), angles, *more.values(), strict=True)
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    with whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow([*COLUMNS, *more])
         out.writerows([int(number), f"{a:.9f}", f"{b:.9f}", *rest] for number, (a, b), *rest in cells)

@@ -13,6 +13,7 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
+from fiberloom.wholefile import write_whole
 
 KEYS = ("time_s", "alpha_deg", "beta_deg")
 
@@ -150,7 +151,7 @@ class Plan:
         >>> fl.plan(plane, plane.park_deg, plane.park_deg).save("trajectories.json", seed=0)
         """
         document = marks | self.to_dict()
-        Path(path).write_text(json.dumps(document, separators=(",", ":")) + "\n")
+        write_whole(path, json.dumps(document, separators=(",", ":")) + "\n")
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], where: str = "plan") -> "Plan":

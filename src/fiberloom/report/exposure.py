@@ -13,7 +13,7 @@ from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
-from fiberloom.report.figures import figure_with
+from fiberloom.report.figures import figure_with, save
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -33,7 +33,7 @@ def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     _ring(axes, spots.xy_px[~flagged], "deepskyblue")
     _ring(axes, spots.xy_px[flagged], "crimson", size=60)
     axes.set(title=f"{len(spots)} spots, {int(flagged.sum())} flagged", xlabel="x [px]", ylabel="y [px]")
-    figure.savefig(path, dpi=120)
+    save(figure, path, 120)
 
 
 def plot_reduction(
@@ -93,7 +93,7 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
         "(squares); orange dark, magenta ambiguous"
     )
     axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
-    figure.savefig(path, dpi=110, pil_kwargs={"compress_level": 1})
+    save(figure, path, 110, pil_kwargs={"compress_level": 1})
 
 
 def _label(axes: Any, number: int, xy: Floats, colour: str, size: float) -> None:
@@ -140,7 +140,7 @@ def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm
     right.set_title(
         f"fibres: measured minus {words}, {_rms_text(off_um)}{_left_out(int((rows & ~near).sum()))}"
     )
-    figure.savefig(path, dpi=110)
+    save(figure, path, 110)
 
 
 def _rms_text(off_um: Floats) -> str:
@@ -177,4 +177,4 @@ def _plot_distortion(path: Path, reduction: Reduction) -> None:
     figure, axes = figure_with((9, 8.5))
     _arrows(axes, at[inside], bend)
     axes.set_title(f"distortion beyond shift, scale and rotation: {np.hypot(*bend.T).max():.0f} µm at most")
-    figure.savefig(path, dpi=110)
+    save(figure, path, 110)

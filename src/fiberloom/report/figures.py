@@ -8,6 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fiberloom.wholefile import whole
+
 
 def figure_with(
     size_in: tuple[float, float], rows: int = 1, columns: int = 1, **how: Any
@@ -21,9 +23,10 @@ def figure_with(
     return figure, figure.subplots(rows, columns, **how)
 
 
-def save(figure: Figure, path: Path, dpi: int = 120) -> None:
-    """As an image, by the suffix of the path."""
-    figure.savefig(path, dpi=dpi)
+def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
+    """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`."""
+    with whole(path) as part:
+        figure.savefig(part, dpi=dpi, **how)
 
 
 def new_axes(size_in: tuple[float, float]) -> Axes:

@@ -29,6 +29,7 @@ from fiberloom.calibration import (
 from fiberloom.calibration.bench.stiffness import turned_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
+from fiberloom.report.figures import save
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -48,7 +49,7 @@ def _label(panel: Any, title: str, xlabel: str, ylabel: str) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    figure.savefig(path, dpi=110)
+    save(figure, path, 110)
     plt.close(figure)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from fiberloom.instruments.model import AXES
+from fiberloom.report.figures import save
 from fiberloom.typing import Floats, Ints
 
 STYLES = {
@@ -71,7 +72,7 @@ def plot_lifetime(path: Path, curves: LifetimeCurves) -> None:
     left.set_yticks([1, 2, 5, 10, 20, 50], labels=["1", "2", "5", "10", "20", "50"])
     left.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     _plot_arms(right, curves)
-    figure.savefig(path, dpi=120)
+    save(figure, path, 120)
     plt.close(figure)
 
 
@@ -126,7 +127,7 @@ def plot_deltas(path: Path, curves: LifetimeCurves) -> None:
         panel.set_xlabel("beta [deg]")
     panels[0, 0].legend(fontsize=8)
     figure.suptitle(_delta_title(curves))
-    figure.savefig(path, dpi=120)
+    save(figure, path, 120)
     plt.close(figure)
 
 

@@ -34,6 +34,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.typing import Array
 from fiberloom.version import __version__
+from fiberloom.wholefile import whole
 
 Rows = Mapping[str, Array]
 Experiment = Callable[[range, int, Any], Rows]
@@ -231,16 +232,10 @@ class _Store:
     def save(self, chunk: int, rows: Rows) -> None:
         if self._folder is None:
             return
-        path = self._path(chunk)
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            with part.open("wb") as file:
-                np.savez(file, **rows)  # type: ignore[arg-type]  # mypy takes a row for allow_pickle
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+        with whole(self._path(chunk)) as part, part.open("wb") as file:
+            np.savez(file, **rows)  # type: ignore[arg-type]  # mypy takes a row for allow_pickle
+            file.flush()
+            os.fsync(file.fileno())
 
     def _path(self, chunk: int) -> Path:
         assert self._folder is not None

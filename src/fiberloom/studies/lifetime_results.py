@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from fiberloom.studies.lifetime import (
 from fiberloom.twin.bench import bench_units
 from fiberloom.typing import Floats
 from fiberloom.version import __version__
+from fiberloom.wholefile import write_whole
 
 WITHIN = 1.05
 """The improved estimator's error over that of recalibration, at most."""
@@ -137,9 +137,7 @@ def _marks(study: Campaign) -> dict[str, Any]:
 
 
 def _write(path: Path, result: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    os.replace(part, path)
+    write_whole(path, json.dumps(result, indent=1) + "\n")
 
 
 _HEADS = {

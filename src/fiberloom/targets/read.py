@@ -9,6 +9,7 @@ from fiberloom.tables import TableFile, read_table
 from fiberloom.targets.target_list import FREE, TargetList
 from fiberloom.targets.yanny import Yanny, read_yanny
 from fiberloom.typing import Array, Ints
+from fiberloom.wholefile import write_whole
 
 REQUIRED = ("target_id", "x_mm", "y_mm")
 OPTIONAL = ("priority", "fibre", "positioner_id")
@@ -64,7 +65,7 @@ def write_targets(targets: TargetList, path: str | Path, comments: tuple[str, ..
             str(targets.positioner_id[i]),
         ]
         lines.append(",".join(cells))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def _from_table(table: TableFile) -> TargetList:

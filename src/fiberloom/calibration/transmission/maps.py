@@ -11,9 +11,7 @@ Exact at the knots; the inverse is that of the same polyline; straight on beyond
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +25,7 @@ from fiberloom.instruments.model import AXES
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import GEAR
 from fiberloom.version import __version__
+from fiberloom.wholefile import whole
 
 NEGATIVE, POSITIVE = -1, 1
 """Directions of contact: the side from which the last move came."""
@@ -429,24 +428,14 @@ class TransmissionMaps:
         """
         path = Path(path)
         meta = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self.provenance)}
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                np.savez_compressed(
-                    file,
-                    meta=np.array(json.dumps(meta)),
-                    positioner_id=self.positioner_id,
-                    wire_deg=self.wire_deg,
-                    output_deg=self.output_deg,
-                )
-            part.replace(path)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink()
-            raise InputError(
-                f"{path}: cannot write the transmission maps: {error.strerror or error}"
-            ) from None
+        with whole(path, folders=True) as part, part.open("wb") as file:
+            np.savez_compressed(
+                file,
+                meta=np.array(json.dumps(meta)),
+                positioner_id=self.positioner_id,
+                wire_deg=self.wire_deg,
+                output_deg=self.output_deg,
+            )
 
 
 def polyline(x_knots: Floats, y_knots: Floats, x: ArrayLike) -> Floats:

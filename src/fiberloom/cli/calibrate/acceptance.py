@@ -14,6 +14,7 @@ import typer
 from fiberloom.cli.calibrate.bench import UnitOptions, counting, on_bench
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
+from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -97,15 +98,13 @@ def write_acceptance(
     content = marks(papers.plane, papers.seed) | {"bench": "twin", "settings": asdict(papers.settings)}
     content |= {"units": [unit_record(v, papers.serial) for v in verdicts]}
     file = out / "acceptance.json"
-    file.write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(file, json.dumps(content, indent=2) + "\n")
     judged = [v.positioner_id for v in verdicts if not v.reason]
     record_calibration(file, "acceptance", judged, content, " ".join(sys.argv))
     data.maps.save(out / "transmission.npz")
     for verdict in verdicts:
         head = page_head(verdict, papers, firmware.get(verdict.positioner_id, "unknown"))
-        (out / page_name(verdict, papers.serial)).write_text(
-            acceptance_html(verdict, data, head), encoding="utf-8"
-        )
+        write_whole(out / page_name(verdict, papers.serial), acceptance_html(verdict, data, head))
     return content, verdicts
 
 

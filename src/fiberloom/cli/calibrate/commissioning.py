@@ -56,6 +56,7 @@ from fiberloom.report.estimates import estimate_records
 from fiberloom.report.outputs import marks
 from fiberloom.store.calibrations import record_calibration
 from fiberloom.units import AXES
+from fiberloom.wholefile import write_whole
 
 TRANSMISSION = "transmission"
 FIRMWARE_QUANTITIES = ("torque at full voltage", "inertia", "drag", "drag of the pushes", "Coulomb friction",
@@ -207,7 +208,7 @@ async def _part(
     except InputError as error:
         raise Refused(str(error)) from None
     content = estimate_records(request.plane, request.seed, found.estimates, {})
-    (request.out / file).write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(request.out / file, json.dumps(content, indent=2) + "\n")
     whole = np.all([e.ok for e in found.estimates], axis=0)
     ids = request.plane.positioner_id[whole]
     record_calibration(request.out / file, name, ids, content, " ".join(sys.argv))
@@ -262,9 +263,9 @@ def _write(request: Job, settings: CommissionSettings, whole: _Whole, close_up_u
     content |= {"units": [_record(unit, whole, settings, accepted) for unit in whole.units]}
     for unit in content["units"]:
         page = commissioning_html(unit, _head(request, unit, content))
-        (request.out / unit["report"]).write_text(page, encoding="utf-8")
+        write_whole(request.out / unit["report"], page)
     path = request.out / "commissioning.json"
-    path.write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(path, json.dumps(content, indent=2) + "\n")
     good = [u["positioner_id"] for u in content["units"] if u["commissioned"]]
     record_calibration(path, "commission", good, content, " ".join(sys.argv))
     return content
@@ -299,7 +300,7 @@ def _write_parameters(request: Job, before: Before, derivation: Derivation) -> N
         "positioner_id": number,
         "parameters": parameter_file(derivation.values(before.own[number])),
     }
-    (request.out / f"parameters-{number}.json").write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(request.out / f"parameters-{number}.json", json.dumps(content, indent=2) + "\n")
 
 
 def _head(request: Job, unit: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:

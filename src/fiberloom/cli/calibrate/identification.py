@@ -14,6 +14,7 @@ import typer
 from fiberloom.cli.calibrate.bench import BenchOptions, CreepOptions, counting, on_bench
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
+from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from fiberloom.calibration import (
@@ -302,7 +303,7 @@ def _write(name: str, options: IdentificationOptions, out: Path, content: dict[s
     from fiberloom.report.tables import print_estimates
     from fiberloom.tables import write_ecsv
 
-    (out / f"{name}.json").write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(out / f"{name}.json", json.dumps(content, indent=2) + "\n")
     head = {key: value for key, value in content.items() if key != "positioners"}
     write_ecsv(out / f"{name}.ecsv", estimate_rows(content), head)
     if options.as_json:

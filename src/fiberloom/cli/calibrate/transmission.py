@@ -15,6 +15,7 @@ from fiberloom.cli.observe import TWIN
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
+from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from fiberloom.field import Field
@@ -74,7 +75,7 @@ def transmission(options: TransmissionOptions) -> int:
         calibration = field.run.sweep(options.points, out=out)
     calibration.maps.save(out / "transmission.npz")
     summary = marks(field.plane, options.seed) | calibration.summary()
-    (out / "transmission.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_whole(out / "transmission.json", json.dumps(summary, indent=2) + "\n")
     ok = calibration.report.ok
     plot_transmission(out / "transmission.png", calibration.maps, row=int(ok.argmax()))
     record_calibration(
