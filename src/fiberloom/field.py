@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -76,6 +77,8 @@ class Field:
         Is told what is being done; silent unless you set one.
     command_line : str
         How the record names its runs.
+    keep : callable
+        Called with every observation that has ended well, before its run counts as finished, e.g. to save it.
     maps : TransmissionMaps or None
         The maps in use, once there are some.
     maps_file : Path or None
@@ -107,6 +110,7 @@ class Field:
         self.run = FieldRun(self)
         self.watcher: Watcher = Silent()
         self.command_line = "fiberloom.Field"
+        self.keep: Callable[[Observation], None] = lambda _: None
         self.book: ArrayBook | None = None
         self.exclude: tuple[int, ...] = ()
         self._points = 0
@@ -401,7 +405,7 @@ class Field:
         maps = await self.calibrate(self._points or POINTS)
         known = known_so_far(self.plane, maps, self.maps_file or folder / "maps.npz", learning)
         self._observer = Observer(
-            self.plane, known, folder, self.command_line, self.source.about(), self.watcher
+            self.plane, known, folder, self.command_line, self.source.about(), self.watcher, self.keep
         )
         if self.book is None:
             return await self._observer.observe(targets, settings, self.source.open)

@@ -59,16 +59,12 @@ def test_without_an_exposure_there_is_no_last_page(patch, tmp_path, plotted):
     assert plotted == []
 
 
-def test_images_are_written_one_by_one_and_those_of_an_earlier_run_go(patch, tmp_path):
+def test_images_are_written_one_by_one(patch, tmp_path):
     first = ExposureLog(patch, tmp_path, "none", True)
     for level in (1.0, 2.0):
         first.seen(reduction(level))
     assert sorted(p.name for p in first.folder.iterdir()) == ["exposure-01.fits", "exposure-02.fits"]
     assert read_image(first.folder / "exposure-02.fits").array()[0, 0] == 2.0
-    (first.folder / "notes.txt").write_text("kept")
-    second = ExposureLog(patch, tmp_path, "none", True)
-    second.seen(reduction(5.0))
-    assert sorted(p.name for p in second.folder.iterdir()) == ["exposure-01.fits", "notes.txt"]
 
 
 def test_only_a_camera_with_images_can_be_watched(patch, tmp_path):

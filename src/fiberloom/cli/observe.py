@@ -26,6 +26,7 @@ from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.field import Field
+    from fiberloom.operation.results import Observation
 
 TWIN = "twin:"
 
@@ -120,8 +121,16 @@ def observe(options: ObservationOptions) -> int:
 
     with naming(options.targets):
         check_targets(field.plane, targets)
+    summary: dict[str, Any] = {}
+
+    def keep(seen: Observation) -> None:
+        seen = replace(seen, wall_s=time.monotonic() - started_s)
+        seen.save(options.out)
+        summary.update(seen.summary())
+
+    field.keep = keep
     with waiting(options.as_json) as field.watcher:
-        seen = field.run.observe(
+        field.run.observe(
             targets,
             None if options.moves is None else options.moves - 1,
             out=options.out,
@@ -133,9 +142,6 @@ def observe(options: ObservationOptions) -> int:
             pages=options.pages.value,
             save_images=options.save_images,
         )
-    seen = replace(seen, wall_s=time.monotonic() - started_s)
-    seen.save(options.out)
-    summary = seen.summary()
     if options.as_json:
         options.print_json(summary)
     else:

@@ -33,8 +33,6 @@ class ExposureLog:
         self._last: Reduction | None = None
         self._last_name = ""
         self._watched: ImageCamera | None = None
-        for old in self.folder.glob("exposure-*"):  # of an earlier run into the same folder
-            old.unlink()
 
     def watch(self, camera: Any) -> None:
         """Keeps the exposures of this camera from now on. A camera without images has nothing to keep:

@@ -19,8 +19,10 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation, metrology_goals_mm
+from fiberloom.report.folder import set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
+from fiberloom.store.run import RUNNING
 from fiberloom.targets import TargetList
 
 STORE = "store.sqlite"
@@ -106,6 +108,8 @@ class Observer:
     about: dict[str, Any] = field(default_factory=dict)
     """Further entries of summary.json."""
     watcher: Watcher = field(default_factory=Silent)
+    keep: Callable[[Observation], None] = lambda _: None
+    """Called with the observation when it has ended well; only then its run counts as finished."""
     motion: MotionMaker = FieldMotion
     """Of the field; a session gives its own."""
     last: Observation | None = None
@@ -127,30 +131,26 @@ class Observer:
             assign_relaxed, self.known.plane, targets, seed=settings.seed
         )
         hardware = await connect()
-        log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
-        loop: Loop | None = None
-        try:
-            log.watch(hardware.camera)
-            with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
+        with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
+            _alone(store, run, self.out)
+            set_aside(self.out, run.id - 1)
+            log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
+            loop: Loop | None = None
+            try:
+                log.watch(hardware.camera)
                 motion = self._motion(kept, targets, assignment, hardware, run)
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
                 self.known.record_used(run)
                 await _whole(loop)
                 self.known.record_learnt(run)
-            log.close()
-        finally:
-            log.stop()
-            self.last = Observation(
-                kept,
-                targets,
-                assignment,
-                moves=[] if loop is None else loop.moves,
-                collisions_verified=0 if loop is None else loop.motion.collisions_verified,
-                stopped="" if loop is None else loop.stopped,
-                about=marks(self.plane, settings.seed) | self.about | self.known.summary(),
-                wall_s=time.monotonic() - begun_s,
-            )
+                log.close()
+            finally:
+                log.stop()
+                about = marks(self.plane, settings.seed) | {"run": run.id} | self.about | self.known.summary()
+                wall_s = time.monotonic() - begun_s
+                self.last = Observation(kept, targets, assignment, about=about, wall_s=wall_s, **_moved(loop))
+            self.keep(self.last)
         return self.last
 
     def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
@@ -166,6 +166,24 @@ class Observer:
     ) -> FieldMotion:
         recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
         return self.motion(kept, self.known.maps, hardware, recorder, self.watcher.say)
+
+
+def _moved(loop: Loop | None) -> dict[str, Any]:
+    """What an observation says of its moves."""
+    if loop is None:
+        return {"moves": [], "collisions_verified": 0, "stopped": ""}
+    verified = loop.motion.collisions_verified
+    return {"moves": loop.moves, "collisions_verified": verified, "stopped": loop.stopped}
+
+
+def _alone(store: Store, run: Run, out: Path) -> None:
+    """Raises InputError where an earlier run of this folder goes on: its results and these would mix."""
+    for other in store.runs():
+        if other.status == RUNNING and other.id < run.id:
+            raise InputError(
+                f"--out {out}: run {other.id}, begun on {other.host} at {other.utc_start:%H:%M:%S} UTC, "
+                "still writes there; wait for its end, or choose another folder"
+            )
 
 
 async def _whole(loop: Loop) -> None:

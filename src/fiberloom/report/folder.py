@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from pathlib import Path
 
@@ -32,3 +33,56 @@ def prepare_file(path: Path) -> Path:
             f"--out {path}: cannot write there ({error.strerror or error}); choose another place"
         ) from None
     return path
+
+
+RESULTS = (
+    *("summary.json", "fibres.ecsv", "trajectories.json"),
+    *("focal_plane.png", "errors.png", "exposures"),
+)
+"""What an observation leaves in its folder, beside the store."""
+
+
+def set_aside(folder: Path, last_run: int) -> Path | None:
+    """Moves what an earlier observation left in a folder into `run-N` below it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the observation that is about to begin.
+    last_run : int
+        Number of the last run on record there, for results that tell no number: it did not come to its end.
+
+    Returns
+    -------
+    Path or None
+        Where they are now; None where there was nothing.
+
+    Raises
+    ------
+    InputError
+        They cannot be moved.
+    """
+    there = [folder / name for name in RESULTS if (folder / name).exists()]
+    if not there:
+        return None
+    number = _run_of(folder / "summary.json", last_run)
+    aside, again = folder / f"run-{number}", 1
+    while aside.exists():
+        aside, again = folder / f"run-{number}-{again}", again + 1
+    try:
+        aside.mkdir()
+        for path in there:
+            path.rename(aside / path.name)
+    except OSError as error:
+        raise InputError(
+            f"--out {folder}: the results of run {number} cannot be moved aside ({error.strerror or error}); "
+            "choose another folder"
+        ) from None
+    return aside
+
+
+def _run_of(summary: Path, last_run: int) -> int:
+    try:
+        return int(json.loads(summary.read_text(encoding="utf-8"))["run"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return last_run
