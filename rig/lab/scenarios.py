@@ -22,6 +22,7 @@ DATUMS_CALIBRATED, DATUMS = 3 << 23, 3 << 26
 COGGING = 3 << 31
 ESTIMATED, RESTORED, SAVED = 1 << 33, 1 << 34, 1 << 36
 HOST_TIMEOUT = 1 << 41
+STORAGE_FAILED = 1 << 42
 BOOT_OK, BOOT_BAD = 1 << 25, 1 << 26
 MOTOR_DEG = 1.0 / 1024.0
 """A degree of the motor as an angle of the output."""
@@ -189,15 +190,16 @@ POSITION_BYTES = 36
 
 @scenario
 def power_loss_while_a_position_is_noted(unit: Unit) -> None:
-    """The power fails after every byte of the note at the start of a motion, before the rotor turns."""
+    """The storage takes every number of bytes of the note at the start of a motion, then the power fails: what
+    is not noted does not begin."""
     known_unit(unit)
     before = unit.look().position_deg(0)
     for cut in range(POSITION_BYTES + 1):
         unit.tell(f"cut {cut}")
-        accepted(unit, 30, pair(60.0, 80.0))
+        whole = unit.code(30, pair(60.0, 80.0)) == ACCEPTED
+        assert has(unit, STORAGE_FAILED) != whole
         unit.tell("cut -1", "power")
-        whole = has(unit, ESTIMATED)
-        assert whole != has(unit, RESTORED)
+        assert has(unit, ESTIMATED) == whole != has(unit, RESTORED)
         assert whole or abs(unit.look().position_deg(0) - before) < MOTOR_DEG
         if whole:
             break

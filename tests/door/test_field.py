@@ -198,7 +198,8 @@ def test_an_interruption_loses_nothing(plane, twin, desk):
     assert len(field.last.table()) == 2 * N
     with Store.open(desk / "runs" / "field" / "store.sqlite") as store:
         (run,) = store.runs()
-        assert (run.status, run.n_measurements) == ("interrupted", 3 * N)
+        # before, after the two moves, and where each was left
+        assert (run.status, run.n_measurements) == ("interrupted", 4 * N)
 
 
 SCRIPT = """

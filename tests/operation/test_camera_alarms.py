@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from programs import start
+from programs import free_port, start
 
 import fiberloom as fl
 from fiberloom.bus.identifier import decode
@@ -209,8 +209,6 @@ FAULTS = "camera_hang@40+50,camera_half@90+20,camera_stale@110+20,camera_error@1
 @pytest.mark.clock
 def test_every_fault_of_the_camera_comes_and_goes_and_the_observation_completes(tmp_path):
     """One after another while the first image after the move is wanted."""
-    from test_two_processes import free_port
-
     instrument = small_instrument(tmp_path)
     plane = fl.FocalPlane.of(str(instrument), n=N)
     write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")

@@ -56,8 +56,14 @@ LETTERS = "abcdefgilnoprstuwyk_=#@+:., -e0123456789\n"
 def test_any_text_is_read_or_refused_by_naming_its_part(text):
     requests, said = read(text)
     parts = [part.strip() for part in text.split(",") if part.strip()]
-    named = any(said.startswith(f"--faults {part}: ") for part in parts)
+    named = any(names(said, part) for part in parts)
     assert named if said else parse_faults(faults_text(requests)) == requests
+
+
+def names(said, part):
+    """A complaint is one line, and the middle of a long one is left out."""
+    head = f"--faults {part}: "
+    return said.startswith((head, " ".join(head.split())[:250]))
 
 
 def read(text):
@@ -97,8 +103,9 @@ def test_a_power_cut_lasts_a_second_and_other_faults_for_good():
      "lying=1+2@3", "lying=" + "9" * 400, "lying=\u0663"],
 )  # fmt: skip
 def test_nonsense_is_named(part):
-    with pytest.raises(InputError, match=re.escape(f"--faults {part}: ")):
+    with pytest.raises(InputError) as refused:
         parse_faults(f"dead=1, {part} ,mute")
+    assert names(str(refused.value), part)
 
 
 @pytest.mark.parametrize(
