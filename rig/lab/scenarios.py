@@ -190,8 +190,8 @@ POSITION_BYTES = 36
 
 @scenario
 def power_loss_while_a_position_is_noted(unit: Unit) -> None:
-    """The storage takes every number of bytes of the note at the start of a motion, then the power fails: what
-    is not noted does not begin."""
+    """The storage takes some bytes of the note at the start of a motion, every number of them, then the power
+    fails: what is not noted does not begin."""
     known_unit(unit)
     before = unit.look().position_deg(0)
     for cut in range(POSITION_BYTES + 1):
