@@ -168,7 +168,7 @@ def test_a_file_whose_map_does_not_rise_names_file_and_positioner(tmp_path):
 
 def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write"):
+    with pytest.raises(InputError, match="cannot be written"):
         some_maps().save(tmp_path / "file" / "maps.npz")
 
 
