@@ -1,4 +1,5 @@
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,23 @@ def shared_sdssv():
         if folder.is_dir():
             return folder
     pytest.skip("no ../shared/data/sdssv beside the checkout: the real tables are not public")
+
+
+@pytest.fixture
+def fl(monkeypatch, capsys):
+    """Runs the command line in this process: exit code, stdout, stderr."""
+    from fiberloom.cli import main
+
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["fiberloom", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run
 
 
 @pytest.fixture

@@ -1,14 +1,12 @@
 """Every command for good input, on three to seven positioners: files, words, JSON, exit codes."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fiberloom.cli import app as cli_app
-from fiberloom.cli.app import main
 from fiberloom.instruments import generate, load_instrument, write_layout
 from fiberloom.metrology import write_image
 from fiberloom.metrology.acquisition import CameraGeometry
@@ -18,21 +16,6 @@ from fiberloom.twin.camera.imaging import CameraModel, Detector, ImagingCamera, 
 
 N, SEED = 7, 4
 PLANE = ("--positioners", N, "--seed", SEED)
-
-
-@pytest.fixture
-def fl(monkeypatch, capsys):
-    """Runs the command line in this process: exit code, stdout, stderr."""
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["fiberloom", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
 
 
 def folded(plane):

@@ -2,13 +2,11 @@
 
 import csv
 import json
-import sys
 
 import numpy as np
 import pytest
 from astropy.table import Table
 
-from fiberloom.cli.app import main
 from fiberloom.cli.options import RequireOptions
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
@@ -17,21 +15,6 @@ from fiberloom.targets import random_targets, write_targets
 
 N, SEED = 7, 4
 PLANE = ("--positioners", N, "--seed", SEED)
-
-
-@pytest.fixture
-def fl(monkeypatch, capsys):
-    """Runs the command line in this process: exit code, stdout, stderr."""
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["fiberloom", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,11 @@
 """What a file of trajectories says of itself is not believed: buffer, instrument, places."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fiberloom.cli.app import main
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import (
@@ -22,20 +20,6 @@ from fiberloom.planning import (
 
 N = 7
 PLANE = generate(load_instrument("sdssv"), seed=0, n_positioners=N)
-
-
-@pytest.fixture
-def fl(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["fiberloom", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
 
 
 def standing(angles_deg, buffer_mm=2.0, instrument="sdssv"):

@@ -178,7 +178,7 @@ def _moved(loop: Loop | None) -> dict[str, Any]:
 
 def _alone(store: Store, run: Run, out: Path) -> None:
     """Raises InputError where an earlier run of this folder goes on: its results and these would mix."""
-    for other in store.runs():
+    for other in store.runs(RUNNING):
         if other.status == RUNNING and other.id < run.id:
             raise InputError(
                 f"--out {out}: run {other.id}, begun on {other.host} at {other.utc_start:%H:%M:%S} UTC, "

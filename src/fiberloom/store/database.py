@@ -122,11 +122,16 @@ class Store:
             run_id = connection.execute(insert(RunRow).returning(RunRow.id), values).scalar_one()
         return Run(self.transaction, run_id)
 
-    def runs(self) -> list[RunInfo]:
-        """All runs, oldest first. One whose process is gone shows as interrupted."""
+    def runs(self, recorded_as: str | None = None) -> list[RunInfo]:
+        """All runs, oldest first, or those `recorded_as` running, finished, failed or interrupted.
+
+        One whose process is gone shows as interrupted.
+        """
         moves = select(func.count()).where(MoveRow.run_id == RunRow.id).scalar_subquery()
         measured = select(func.count()).where(MeasurementRow.run_id == RunRow.id).scalar_subquery()
         query = select(RunRow.__table__, moves.label("n_moves"), measured.label("n_measurements"))
+        if recorded_as is not None:
+            query = query.where(RunRow.status == recorded_as)
         with self.transaction() as connection:
             rows = connection.execute(query.order_by(RunRow.id)).mappings().all()
             return [info_of(dict(row)) for row in rows]
