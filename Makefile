@@ -9,12 +9,13 @@ DEV    := $(or $(DEVPYTHON),$(BIN)/python)
 FRAMES ?= 20000000
 FUZZED ?= 100000
 STEPS  ?= 10000000
+SEEDS  ?= 0:1000
 # Shows how far a long step is; all that it prints is in build/*.log.
 PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
-.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
+.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign campaign-faults identification reproduce
 .PHONY: firmware-report docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
@@ -26,6 +27,8 @@ help:
 	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
+	@echo "make campaign-faults  a thousand fields with random faults: what is told, missed, made worse; resumes;"
+	@echo "              SEEDS=0:100 for some; exit code 3: too few seeds to judge every goal"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make identification  fifty units identified in full, against what they are"
@@ -121,6 +124,10 @@ campaign: setup
 	$(BIN)/fiberloom lifetime --cycles 100 --positioners 2 --seed 0 --out runs/lifetime
 	$(BIN)/fiberloom lifetime --cycles 100 --every 11 --positioners 100 --seed 0 --workers $(JOBS) \
 	    --out runs/lifetime-100
+
+# Hang, crash, gross false good, contact with anything known: none; what is missed and flagged for nothing.
+campaign-faults: setup
+	$(BIN)/python -m benchmarks.faults --seeds $(SEEDS) --workers $(JOBS) --out runs/faults
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from fiberloom.health.monitor import ObservedMove
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.store import Store
-from fiberloom.store.run import START, STOPPED
+from fiberloom.store.run import CUT_SHORT, START, STOPPED
 from fiberloom.typing import Array, Floats
 
 Columns = dict[str, Array]
@@ -22,11 +23,13 @@ _NOT_ARRIVED = (
 _NEAR_DEG = 1.0
 """A report farther than this from the command is no arrival: gears are linear to 0.6 deg."""
 _STAYS_DEG = 1e-6
+_STOPPED_EARLY = (CUT_SHORT, "recovery")
+"""Events that follow a move that was stopped; runs of before have the second one alone."""
 
 
 def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedMove]:
     """The moves of one run in order. Positioners that the plane does not have are left out."""
-    columns = store.measurements(run_id)
+    columns, cut_short = store.measurements(run_id), _cut_short(store, run_id)
     before = np.full((len(plane), 2), np.nan)
     for move_id in dict.fromkeys(columns["move_id"].tolist()):
         here = columns["move_id"] == move_id
@@ -37,8 +40,18 @@ def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedM
         begins = bool(np.all(move.kind == START))
         if begins:
             before = move.believed_deg
-        yield move.passage(before, begins)
+        passage = move.passage(before, begins)
+        # within the approach of its goal a report does not show that it was stopped
+        yield replace(passage, arrived=passage.arrived & (move_id not in cut_short))
         before = np.where(move.known[:, None], move.believed_deg, before)
+
+
+def _cut_short(store: Store, run_id: int) -> set[int]:
+    """Numbers of the moves in which not all have arrived."""
+    moves, events = store.moves(run_id), store.events(run_id)
+    after = [utc for utc, kind in zip(events["utc"], events["kind"], strict=True) if kind in _STOPPED_EARLY]
+    made = [(moves["utc"] <= utc).sum() for utc in after]
+    return {int(moves["id"][k - 1]) for k in made if k}
 
 
 class _Move:

@@ -32,7 +32,7 @@ class Evidence:
     measured_mm: Floats
     """(N, 2) in the image; NaN where not seen."""
     before_mm: Floats
-    """(N, 2) by the reported angles before the move."""
+    """(N, 2) before the move: in the image before it, by the reported angles where it shows nothing."""
     reported_mm: Floats
     """(N, 2) by the reported angles after it."""
     goal_mm: Floats

@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Outcome, Results
+from fiberloom.bus.outcome import Outcome, Result, Results
+from fiberloom.bus.protocol import Status
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
@@ -39,6 +40,7 @@ from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.planning import Plan, Trajectory, plan, verify
+from fiberloom.store.run import CUT_SHORT
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
@@ -95,6 +97,8 @@ class FieldState:
         """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
         self.wire_deg = np.zeros((len(plane), 2))
         """(N, 2) wire positions as reported."""
+        self.seen_mm = np.full((len(plane), 2), np.nan)
+        """(N, 2) metrology fibres in the last image; NaN where not seen."""
 
     @property
     def mobile(self) -> Flags:
@@ -146,12 +150,13 @@ class FieldState:
             outcomes=asked,
             seen=image.seen,
             measured_mm=image.xy_mm,
-            before_mm=self.metrology_mm(before_deg),
+            before_mm=np.where(np.isfinite(self.seen_mm), self.seen_mm, self.metrology_mm(before_deg)),
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
             astray_mm=ASTRAY_MM + self.looser_mm,
         )
+        self.seen_mm = image.xy_mm
         allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, ALLOWED_MM + self.looser_mm)
         back = self.hearing.taken_back(evidence, allowed_mm)
         for i in back:
@@ -190,7 +195,7 @@ class FieldState:
             )
         report = Report(self.here_deg, answered, image, vouched)
         found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
-        self.beginning = found
+        self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):
             raise InputError(
@@ -283,6 +288,7 @@ class FieldMotion:
                 f"none of the {len(known)} positioners of this layout answers on the bus; "
                 "check its power and address"
             )
+        await self._all_at_rest()
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
@@ -290,6 +296,16 @@ class FieldMotion:
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         state.begin(answered, image, vouched)
+
+    async def _all_at_rest(self) -> None:
+        """Stops what still moves, as a host that was killed leaves it: places of before are no places."""
+        moving = [i for i, answer in (await self.client.poll(self.client.ids)).items() if _moves(answer)]
+        if moving:
+            text = f"{len(moving)} positioners were still moving at the begin; all are stopped"
+            self.recorder.event("alarm", text)
+            self.progress(text)
+            await self.client.stop_all()
+            await self.client.wait_until_done(moving, REST_TIMEOUT_S, stop_on_collision=False)
 
     async def _vouched(self, answered: Flags) -> Flags:
         """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""
@@ -367,6 +383,8 @@ class FieldMotion:
         )
         self.moves.append(move)
         self.recorder.move(move)
+        if move.interrupted:
+            self.recorder.event(CUT_SHORT, f"{int(interrupted.sum())} positioners are not at their goals")
         return interrupted
 
     async def _look_after(self) -> Measurement:
@@ -468,3 +486,8 @@ class FieldMotion:
             rows = goals.has_target & (goals.fibre == fibre)
             true_mm[rows] = self.hardware.truth.fibre_xy(str(fibre))[rows]
         return true_mm
+
+
+def _moves(answer: Result) -> bool:
+    """Whether a positioner says that it is on its way."""
+    return answer.ok and not answer.values[0] & Status.DISPLACEMENT_COMPLETED

@@ -37,6 +37,10 @@ STOPPED = "stopped"
 """Kind of the record where positioners were left after a stop: as reported, without an image."""
 
 
+CUT_SHORT = "cut short"
+"""Kind of the event after a move in which not all have reached their goals."""
+
+
 @dataclass(frozen=True)
 class RunInfo:
     """A run as `fiberloom runs` shows it."""

@@ -1,0 +1,229 @@
+"""The fault campaign counts right: what is missed, what hangs, what crashes, what touches, and it resumes."""
+
+import json
+import os
+import signal
+import time
+
+import pytest
+from benchmarks.faults.campaign import LINES, Campaign, arrays_of
+from benchmarks.faults.disk import Ballast, mounted
+from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
+from benchmarks.faults.one_seed import run_seed
+from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, interval, table
+
+from fiberloom.operation.motion import FieldState
+from fiberloom.twin.twin import Touch, Twin
+
+
+def line(seed, **more):
+    """Of a seed in which all went well."""
+    faults = [{"kind": "dark", "shown": True, "flagged": True, "missed": False}]
+    return {"seed": seed, "faults": faults, "healthy": 70, "told_good": 70, "exits": [0, 0], **more}
+
+
+def verdict(lines, name):
+    (found,) = [goal.verdict for goal in goals(lines) if name in goal.name]
+    return found
+
+
+# the verdict
+
+GOOD = [line(seed) for seed in range(SEEDS)]
+MISSED = [{"kind": "dead", "shown": True, "flagged": False, "missed": True}]
+
+
+def test_a_campaign_without_findings_reaches_every_goal():
+    assert {goal.verdict for goal in goals(GOOD)} == {Verdict.REACHED}
+    assert exit_code(GOOD) == 0
+
+
+@pytest.mark.parametrize(
+    ("found", "name"),
+    [
+        ({"hang": True}, "hang"),
+        ({"crash": "Traceback"}, "crash"),
+        ({"unreadable": "damaged"}, "cannot be read"),
+        ({"contacts": [[1.0, 3, 4]]}, "contact"),
+        ({"false_good": [[1, 5, 900.0]]}, "gross false good"),
+        ({"false_success": [0]}, "false success"),
+    ],
+)
+def test_a_single_finding_is_a_goal_that_is_not_reached(found, name):
+    lines = [*GOOD[1:], line(0, **found)]
+    assert verdict(lines, name) == Verdict.MISSED
+    assert exit_code(lines) == 1
+    assert f"| {Verdict.MISSED} |" in "\n".join(table(lines))
+
+
+def test_shares_are_held_against_their_goals():
+    missed = [line(seed, faults=MISSED) if seed % 40 == 0 else line(seed) for seed in range(SEEDS)]
+    assert verdict(missed, "missed") == Verdict.MISSED
+    flags = [line(0, false_flags=[[1, 2, "dead"]] * 71), *GOOD[1:]]
+    assert verdict(flags, "flagged") == Verdict.MISSED
+    assert verdict([line(0, false_flags=[[1, 2, "dead"]]), *GOOD[1:]], "flagged") == Verdict.REACHED
+
+
+def test_too_few_seeds_judge_nothing():
+    few = GOOD[:20]
+    assert {goal.verdict for goal in goals(few)} == {Verdict.OPEN}
+    assert exit_code(few) == 3
+    assert exit_code([]) == 3
+
+
+def test_a_share_near_its_goal_is_not_judged():
+    assert Goal("x", 2, 100, 0.02).verdict == Verdict.OPEN
+    assert Goal("x", 20, 10000, 0.02).verdict == Verdict.REACHED
+    assert interval(0, 1000)[1] == pytest.approx(0.00368, abs=1e-5)
+    assert interval(5, 100) == pytest.approx((0.0164, 0.1128), abs=1e-4)
+
+
+# seeds in processes
+
+
+def work(seed, log):
+    """What seeds do here: some hang, some die."""
+    with (log.parent / "begun").open("a") as file:
+        file.write(f"{seed} ")
+    if seed == 1:
+        time.sleep(600.0)
+    if seed == 2:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if seed == 3:
+        raise ValueError("no such thing")
+    return line(seed)
+
+
+def test_a_seed_that_hangs_or_dies_is_counted_and_the_others_go_on(tmp_path):
+    lines = Campaign(tmp_path, work, workers=2, deadline_s=3.0).run(range(5))
+    assert lines[1] == {"seed": 1, "hang": True}
+    assert "ended with -11" in lines[2]["crash"]
+    assert "no such thing" in lines[3]["crash"]
+    assert [lines[seed]["healthy"] for seed in (0, 4)] == [70, 70]
+    assert verdict(list(lines.values()), "hang") == verdict(list(lines.values()), "crash") == Verdict.MISSED
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path):
+    def stop(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Campaign(tmp_path, work).run([5, 6, 7], stop)
+    with (tmp_path / LINES).open("a") as file:
+        file.write('{"seed": 6, "heal')  # killed while it wrote
+    lines = Campaign(tmp_path, work).run([5, 6, 7])
+    assert sorted(lines) == [5, 6, 7]
+    assert (tmp_path / "begun").read_text() == "5 6 7 "
+    assert [json.loads(text)["seed"] for text in (tmp_path / LINES).read_text().splitlines()] == [5, 6, 7]
+
+
+# what is drawn
+
+
+def test_every_kind_is_drawn_and_nobody_has_two_faults():
+    scenes = [draw(seed, range(1, 38)) for seed in range(200)]
+    assert {f.kind for scene in scenes for f in scene.faults} == set(KINDS)
+    assert all(1 <= len({f.kind for f in scene.faults}) <= 4 for scene in scenes)
+    for scene in scenes:
+        victims = [f.positioner_id for f in scene.of(*OF_POSITIONERS)]
+        assert len(set(victims)) == len(victims)
+    assert draw(7, range(1, 38)) == scenes[7]
+
+
+def test_a_disk_that_is_full(tmp_path):
+    """In a process of its own, for the mount stays."""
+    pid = os.fork()
+    if pid == 0:
+        if not mounted(tmp_path):
+            os._exit(2)
+        ballast = Ballast(tmp_path)
+        ballast.fill(0.0)
+        try:
+            (tmp_path / "more").write_bytes(bytes(8192))
+        except OSError:
+            ballast.away()
+            (tmp_path / "more").write_bytes(bytes(8192))
+            os._exit(0)
+        os._exit(1)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) in (0, 2)  # 2: mounts are not allowed here
+    assert not (tmp_path / "more").exists()
+
+
+# the array
+
+N = 7
+
+
+@pytest.fixture(scope="module")
+def array(tmp_path_factory):
+    return arrays_of(N, tmp_path_factory.mktemp("faults"), count=1)[0]
+
+
+def came_of(array, tmp_path, *faults):
+    return run_seed(array, Scene(3, faults), tmp_path / "log")
+
+
+def number(array, row=3):
+    return int(array.plane.positioner_id[row])
+
+
+@pytest.mark.slow
+def test_a_field_without_faults_has_no_findings(array, tmp_path):
+    found = came_of(array, tmp_path)
+    assert found["exits"] == [0, 0]
+    assert found["healthy"] == 2 * N
+    assert found["told_good"] >= 2 * N - 2
+    for name in ("false_flags", "false_good", "contacts", "contacts_unknown", "false_success", "crash"):
+        assert not found[name], name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["dark", "lying"])
+def test_a_fault_is_flagged_and_missed_without_its_detector(array, tmp_path, monkeypatch, kind):
+    fault = Injected(kind, number(array))
+    (told,) = came_of(array, tmp_path, fault)["faults"]
+    assert told["shown"]
+    assert told["flagged"]
+    assert not told["missed"]
+
+    def nothing(*_):
+        pass
+
+    monkeypatch.setattr(FieldState, "flag", nothing)
+    monkeypatch.setattr("benchmarks.faults.judge._health", lambda *_: [])
+    found = came_of(array, tmp_path, fault)
+    (missed,) = found["faults"]
+    assert (missed["shown"], missed["flagged"], missed["missed"]) == (True, False, True)
+
+
+@pytest.mark.slow
+def test_contacts_are_counted_by_what_was_known(array, tmp_path, monkeypatch):
+    a, b = number(array, 1), number(array, 2)
+    touches = iter([[Touch(20.0, a, b)]])
+    monkeypatch.setattr(Twin, "touches", lambda _: next(touches, []))
+    found = came_of(array, tmp_path)
+    assert found["contacts"] == [[20.0, a, b]]
+    assert found["healthy"] == 2 * N - 4  # what was touched may be anywhere
+    touches = iter([[Touch(20.0, a, b)]])
+    found = came_of(array, tmp_path, Injected("lying", a, 19.0))
+    assert (found["contacts"], found["contacts_unknown"]) == ([], [[20.0, a, b]])
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_is_told_and_the_next_one_goes_on(array, tmp_path):
+    found = came_of(array, tmp_path, Injected("kill", 0, 12.0, 0.05))
+    assert found["exits"][0] == -9
+    (kill,) = found["faults"]
+    assert kill["flagged"]
+    assert found["runs"][0] == "interrupted"
+    assert not found["contacts"]
+    assert not found["crash"]
+
+
+@pytest.mark.slow
+def test_a_false_good_is_counted(array, tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.faults.judge.POOR_REQUIREMENTS", 1e-9)
+    found = came_of(array, tmp_path)
+    assert len(found["false_good"]) == found["told_good"] > 0
+    assert found["false_success"] == [0, 1]
