@@ -5,17 +5,20 @@
 Every seed is a deployed field of the twin with one to four kinds of faults, and two `fiberloom observe` one
 after the other. Definitions, goals and a table are in docs/twin/faults.md. Run again, it goes on where it was
 stopped; `--again 17` does a seed anew and prints its line. Exit code 0: every goal is reached; 1: one is not;
-3: none is missed, but too few seeds were run to judge all; 130: interrupted.
+3: none is missed, but too few seeds were run to judge all; 2: bad input; 130: interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 import tempfile
 from functools import partial
 from pathlib import Path
+
+from fiberloom.errors import InputError
 
 from .campaign import Campaign, Line, arrays_of, observed
 from .table import exit_code, seeds_with, table
@@ -26,6 +29,8 @@ BAD = ("hang", "crash", "unreadable", "false_good", "false_success", "contacts",
 def main() -> int:
     """Runs what the command line asks for."""
     asked = arguments()
+    for stop in (signal.SIGINT, signal.SIGTERM):  # a shell takes Ctrl-C from what it runs behind it
+        signal.signal(stop, signal.default_int_handler)
     arrays = arrays_of(asked.positioners, asked.out)
     campaign = Campaign(asked.out, partial(observed, arrays), asked.workers, asked.deadline)
     try:
@@ -35,6 +40,9 @@ def main() -> int:
     except KeyboardInterrupt:
         print(f"interrupted; what is done is kept in {asked.out}: run the same again", file=sys.stderr)
         return 130
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
     print("\n".join(table(lines)))
     return exit_code(lines)
 

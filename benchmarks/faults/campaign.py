@@ -6,10 +6,12 @@ What is in the file is not computed again: a campaign goes on where it was stopp
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import signal
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,13 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from fiberloom.calibration.transmission.cache import load_for
+from fiberloom.errors import InputError
 from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import draw_units
 from fiberloom.version import __version__
 
 from .draw import draw
-from .one_seed import FORK, Array, run_seed
+from .one_seed import FORK, Array, die_with_parent, run_seed
 
 LINES = "seeds.jsonl"
 LOOK_S = 0.5
@@ -68,14 +71,14 @@ class Campaign:
 
     def run(self, seeds: Sequence[int], tell: Callable[[Line], None] = lambda _: None) -> dict[int, Line]:
         """The lines of these seeds; `tell` is called with each that is new."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        _mend(self.folder / LINES)
-        found = self.lines()
-        missing = [seed for seed in seeds if seed not in found]
-        for line in self._computed(missing):
-            self._keep(line)
-            found[line["seed"]] = line
-            tell(line)
+        with _alone(self.folder):
+            _mend(self.folder / LINES)
+            found = self.lines()
+            missing = [seed for seed in seeds if seed not in found]
+            for line in self._computed(missing):
+                self._keep(line)
+                found[line["seed"]] = line
+                tell(line)
         return {seed: found[seed] for seed in seeds}
 
     def _keep(self, line: Line) -> None:
@@ -143,12 +146,31 @@ def _end(one: Running) -> None:
 def _work(work: Work, seed: int, log: Path, pipe: Connection) -> None:
     """In the process of a seed."""
     os.setpgid(0, 0)
+    die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the campaign ends it
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with log.open("w") as file:
         os.dup2(file.fileno(), 2)
         os.dup2(file.fileno(), 1)
-    line = work(seed, log)
+    try:
+        line = work(seed, log)
+    except Exception:
+        with log.open("a") as file:
+            traceback.print_exc(file=file)
+        raise
     pipe.send({"version": __version__} | line)
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Two campaigns in one folder would do the same seeds."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(f"{folder}: another campaign runs there; choose another --out") from None
+        yield
 
 
 def _mend(path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import resource
 import shutil
+import signal
 import tempfile
 import time
 from collections.abc import Iterator
@@ -30,6 +32,7 @@ from .judge import judged
 from .world import Ended, World
 
 COMMANDS = 2
+_PR_SET_PDEATHSIG = 1
 FORK = multiprocessing.get_context("fork")
 GAP_S = 20.0
 """At most so long after a command that was killed the next one begins."""
@@ -86,8 +89,14 @@ def _host(array: Array, scene: Scene, desk: Desk, number: int) -> tuple[BaseProc
 
 
 def _alone(ours: Connection, theirs: Connection, desk: Desk, targets: Path) -> None:
+    die_with_parent()
     ours.close()  # or the end of the other process would not be noticed
     command(theirs, desk, targets)
+
+
+def die_with_parent() -> None:
+    """Of this process: where its parent is killed, it is killed too (Linux)."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def _ended(world: World, ballast: Ballast | None, host: tuple[BaseProcess, Connection], number: int) -> Ended:

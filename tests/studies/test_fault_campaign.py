@@ -12,6 +12,8 @@ from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
 from benchmarks.faults.one_seed import run_seed
 from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, interval, table
 
+from fiberloom.errors import InputError
+from fiberloom.operation import results
 from fiberloom.operation.motion import FieldState
 from fiberloom.twin.twin import Touch, Twin
 
@@ -88,7 +90,7 @@ def work(seed, log):
     if seed == 1:
         time.sleep(600.0)
     if seed == 2:
-        os.kill(os.getpid(), signal.SIGSEGV)
+        os.kill(os.getpid(), signal.SIGKILL)
     if seed == 3:
         raise ValueError("no such thing")
     return line(seed)
@@ -97,7 +99,7 @@ def work(seed, log):
 def test_a_seed_that_hangs_or_dies_is_counted_and_the_others_go_on(tmp_path):
     lines = Campaign(tmp_path, work, workers=2, deadline_s=3.0).run(range(5))
     assert lines[1] == {"seed": 1, "hang": True}
-    assert "ended with -11" in lines[2]["crash"]
+    assert "ended with -9" in lines[2]["crash"]
     assert "no such thing" in lines[3]["crash"]
     assert [lines[seed]["healthy"] for seed in (0, 4)] == [70, 70]
     assert verdict(list(lines.values()), "hang") == verdict(list(lines.values()), "crash") == Verdict.MISSED
@@ -115,6 +117,16 @@ def test_it_goes_on_where_it_was_stopped(tmp_path):
     assert sorted(lines) == [5, 6, 7]
     assert (tmp_path / "begun").read_text() == "5 6 7 "
     assert [json.loads(text)["seed"] for text in (tmp_path / LINES).read_text().splitlines()] == [5, 6, 7]
+
+
+def test_two_campaigns_in_one_folder_are_refused(tmp_path):
+    campaign = Campaign(tmp_path, work)
+
+    def again(_):
+        with pytest.raises(InputError, match="another campaign runs there"):
+            campaign.run([6])
+
+    assert list(campaign.run([5], again)) == [5]
 
 
 # what is drawn
@@ -153,6 +165,12 @@ def test_a_disk_that_is_full(tmp_path):
 # the array
 
 N = 7
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch):
+    """Commands draw nothing here: that is most of their time."""
+    monkeypatch.setattr(results, "_plot", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
