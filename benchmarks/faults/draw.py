@@ -8,9 +8,9 @@ import numpy as np
 
 from fiberloom.typing import Ints
 
-HIDDEN = ("lying", "broken_arm", "stuck_hall")
+HIDDEN = ("lying", "broken_arm")
 """No reply tells of these: only an image can."""
-OF_POSITIONERS = ("dark", "dead", "false_start", "mute", "reboot", *HIDDEN)
+OF_POSITIONERS = ("dark", "dead", "false_start", "mute", "reboot", "stuck_hall", *HIDDEN)
 OF_THE_CAMERA = ("camera_hang", "camera_error", "camera_half", "camera_stale")
 KINDS = (*OF_POSITIONERS, "lost", "cut", *OF_THE_CAMERA, "disk_full", "kill")
 

@@ -235,16 +235,19 @@ class _Judge:
 
     def _shown(self, fault: Injected) -> int:
         """Number of the first image by which something is to be seen or heard of it."""
-        shows = self._shows_lying if fault.kind in (*HIDDEN, "false_start") else self._shows_stillness
         row = self._row(fault)
         for k, image in enumerate(self.record.images):
-            if image.shot.time_s < fault.at_s:
-                continue
-            if fault.kind == "dark" or shows(k, row, fault.kind):
+            if image.shot.time_s >= fault.at_s and self._shows(k, row, fault.kind):
                 return k
         return -1
 
-    def _shows_lying(self, k: int, row: int, kind: str) -> bool:
+    def _shows(self, k: int, row: int, kind: str) -> bool:
+        if kind == "dark":
+            return True
+        lies = kind in (*HIDDEN, "stuck_hall", "false_start") and self._shows_lying(k, row)
+        return lies or (kind != "false_start" and self._shows_stillness(k, row, kind))
+
+    def _shows_lying(self, k: int, row: int) -> bool:
         """It is not where it reports."""
         image = self.record.images[k]
         wire = image.wire_deg[[row]]
@@ -252,7 +255,7 @@ class _Judge:
         return float(np.hypot(*(image.shot.fibres[METROLOGY][row] - reported[0]))) > ASTRAY_MM
 
     def _shows_stillness(self, k: int, row: int, kind: str) -> bool:
-        """It had to go; of dead ones: and has not."""
+        """It had to go; and, unless it is silent or restarts, has not."""
         image = self.record.images[k]
         if image.begins or k == 0:
             return image.begins and kind == "mute"
@@ -260,7 +263,7 @@ class _Judge:
         goal = self.plane.forward(*image.commanded_deg[[row]].T, METROLOGY, index=[row])[0]
         asked = float(np.hypot(*(goal - before)))
         gone = float(np.hypot(*(image.shot.fibres[METROLOGY][row] - before)))
-        return asked > ASKED_MM and (kind != "dead" or gone < 0.05 * asked)
+        return asked > ASKED_MM and (kind in ("mute", "reboot") or gone < 0.05 * asked)
 
     def _camera_told(self, fault: Injected) -> bool:
         words = str(FAILURES[fault.kind])
@@ -284,12 +287,16 @@ class _Judge:
         return self.record.runs[0].status == INTERRUPTED if killed else None
 
     def _disk_told(self, fault: Injected) -> bool | None:
-        """A command that has not written all ends in words of the disk; None: there was room enough."""
+        """A command that cannot write says so; None: it had room enough, or ended for another reason."""
         words = ("disk is full", "No space left", "disk I/O")
         if any(word in e.said for e in self.ended for word in words):
             return True
-        finished = [run.status == FINISHED for run in self.record.runs]
-        return None if all(finished) and len(finished) == len(self.ended) else False
+        (during,) = [e for e in self.ended if e.begun_s <= fault.at_s <= e.ended_s][:1] or [None]
+        if during is None or during.killed or _last_line(during.said):
+            return None
+        runs = {i.run for i in self.record.images if during.begun_s <= i.shot.time_s <= during.ended_s}
+        finished = {run.id for run in self.record.runs if run.status == FINISHED}
+        return None if runs and runs <= finished else False
 
     # what must not be
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -59,6 +60,15 @@ def test_the_rule_is_the_verifiers_and_allows_some_and_not_others():
         robots[row] = cut_off_at(robots[row], 0.0)
         whole = Plan(PLANNED.instrument, PLANNED.collision_buffer_mm, tuple(robots))
         assert verdict == (not operation.verify(PLANE, whole).collisions)
+
+
+@pytest.mark.parametrize("refused", range(0, 19, 6))
+def test_a_goal_that_the_plan_refused_elsewhere_changes_nothing(refused):
+    blocked = replace(PLANNED, refused={int(PLANE.positioner_id[refused]): "blocked"})
+    for row in (0, 9, 18):
+        made = MotionRule(PLANE, blocked, lambda *_: None)
+        deviation = Deviation(int(PLANE.positioner_id[row]), DeviationKind.NOT_STARTED, 0.4, 0.0)
+        assert asyncio.run(made.may_go_on([deviation])) == allowed(DeviationKind.NOT_STARTED, row)
 
 
 def test_a_collision_stops_all_and_a_link_that_is_down_none():

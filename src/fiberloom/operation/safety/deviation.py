@@ -76,10 +76,13 @@ class MotionRule(MotionWatch):
         """True when nothing meets the positioners that may rest, wherever they do."""
         rows = self._around(self.resting_rows())
         plane = self._plane.select(rows)
+        near = set(plane.positioner_id.tolist())
+        refused = {p: why for p, why in self._planned.refused.items() if p in near}
         for k in range(STOPS):
             robots = [self._planned.robots[row] for row in rows]
             robots = [self._rests.get(r.positioner_id, [r] * STOPS)[k] for r in robots]
-            if verify(plane, dataclasses.replace(self._planned, robots=tuple(robots))).collisions:
+            local = dataclasses.replace(self._planned, robots=tuple(robots), refused=refused)
+            if verify(plane, local).collisions:
                 return False
         return True
 
