@@ -5,20 +5,28 @@ import numpy as np
 from fiberloom.health.history import passages
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.store.run import START
+from fiberloom.store.run import CUT_SHORT, START
 
 PLANE = generate(load_instrument("sdssv"), seed=0, n_positioners=4)
 STATUS = (FibreStatus.ON_TARGET, FibreStatus.DEAD, FibreStatus.DEAD, FibreStatus.BLOCKED)
 
 
 class Remembered:
-    """A store of one run."""
+    """A store of one run; `cut_short`: moves that were, by their number."""
 
-    def __init__(self, columns) -> None:
-        self._columns = columns
+    def __init__(self, columns, cut_short=()) -> None:
+        self._columns, self._cut_short = columns, list(cut_short)
 
     def measurements(self, run_id):
         return self._columns
+
+    def moves(self, run_id):
+        ids = np.unique(self._columns["move_id"])
+        return {"id": ids, "utc": ids.astype(float)}
+
+    def events(self, run_id):
+        kinds = np.array([CUT_SHORT] * len(self._cut_short))
+        return {"kind": kinds, "utc": np.array(self._cut_short, dtype=float) + 0.5}
 
 
 def columns(angles_deg, kinds, status, seen):
@@ -73,3 +81,13 @@ def test_a_motor_far_from_its_command_has_not_arrived():
     recorded["wire_alpha_deg"][4:6] -= [0.6, 1.5]
     second = list(passages(Remembered(recorded), 1, PLANE))[1]
     assert second.arrived.tolist() == [True, False, True, True]
+
+
+def test_who_was_in_a_move_that_was_cut_short_has_not_arrived():
+    start = np.tile([50.0, 90.0], (4, 1))
+    places = np.stack([start, start + 3.0, start + 6.0])
+    on_target = np.full((3, 4), FibreStatus.ON_TARGET)
+    recorded = columns(places, [START, "field", "field"], on_target, np.ones((3, 4), bool))
+    stopped = np.unique(recorded["move_id"])[1]
+    arrived = [p.arrived.all() for p in passages(Remembered(recorded, [stopped]), 1, PLANE)]
+    assert arrived == [True, False, True]
