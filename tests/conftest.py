@@ -1,4 +1,8 @@
 import os
+
+# workers whose matrices use every core wait for one another: 44 s in place of 1 s
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import sys
 from pathlib import Path
 
@@ -73,6 +77,14 @@ def written(monkeypatch):
 
     monkeypatch.setattr(Figure, "savefig", savefig)
     return kept
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Slow tests of one file share a worker: what the file prepares for them is prepared once."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 def pytest_terminal_summary(terminalreporter):
