@@ -79,14 +79,6 @@ def written(monkeypatch):
     return kept
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Slow tests of one file share a worker: what the file prepares for them is prepared once."""
-    for item in items:
-        if item.get_closest_marker("slow") and not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
-
-
 def pytest_terminal_summary(terminalreporter):
     """What this machine could not run and why, once, in the last lines."""
     reasons = {
