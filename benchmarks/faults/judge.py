@@ -33,6 +33,8 @@ from .world import Ended, Shot, World
 
 ASKED_MM = 1.0
 """One that had to go farther and did not is seen not to move."""
+MADE = 0.5
+"""Share of their way that others made in a move that shows who stands still."""
 FURTHER = 2
 """Moves after the one in which a fault showed, by the end of which it has to be told."""
 ENOUGH = 0.95
@@ -255,15 +257,19 @@ class _Judge:
         return float(np.hypot(*(image.shot.fibres[METROLOGY][row] - reported[0]))) > ASTRAY_MM
 
     def _shows_stillness(self, k: int, row: int, kind: str) -> bool:
-        """It had to go; and, unless it is silent or restarts, has not."""
+        """It had to go; and, unless it is silent or restarts, has not while others have."""
         image = self.record.images[k]
         if image.begins or k == 0:
             return image.begins and kind == "mute"
-        before = self.record.images[k - 1].shot.fibres[METROLOGY][row]
-        goal = self.plane.forward(*image.commanded_deg[[row]].T, METROLOGY, index=[row])[0]
-        asked = float(np.hypot(*(goal - before)))
-        gone = float(np.hypot(*(image.shot.fibres[METROLOGY][row] - before)))
-        return asked > ASKED_MM and (kind in ("mute", "reboot") or gone < 0.05 * asked)
+        before = self.record.images[k - 1].shot.fibres[METROLOGY]
+        goal = self.plane.forward(*image.commanded_deg.T, METROLOGY)
+        asked = np.hypot(*(goal - before).T)
+        share = np.hypot(*(image.shot.fibres[METROLOGY] - before).T) / np.maximum(asked, ASKED_MM)
+        if kind in ("mute", "reboot"):
+            return bool(asked[row] > ASKED_MM)
+        # a move that was stopped at its begin shows nothing
+        others = float(np.median(share[asked > ASKED_MM])) if (asked > ASKED_MM).any() else 0.0
+        return bool(asked[row] > ASKED_MM and share[row] < 0.05 and others > MADE)
 
     def _camera_told(self, fault: Injected) -> bool:
         words = str(FAILURES[fault.kind])

@@ -89,5 +89,7 @@ def test_who_was_in_a_move_that_was_cut_short_has_not_arrived():
     on_target = np.full((3, 4), FibreStatus.ON_TARGET)
     recorded = columns(places, [START, "field", "field"], on_target, np.ones((3, 4), bool))
     stopped = np.unique(recorded["move_id"])[1]
-    arrived = [p.arrived.all() for p in passages(Remembered(recorded, [stopped]), 1, PLANE)]
-    assert arrived == [True, False, True]
+    told = list(passages(Remembered(recorded, [stopped]), 1, PLANE))
+    assert [p.arrived.all() for p in told] == [True, False, True]
+    # its command is not where the next one begins
+    assert np.isnan(told[2].before_deg).all()

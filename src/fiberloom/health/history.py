@@ -42,8 +42,9 @@ def passages(store: Store, run_id: int, plane: FocalPlane) -> Iterator[ObservedM
             before = move.believed_deg
         passage = move.passage(before, begins)
         # within the approach of its goal a report does not show that it was stopped
-        yield replace(passage, arrived=passage.arrived & (move_id not in cut_short))
-        before = np.where(move.known[:, None], move.believed_deg, before)
+        whole = move_id not in cut_short
+        yield replace(passage, arrived=passage.arrived & whole)
+        before = np.where(move.known[:, None], move.believed_deg if whole else np.nan, before)
 
 
 def _cut_short(store: Store, run_id: int) -> set[int]:
