@@ -353,8 +353,8 @@ class _Judge:
         return ~np.isin(self.plane.positioner_id, sorted(ill))
 
     def _never_ill(self) -> set[int]:
-        healthy = [self.plane.positioner_id[self._healthy(image, run)] for image, run in self._finals()]
-        return set(np.concatenate(healthy).tolist()) if healthy else set()
+        healthy = [set(self.plane.positioner_id[self._healthy(i, run)].tolist()) for i, run in self._finals()]
+        return set.intersection(*healthy) if healthy else set()
 
     def _told_good(self) -> tuple[int, list[Any]]:
         """How many fibres were told on target at the end of a command; which are grossly not."""
