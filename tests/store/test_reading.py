@@ -24,7 +24,7 @@ NOBODY = 65534
 
 def made(path, moves=1):
     with Store.open(path) as store, store.start_run(command_line="x", instrument="sdssv", seed=4) as run:
-        for number in range(moves):
+        for number in range(1, moves + 1):
             run.record_move(number, "blind", {"positioner_id": np.arange(5), "error_um": np.arange(5.0)})
     return path
 

@@ -24,6 +24,8 @@ from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from fiberloom.field import Field
     from fiberloom.operation.results import Observation
 
@@ -221,7 +223,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     )
     console.print(f"corrections ended: {summary['stopped']}")
     for note in summary["notes"]:
-        console.print(f"note: {note}")
+        say(console, f"note: {note}")
     if "learnt" in summary:
         console.print(
             "learnt: {moves} moves of generation {generation} in {store}".format(**summary["learnt"])
@@ -230,4 +232,9 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):
         console.print(line, style="red")
-    console.print(f"results in {summary['folder']}/: summary.json, fibres.ecsv, trajectories.json, *.png")
+    say(console, f"results in {summary['folder']}/: summary.json, fibres.ecsv, trajectories.json, *.png")
+
+
+def say(console: Console, line: str) -> None:
+    """Prints a line as it is: paths and what was typed are not broken, their brackets are no colours."""
+    console.print(line, markup=False, soft_wrap=True)

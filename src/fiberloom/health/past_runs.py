@@ -49,7 +49,7 @@ def _runs(where: str, plane: FocalPlane) -> Iterator[tuple[str, int]]:
             found += [
                 (run.utc_start, store, run.id)
                 for run in opened.runs()
-                if run.n_moves and run.config_hash in hashes
+                if run.n_measurements and run.config_hash in hashes
             ]
     yield from ((store, run_id) for _, store, run_id in sorted(found))
 

@@ -150,7 +150,9 @@ class Store:
 
         One whose process is gone shows as interrupted.
         """
-        moves = select(func.count()).where(MoveRow.run_id == RunRow.id).scalar_subquery()
+        # 0: where it began, and where each was left
+        of_run = (MoveRow.run_id == RunRow.id) & (MoveRow.number > 0)
+        moves = select(func.count()).where(of_run).scalar_subquery()
         measured = select(func.count()).where(MeasurementRow.run_id == RunRow.id).scalar_subquery()
         query = select(RunRow.id, moves.label("n_moves"), measured.label("n_measurements"))
         with self.transaction() as connection:

@@ -59,6 +59,7 @@ class RunInfo:
     folder: str | None
     """Of its files, from that of the store; None: of a version that did not note it."""
     n_moves: int
+    """Without the records of where it began and of where each was left."""
     n_measurements: int
 
 

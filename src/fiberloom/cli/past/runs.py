@@ -44,7 +44,7 @@ def _print(rows: list[dict[str, Any]], where: str) -> None:
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
     for name in ("run", "begun (UTC)", "status", "moves", "seed", "instrument"):
         table.add_column(name, no_wrap=True, justify="right" if name in ("run", "moves", "seed") else "left")
-    table.add_column("kept in; what else", overflow="fold")
+    table.add_column("kept in", overflow="fold")
     for row in rows:
         told = [_place(row, where), row["calibrations"], row["note"]]
         cells = [row["run"], row["utc"][:19].replace("T", " "), row["status"], row["moves"], row["seed"]]

@@ -51,12 +51,12 @@ def show(options: ShowOptions) -> None:
 def _print(made: Rebuilt) -> None:
     from rich.console import Console
 
-    from fiberloom.cli.observe import print_observation
+    from fiberloom.cli.observe import print_observation, say
 
     console = Console()
     run = made.run
     console.print(f"run {run.id}, {run.status}, begun {run.utc_start:%Y-%m-%d %H:%M:%S} UTC")
-    console.print(f"`{run.command_line}`" + (f"; {run.note}" if run.note else ""))
+    say(console, f"`{run.command_line}`" + (f"; {run.note}" if run.note else ""))
     print_observation(made.summary | {"folder": str(made.folder)})
     for name, why in made.left_out.items():
-        console.print(f"not made: {name} ({why})")
+        say(console, f"not made: {name} ({why})")

@@ -77,8 +77,17 @@ def rebuild(store: Store, run_id: int, out: Path | None = None) -> Rebuilt:
     if not _is_of(folder / "summary.json", seen.about, missing=out is None):
         set_aside(folder, run_id)
     seen.save(folder)
-    left_out = {f"{FOLDER}/": NO_IMAGES} if exposures and not (folder / FOLDER).exists() else {}
+    left_out = {f"{FOLDER}/": NO_IMAGES + _where(store, info)} if exposures else {}
+    if (folder / FOLDER).exists():
+        left_out = {}
     return Rebuilt(info, folder, seen.summary(), left_out)
+
+
+def _where(store: Store, info: RunInfo) -> str:
+    """Where the images of the run itself are, if they are there."""
+    if "://" in store.name or not (images := own_folder(store, info) / FOLDER).exists():
+        return ""
+    return f"; those of the run are in {images}"
 
 
 def info_of_run(store: Store, run_id: int) -> RunInfo:
