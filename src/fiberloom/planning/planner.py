@@ -37,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """Nobody waits."""
+    """Not told to anything that waits."""
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,8 @@ def put_one(connection: Connection, row: type[Base], values: Mapping[str, Any]) 
 def change(connection: Connection, row: type[Base], where: Any, values: Mapping[str, Any]) -> int:
     """Gives rows that exist new values and new sums; how many there were.
 
-    `where`: which rows; `values`: by column. Raises DamagedError where one of them has changed by itself:
-    a new sum would hide that.
+    `connection`: of the transaction; `row`: class of the table; `where`: which rows; `values`: by column.
+    Raises DamagedError where one of them has changed by itself: a new sum would hide that.
     """
     table = _table(row)
     # to itself: from here to the end of the transaction no other process changes these rows

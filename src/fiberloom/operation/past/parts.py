@@ -33,8 +33,8 @@ def record_begin(
 ) -> None:
     """Writes what is known before anything moves.
 
-    `plane`: layout by which the field is planned; `assignment`: of its positioners to `targets`; `about`:
-    entries of summary.json.
+    `run`: of the store; `plane`: layout by which the field is planned; `assignment`: of its positioners to
+    `targets`; `about`: entries of summary.json.
     """
     points = {_POINT + name: xy_mm for name, xy_mm in plane.points.items()}
     instrument = {"instrument": plane.instrument.model_dump(mode="json")}
