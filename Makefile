@@ -61,8 +61,9 @@ run: setup
 	@echo "4 of 4: a field of 500 positioners; the first time their transmissions are calibrated"
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
+# a file to a worker: what its tests share is prepared once
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+	$(BIN)/pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
 
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed

@@ -37,7 +37,7 @@ def python_coverage(root: Path, jobs: int) -> bool:
     """Runs the small tests; what is left out of the count is in pyproject.toml."""
     target = root / FOLDER / PYTHON
     target.parent.mkdir(parents=True, exist_ok=True)
-    parallel = ["-n", str(jobs), "--dist", "loadgroup"] if jobs > 1 else []
+    parallel = ["-n", str(jobs), "--dist", "loadfile"] if jobs > 1 else []
     code = [f"--cov={top}" for top in present(root, TOPS)]
     command = [sys.executable, "-m", "pytest", *parallel, "-m", SMALL, "--cov-branch", *code]
     # absolute: tests start programs in other folders
