@@ -1,9 +1,11 @@
 """Observations without `--out`, then `runs` and `show`, as an operator types them."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
+from readonly import read_only
 
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.targets import random_targets, write_targets
@@ -55,6 +57,18 @@ def test_show_makes_the_files_anew(twice, tmp_path):
     report = json.loads(twice("show", 1, "--json")[1])
     assert (report["run"], report["status"], report["folder"]) == (1, "finished", "runs/0001")
     assert {p.name: p.read_bytes() for p in Path("runs/0001").iterdir()} == before
+
+
+def test_runs_health_and_show_read_media_that_cannot_be_written(twice, tmp_path):
+    store, folder = shutil.copy("runs/store.sqlite", tmp_path), tmp_path
+    with read_only(folder):
+        assert len(json.loads(twice("runs", folder, "--json")[1])) == 2
+        assert json.loads(twice("health", folder, *PLANE, "--json")[1])["runs"] == 2
+        code, _, err = twice("show", 1, folder)
+        assert (code, "choose another folder" in err) == (2, True)
+        assert twice("show", 1, folder, "--out", "shown")[0] == 0
+    assert [str(p) for p in folder.iterdir()] == [str(store)]
+    assert Path("shown/summary.json").read_bytes() == Path("runs/0001/summary.json").read_bytes()
 
 
 def test_json_of_observe_names_the_folder(fl, desk, monkeypatch, tmp_path):

@@ -1,25 +1,20 @@
 """Stores are read where nothing can be written, with any letter in their path, and stay as they are."""
 
 import contextlib
-import os
 import resource
-import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
+from readonly import read_only
 
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.engines import sqlite_uri
 from fiberloom.store.listing import runs_below
-
-NOBODY = 65534
 
 
 def made(path, moves=1):
@@ -29,47 +24,21 @@ def made(path, moves=1):
     return path
 
 
-@contextlib.contextmanager
-def read_only(folder):
-    """A folder in which this process can make no file: root gives up its rights for the while."""
-    for path in folder.iterdir():
-        path.chmod(0o444)
-    folder.chmod(0o555)
-    root = os.geteuid() == 0
-    try:
-        if root:
-            os.seteuid(NOBODY)
-        yield
-    finally:
-        if root:
-            os.seteuid(0)
-        folder.chmod(0o755)
-
-
-@pytest.fixture
-def folder():
-    # not below tmp_path: nobody but its owner gets there
-    path = Path(tempfile.mkdtemp(prefix="fiberloom-test-"))
-    path.chmod(0o755)
-    yield path
-    shutil.rmtree(path)
-
-
-def test_a_store_on_media_that_cannot_be_written_is_read(folder):
-    made(folder / "s.sqlite")
-    before = {p.name: p.read_bytes() for p in folder.iterdir()}
-    with read_only(folder):
+def test_a_store_on_media_that_cannot_be_written_is_read(tmp_path):
+    made(tmp_path / "s.sqlite")
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    with read_only(tmp_path):
         with pytest.raises(PermissionError):
-            (folder / "new").touch()
+            (tmp_path / "new").touch()
         with pytest.raises(InputError, match="readonly"):
-            Store.open(folder / "s.sqlite")
-        (row,) = runs_below(str(folder))
-        with Store.read(folder / "s.sqlite") as store:
+            Store.open(tmp_path / "s.sqlite")
+        (row,) = runs_below(str(tmp_path))
+        with Store.read(tmp_path / "s.sqlite") as store:
             assert store.measurements(1)["error_um"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
             with pytest.raises(InputError, match="cannot be written"):
                 store.start_run(command_line="x", instrument="sdssv")
     assert (row["status"], row["moves"], row["seed"]) == ("finished", 1, 4)
-    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
 KILLED = """
@@ -82,12 +51,12 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_a_killed_process_left_beside_the_file_is_read_there_too(folder):
-    path = folder / "s.sqlite"
+def test_what_a_killed_process_left_beside_the_file_is_read_there_too(tmp_path):
+    path = tmp_path / "s.sqlite"
     subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
     assert path.with_name("s.sqlite-wal").stat().st_size > 0
     path.with_name("s.sqlite-shm").unlink()
-    with read_only(folder), Store.read(path) as store:
+    with read_only(tmp_path), Store.read(path) as store:
         assert store.events(1)["text"].tolist() == ["the last one"]
         assert [run.status for run in store.runs()] == ["interrupted"]
 
