@@ -37,7 +37,8 @@ def test_runs_names_the_folder_of_each(twice):
     code, out, _ = twice("runs")
     assert code == 0
     lines = [line.split() for line in out.splitlines() if "finished" in line]
-    assert [(line[0], line[7]) for line in lines] == [("1", "0001;"), ("2", "0002;")]
+    # number, moves, folder
+    assert [(line[0], line[4], line[7]) for line in lines] == [("1", "2", "0001;"), ("2", "2", "0002;")]
     rows = json.loads(twice("runs", "--json")[1])
     assert [(row["store"], row["folder"]) for row in rows] == [
         ("runs/store.sqlite", n) for n in ("0001", "0002")
