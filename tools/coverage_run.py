@@ -3,7 +3,8 @@
     python -m tools.coverage_run [--jobs N] [--only python|native]
 
 Python by coverage.py under the tests of `make test` that no clock decides; C and C++ by gcov in a build of
-their own, under those tests that reach most of them. What fails is tried once more, alone. Exit code 1 where a test fails: no data are written then.
+their own, under those tests that reach most of them. What fails is tried once more, alone.
+Exit code 1 where a test fails: no data are written then.
 """
 
 import argparse
