@@ -23,6 +23,7 @@ from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.operation.session.states import Deed
 from fiberloom.operation.source import OpenedArray, Source
@@ -333,13 +334,14 @@ class Field:
         if self.book is None:
             return plane, FieldMotion
         array = KnownArray(plane, maps, self.source, self.book)
-        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
         return session.plane, held.motion
 
     async def _recorder(self, stack: contextlib.AsyncExitStack, folder: Path) -> SurveyRecorder:
-        store = stack.enter_context(Store.open(folder / STORE))
-        return SurveyRecorder(stack.enter_context(self._survey_run(store)), self.plane)
+        store = await stack.enter_async_context(entered(Store.open, folder / STORE))
+        run = await stack.enter_async_context(entered(self._survey_run, store))
+        return SurveyRecorder(run, self.plane)
 
     async def observe(
         self,
@@ -403,14 +405,15 @@ class Field:
         folder = prepare_folder(Path(out))
         settings, learning = _asked(corrections, options, self.seed)
         maps = await self.calibrate(self._points or POINTS)
-        known = known_so_far(self.plane, maps, self.maps_file or folder / "maps.npz", learning)
+        maps_file = self.maps_file or folder / "maps.npz"
+        known = await beside(known_so_far, self.plane, maps, maps_file, learning)
         self._observer = Observer(
             self.plane, known, folder, self.command_line, self.source.about(), self.watcher, self.keep
         )
         if self.book is None:
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
-        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion

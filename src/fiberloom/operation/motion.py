@@ -38,6 +38,7 @@ from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.stop import reason, to_its_end
+from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
@@ -255,13 +256,14 @@ class FieldMotion:
         """`plane`: layout of N positioners; `maps`: their transmission maps; `hardware`: bus and camera;
         `recorder`: keeps every move; `progress`: called with the name of each step."""
         self.plane, self.maps, self.hardware = plane, maps, hardware
-        self.recorder, self.progress = recorder, progress
+        self.writer, self.progress = Writer(), progress
+        self.recorder = WriterRecorder(recorder, self.writer)
         self.client = Client(hardware.transport)
         self.care = MotorCare(plane, self.client)
         self.eye = PatientCamera(
             hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
         )
-        self.state = FieldState(plane, recorder)
+        self.state = FieldState(plane, self.recorder)
         self.has_moved = False
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
@@ -289,7 +291,8 @@ class FieldMotion:
         vouched = await self._vouched(answered)
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
-        state.begin(answered, image, vouched)
+        await beside(state.begin, answered, image, vouched)
+        await self.writer.written()
 
     async def _vouched(self, answered: Flags) -> Flags:
         """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""
@@ -367,6 +370,7 @@ class FieldMotion:
         )
         self.moves.append(move)
         self.recorder.move(move)
+        await self.writer.written()
         return interrupted
 
     async def _look_after(self) -> Measurement:
@@ -396,10 +400,14 @@ class FieldMotion:
         text += f"; no answer from {', '.join(map(str, silent))}" if silent else ""
         self.recorder.left(self.state.here_deg, self.state.wire_deg, answered, text)
         self.progress(text)
+        await self.writer.written()
 
     async def close(self) -> None:
-        """Closes the bus; one that the caller has opened stays open."""
-        await self.client.close()
+        """Closes the bus; one that the caller has opened stays open. All that was recorded is written."""
+        try:
+            await self.client.close()
+        finally:
+            await self.writer.close()
 
     def _verify(self, planned: Plan) -> None:
         found = verify(self.state.obstacles(), planned)
@@ -410,6 +418,7 @@ class FieldMotion:
     async def _execute(self, planned: Plan) -> Results:
         trajectories = await asyncio.to_thread(self._all_on_the_wire, planned)
         await self.care.begin(list(trajectories), self.progress)
+        await self.writer.written()
         self.has_moved = True
         try:
             await when_linked(self.client, trajectories)

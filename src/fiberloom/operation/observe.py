@@ -19,6 +19,7 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation, metrology_goals_mm
+from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.report.folder import set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
@@ -131,9 +132,11 @@ class Observer:
             assign_relaxed, self.known.plane, targets, seed=settings.seed
         )
         hardware = await connect()
-        with Store.open(self.out / STORE) as store, self._run(store, kept, settings.seed) as run:
-            _alone(store, run, self.out)
-            set_aside(self.out, run.id - 1)
+        async with (
+            entered(Store.open, self.out / STORE) as store,
+            entered(self._run, store, kept, settings.seed) as run,
+        ):
+            await beside(self._alone, store, run)
             log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
             loop: Loop | None = None
             try:
@@ -141,16 +144,16 @@ class Observer:
                 motion = self._motion(kept, targets, assignment, hardware, run)
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
-                self.known.record_used(run)
+                await beside(self.known.record_used, run)
                 await _whole(loop)
-                self.known.record_learnt(run)
-                log.close()
+                await beside(self.known.record_learnt, run)
+                await beside(log.close)
             finally:
                 log.stop()
                 about = marks(self.plane, settings.seed) | {"run": run.id} | self.about | self.known.summary()
                 wall_s = time.monotonic() - begun_s
                 self.last = Observation(kept, targets, assignment, about=about, wall_s=wall_s, **_moved(loop))
-            self.keep(self.last)
+            await beside(self.keep, self.last)
         return self.last
 
     def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
@@ -160,6 +163,18 @@ class Observer:
             config_hash=kept.config_hash(),
             seed=seed,
         )
+
+    def _alone(self, store: Store, run: Run) -> None:
+        """Moves results of earlier runs aside. InputError where one goes on: its results and these would
+        mix."""
+        for other in store.runs(RUNNING):
+            if other.status == RUNNING and other.id < run.id:
+                raise InputError(
+                    f"--out {self.out}: run {other.id}, begun on {other.host} at "
+                    f"{other.utc_start:%H:%M:%S} UTC, still writes there; wait for its end, or choose "
+                    "another folder"
+                )
+        set_aside(self.out, run.id - 1)
 
     def _motion(
         self, kept: FocalPlane, targets: TargetList, assignment: Assignment, hardware: Hardware, run: Run
@@ -174,16 +189,6 @@ def _moved(loop: Loop | None) -> dict[str, Any]:
         return {"moves": [], "collisions_verified": 0, "stopped": ""}
     verified = loop.motion.collisions_verified
     return {"moves": loop.moves, "collisions_verified": verified, "stopped": loop.stopped}
-
-
-def _alone(store: Store, run: Run, out: Path) -> None:
-    """Raises InputError where an earlier run of this folder goes on: its results and these would mix."""
-    for other in store.runs(RUNNING):
-        if other.status == RUNNING and other.id < run.id:
-            raise InputError(
-                f"--out {out}: run {other.id}, begun on {other.host} at {other.utc_start:%H:%M:%S} UTC, "
-                "still writes there; wait for its end, or choose another folder"
-            )
 
 
 async def _whole(loop: Loop) -> None:

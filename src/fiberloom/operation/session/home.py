@@ -220,7 +220,7 @@ class Homing:
     async def _search_group(self, ids: list[int], axis: str) -> list[int]:
         """Searches one axis or both of these at once; stops them all where anything goes wrong."""
         motion = self.motion
-        motion.lock.step(Step.MOVE)
+        await motion.step(Step.MOVE)
         motion.has_moved = True
         try:
             begun = await motion.client.home(ids, None if axis == "both" else axis)
@@ -229,7 +229,7 @@ class Homing:
         except BaseException as error:
             await to_its_end(motion.stop(reason(error)))
             raise
-        motion.lock.step(Step.REST)
+        await motion.step(Step.REST)
         failed = {**begun.failed, **ended.failed}
         done = [i for i in ids if i not in failed and i in initialized]
         for i in ids:

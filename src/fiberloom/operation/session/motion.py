@@ -67,15 +67,22 @@ class SessionMotion(FieldMotion):
     async def connect(self) -> None:
         """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
         if self.lock.state is not SessionState.CONNECTING:
-            self.lock.step(Step.CONNECT)
+            await self.step(Step.CONNECT)
         await super().connect()
         await self._settle_offline()
         self._note(self._image)
-        self.lock.step(Step.BEGIN)
+        await self.step(Step.BEGIN)
+
+    async def step(self, step: Step, text: str = "") -> None:
+        """Goes on in the table of states, in the store before it returns; `text` says why.
+
+        NotOwner where the array was lost meanwhile.
+        """
+        await self.writer.now(self.lock.step, step, text)
 
     async def _vouched(self, answered: Flags) -> Flags:
         """(N,) whose datum is on record, and which are where the record has them; as `FieldMotion`."""
-        ids, known = self.plane.positioner_id, self.lock.book.places(self.plane.positioner_id)
+        ids, known = self.plane.positioner_id, await self._places()
         self._reported, wire_deg = answered.copy(), self.state.wire_deg.copy()
         # excluded ones are not read for a motion; their datum is kept where they have not moved
         further = np.isin(ids, self.client.ids) & self.plane.offline
@@ -85,9 +92,13 @@ class SessionMotion(FieldMotion):
         self.datum = known.datum & self._reported & (off_deg <= SAME_DEG)
         if self._reported.any():
             self.datum &= await self._powered(self._reported)
-        self.lock.step(Step.ANSWER)
+        await self.step(Step.ANSWER)
         given = self.hardware.vouched
         return self.datum.copy() if given is None else self.datum | given
+
+    async def _places(self) -> ArrayPlaces:
+        """What is on record of all."""
+        return await self.writer.now(self.lock.book.places, self.plane.positioner_id)
 
     async def _powered(self, there: Flags) -> Flags:
         """(N,) which say that their datum is set and that power has not gone since."""
@@ -113,12 +124,12 @@ class SessionMotion(FieldMotion):
                 state.here_deg[row] = found.alpha_deg[0], found.beta_deg[0]
             else:
                 state.somewhere[row] = True
-        unplaced = np.array(self.lock.book.places(self.plane.positioner_id).how) == UNKNOWN
+        unplaced = np.array((await self._places()).how) == UNKNOWN
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """As `FieldMotion.look`; the state says that an image is taken."""
-        self.lock.step(Step.LOOK)
+        await self.step(Step.LOOK)
         self._image = await super().look(unknown)
         return self._image
 
@@ -129,18 +140,18 @@ class SessionMotion(FieldMotion):
         interrupted = await super().move(number, label, planned, goals, comparison)
         self._reported |= self.state.hearing.heard & ~self.plane.offline
         self._note(self._image)
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         return interrupted
 
     async def _execute(self, planned: Plan) -> Results:
-        self.lock.step(Step.MOVE)
+        await self.step(Step.MOVE)
         return await super()._execute(planned)
 
     async def stop(self, why: str) -> None:
         """As `FieldMotion.stop`; the state says `why`, and where each was left is kept."""
         await super().stop(why)
         self._note(None)
-        self.lock.step(Step.STOP, why)
+        await self.step(Step.STOP, why)
 
     async def read_positions(self, positioner_id: Ints) -> Flags:
         """Asks these where they are; (n,) which have answered."""
@@ -151,7 +162,7 @@ class SessionMotion(FieldMotion):
 
         `positioner_id`: those that have found it; `datum`: of both axes, so that their places say so.
         """
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         ids = self.plane.positioner_id
         await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
         if datum and positioner_id:
@@ -184,7 +195,7 @@ class SessionMotion(FieldMotion):
         """
         number = int(self.plane.positioner_id[row])
         await self.care.begin([number], self.progress)
-        self.lock.step(Step.MOVE)
+        await self.step(Step.MOVE)
         self.has_moved = True
         try:
             await self._declare_if_lost(row)
@@ -197,7 +208,7 @@ class SessionMotion(FieldMotion):
         except BaseException as error:
             await to_its_end(self.stop(reason(error)))
             raise
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         return results[number]
 
     async def _declare_if_lost(self, row: int) -> None:
@@ -210,7 +221,7 @@ class SessionMotion(FieldMotion):
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
         if self.lock.state is SessionState.LOOKING:
-            self.lock.step(Step.REST)
+            await self.step(Step.REST)
         self.state = FieldState(self.plane, self.recorder)
         await self.connect()
 
@@ -272,9 +283,10 @@ class SessionMotion(FieldMotion):
         angles_deg = np.where(((how == UNKNOWN) | state.somewhere)[:, None], np.nan, state.here_deg)
         trusted = self._reported & ~self.plane.offline
         wire_deg = np.where(trusted[:, None], state.wire_deg, np.nan)
-        places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum, [None] * len(self.plane))
-        self.lock.book.note_places(self.plane.positioner_id, places)
-        self.lock.book.forget_datum(self.plane.positioner_id[~self.datum])
+        ids = self.plane.positioner_id
+        places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum.copy(), [None] * len(ids))
+        self.writer.later(self.lock.book.note_places, ids, places)
+        self.writer.later(self.lock.book.forget_datum, ids[~self.datum])
 
 
 def last_status(motion: FieldMotion) -> list[FibreStatus]:

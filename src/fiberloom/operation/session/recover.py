@@ -54,7 +54,7 @@ class Recovery:
         free = not self.stuck and not (self.look_only and self.touching)
         if not free:
             text = "; ".join(self.stuck.values()) or f"touching: {', '.join(self.touching)}"
-            self.motion.lock.step(Step.COLLIDE, text)
+            await self.motion.step(Step.COLLIDE, text)
         return free
 
     async def _way(self, attempt: int) -> Untangled:
