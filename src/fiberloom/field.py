@@ -29,6 +29,7 @@ from fiberloom.operation.session.states import Deed
 from fiberloom.operation.source import OpenedArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
 from fiberloom.operation.sweep.array_sweep import THICKER_MM, ArraySweep
+from fiberloom.operation.sweep.kept import KeptSweep
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -275,11 +276,18 @@ class Field:
                 found.maps.save(cached)
         return found.maps, cached
 
-    async def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
+    async def sweep(
+        self,
+        points: int = POINTS,
+        *,
+        out: str | Path = RUNS / "transmission",
+        keep: Callable[[Calibration], None] = lambda _: None,
+    ) -> Calibration:
         """Sweeps every positioner, whatever is cached, and reports how good its map is.
 
         A twin is swept on a bench. An array is swept where it is: all turn together, after the begin check,
-        by verified steps; who does not move is gone round.
+        by verified steps; who does not move is gone round. One that was stopped goes on with the next call:
+        every point is kept in `out` until the sweep has ended.
 
         Parameters
         ----------
@@ -287,6 +295,8 @@ class Field:
             Per axis and direction, at least 8.
         out : str or Path
             Folder of the record of an array.
+        keep : callable
+            Called with the calibration before what was kept of the points goes, e.g. to save it.
 
         Returns
         -------
@@ -297,7 +307,7 @@ class Field:
         ------
         InputError
             Too few points; no positioner answers; none can be swept, or the sweep is stopped again and
-            again.
+            again; the folder holds a part of the sweep of another array, or by another camera.
 
         Examples
         --------
@@ -308,10 +318,24 @@ class Field:
         True
         """
         self.watcher.say("calibrating transmissions")
-        on_bench = await self.source.sweep(points, self.watcher.count)
-        return on_bench or await self._swept_in_place(SweepSettings(points), prepare_folder(Path(out)))
+        if (on_bench := await self.source.sweep(points, self.watcher.count)) is not None:
+            keep(on_bench)
+            return on_bench
+        folder, settings = prepare_folder(Path(out)), SweepSettings(points)
+        kept = await beside(KeptSweep.open, folder, self._about_sweep(settings))
+        if kept.done:
+            self.watcher.say(f"{kept.done} points were measured before: the sweep goes on")
+        found = await self._swept_in_place(settings, folder, kept)
+        await beside(keep, found)
+        await beside(kept.forget)
+        return found
 
-    async def _swept_in_place(self, settings: SweepSettings, folder: Path) -> Calibration:
+    def _about_sweep(self, settings: SweepSettings) -> dict[str, str]:
+        """What a sweep that goes on must have in common with its begin."""
+        named = self.source.named() if isinstance(self.source, OpenedArray) else {}
+        return {**named, "layout": self.plane.config_hash(), "number of points": str(settings.n_points)}
+
+    async def _swept_in_place(self, settings: SweepSettings, folder: Path, kept: KeptSweep) -> Calibration:
         maps = nominal_maps(self.plane)
         async with contextlib.AsyncExitStack() as stack:
             plane, make = await self._held(stack, self.plane, maps)
@@ -322,7 +346,7 @@ class Field:
             motion.state.looser_mm = THICKER_MM
             try:
                 await motion.connect()
-                data = await ArraySweep(motion, settings, self.watcher.count).run()
+                data = await ArraySweep(motion, settings, self.watcher.count, kept).run()
             finally:
                 await motion.close()
         return calibration_of(self.plane, data, settings)
@@ -520,9 +544,15 @@ class FieldRun:
         """As `Field.calibrate`."""
         return finish(self._field.calibrate(points))
 
-    def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
-        """As `Field.sweep`: `points`, `out`."""
-        return finish(self._field.sweep(points, out=out))
+    def sweep(
+        self,
+        points: int = POINTS,
+        *,
+        out: str | Path = RUNS / "transmission",
+        keep: Callable[[Calibration], None] = lambda _: None,
+    ) -> Calibration:
+        """As `Field.sweep`: `points`, `out`, `keep`."""
+        return finish(self._field.sweep(points, out=out, keep=keep))
 
     def observe(
         self,
