@@ -102,6 +102,11 @@ class FieldState:
         """(N,) positioners that follow commands; a dark one does, though its fibre is not seen."""
         return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults]) & ~self.unproven
 
+    def standing(self, one: Standing) -> Flags:
+        """(N,) of which the begin check says this; none before it."""
+        found = self.beginning.standing if self.beginning is not None else [None] * len(self.plane)
+        return np.array([standing is one for standing in found])
+
     @property
     def healthy(self) -> Flags:
         """(N,) positioners without a fault whose way is not blocked."""

@@ -17,12 +17,12 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, allowed_miss_mm
+from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, Standing, allowed_miss_mm
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
-from fiberloom.store.arrays import REPORTED, SEEN, UNKNOWN, ArrayPlaces
+from fiberloom.store.arrays import REPORTED, RIGHT, SEEN, UNKNOWN, ArrayPlaces
 from fiberloom.typing import Flags, Floats, Ints
 
 SAME_DEG = 0.15
@@ -60,6 +60,10 @@ class SessionMotion(FieldMotion):
         self.lock = lock
         self.datum = np.zeros(len(plane), dtype=bool)
         """(N,) searched since power came on."""
+        self._right = np.zeros(len(plane), dtype=bool)
+        """(N,) that have not moved since they were seen where they report, with power on."""
+        self._known: ArrayPlaces | None = None
+        """What was on record when the command began."""
         self._separating = False
         self._image: Measurement | None = None
         self._reported = np.zeros(len(plane), dtype=bool)
@@ -70,6 +74,8 @@ class SessionMotion(FieldMotion):
             await self.step(Step.CONNECT)
         await super().connect()
         await self._settle_offline()
+        # dark, and believed where it was seen to be right: from now on it is its count that is believed
+        self.datum |= self._right & self.state.standing(Standing.VOUCHED)
         self._note(self._image)
         await self.step(Step.BEGIN)
 
@@ -81,20 +87,27 @@ class SessionMotion(FieldMotion):
         await self.writer.now(self.lock.step, step, text)
 
     async def _vouched(self, answered: Flags) -> Flags:
-        """(N,) whose datum is on record, and which are where the record has them; as `FieldMotion`."""
+        """(N,) which are where the record has them, and whose count is right; as `FieldMotion`.
+
+        It is since its datum was searched, or where it was seen to be right, as long as it has not moved
+        from there. In both cases power must not have gone since.
+        """
         ids, known = self.plane.positioner_id, await self._places()
+        self._known = known
         self._reported, wire_deg = answered.copy(), self.state.wire_deg.copy()
         # excluded ones are not read for a motion; their datum is kept where they have not moved
         further = np.isin(ids, self.client.ids) & self.plane.offline
         if further.any():
             wire_deg[further], self._reported[further] = await self.client.positions_deg(ids[further])
         off_deg = np.abs(wire_deg - known.wire_deg).max(axis=1)
-        self.datum = known.datum & self._reported & (off_deg <= SAME_DEG)
+        same = self._reported & (off_deg <= SAME_DEG)
         if self._reported.any():
-            self.datum &= await self._powered(self._reported)
+            same &= await self._powered(self._reported)
+        self.datum = known.datum & same
         await self.step(Step.ANSWER)
+        self._right = same & (np.array(known.how) == RIGHT)
         given = self.hardware.vouched
-        return self.datum.copy() if given is None else self.datum | given
+        return np.asarray(self.datum | self._right | (False if given is None else given))
 
     async def _places(self) -> ArrayPlaces:
         """What is on record of all."""
@@ -273,6 +286,20 @@ class SessionMotion(FieldMotion):
             return []
         return sorted({collision.positioner for collision in self.client.collisions})
 
+    def _seen_right(self, image: Measurement | None) -> Flags:
+        """(N,) that the image shows where they report, far enough from the alpha axis to show alpha.
+
+        None while the linear ratio allows larger misses.
+        """
+        state = self.state
+        if image is None or state.looser_mm > 0.0:
+            return np.zeros(len(self.plane), dtype=bool)
+        reported_mm = state.metrology_mm(state.here_deg)
+        most_mm = allowed_miss_mm(self.plane, reported_mm)
+        miss_mm = np.hypot(*(image.xy_mm - reported_mm).T)
+        right = image.seen & (miss_mm <= most_mm) & (most_mm >= 3.0 * SCATTER_MM)
+        return np.asarray(right & state.mobile & self._reported)
+
     def _note(self, image: Measurement | None) -> None:
         """ArrayPlaces of all, as they are now; of an excluded one only where it is seen or was known."""
         state = self.state
@@ -280,9 +307,13 @@ class SessionMotion(FieldMotion):
         self.datum &= ~doubted
         seen = np.zeros(len(self.plane), dtype=bool) if image is None else image.seen
         how = np.where(seen, SEEN, np.where(doubted | ~self._reported, UNKNOWN, REPORTED))
+        how[self._seen_right(image)] = RIGHT
         angles_deg = np.where(((how == UNKNOWN) | state.somewhere)[:, None], np.nan, state.here_deg)
         trusted = self._reported & ~self.plane.offline
         wire_deg = np.where(trusted[:, None], state.wire_deg, np.nan)
+        if (known := self._known) is not None:  # its row would be kept, and say that it is right
+            kept = np.isnan(angles_deg).any(axis=1) & (np.array(known.how) == RIGHT)
+            angles_deg[kept], how[kept] = known.angles_deg[kept], REPORTED
         ids = self.plane.positioner_id
         places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum.copy(), [None] * len(ids))
         self.writer.later(self.lock.book.note_places, ids, places)
