@@ -14,7 +14,7 @@ PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
-.PHONY: help setup run test jaeger test-jaeger check sanitized bench campaign identification reproduce
+.PHONY: help setup run test jaeger test-jaeger check sanitized races bench campaign identification reproduce
 .PHONY: firmware-report docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
@@ -22,7 +22,8 @@ help:
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, 100 000 damaged files for the readers,"
 	@echo "              20 000 images of any bytes, allocation guard, 10 000 legal"
-	@echo "              moves without a false collision or a lost count, linters"
+	@echo "              moves without a false collision or a lost count, threads under"
+	@echo "              the thread sanitizer, linters"
 	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
@@ -61,8 +62,9 @@ run: setup
 	@echo "4 of 4: a field of 500 positioners; the first time their transmissions are calibrated"
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
 
+# a file to a worker: what its tests share is prepared once
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadgroup -m "not long"
+	$(BIN)/pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
 
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed
@@ -88,22 +90,35 @@ check: lint
 	FIBERLOOM_DRIFT_MOVES=10000 $(BIN)/pytest tests/firmware/test_fw_drift.py
 	$(BIN)/python benchmarks/collision.py legal --units 500 --moves 20
 	$(MAKE) sanitized
+	$(MAKE) races
+
+# A build of the core with a sanitizer, and a copy of the package with it: $(call SPECIAL_BUILD,FOLDER,OPTION)
+define SPECIAL_BUILD
+cmake -S . -B build/$(1) -G Ninja -D$(2)=ON -DPython_EXECUTABLE=$(abspath $(DEV))
+cmake --build build/$(1)
+rm -rf build/$(1)/site && mkdir -p build/$(1)/site
+cp -r src/fiberloom build/$(1)/site && rm -f build/$(1)/site/fiberloom/_core*.so
+cp build/$(1)/core/bindings/_core*.so build/$(1)/site/fiberloom
+endef
+PRELOAD = $$(gcc -print-file-name=lib$(1).so)
 
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
              tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
              tests/metrology/test_centroids.py tests/metrology/test_images.py \
              tests/fuzz/test_fuzz_images.py
-SITE := $(abspath build/sanitized/site)
 sanitized: setup
-	cmake -S . -B build/sanitized -G Ninja -DFIBERLOOM_SANITIZE=ON \
-	      -DPython_EXECUTABLE=$(abspath $(DEV))
-	cmake --build build/sanitized
-	rm -rf $(SITE) && mkdir -p $(SITE) && cp -r src/fiberloom $(SITE) && rm -f $(SITE)/fiberloom/_core*.so
-	cp build/sanitized/core/bindings/_core*.so $(SITE)/fiberloom
-	ASAN_OPTIONS=detect_leaks=0 \
-	LD_PRELOAD=$$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so) \
-	    $(DEV) tests/sanitized.py $(SITE) $(SANITIZED)
+	$(call SPECIAL_BUILD,sanitized,FIBERLOOM_SANITIZE)
+	ASAN_OPTIONS=detect_leaks=0 LD_PRELOAD=$(call PRELOAD,asan):$(call PRELOAD,ubsan):$(call PRELOAD,stdc++) \
+	    $(DEV) tests/sanitized.py $(abspath build/sanitized/site) $(SANITIZED)
+
+# What runs in threads, under the thread sanitizer. setarch: addresses where the sanitizer expects them.
+RACED := tests/twin/server/test_threads.py tests/twin/server/test_cannet_device.py tests/twin/test_twin.py \
+         tests/metrology/test_images.py
+races: setup
+	$(call SPECIAL_BUILD,races,FIBERLOOM_RACES)
+	FIBERLOOM_THREAD_ROUNDS=2000 TSAN_OPTIONS=halt_on_error=1:exitcode=66 LD_PRELOAD=$(call PRELOAD,tsan):$(call PRELOAD,stdc++) \
+	    setarch -R $(DEV) tests/sanitized.py $(abspath build/races/site) $(RACED) -m "not slow and not long"
 
 bench: setup
 	mkdir -p build/bench

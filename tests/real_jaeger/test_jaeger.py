@@ -26,7 +26,6 @@ JAEGER_PYTHON = Path(os.environ.get("FIBERLOOM_JAEGER_PYTHON", ROOT / ".venv-jae
 
 pytestmark = [
     pytest.mark.jaeger,
-    pytest.mark.xdist_group("jaeger"),
     pytest.mark.skipif(
         not JAEGER_PYTHON.exists(),
         reason="the real jaeger is not here: `make jaeger` puts it into .venv-jaeger",

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 
 
 def heeding_interrupts() -> None:
-    """In the new process: Ctrl-C as on a terminal. Shells take it from what they run behind them."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """In the new process: signals as on a terminal. A shell's & takes Ctrl-C from it, nohup the hang-up."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def start(*words: object, **options: object) -> subprocess.Popen:

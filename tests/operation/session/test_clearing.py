@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arrays import layout
+from scipy.spatial import cKDTree
 
 from fiberloom.operation.session.clearing import Clearing
 
@@ -28,7 +29,7 @@ def points(row, angles_deg):
 
 
 def nearest_mm(first, second):
-    return np.hypot(*(first[:, None] - second[None]).transpose(2, 0, 1)).min()
+    return cKDTree(second).query(first)[0].min()
 
 
 @pytest.fixture(scope="module")

@@ -212,6 +212,7 @@ def test_bus_off_silences_one_port_until_it_is_set_up_anew():
     assert anew.ok.all()
 
 
+@pytest.mark.clock
 def test_what_does_not_fit_the_queue_is_gone_and_the_device_says_so():
     async def scenario(server, client):
         # past the client's pacing: 300 requests to one positioner in one go, four for each uid
