@@ -24,6 +24,8 @@ from fiberloom.twin.source import TwinSource
 
 N, SEED, POINTS = 3, 3, 8
 STOPPED_AFTER = 5
+EXPOSURE_S = 2
+"""In place of 5 s, for some 45 images."""
 
 
 def told(*words):
@@ -57,6 +59,7 @@ def test_maps_of_an_array_in_another_process_are_those_of_its_units(tmp_path):
     write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")
     blind_um = {}
     with served_array(N, SEED) as (bus, camera):
+        camera = f"{camera}&exposure={EXPOSURE_S}"
         known = ["--positioners", N, "--seed", SEED, "--bus", bus, "--camera", camera]
         known += ["--store", tmp_path / "arrays.sqlite"]
         words = ["calibrate", "transmission", "--points", POINTS, "--out", tmp_path / "cal"]
