@@ -2,8 +2,9 @@
 
     python -m tools.coverage_run [--jobs N] [--only python|native]
 
-Python by coverage.py under the small tests; C and C++ by gcov in a build of their own, under those tests
-that reach most of them. Exit code 1 where a test fails: no data are written then.
+Python by coverage.py under the tests of `make test` that no clock decides; C and C++ by gcov in a build of
+their own, under those tests that reach most of them. What fails is tried once more, alone.
+Exit code 1 where a test fails: no data are written then.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tools.coverage_data import FOLDER, NATIVE, PYTHON, file_hash, write_hashes
-from tools.layout import NATIVE_TESTS, ROOT, SMALL, TOPS, Group, files_below, group_of
+from tools.layout import COUNTED, NATIVE_TESTS, ROOT, SMALL, TOPS, Group, files_below, group_of
 
 BUILD = FOLDER / "native"
 SITE = FOLDER / "site"
@@ -34,12 +35,12 @@ def present(root: Path, folders: Sequence[str]) -> list[str]:
 
 
 def python_coverage(root: Path, jobs: int) -> bool:
-    """Runs the small tests; what is left out of the count is in pyproject.toml."""
+    """Runs the tests; what is left out of the count is in pyproject.toml."""
     target = root / FOLDER / PYTHON
     target.parent.mkdir(parents=True, exist_ok=True)
     parallel = ["-n", str(jobs), "--dist", "loadfile"] if jobs > 1 else []
     code = [f"--cov={top}" for top in present(root, TOPS)]
-    command = [sys.executable, "-m", "pytest", "-m", SMALL, "--cov-branch", *code]
+    command = [sys.executable, "-m", "pytest", "-m", COUNTED, "--cov-branch", *code]
     command.append(f"--cov-report=json:{target}")
     # absolute: tests start programs in other folders
     path = os.pathsep.join([str(root / "src"), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)

@@ -30,7 +30,8 @@ COMPILED = "fiberloom._core"
 SHARED_WITH_CORE = r"tests/(planning|metrology|twin)/"
 
 # `make coverage`: the small tests for Python, and of those the ones that reach most of C and C++.
-SMALL = "not slow and not long and not jaeger and not clock"  # code with counters is too slow for a clock
+COUNTED = "not long and not jaeger and not clock"  # code with counters is too slow for a clock
+SMALL = f"not slow and {COUNTED}"
 NATIVE_TESTS = ("tests/firmware", "tests/rig", "tests/core", "tests/bindings", "tests/geometry",
                 "tests/planning", "tests/metrology", "tests/twin")  # fmt: skip
 

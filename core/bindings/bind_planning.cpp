@@ -5,6 +5,7 @@
 #include "fiberloom/verify.hpp"
 
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/function.h>
 
 #include <algorithm>
 
@@ -171,7 +172,11 @@ void bind_plan(nb::module_ &m) {
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")
-        .def_rw("seed", &Settings::seed);
+        .def_rw("seed", &Settings::seed)
+        .def(
+            "tell", [](Settings &self, Watch watch) { self.watch = std::move(watch); }, nb::arg("watch"),
+            "While a plan is made, `watch` is called with the name of a stage, how many of its parts are "
+            "done, and of how many. It must not raise.");
     m.def(
         "plan", &plan_all, nb::arg("bodies"), nb::arg("task"), nb::arg("settings"),
         "Motions (list of (n, 3): time_s, alpha_rad, beta_rad), positioners that do not arrive (index, why, "

@@ -33,13 +33,11 @@ from fiberloom.operation.sweep.kept import KeptSweep
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.store.place import RUNS, Place
 from fiberloom.targets import TargetList
 
 POINTS = 200
 """Of a transmission sweep, per axis and direction, as the paper's Fig. 10."""
-
-RUNS = Path("runs")
-"""Where records go that are not told where to go."""
 
 
 class ObserveOptions(TypedDict, total=False):
@@ -90,6 +88,8 @@ class Field:
         excluded positioners where they are, and keeps where each was left.
     exclude : tuple of int
         Positioners that are left out now; with a `book`.
+    begun_s : float or None
+        Since when an observation takes its time, of ``time.monotonic()``; None: since its call.
 
     Examples
     --------
@@ -115,6 +115,7 @@ class Field:
         self.keep: Callable[[Observation], None] = lambda _: None
         self.book: ArrayBook | None = None
         self.exclude: tuple[int, ...] = ()
+        self.begun_s: float | None = None
         self._points = 0
         self._observer: Observer | None = None
 
@@ -213,6 +214,18 @@ class Field:
         Field('sdssv', 7 positioners, on hardware, not calibrated)
         """
         return cls(plane, open_hardware(plane, bus, camera, seed=seed), seed, calibration)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the files of the last `observe` are, or belong; None before the first.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).folder is None
+        True
+        """
+        return None if self._observer is None else self._observer.folder
 
     def __repr__(self) -> str:
         where = "on hardware" if isinstance(self.source, OpenedArray) else "on the twin"
@@ -372,12 +385,12 @@ class Field:
         targets: TargetList,
         corrections: int | None = None,
         *,
-        out: str | Path = RUNS / "field",
+        out: str | Path | None = None,
         **options: Unpack[ObserveOptions],
     ) -> Observation:
         """Puts fibres on targets: assign, plan, verify, blind move, image, corrections.
 
-        Every move is in the record (``store.sqlite`` in `out`) before the next one begins, and in `last`
+        Every move is in the record (``store.sqlite``) before the next one begins, and in `last`
         if this is interrupted: nothing that was measured is lost.
 
         Parameters
@@ -387,8 +400,9 @@ class Field:
         corrections : int, optional
             Moves after the blind one, exactly so many; when left out, the instrument's stop rule says when
             it is enough.
-        out : str or Path
-            Folder of the record, and of pages where they are asked for.
+        out : str or Path, optional
+            Folder of the record, and of pages where they are asked for. When left out the record is
+            ``runs/store.sqlite``, and the folder is named after the run's number in it: ``runs/0001``.
         **options
             By name; see below.
 
@@ -426,14 +440,16 @@ class Field:
         >>> field.run.observe(fl.read_targets("targets.csv"), corrections=2)
         Observation('sdssv', 7 positioners, 7 with a target, 3 moves, 7 within 5 um)
         """
-        folder = prepare_folder(Path(out))
+        place = Place.of(out)
+        folder = prepare_folder(place.base)
         settings, learning = _asked(corrections, options, self.seed)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)
         self._observer = Observer(
-            self.plane, known, folder, self.command_line, self.source.about(), self.watcher, self.keep
+            self.plane, known, place, self.command_line, self.source.about(), self.watcher, self.keep
         )
+        self._observer.begun_s = self.begun_s
         if self.book is None:
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
@@ -488,7 +504,7 @@ class Field:
         if measured is None:
             data = await self._surveyed(begun, maps, settings, folder)
         else:
-            with Store.open(measured, create=False) as store:
+            with Store.read(measured) as store:
                 data = survey_of_store(store, self.plane, maps)
         self.watcher.say("fitting")
         stamp = marks(self.plane, self.seed)
@@ -559,7 +575,7 @@ class FieldRun:
         targets: TargetList,
         corrections: int | None = None,
         *,
-        out: str | Path = RUNS / "field",
+        out: str | Path | None = None,
         **options: Unpack[ObserveOptions],
     ) -> Observation:
         """As `Field.observe`: `targets`, `corrections`, `out` and its `options`."""

@@ -203,14 +203,17 @@ def test_reproduce_one_figure(fl, tmp_path):
     assert (tmp_path / "report.html").is_file()
 
 
-def test_from_an_image_to_positions(fl, tmp_path):
+@pytest.fixture(scope="module")
+def imaged(tmp_path_factory):
+    """A folder with the image of a field, its layout and its configuration."""
+    folder = tmp_path_factory.mktemp("imaged")
     plane = generate(load_instrument("sdssv"), 0, n_positioners=91)
     rng = np.random.default_rng(5)
     angle = rng.uniform(0, 2 * np.pi, 30)
     radius = np.concatenate([rng.uniform(20, 110, 12), np.full(18, 140.0)])
     xy = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     plane = replace(plane, fiducials=np.column_stack([xy, np.full(30, 2.0)]))
-    write_layout(plane, tmp_path / "layout")
+    write_layout(plane, folder / "layout")
     low, high = plane.limits_deg.T
     angles = rng.uniform(low, high, (len(plane), 2))
     model = CameraModel(
@@ -220,36 +223,57 @@ def test_from_an_image_to_positions(fl, tmp_path):
         Light(fibre_e=150_000.0, fiducial_e=150_000.0),
     )
     source = ImagingCamera(StillScene(plane.forward(*angles.T)), model, fiducials_mm=plane.fiducials, seed=6)
-    write_image(source.expose(), tmp_path / "image.fits")
-    write_configuration(tmp_path / "goal.csv", plane.positioner_id, angles)
+    write_image(source.expose(), folder / "image.fits")
+    write_configuration(folder / "goal.csv", plane.positioner_id, angles)
+    return folder
+
+
+def match(fl, imaged, spots, out, *words):
+    there = ("--layout", imaged / "layout", "--expected", imaged / "goal.csv", "--scale", 0.2, "--flipped")
+    return fl("match", spots, *there, "--rotation", 0, "--out", out, "--json", *words)
+
+
+def test_from_an_image_to_positions(fl, imaged, tmp_path):
     spots = tmp_path / "spots.csv"
     code, out, _ = fl(
-        "centroid", tmp_path / "image.fits", "--out", spots, "--plot", tmp_path / "s.png", "--json"
+        "centroid", imaged / "image.fits", "--out", spots, "--plot", tmp_path / "s.png", "--json"
     )
     assert (code, json.loads(out)["gain_e_adu"]) == (0, 1.3)
     assert json.loads(out)["spots"] >= 105
     assert (tmp_path / "s.png").stat().st_size > 10_000
-    words = (
-        "--layout",
-        tmp_path / "layout",
-        "--expected",
-        tmp_path / "goal.csv",
-        "--scale",
-        0.2,
-        "--flipped",
-    )
-    code, out, err = fl("match", spots, *words, "--rotation", 0, "--out", tmp_path / "p.csv", "--json")
+    code, out, err = match(fl, imaged, spots, tmp_path / "p.csv")
     assert code == 0, err
     assert json.loads(out)["matched"] > 80
     # only where it is told to look, and nothing there
     (tmp_path / "corner.csv").write_text("x_px,y_px\n20,20\n")
     code, out, _ = fl(
-        "centroid", tmp_path / "image.fits", "--expected", tmp_path / "corner.csv", "--extension", 0,
+        "centroid", imaged / "image.fits", "--expected", tmp_path / "corner.csv", "--extension", 0,
         "--out", tmp_path / "none.csv", "--json",
     )  # fmt: skip
     assert (code, json.loads(out)["spots"], json.loads(out)["not_found"]) == (1, 0, 1)
-    code, _, err = fl("centroid", tmp_path / "image.fits", "--out", tmp_path / "layout" / "layout.toml" / "x")
+    code, _, err = fl("centroid", imaged / "image.fits", "--out", imaged / "layout" / "layout.toml" / "x")
     assert (code, "cannot write" in err) == (2, True)
+
+
+def test_match_of_too_little_or_nothing_is_no_success(fl, imaged, tmp_path):
+    spots, places = tmp_path / "spots.csv", tmp_path / "p.csv"
+    assert fl("centroid", imaged / "image.fits", "--out", spots)[0] == 0
+    assert match(fl, imaged, spots, places)[0] == 0
+    rows = [row.split(",") for row in places.read_text().splitlines() if row[:1].isdigit()]
+    mine = [",".join(row[6:8]) for row in rows if row[5] == "matched"]
+    lines = spots.read_text().splitlines(keepends=True)
+    few, none = tmp_path / "few.csv", tmp_path / "none.csv"
+    few.write_text("".join(line for line in lines if not line.startswith(tuple(mine[10:]))))
+    none.write_text("".join(line for line in lines if not line.startswith(tuple(mine))))
+    code, out, _ = match(fl, imaged, few, places)
+    report = json.loads(out)
+    assert (code, report["matched"], report["required"]) == (1, 10, "95 % of 91")
+    assert match(fl, imaged, few, places, "--require", "10%")[0] == 0
+    assert match(fl, imaged, few, places, "--require", "12%")[0] == 1
+    # nothing is never enough
+    code, out, _ = match(fl, imaged, none, places, "--require", 0)
+    assert (code, json.loads(out)["matched"]) == (1, 0)
+    assert len(places.read_text().splitlines()) > 91
 
 
 @pytest.mark.parametrize(

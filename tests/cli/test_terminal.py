@@ -6,6 +6,8 @@ import pytest
 
 from fiberloom.cli import terminal
 from fiberloom.cli.terminal import Lines, waiting
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.planning import random_pair, write_configuration
 
 
 def test_lines_come_with_each_stage_and_not_too_often():
@@ -49,3 +51,21 @@ def test_a_terminal_gets_a_bar_with_counts(monkeypatch, words):
         wait.count(done, total)
     assert text in screen.getvalue()
     assert f"{done} of {total}" in screen.getvalue()
+
+
+def test_plan_counts_while_it_plans(fl, monkeypatch, tmp_path):
+    # a line for each count
+    monkeypatch.setattr(Lines.__init__, "__defaults__", (0.0, *Lines.__init__.__defaults__[1:]))
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=37)
+    for name, angles in zip(("start.csv", "goal.csv"), random_pair(plane, 3), strict=True):
+        write_configuration(tmp_path / name, plane.positioner_id, angles)
+    words = ("--start", tmp_path / "start.csv", "--goal", tmp_path / "goal.csv", "--out", tmp_path / "t.json")
+    code, _, err = fl("plan", *words, "--positioners", 37)
+    assert code == 0
+    lines = err.splitlines()
+    assert "finding paths: 37 of 37" in lines
+    assert next(line for line in lines if line.startswith("finding paths: ")) == "finding paths: 1 of 37"
+    assert "straightening paths: 37 of 37" in lines
+    assert any(line.startswith("parting paths that meet: ") for line in lines)
+    assert lines[-1] == "verifying them in continuous time"
+    assert fl("plan", *words, "--positioners", 37, "--json")[2] == ""

@@ -196,7 +196,7 @@ def test_an_interruption_loses_nothing(plane, twin, desk):
         field.run.observe(targets(), corrections=5)
     assert [move.label for move in field.last.moves] == ["blind", "correction 1"]
     assert len(field.last.table()) == 2 * N
-    with Store.open(desk / "runs" / "field" / "store.sqlite") as store:
+    with Store.open(desk / "runs" / "store.sqlite") as store:
         (run,) = store.runs()
         # before, after the two moves, and where each was left
         assert (run.status, run.n_measurements) == ("interrupted", 4 * N)
@@ -217,7 +217,7 @@ except KeyboardInterrupt:
 @pytest.mark.slow
 def test_ctrl_c_in_a_script_leaves_what_was_seen(desk):
     process = subprocess.Popen([sys.executable, "-c", SCRIPT], stdout=subprocess.PIPE, text=True)
-    file = desk / "runs" / "field" / "store.sqlite"
+    file = desk / "runs" / "store.sqlite"
     try:
         end = time.monotonic() + 240.0
         while not file.exists() or measured(file) < 3 * N:

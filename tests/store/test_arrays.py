@@ -8,12 +8,12 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from sqlalchemy import update
 
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.arrays import STALE_S, ArrayBook, ArrayPlaces, NotOwner, arrays_of
 from fiberloom.store.schema import SCHEMA_VERSION, ArrayStateRow
+from fiberloom.store.sums import change
 
 BUS = "cannet://10.1.10.31:19228"
 IDS = np.array([4, 9, 12])
@@ -27,7 +27,7 @@ def book(tmp_path):
 
 def backdate(book, **values):
     with book.store.transaction() as connection:
-        connection.execute(update(ArrayStateRow).values(**values))
+        change(connection, ArrayStateRow, ArrayStateRow.address == BUS, values)
 
 
 def dead_pid():
@@ -171,4 +171,4 @@ def test_an_older_store_gets_the_tables_and_loses_nothing(tmp_path, version):
         assert book.state().state == "off"
         assert store.events(run.id)["text"].tolist() == ["kept"]
     with sqlite3.connect(path) as raw:
-        assert raw.execute("SELECT version FROM fiberloom_schema").fetchall() == [(SCHEMA_VERSION,)] == [(4,)]
+        assert raw.execute("SELECT version FROM fiberloom_schema").fetchall() == [(SCHEMA_VERSION,)] == [(5,)]

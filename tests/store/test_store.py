@@ -133,7 +133,7 @@ def test_two_processes_may_write_at_the_same_time(tmp_path):
     path = tmp_path / "s.sqlite"
     first, second = Store.open(path), Store.open(path)
     one, two = start(first), start(second)
-    for number in range(5):
+    for number in range(1, 6):
         one.record_move(number, "blind", measured(10))
         two.record_move(number, "blind", measured(10))
     assert [r.n_moves for r in first.runs()] == [5, 5]

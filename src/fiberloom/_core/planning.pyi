@@ -1,6 +1,6 @@
 """Collision-free motion of all positioners, and its verification."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import numpy
@@ -67,6 +67,11 @@ class Settings:
 
     @seed.setter
     def seed(self, arg: int, /) -> None: ...
+
+    def tell(self, watch: Callable[[str, int, int], None]) -> None:
+        """
+        While a plan is made, `watch` is called with the name of a stage, how many of its parts are done, and of how many. It must not raise.
+        """
 
 def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int]], dict[str, Any]]:
     """

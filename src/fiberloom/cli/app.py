@@ -27,9 +27,10 @@ from fiberloom.cli.instruments import instruments
 from fiberloom.cli.lifetime import lifetime
 from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
+from fiberloom.cli.past.runs import runs
+from fiberloom.cli.past.show import show
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
-from fiberloom.cli.runs import runs
 from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
 
@@ -65,6 +66,7 @@ add(app, lifetime)
 add(app, reproduce)
 add(app, instruments)
 add(app, runs)
+add(app, show)
 add(app, health)
 add(app, centroid)
 add(app, match)

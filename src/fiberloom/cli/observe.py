@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, excluded
+from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, command_line, excluded
 from fiberloom.cli.options import (
     JsonOptions,
     PlaneOptions,
@@ -25,6 +24,8 @@ from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from fiberloom.field import Field
     from fiberloom.operation.results import Observation
 
@@ -91,7 +92,10 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/latest")
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results; default: runs/0001, by the number of the run."),
+    ] = None
     calibration: MapsOption = None
     adapt: Annotated[
         bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
@@ -114,9 +118,11 @@ def observe(options: ObservationOptions) -> int:
     from fiberloom.targets import read_targets
 
     targets = read_targets(options.targets)
-    require_folder(options.out)
+    from fiberloom.store.place import Place
+
+    require_folder(Place.of(options.out).base)
     field = field_of(options)
-    field.command_line = " ".join(sys.argv)
+    field.command_line, field.begun_s = command_line(), started_s
     from fiberloom.assignment.candidates import check_targets
 
     with naming(options.targets):
@@ -124,9 +130,9 @@ def observe(options: ObservationOptions) -> int:
     summary: dict[str, Any] = {}
 
     def keep(seen: Observation) -> None:
-        seen = replace(seen, wall_s=time.monotonic() - started_s)
-        seen.save(options.out)
-        summary.update(seen.summary())
+        assert field.folder is not None
+        seen.save(field.folder)
+        summary.update(seen.summary() | {"folder": str(field.folder)})
 
     field.keep = keep
     with waiting(options.as_json) as field.watcher:
@@ -145,7 +151,7 @@ def observe(options: ObservationOptions) -> int:
     if options.as_json:
         options.print_json(summary)
     else:
-        _print(summary, options.out, required)
+        print_observation(summary, required)
     enough = options.met(summary["n_within_requirement"], summary["n_assigned"])
     return 0 if enough and not summary["collisions_verified"] else 1
 
@@ -199,7 +205,11 @@ def field_of(options: Any, camera: str = "image") -> Field:
     return field
 
 
-def _print(summary: dict[str, Any], out: Path, required: float) -> None:
+def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
+    """Prints how an observation went; in red what is below `required`, a share of the assigned fibres.
+
+    `summary`: of the observation, and `folder`, where its files are.
+    """
     from rich.console import Console
 
     from fiberloom.report.tables import observation_table, shortfall
@@ -213,7 +223,7 @@ def _print(summary: dict[str, Any], out: Path, required: float) -> None:
     )
     console.print(f"corrections ended: {summary['stopped']}")
     for note in summary["notes"]:
-        console.print(f"note: {note}")
+        say(console, f"note: {note}")
     if "learnt" in summary:
         console.print(
             "learnt: {moves} moves of generation {generation} in {store}".format(**summary["learnt"])
@@ -222,4 +232,9 @@ def _print(summary: dict[str, Any], out: Path, required: float) -> None:
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):
         console.print(line, style="red")
-    console.print(f"results in {out}/: summary.json, fibres.ecsv, trajectories.json, *.png")
+    say(console, f"results in {summary['folder']}/: summary.json, fibres.ecsv, trajectories.json, *.png")
+
+
+def say(console: Console, line: str) -> None:
+    """Prints a line as it is: paths and what was typed are not broken, their brackets are no colours."""
+    console.print(line, markup=False, soft_wrap=True)

@@ -110,8 +110,14 @@ def plan(options: PlanOptions) -> int:
     start_deg, goal_deg = (planning.read_configuration(f, plane) for f in (options.start, options.goal))
     require_folder(options.out.parent)
     with waiting(options.as_json) as wait:
+
+        def told(stage: str, done: int, total: int) -> None:
+            wait.say(stage)
+            wait.count(done, total)
+
         wait.say(f"planning {plane.n} trajectories")
-        planned = planning.plan(plane, start_deg, goal_deg, seed=options.seed)
+        settings = planning.PlanSettings(progress=told)
+        planned = planning.plan(plane, start_deg, goal_deg, seed=options.seed, settings=settings)
         wait.say("verifying them in continuous time")
         checked = planning.verify(plane, planned)
     if not checked.ok:

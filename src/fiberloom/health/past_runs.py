@@ -22,7 +22,7 @@ def health_report(where: str, plane: FocalPlane) -> dict[str, Any]:
     """
     monitor, runs = HealthMonitor(plane), 0
     for store, run_id in _runs(where, plane):
-        with Store.open(store, create=False) as opened:
+        with Store.read(store) as opened:
             for passage in passages(opened, run_id, plane):
                 monitor.update(passage)
         runs += 1
@@ -45,11 +45,11 @@ def _runs(where: str, plane: FocalPlane) -> Iterator[tuple[str, int]]:
     hashes = {p.config_hash() for p in (plane, *relaxed_planes(plane))}
     found = []
     for store in stores_below(where):
-        with Store.open(store, create=False) as opened:
+        with Store.read(store) as opened:
             found += [
                 (run.utc_start, store, run.id)
                 for run in opened.runs()
-                if run.n_moves and run.config_hash in hashes
+                if run.n_measurements and run.config_hash in hashes
             ]
     yield from ((store, run_id) for _, store, run_id in sorted(found))
 

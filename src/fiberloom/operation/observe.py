@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,17 +18,17 @@ from fiberloom.operation.exposures import ExposureLog
 from fiberloom.operation.known import Known
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
+from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.writing import beside, entered
-from fiberloom.report.folder import set_aside
+from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
+from fiberloom.store.place import STORE as STORE
+from fiberloom.store.place import Place
 from fiberloom.store.run import RUNNING
 from fiberloom.targets import TargetList
-
-STORE = "store.sqlite"
-"""Name of the store in the folder of an observation."""
 
 CORRECTIONS = ("filtered", "plain")
 PAGES = ("none", "last", "all")
@@ -102,8 +103,8 @@ class Observer:
     """The layout as given: its hash marks the results."""
     known: Known
     """Arms and maps with which the observation begins."""
-    out: Path
-    """Folder that exists, for the store and the pages of exposures."""
+    place: Place
+    """Where the store is, and the folders of result files."""
     command_line: str
     """For the store."""
     about: dict[str, Any] = field(default_factory=dict)
@@ -113,8 +114,12 @@ class Observer:
     """Called with the observation when it has ended well; only then its run counts as finished."""
     motion: MotionMaker = FieldMotion
     """Of the field; a session gives its own."""
+    begun_s: float | None = None
+    """From when on `wall_s` counts, of time.monotonic; None: from the call of `observe`."""
     last: Observation | None = None
     """The last observation, also one that was interrupted."""
+    folder: Path | None = None
+    """Of its files; None before the first."""
 
     async def observe(
         self, targets: TargetList, settings: ObserveSettings, connect: Callable[[], Any]
@@ -126,18 +131,20 @@ class Observer:
         no positioner answers or most fibres are not seen, UnsafePlanError where the verifier refuses a
         plan.
         """
-        begun_s = time.monotonic()
+        begun_s = time.monotonic() if self.begun_s is None else self.begun_s
         self.watcher.say("assigning targets")
         kept, assignment = await asyncio.to_thread(
             assign_relaxed, self.known.plane, targets, seed=settings.seed
         )
         hardware = await connect()
         async with (
-            entered(Store.open, self.out / STORE) as store,
+            entered(Store.open, self.place.store) as store,
             entered(self._run, store, kept, settings.seed) as run,
         ):
-            await beside(self._alone, store, run)
-            log = ExposureLog(self.plane, self.out, settings.pages, settings.save_images)
+            self.folder = await beside(_folder_of, run, self.place, store)
+            about = self._about(run, settings.seed)
+            await beside(record_begin, run, kept, targets, assignment, about)
+            log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
             loop: Loop | None = None
             try:
                 log.watch(hardware.camera)
@@ -150,11 +157,17 @@ class Observer:
                 await beside(log.close)
             finally:
                 log.stop()
-                about = marks(self.plane, settings.seed) | {"run": run.id} | self.about | self.known.summary()
-                wall_s = time.monotonic() - begun_s
-                self.last = Observation(kept, targets, assignment, about=about, wall_s=wall_s, **_moved(loop))
+                figures = _moved(loop) | {
+                    "about": about | self.known.summary(),
+                    "wall_s": time.monotonic() - begun_s,
+                }
+                self.last = Observation(kept, targets, assignment, **figures)
+                await beside(_record_end, run, figures, log)
             await beside(self.keep, self.last)
         return self.last
+
+    def _about(self, run: Run, seed: int) -> dict[str, Any]:
+        return marks(self.plane, seed) | {"run": run.id} | self.about
 
     def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
         return store.start_run(
@@ -162,19 +175,8 @@ class Observer:
             instrument=kept.instrument.name,
             config_hash=kept.config_hash(),
             seed=seed,
+            folder=self.place.pattern,
         )
-
-    def _alone(self, store: Store, run: Run) -> None:
-        """Moves results of earlier runs aside. InputError where one goes on: its results and these would
-        mix."""
-        for other in store.runs(RUNNING):
-            if other.status == RUNNING and other.id < run.id:
-                raise InputError(
-                    f"--out {self.out}: run {other.id}, begun on {other.host} at "
-                    f"{other.utc_start:%H:%M:%S} UTC, still writes there; wait for its end, or choose "
-                    "another folder"
-                )
-        set_aside(self.out, run.id - 1)
 
     def _motion(
         self, kept: FocalPlane, targets: TargetList, assignment: Assignment, hardware: Hardware, run: Run
@@ -189,6 +191,34 @@ def _moved(loop: Loop | None) -> dict[str, Any]:
         return {"moves": [], "collisions_verified": 0, "stopped": ""}
     verified = loop.motion.collisions_verified
     return {"moves": loop.moves, "collisions_verified": verified, "stopped": loop.stopped}
+
+
+def _record_end(run: Run, figures: dict[str, Any], log: ExposureLog) -> None:
+    """All but the moves, which are on record; where the store fails, that is told by what failed first."""
+    own = {name: value for name, value in figures.items() if name != "moves"}
+    with contextlib.suppress(InputError):
+        record_end(run, **own, exposures=log.folder.exists())
+
+
+def _folder_of(run: Run, place: Place, store: Store) -> Path:
+    """The folder of a run, free of the results of others."""
+    if not place.numbered:
+        _alone(store, run, place.base)
+    folder = prepare_folder(place.folder(run.id))
+    set_aside(folder, run.id - 1)
+    if place.numbered:
+        point_latest(folder)
+    return folder
+
+
+def _alone(store: Store, run: Run, out: Path) -> None:
+    """Raises InputError where an earlier run of this folder goes on: its results and these would mix."""
+    for other in store.runs(RUNNING):
+        if other.status == RUNNING and other.id < run.id:
+            raise InputError(
+                f"--out {out}: run {other.id}, begun on {other.host} at {other.utc_start:%H:%M:%S} UTC, "
+                "still writes there; wait for its end, or choose another folder"
+            )
 
 
 async def _whole(loop: Loop) -> None:

@@ -11,6 +11,7 @@ from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.operation.move import Move
+from fiberloom.operation.past.parts import packed_move
 from fiberloom.planning import Plan
 from fiberloom.store import Run
 from fiberloom.store.run import START, STOPPED
@@ -123,6 +124,7 @@ def _record(run: Run, plane: FocalPlane, move: Move, targets: dict[str, Any]) ->
         measured | targets,
         time_s=move.measurement.time_s,
         plan_digest=_digest(move.plan),
+        part=packed_move(move) if targets else None,
     )
 
 

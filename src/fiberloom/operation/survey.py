@@ -105,7 +105,7 @@ def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> 
     `plane` and `maps`: of the N positioners of that run. Raises InputError where the store has no run, or
     its last run no measurement.
     """
-    runs = [run for run in store.runs() if run.n_moves]
+    runs = [run for run in store.runs() if run.n_measurements]
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)

@@ -1,6 +1,7 @@
 """Plans whole fields and small corrections; what leaves here has passed the verifier."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +33,13 @@ _RETRIES = 3
 _UNVERIFIED = "its motion did not pass the verifier; please report this"
 
 
+Progress = Callable[[str, int, int], None]
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Not told to anything that waits."""
+
+
 @dataclass(frozen=True)
 class PlanSettings:
     """How to plan. The instrument decides what is left out (None)."""
@@ -49,6 +57,8 @@ class PlanSettings:
     """Beyond this over the first, a positioner that still meets another is given up."""
     effort: float = 1.0
     """Scales how many repairs are tried before a positioner is given up."""
+    progress: Progress = _silent
+    """Called while a plan is made: the name of a stage, how many of its parts are done, of how many."""
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
@@ -196,6 +206,8 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     settings.last_deadline = chosen.last_deadline
     settings.effort = chosen.effort
     settings.seed = seed
+    if chosen.progress is not _silent:
+        settings.tell(chosen.progress)
     motions, refused, statistics = core.plan(
         core.Bodies(*task.bodies.arguments),
         core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane)),

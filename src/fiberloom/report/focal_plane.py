@@ -31,12 +31,13 @@ class FieldPicture:
 
 
 def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> None:
-    """Draw every arm, coloured by the error of its fibre, flags in red.
+    """Draw every arm, coloured by the error of its fibre, flags in red; the part that the arms reach.
 
     `path`: file to write; `plane`: the N positioners; `picture`: what is drawn of them.
     """
     figure, axes = figure_with((10, 9.2))
     draw_focal_plane(axes, plane, picture)
+    frame_positioners(axes, plane)
     save(figure, path)
 
 

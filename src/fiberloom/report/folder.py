@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import uuid
 from pathlib import Path
 
 from fiberloom.errors import InputError
+from fiberloom.wholefile import write_whole
 
 
 def prepare_folder(out: Path) -> Path:
@@ -79,6 +81,26 @@ def set_aside(folder: Path, last_run: int) -> Path | None:
             "choose another folder"
         ) from None
     return aside
+
+
+LATEST = "latest"
+"""The newest of the folders beside it, where a run has its own."""
+
+
+def point_latest(folder: Path) -> None:
+    """Makes `latest`, beside a folder, a link to it; where links cannot be made, or a folder has that name,
+    `latest.txt` holds its name. What fails here fails no run.
+    """
+    text, part = folder.with_name(f"{LATEST}.txt"), folder.with_name(f".{LATEST}-{uuid.uuid4().hex}")
+    with contextlib.suppress(OSError, InputError):
+        try:
+            part.symlink_to(folder.name, target_is_directory=True)
+            part.replace(folder.with_name(LATEST))
+            text.unlink(missing_ok=True)
+        except (OSError, NotImplementedError):
+            write_whole(text, f"{folder.name}\n")
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def _run_of(summary: Path, last_run: int) -> int:

@@ -14,14 +14,14 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, delete, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import ArrayStateRow, ExclusionRow, PlaceRow
-from fiberloom.store.sums import check, put
+from fiberloom.store.sums import change, checked, put
 from fiberloom.typing import Flags, Floats, Ints
 
 HEARTBEAT_S = 2.0
@@ -49,6 +49,10 @@ class Exclusion:
     why: str
     cleared: datetime | None
     cleared_by: str
+
+    def in_force(self, now: datetime) -> bool:
+        """Neither cleared nor over."""
+        return self.cleared is None and (self.until is None or self.until > now)
 
 
 @dataclass(frozen=True)
@@ -118,11 +122,13 @@ class ArrayBook:
     def state(self) -> ArrayState:
         """As it is now; `off` for an array that was never owned."""
         with self.store.transaction() as connection:
-            row = connection.execute(self._select_state()).mappings().first()
+            row = self._state_row(connection)
         return _FRESH if row is None else _state_of(row)
 
-    def _select_state(self) -> Any:
-        return select(ArrayStateRow.__table__).where(ArrayStateRow.address == self.address)
+    def _state_row(self, connection: Connection) -> Mapping[Any, Any] | None:
+        # of all arrays: a row whose address has changed by itself would not be found by it
+        rows = checked(connection, ArrayStateRow)
+        return next((row for row in rows if row["address"] == self.address), None)
 
     def take(self, command: str, state: str) -> tuple[str, ArrayState]:
         """Makes this process the owner: its token, and how the array was before.
@@ -158,16 +164,14 @@ class ArrayBook:
             "stop_asked_by": "",
         }
         with self.store.transaction() as connection:
-            if connection.execute(self._update(old).values(values)).rowcount:
+            if change(connection, ArrayStateRow, self._owned_by(old), values):
                 return True
-            if old or connection.execute(self._select_state()).first() is not None:
+            if old or self._state_row(connection) is not None:
                 return False
             return _inserted(connection, {"address": self.address, **values})
 
-    def _update(self, token: str) -> Any:
-        return update(ArrayStateRow).where(
-            ArrayStateRow.address == self.address, ArrayStateRow.token == token
-        )
+    def _owned_by(self, token: str) -> ColumnElement[bool]:
+        return (ArrayStateRow.address == self.address) & (ArrayStateRow.token == token)
 
     def enter(self, token: str, state: str, text: str = "") -> None:
         """The owner says what the array is doing, and why. NotOwner where it lost it meanwhile."""
@@ -177,7 +181,7 @@ class ArrayBook:
         """The owner gives it back in a state, with the reason; nothing where it lost it meanwhile."""
         values = {"state": state, "since": datetime.now(UTC), "text": text, "token": "", "stop_asked_by": ""}
         with self.store.transaction() as connection:
-            connection.execute(self._update(token).values(values))
+            change(connection, ArrayStateRow, self._owned_by(token), values)
 
     def beat(self, token: str) -> None:
         """A sign of life of the owner. NotOwner where it lost the array meanwhile."""
@@ -185,25 +189,22 @@ class ArrayBook:
 
     def _as_owner(self, token: str, values: Mapping[str, Any]) -> None:
         with self.store.transaction() as connection:
-            if not connection.execute(self._update(token).values(**values)).rowcount:
+            if not change(connection, ArrayStateRow, self._owned_by(token), values):
                 raise NotOwner(f"{self.address}: another process owns it by now; nothing more is moved")
 
     def ask_stop(self, who: str) -> bool:
         """Asks the owner to stop everything; False where there is none."""
+        owned = (ArrayStateRow.address == self.address) & (ArrayStateRow.token != "")
         with self.store.transaction() as connection:
-            query = update(ArrayStateRow).where(
-                ArrayStateRow.address == self.address, ArrayStateRow.token != ""
-            )
-            return bool(connection.execute(query.values(stop_asked_by=who)).rowcount)
+            return bool(change(connection, ArrayStateRow, owned, {"stop_asked_by": who}))
 
     def note_stopped(self, text: str, state: str) -> None:
         """A process that does not own the array has stopped it: none is owner any more."""
         values = {"state": state, "since": datetime.now(UTC), "text": text, "token": "", "stop_asked_by": ""}
         with self.store.transaction() as connection:
-            query = update(ArrayStateRow).where(ArrayStateRow.address == self.address)
-            if not connection.execute(query.values(values)).rowcount:
+            if not change(connection, ArrayStateRow, ArrayStateRow.address == self.address, values):
                 empty = {"command": "", "host": "", "pid": 0, "process_start": "", "heartbeat": None}
-                connection.execute(insert(ArrayStateRow), {"address": self.address, **values, **empty})
+                put(connection, ArrayStateRow, [{"address": self.address, **values, **empty}])
 
     # exclusions
 
@@ -228,7 +229,7 @@ class ArrayBook:
         rows = [{**common, "positioner_id": int(p)} for p in positioner_id if int(p) not in there]
         if rows:
             with self.store.transaction() as connection:
-                connection.execute(insert(ExclusionRow), rows)
+                put(connection, ExclusionRow, rows)
 
     def clear(self, positioner_id: Iterable[int], who: str) -> list[int]:
         """Ends exclusions; the positioners that were excluded. InputError where one was not."""
@@ -236,26 +237,23 @@ class ArrayBook:
         there = {e.positioner_id for e in self.exclusions()}
         if missing := [p for p in wanted if p not in there]:
             raise InputError(f"positioner {missing[0]} is not excluded; `fiberloom exclude list`")
-        now = datetime.now(UTC)
-        query = update(ExclusionRow).where(
-            ExclusionRow.address == self.address,
-            ExclusionRow.positioner_id.in_(wanted),
-            ExclusionRow.cleared.is_(None),
+        open_ = (
+            (ExclusionRow.address == self.address)
+            & ExclusionRow.positioner_id.in_(wanted)
+            & ExclusionRow.cleared.is_(None)
         )
         with self.store.transaction() as connection:
-            connection.execute(query.values(cleared=now, cleared_by=who))
+            change(connection, ExclusionRow, open_, {"cleared": datetime.now(UTC), "cleared_by": who})
         return wanted
 
     def exclusions(self, *, past: bool = False) -> list[Exclusion]:
         """Those in force now, by positioner; with `past` also those that have ended."""
-        table = ExclusionRow.__table__.columns
-        query = select(ExclusionRow.__table__).where(table.address == self.address)
-        if not past:
-            now = datetime.now(UTC)
-            query = query.where(table.cleared.is_(None), or_(table.until.is_(None), table.until > now))
         with self.store.transaction() as connection:
-            rows = connection.execute(query.order_by(table.positioner_id, table.id)).mappings().all()
-        return [Exclusion(**_utc({n: row[n] for n in Exclusion.__dataclass_fields__})) for row in rows]
+            rows = checked(connection, ExclusionRow)  # of all arrays, as of their states
+        known = [_exclusion_of(row) for row in rows if row["address"] == self.address]
+        now = datetime.now(UTC)
+        chosen = [e for e in known if past or e.in_force(now)]
+        return sorted(chosen, key=lambda e: (e.positioner_id, e.id))
 
     # places
 
@@ -309,8 +307,7 @@ class ArrayBook:
         n = len(positioner_id)
         with self.store.transaction() as connection:
             # all of them: a row whose address has changed by itself would not be found by it
-            found = connection.execute(select(PlaceRow.__table__)).mappings().all()
-            check(PlaceRow, found)
+            found = checked(connection, PlaceRow)
         rows = {row["positioner_id"]: row for row in found if row["address"] == self.address}
         angles, wire = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
         how, datum = [UNKNOWN] * n, np.zeros(n, dtype=bool)
@@ -328,7 +325,7 @@ class ArrayBook:
 def _inserted(connection: Connection, values: Mapping[str, Any]) -> bool:
     try:
         with connection.begin_nested():
-            connection.execute(insert(ArrayStateRow), dict(values))
+            put(connection, ArrayStateRow, [values])
     except IntegrityError:  # another process was quicker
         return False
     return True
@@ -336,6 +333,10 @@ def _inserted(connection: Connection, values: Mapping[str, Any]) -> bool:
 
 def _state_of(row: Mapping[Any, Any]) -> ArrayState:
     return ArrayState(**_utc({name: row[name] for name in ArrayState.__dataclass_fields__}))
+
+
+def _exclusion_of(row: Mapping[Any, Any]) -> Exclusion:
+    return Exclusion(**_utc({name: row[name] for name in Exclusion.__dataclass_fields__}))
 
 
 def _utc(values: dict[str, Any]) -> dict[str, Any]:

@@ -9,10 +9,8 @@ from typing import Any
 
 from fiberloom.instruments.model import AXES
 from fiberloom.store.database import Store
+from fiberloom.store.place import STORE as STORE
 from fiberloom.store.run import Run
-
-STORE = "store.sqlite"
-"""Name of the store in an output folder."""
 
 
 def digest_of(file: Path) -> str:

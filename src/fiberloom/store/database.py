@@ -5,16 +5,20 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Engine, create_engine, event, func, insert, inspect, select, update
-from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
+from sqlalchemy import Connection, Engine, func, insert, inspect, select, update
+from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
 from fiberloom.errors import InputError, one_line
+from fiberloom.store.engines import file_engine, reading_engine, url_engine
+from fiberloom.store.find import existing
+from fiberloom.store.parts import RunPart, unpack
+from fiberloom.store.place import BESIDE
 from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
 from fiberloom.store.schema import (
     SCHEMA_VERSION,
@@ -23,10 +27,11 @@ from fiberloom.store.schema import (
     EventRow,
     MeasurementRow,
     MoveRow,
+    PartRow,
     RunRow,
     SchemaRow,
 )
-from fiberloom.store.sums import SUM, DamagedError, check
+from fiberloom.store.sums import SUM, DamagedError, change, checked, put_one
 from fiberloom.typing import Array
 
 Columns = dict[str, Array]
@@ -53,20 +58,35 @@ class Store:
         that is something else, tables of another version, and with `create=False` no store there.
         """
         name = str(path_or_url)
-        engine = _url_engine(name) if "://" in name else _file_engine(Path(name), create)
-        store = cls(engine, name)
-        try:
-            store._prepare()
-        except BaseException:
-            store.close()
-            raise
-        return store
+        if not create:
+            existing(name)
+        return cls(url_engine(name) if "://" in name else file_engine(Path(name)), name)._ready(_prepare)
 
-    def _prepare(self) -> None:
+    @classmethod
+    def read(cls, path_or_url: str | Path) -> Store:
+        """Opens a store only to read it: also on media that cannot be written, and on a full disk.
+
+        What is recorded raises an InputError, as does what `open` objects to. A database of a URL is
+        opened as by `open`.
+        """
+        name = str(path_or_url)
+        if "://" in name:
+            return cls.open(name, create=False)
+        return cls(reading_engine(Path(existing(name))), name)._ready(_look)
+
+    def _ready(self, prepare: Callable[[Connection, str], None]) -> Store:
+        try:
+            self._prepare(prepare)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def _prepare(self, prepare: Callable[[Connection, str], None]) -> None:
         for _ in range(_TRIES):
             try:
                 with self._engine.begin() as connection:
-                    return _prepare(connection, self.name)
+                    return prepare(connection, self.name)
             except InputError:
                 raise
             except (sqlite3.Error, ValueError, TypeError) as error:
@@ -111,15 +131,18 @@ class Store:
         config_hash: str = "",
         seed: int | None = None,
         note: str = "",
+        folder: str = BESIDE,
     ) -> Run:
         """Begins a run: a context manager that records how it ended.
 
         `command_line`: what the operator typed; `instrument` and `config_hash` of the layout; `seed` of
-        the twin; `note`: free text.
+        the twin; `note`: free text; `folder`: of its files, from that of the store; `{run}` in it is its
+        number.
         """
         values = new_run_values(command_line, instrument, config_hash, seed, note)
         with self.transaction() as connection:
-            run_id = connection.execute(insert(RunRow).returning(RunRow.id), values).scalar_one()
+            run_id = put_one(connection, RunRow, values)
+            change(connection, RunRow, RunRow.id == run_id, {"folder": folder.format(run=run_id)})
         return Run(self.transaction, run_id)
 
     def runs(self, recorded_as: str | None = None) -> list[RunInfo]:
@@ -127,14 +150,16 @@ class Store:
 
         One whose process is gone shows as interrupted.
         """
-        moves = select(func.count()).where(MoveRow.run_id == RunRow.id).scalar_subquery()
+        # 0: where it began, and where each was left
+        of_run = (MoveRow.run_id == RunRow.id) & (MoveRow.number > 0)
+        moves = select(func.count()).where(of_run).scalar_subquery()
         measured = select(func.count()).where(MeasurementRow.run_id == RunRow.id).scalar_subquery()
-        query = select(RunRow.__table__, moves.label("n_moves"), measured.label("n_measurements"))
-        if recorded_as is not None:
-            query = query.where(RunRow.status == recorded_as)
+        query = select(RunRow.id, moves.label("n_moves"), measured.label("n_measurements"))
         with self.transaction() as connection:
-            rows = connection.execute(query.order_by(RunRow.id)).mappings().all()
-            return [info_of(dict(row)) for row in rows]
+            rows = checked(connection, RunRow)
+            counts = {row["id"]: row for row in connection.execute(query).mappings()}
+            chosen = [row for row in rows if recorded_as in (None, row["status"])]
+            return [info_of({**row, **counts[row["id"]]}) for row in chosen]
 
     def last_run(self) -> Run:
         """The run that began last, to record more of it."""
@@ -176,6 +201,13 @@ class Store:
         """Columns of the calibrations that a run made or used."""
         return self._table(run_id, CalibrationRow)
 
+    def parts(self, run_id: int) -> tuple[dict[str, RunPart], dict[int, RunPart]]:
+        """What else the result files of a run need: of the whole run by name, of its moves by their id."""
+        with self._run(run_id) as connection:
+            rows = _rows_of(connection, PartRow, run_id)
+        whole = {row["name"]: unpack(row["data"]) for row in rows if row["move_id"] is None}
+        return whole, {row["move_id"]: unpack(row["data"]) for row in rows if row["move_id"] is not None}
+
     def _table(self, run_id: int, table: type[Base]) -> Columns:
         with self._run(run_id) as connection:
             return _columns(table, _rows_of(connection, table, run_id))
@@ -194,11 +226,7 @@ _OF_MOVE = {"move": "number", "kind": "kind"}
 
 def _rows_of(connection: Connection, table: type[Base], run_id: int) -> Sequence[Mapping[Any, Any]]:
     """All rows of a run, compared with their sums."""
-    columns = table.__table__.columns
-    query = select(*columns).where(columns.run_id == run_id).order_by(columns.id)
-    rows = connection.execute(query).mappings().all()
-    check(table, rows)
-    return rows
+    return checked(connection, table, table.__table__.columns.run_id == run_id)
 
 
 def _check_complete(moves: Mapping[int, Mapping[Any, Any]], rows: Sequence[Mapping[Any, Any]]) -> None:
@@ -226,33 +254,6 @@ def _column(values: list[Any]) -> Array:
     return np.array(values)
 
 
-def _url_engine(url: str) -> Engine:
-    try:
-        return create_engine(url, pool_pre_ping=True)
-    except (ArgumentError, ImportError) as error:
-        raise InputError(f"store '{url}': {str(error).splitlines()[0]}") from None
-
-
-def _file_engine(path: Path, create: bool) -> Engine:
-    if path.is_dir():
-        raise InputError(f"store '{path}': is a directory; name a file in it")
-    if not create and not path.exists():
-        raise InputError(f"store '{path}': no such file; name the store of an earlier run")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"store '{path}': {error.strerror}; choose another place") from None
-    engine = create_engine(f"sqlite:///{path}")
-
-    @event.listens_for(engine, "connect")
-    def settings(connection: sqlite3.Connection, record: object) -> None:
-        for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
-            connection.execute(f"PRAGMA {pragma}")
-        connection.execute("PRAGMA busy_timeout=10000")
-
-    return engine
-
-
 def _prepare(connection: Connection, name: str) -> None:
     """Makes the tables that are missing; refuses those of a newer version."""
     Base.metadata.create_all(connection, tables=[Base.metadata.tables[SchemaRow.__tablename__]])
@@ -265,7 +266,19 @@ def _prepare(connection: Connection, name: str) -> None:
         Base.metadata.create_all(connection)
         _add_columns(connection)
         connection.execute(update(SchemaRow).values(version=SCHEMA_VERSION))
-    elif found != SCHEMA_VERSION:
+    else:
+        _check_version(found, name)
+
+
+def _look(connection: Connection, name: str) -> None:
+    """Refuses what is no store, or one of a newer version; writes nothing."""
+    if not inspect(connection).has_table(SchemaRow.__tablename__):
+        raise InputError(f"store '{name}': has no tables of fiberloom; name the store of an earlier run")
+    _check_version(connection.execute(select(SchemaRow.version)).scalar() or 0, name)
+
+
+def _check_version(found: int, name: str) -> None:
+    if found > SCHEMA_VERSION:
         raise InputError(
             f"store '{name}': its tables are of version {found}, this program writes "
             f"{SCHEMA_VERSION}; name another store"

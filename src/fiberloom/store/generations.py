@@ -11,7 +11,7 @@ from fiberloom.store.learnt import LearntHistory, generations
 
 def learnt_generations(learnt: str, positioner: int | None) -> list[dict[str, Any]]:
     """One row per generation, or per generation of one positioner."""
-    with Store.open(learnt, create=False) as store:
+    with Store.read(learnt) as store:
         found = generations(store)
         if positioner is None:
             return [_shown(g, g.n_positioners, g.moves, g.rms_shift_mdeg) for g in found]

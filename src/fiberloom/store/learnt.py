@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Connection, delete, func, insert, select
+from sqlalchemy import Connection, delete, func, select
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.schema import GenerationRow, LearntRow
-from fiberloom.store.sums import check, put
+from fiberloom.store.sums import check, checked, put, put_one
 from fiberloom.version import __version__
 
 OBSERVE, UNDO = "observe", "undo"
@@ -73,8 +73,7 @@ class LearntHistory:
             "note": note,
         }
         with self._store.transaction() as connection:
-            query = insert(GenerationRow).returning(GenerationRow.id)
-            return connection.execute(query, values).scalar_one()
+            return put_one(connection, GenerationRow, values)
 
     def put(self, generation: int, states: Mapping[int, Learnt]) -> None:
         """States of positioners in a generation, in place of those that it had of them."""
@@ -112,22 +111,13 @@ class LearntHistory:
         nothing = Learnt(0, 0.0, None)
         states = {p: then.get(p, nothing) for p in sorted(wanted)}
         with self._store.transaction() as connection:
-            last = (
-                connection.execute(
-                    select(GenerationRow.__table__)
-                    .where(GenerationRow.origin == self.origin)
-                    .order_by(GenerationRow.id.desc())
-                )
-                .mappings()
-                .first()
-            )
-            if last is None:
+            mine = [row for row in checked(connection, GenerationRow) if row["origin"] == self.origin]
+            if not mine:
                 raise InputError(f"{self._store.name}: nothing was learnt yet")
-            values = {k: last[k] for k in ("origin", "instrument", "config_hash", "seed")}
+            values = {k: mine[-1][k] for k in ("origin", "instrument", "config_hash", "seed")}
             values |= {"utc": datetime.now(UTC), "kind": UNDO, "version": __version__}
             values["note"] = f"{len(states)} positioners back to generation {to}"
-            query = insert(GenerationRow).returning(GenerationRow.id)
-            made = connection.execute(query, values).scalar_one()
+            made = put_one(connection, GenerationRow, values)
             _put(connection, made, states)
         return made
 
@@ -148,6 +138,7 @@ def generations(store: Store) -> list[Generation]:
         .order_by(GenerationRow.id)
     )
     with store.transaction() as connection:
+        checked(connection, GenerationRow)
         rows = [dict(row) for row in connection.execute(query).mappings()]
     return [_generation(row) for row in rows]
 
@@ -177,6 +168,7 @@ def _put(connection: Connection, generation: int, states: Mapping[int, Learnt]) 
 
 
 def _as_of(connection: Connection, origin: str, upto: int | None) -> dict[int, Learnt]:
+    checked(connection, GenerationRow)  # one whose origin has changed by itself would be left out
     newest = (
         select(LearntRow.positioner_id, func.max(LearntRow.generation_id).label("generation"))
         .join(GenerationRow, GenerationRow.id == LearntRow.generation_id)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.find import stores_below
-
-USUAL = "store.sqlite"
-"""Name of a store that needs not be told."""
+from fiberloom.store.place import STORE
 
 
 def runs_below(where: str) -> list[dict[str, Any]]:
@@ -23,15 +22,40 @@ def shortened(store: str, where: str) -> str:
     if path == folder or not path.is_relative_to(folder):
         return store
     below = path.relative_to(folder)
-    return str(below.parent if below.name == USUAL and below.parent != Path() else below)
+    return str(below.parent if below.name == STORE and below.parent != Path() else below)
+
+
+def store_with(run: int, where: str) -> str:
+    """The store that a run is in: the one that is named, that of a folder, or the only one below it.
+
+    Raises InputError where none below `where` has a run of this number, or several have.
+    """
+    beside = Path(where) / STORE
+    if "://" not in where and beside.is_file() and _has(str(beside), run):
+        return str(beside)
+    found = [store for store in stores_below(where) if _has(store, run)]
+    if not found:
+        raise InputError(f"{where}: no run {run}; `fiberloom runs {where}` lists them")
+    if len(found) > 1:
+        raise InputError(
+            f"{where}: run {run} is in {len(found)} stores; name one of them: {', '.join(found[:5])}"
+            + (", ..." if len(found) > 5 else "")
+        )
+    return found[0]
+
+
+def _has(path: str, run: int) -> bool:
+    with Store.read(path) as store:
+        return any(info.id == run for info in store.runs())
 
 
 def _runs_of(path: str) -> list[dict[str, Any]]:
-    with Store.open(path, create=False) as store:
+    with Store.read(path) as store:
         return [
             {
                 "store": path,
                 "run": run.id,
+                "folder": run.folder,
                 "utc": run.utc_start.isoformat(timespec="seconds"),
                 "status": run.status,
                 "moves": run.n_moves,

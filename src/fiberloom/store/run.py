@@ -12,12 +12,12 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, update
+from sqlalchemy import Connection
 
 from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
-from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, RunRow
-from fiberloom.store.sums import SUM, DamagedError, put, put_one
+from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, PartRow, RunRow
+from fiberloom.store.sums import SUM, DamagedError, change, put, put_one
 from fiberloom.version import __version__
 
 RUNNING, FINISHED, FAILED, INTERRUPTED = "running", "finished", "failed", "interrupted"
@@ -37,6 +37,10 @@ STOPPED = "stopped"
 """Kind of the record where positioners were left after a stop: as reported, without an image."""
 
 
+OF_MOVE = "move"
+"""Name of the part of a move."""
+
+
 @dataclass(frozen=True)
 class RunInfo:
     """A run as `fiberloom runs` shows it."""
@@ -52,7 +56,10 @@ class RunInfo:
     status: str
     note: str
     host: str
+    folder: str | None
+    """Of its files, from that of the store; None: of a version that did not note it."""
     n_moves: int
+    """Without the records of where it began and of where each was left."""
     n_measurements: int
 
 
@@ -126,7 +133,7 @@ class Run:
         if note:
             values["note"] = note
         with self._transaction() as connection:
-            connection.execute(update(RunRow).where(RunRow.id == self.id).values(values))
+            change(connection, RunRow, RunRow.id == self.id, values)
 
     def record_move(
         self,
@@ -136,13 +143,14 @@ class Run:
         *,
         time_s: float | None = None,
         plan_digest: str = "",
+        part: bytes | None = None,
     ) -> int:
         """A move and what was measured after it; returns the move's id.
 
         `number` from 1 (0: before the first); `kind`: start, blind, correction, ...; `measured` holds
         columns (MEASURED names them), one row per positioner; a column that is one value is the same
         for all. NaN is stored as unknown. `time_s`: on the clock of the bus; `plan_digest`: of the
-        trajectories.
+        trajectories; `part`: what else the result files need of it, as of `store.parts.pack`.
         """
         rows = _rows(measured or {}, {"run_id": self.id})
         move = {
@@ -157,7 +165,17 @@ class Run:
         with self._transaction() as connection:
             move_id = put_one(connection, MoveRow, move)
             put(connection, MeasurementRow, [{**row, "move_id": move_id} for row in rows])
+            if part is not None:
+                values = {"run_id": self.id, "move_id": move_id, "name": OF_MOVE, "data": part}
+                put(connection, PartRow, [values])
         return move_id
+
+    def record_part(self, name: str, data: bytes) -> None:
+        """Something of the whole run that its result files need, as of `store.parts.pack`; of two with one
+        `name` the later counts.
+        """
+        with self._transaction() as connection:
+            put(connection, PartRow, [{"run_id": self.id, "name": name, "data": data}])
 
     def record_event(
         self,

@@ -10,9 +10,10 @@ from datetime import datetime
 from sqlalchemy import BigInteger, DateTime, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. 4: sums of
-rows. Older stores get the new tables and columns when they are opened; their rows have no sums."""
+rows. 5: sums also of rows that change, the folder of a run, and what its files are made of. Older stores get
+the new tables and columns when they are opened to write; their rows have no sums until they change."""
 
 
 class Base(DeclarativeBase):
@@ -22,9 +23,9 @@ class Base(DeclarativeBase):
 
 
 class Summed:
-    """Rows that are written once: with a sum over all else, so that a flipped bit is found on reading."""
+    """Rows with a sum over all else, so that a flipped bit is found on reading."""
 
-    row_sum: Mapped[int | None] = mapped_column(BigInteger)  # none: written before version 4
+    row_sum: Mapped[int | None] = mapped_column(BigInteger)  # none: of an older version
 
 
 class SchemaRow(Base):
@@ -35,7 +36,7 @@ class SchemaRow(Base):
     version: Mapped[int] = mapped_column(primary_key=True)
 
 
-class RunRow(Base):
+class RunRow(Summed, Base):
     """One command that moved or measured something."""
 
     __tablename__ = "runs"
@@ -54,6 +55,7 @@ class RunRow(Base):
     host: Mapped[str]
     pid: Mapped[int]
     process_start: Mapped[str]
+    folder: Mapped[str | None]  # of its files, from that of the store; none: of an older version
 
 
 class MoveRow(Summed, Base):
@@ -125,7 +127,19 @@ class EventRow(Summed, Base):
     text: Mapped[str]
 
 
-class GenerationRow(Base):
+class PartRow(Summed, Base):
+    """One of the things that the result files of a run are made of, beside moves and measurements."""
+
+    __tablename__ = "parts"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
+    move_id: Mapped[int | None] = mapped_column(ForeignKey("moves.id"))  # none: of the whole run
+    name: Mapped[str]
+    data: Mapped[bytes] = mapped_column(LargeBinary)  # as `store.parts` packs it
+
+
+class GenerationRow(Summed, Base):
     """One step of learning: an observation that taught something, or a step back."""
 
     __tablename__ = "learnt_generations"
@@ -156,7 +170,7 @@ class LearntRow(Summed, Base):
     __table_args__ = (Index("learnt_of_positioner", "generation_id", "positioner_id", unique=True),)
 
 
-class ExclusionRow(Base):
+class ExclusionRow(Summed, Base):
     """One positioner of an array that must not be moved, until it is cleared or the time is over."""
 
     __tablename__ = "exclusions"
@@ -172,7 +186,7 @@ class ExclusionRow(Base):
     cleared_by: Mapped[str]
 
 
-class ArrayStateRow(Base):
+class ArrayStateRow(Summed, Base):
     """The state of an array and the process that owns it: one motion at a time."""
 
     __tablename__ = "array_state"

@@ -6,18 +6,22 @@ sum is the CRC-32 of all columns but the database's own number of the row.
 
 from __future__ import annotations
 
+import sqlite3
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Connection, Table, insert
+from sqlalchemy import Connection, Table, and_, insert, select, update
+from sqlalchemy.exc import SQLAlchemyError
 
 from fiberloom.store.schema import Base, PlaceRow
 
 SUM = "row_sum"
 _LATER = {PlaceRow.__tablename__: {"datum"}}
-"""Columns that are written over later."""
+"""Columns that are written over later, by themselves."""
+
+Row = Mapping[Any, Any]
 
 
 class DamagedError(ValueError):
@@ -40,13 +44,82 @@ def put_one(connection: Connection, row: type[Base], values: Mapping[str, Any]) 
     return number
 
 
-def check(row: type[Base], rows: Iterable[Mapping[Any, Any]]) -> None:
+def change(connection: Connection, row: type[Base], where: Any, values: Mapping[str, Any]) -> int:
+    """Gives rows that exist new values and new sums; how many there were.
+
+    `connection`: of the transaction; `row`: class of the table; `where`: which rows; `values`: by column.
+    Raises DamagedError where one of them has changed by itself: a new sum would hide that.
+    """
+    table = _table(row)
+    # to itself: from here to the end of the transaction no other process changes these rows
+    if not connection.execute(update(table).where(where).values({SUM: table.c[SUM]})).rowcount:
+        return 0
+    there = checked(connection, row, where)
+    for old in there:
+        made = {**values, SUM: _sum(table, {**old, **values})}
+        connection.execute(update(table).where(_same(table, old)).values(made))
+    return len(there)
+
+
+def checked(connection: Connection, row: type[Base], where: Any = None) -> Sequence[Row]:
+    """The rows of a table with all columns, by their key. DamagedError names the first that has changed."""
+    table = _table(row)
+    keys = list(table.primary_key)
+    query = select(table).order_by(*keys)
+    chosen = query if where is None else query.where(where)
+    try:
+        rows = connection.execute(chosen).mappings().all()
+    except _UNREADABLE as error:
+        if _is_of_a_cell(error):
+            _name_unreadable(connection, table)
+        raise
+    check(row, rows)
+    return rows
+
+
+def check(row: type[Base], rows: Iterable[Row]) -> None:
     """Raises DamagedError for the first of `rows`, with all columns of their table, that has changed."""
     table = _table(row)
     for values in rows:
-        if values[SUM] is not None and values[SUM] != _sum(table, values):
-            number = values.get("id", values.get("positioner_id"))
-            raise DamagedError(f"row {number} of the table {table.name} is not what was written")
+        if values[SUM] is not None and not _is_sound(table, values):
+            raise _damaged(table, values)
+
+
+def _is_sound(table: Table, values: Row) -> bool:
+    try:
+        return bool(values[SUM] == _sum(table, values))
+    except (ValueError, TypeError, OverflowError):  # a text where a number belongs
+        return False
+
+
+_UNREADABLE = (ValueError, TypeError, sqlite3.Error, SQLAlchemyError)
+
+
+def _is_of_a_cell(error: Exception) -> bool:
+    """A date that is none, a text that is not UTF-8; not what the database has to say of itself."""
+    return isinstance(error, ValueError | TypeError) or "decode" in str(error)
+
+
+def _name_unreadable(connection: Connection, table: Table) -> None:
+    """Raises DamagedError for the first row whose cells cannot be read, e.g. a date that is none."""
+    for key in connection.execute(select(*table.primary_key)).mappings().all():
+        try:
+            connection.execute(select(table).where(_same(table, key))).all()
+        except _UNREADABLE as error:
+            if _is_of_a_cell(error):
+                raise _damaged(table, key) from None
+            raise
+
+
+def _same(table: Table, values: Row) -> Any:
+    """The condition for the row that has the key of these values."""
+    return and_(*(column == values[column.name] for column in table.primary_key))
+
+
+def _damaged(table: Table, values: Row) -> DamagedError:
+    # an array has no number but an address; a place has an address and a positioner
+    key = next(values[name] for name in ("id", "positioner_id", "address") if name in values)
+    return DamagedError(f"row {key} of the table {table.name} is not what was written")
 
 
 def _table(row: type[Base]) -> Table:
@@ -55,7 +128,7 @@ def _table(row: type[Base]) -> Table:
     return table
 
 
-def _sum(table: Table, values: Mapping[Any, Any]) -> int:
+def _sum(table: Table, values: Row) -> int:
     skip = {"id", SUM} | _LATER.get(table.name, set())
     parts = [_as_read(c.type.python_type, values.get(c.name)) for c in table.columns if c.name not in skip]
     return zlib.crc32(repr(parts).encode("utf-8", errors="surrogatepass"))

@@ -5,7 +5,6 @@ import sys
 import time
 
 import pytest
-from sqlalchemy import update
 
 from fiberloom.errors import InputError
 from fiberloom.operation.session import array_lock
@@ -14,6 +13,7 @@ from fiberloom.operation.session.states import Deed, SessionState, Step
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook, NotOwner
 from fiberloom.store.schema import ArrayStateRow
+from fiberloom.store.sums import change
 
 BUS = "socketcan:can0"
 
@@ -33,7 +33,7 @@ def until(condition, within_s=5.0):
 
 def backdate(book, **values):
     with book.store.transaction() as connection:
-        connection.execute(update(ArrayStateRow).values(**values))
+        change(connection, ArrayStateRow, ArrayStateRow.address == BUS, values)
 
 
 def gone():

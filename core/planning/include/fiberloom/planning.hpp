@@ -8,6 +8,7 @@
 #include "fiberloom/distance.hpp"
 
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -35,6 +36,9 @@ struct Motion {
     std::vector<Angles> angles;
 };
 
+// Called while a plan is made: the name of a stage, and how many of its parts are done. It must not throw.
+using Watch = std::function<void(const char *stage, int done, int total)>;
+
 // Speeds of the axes, the search grid, and how hard the planner tries.
 struct Settings {
     double speed_rad_s = 0.0;
@@ -46,6 +50,7 @@ struct Settings {
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up
     std::uint64_t seed = 0;
+    Watch watch = [](const char *, int, int) {};
 };
 
 // What a plan must do; one row for each of Bodies::arms. travel: the room that the axes have.

@@ -36,9 +36,12 @@ void Repair::first_paths() {
     const List<PathIndex> order = longest_first();
     for (const PathIndex i : order)
         if (paths_.at(i).still) paths_.keep_still(i);
-    for (const PathIndex i : order)
+    int found = 0;
+    for (const PathIndex i : order) {
         while (!paths_.at(i).still && !paths_.seek(i, {}, any_cost, {}, search_))
             paths_.allow(i, paths_.at(i).deadline + 1);
+        settings_.watch("finding paths", ++found, paths_.size());
+    }
     for (const PathIndex i : order) paths_.count_conflicts(i);
     statistics_.first_conflicts = paths_.conflicts();
 }
@@ -64,6 +67,8 @@ bool Repair::rounds(int most) {
         if (all.empty()) return true;
         round(all[random_.below(all.size())]);
         ++statistics_.repairs;
+        const int most_at_once = std::max(statistics_.first_conflicts, paths_.conflicts());
+        settings_.watch("parting paths that meet", most_at_once - paths_.conflicts(), most_at_once);
     }
     return paths_.conflicts() == 0;
 }
@@ -333,7 +338,10 @@ void Repair::tidy_one(PathIndex i, const Costs &costs) {
 void Repair::tidy() {
     const Costs costs{2, 4, 1, {}}; // few corners: each costs three points on the bus
     for (const PathIndex i : paths_.places()) paths_.at(i).cost = tidy_cost;
-    for (const PathIndex i : paths_.places()) tidy_one(i, costs);
+    for (const PathIndex i : paths_.places()) {
+        tidy_one(i, costs);
+        settings_.watch("straightening paths", i.value() + 1, paths_.size());
+    }
     // those that still take a detour may have room now that the others are tidy
     for (int k = paths_.size() - 1; k >= 0; --k) {
         const Member &member = paths_.at(PathIndex(k));

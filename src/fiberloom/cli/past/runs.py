@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from fiberloom.cli.options import JsonOptions
+from fiberloom.store.place import BESIDE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +41,21 @@ def _print(rows: list[dict[str, Any]], where: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from fiberloom.store.listing import shortened
-
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
     for name in ("run", "begun (UTC)", "status", "moves", "seed", "instrument"):
         table.add_column(name, no_wrap=True, justify="right" if name in ("run", "moves", "seed") else "left")
-    table.add_column("store; what else", overflow="fold")
+    table.add_column("kept in", overflow="fold")
     for row in rows:
-        told = [shortened(row["store"], where), row["calibrations"], row["note"]]
+        told = [_place(row, where), row["calibrations"], row["note"]]
         cells = [row["run"], row["utc"][:19].replace("T", " "), row["status"], row["moves"], row["seed"]]
         table.add_row(*map(str, cells), row["instrument"], "; ".join(filter(None, told)))
     Console().print(table)
+
+
+def _place(row: dict[str, Any], where: str) -> str:
+    """The folder of a run that has its own, else its store."""
+    from fiberloom.store.listing import shortened
+
+    store = Path(row["store"])
+    own = row["folder"] not in (None, BESIDE) and "://" not in row["store"]
+    return shortened(str(store.with_name(row["folder"]) if own else store), where)

@@ -1,0 +1,106 @@
+"""What the result files are made of and measurements do not hold: layout, targets, assignment, plans, truth.
+
+Written while the run goes on: what was measured can be shown whatever happens to the run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from fiberloom.assignment import Assignment
+from fiberloom.instruments import FocalPlane, Instrument
+from fiberloom.operation.move import Move
+from fiberloom.planning import Plan, Trajectory
+from fiberloom.planning.trajectories import KEYS
+from fiberloom.store import Run
+from fiberloom.store.parts import RunPart, pack
+from fiberloom.targets import TargetList
+from fiberloom.typing import Array
+
+LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
+"""Names of parts of a whole run."""
+
+_POINT = "point "
+_PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
+_ASSIGNED = ("target", "fibre", "alpha_deg", "beta_deg", "approach_deg", "clearance_mm")
+
+
+def record_begin(
+    run: Run, plane: FocalPlane, targets: TargetList, assignment: Assignment, about: dict[str, Any]
+) -> None:
+    """Writes what is known before anything moves.
+
+    `run`: of the store; `plane`: layout by which the field is planned; `assignment`: of its positioners to
+    `targets`; `about`: entries of summary.json.
+    """
+    points = {_POINT + name: xy_mm for name, xy_mm in plane.points.items()}
+    instrument = {"instrument": plane.instrument.model_dump(mode="json")}
+    run.record_part(LAYOUT, pack(instrument, points | _arrays(plane, _PLANE)))
+    run.record_part(TARGETS, pack({}, _arrays(targets, [f.name for f in fields(TargetList)])))
+    why = {"unassigned": list(assignment.unassigned.items()), "notes": assignment.notes}
+    run.record_part(ASSIGNMENT, pack(why, _arrays(assignment, _ASSIGNED)))
+    run.record_part(ABOUT, pack({"about": about}))
+
+
+def record_end(run: Run, **figures: Any) -> None:
+    """Writes what is known when nothing moves any more: `about`, `collisions_verified`, `stopped`, `wall_s`,
+    and `exposures`, whether there are any.
+    """
+    run.record_part(ABOUT, pack(figures))
+
+
+def _arrays(of: object, names: Any) -> dict[str, Array]:
+    return {name: getattr(of, name) for name in names}
+
+
+def plane_of(part: RunPart) -> FocalPlane:
+    """The layout of a part."""
+    points = {name.removeprefix(_POINT): xy for name, xy in part.arrays.items() if name.startswith(_POINT)}
+    instrument = Instrument.model_validate(part.head["instrument"])
+    return FocalPlane(instrument=instrument, points=points, **{name: part.arrays[name] for name in _PLANE})
+
+
+def targets_of(part: RunPart) -> TargetList:
+    """The target list of a part."""
+    return TargetList(**part.arrays)
+
+
+def assignment_of(part: RunPart) -> Assignment:
+    """The assignment of a part."""
+    unassigned = {int(row): why for row, why in part.head["unassigned"]}
+    return Assignment(unassigned=unassigned, notes=part.head["notes"], **part.arrays)
+
+
+def packed_move(move: Move) -> bytes:
+    """What a move has beside its measurements: plan, truth, what the image left open."""
+    plan, known = move.plan, {"true_mm": move.true_mm, "ambiguous": move.measurement.ambiguous}
+    head = {
+        "instrument": plan.instrument,
+        "collision_buffer_mm": plan.collision_buffer_mm,
+        "refused": list(plan.refused.items()),
+        "cpu_s": plan.cpu_s,
+        "interrupted": move.interrupted,
+        "comparison": move.comparison,
+    }
+    points = {key: np.concatenate([getattr(r, key) for r in plan.robots]) for key in KEYS}
+    points["positioner_id"] = np.array([r.positioner_id for r in plan.robots], dtype=np.int64)
+    points["n_points"] = np.array([len(r.time_s) for r in plan.robots], dtype=np.int64)
+    return pack(head, points | {name: values for name, values in known.items() if values is not None})
+
+
+def plan_of(part: RunPart) -> Plan:
+    """The plan of a move's part."""
+    head, arrays = part.head, part.arrays
+    ends = np.cumsum(arrays["n_points"])[:-1]
+    cut = [np.split(arrays[key], ends) for key in KEYS]
+    robots = zip(arrays["positioner_id"].tolist(), *cut, strict=True)
+    return Plan(
+        head["instrument"],
+        head["collision_buffer_mm"],
+        tuple(Trajectory(*robot) for robot in robots),
+        {int(positioner): why for positioner, why in head["refused"]},
+        head["cpu_s"],
+    )

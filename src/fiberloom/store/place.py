@@ -1,0 +1,44 @@
+"""Where runs are kept: their store, and the folders of their result files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+RUNS = Path("runs")
+"""Where runs go that are not told where to go."""
+STORE = "store.sqlite"
+"""Name of the store in a folder."""
+
+BESIDE = "."
+"""The files of a run are in the folder of its store."""
+NUMBERED = "{run:04d}"
+"""They are in a folder of their own below it, which has the number of the run."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder with a store, and where below it the files of a run are."""
+
+    base: Path
+    pattern: str = BESIDE
+    """Folder of the files, from `base`; `{run}` is the number of the run."""
+
+    @classmethod
+    def of(cls, out: str | Path | None) -> Place:
+        """The folder that was asked for; None: below `runs`, one for each run."""
+        return cls(RUNS, NUMBERED) if out is None else cls(Path(out))
+
+    @property
+    def store(self) -> Path:
+        """File of the store."""
+        return self.base / STORE
+
+    @property
+    def numbered(self) -> bool:
+        """Has every run a folder of its own?"""
+        return self.pattern != BESIDE
+
+    def folder(self, run: int) -> Path:
+        """Of the files of a run, by its number."""
+        return self.base / self.pattern.format(run=run)
