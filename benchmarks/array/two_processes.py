@@ -26,6 +26,8 @@ import numpy as np
 from lag import LoopLag
 
 import fiberloom as fl
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
 from fiberloom.targets import random_targets, write_targets
 
 CAMERAS = ("alpaca", "folder", "indi")
@@ -48,6 +50,7 @@ def inside(plane: fl.FocalPlane, seed: int, folder: Path) -> list[float]:
 async def host(plane: fl.FocalPlane, seed: int, folder: Path, bus: str, camera: str) -> dict[str, Any]:
     """The other process: what an observatory runs."""
     field = fl.Field.open(plane, bus, camera, calibration=folder / "maps.npz", seed=seed)
+    field.book = ArrayBook(Store.open(folder / "arrays.sqlite"), bus)  # owned, with signs of life
     targets = fl.read_targets(folder / "targets.csv")
     lag = LoopLag()
     with lag.watched():
@@ -55,6 +58,7 @@ async def host(plane: fl.FocalPlane, seed: int, folder: Path, bus: str, camera: 
     return {
         "rms_um": rms_um(seen.summary()),
         "within": seen.summary()["n_within_requirement"],
+        "slowest": lag.slowest(),
         "twin_imported": any(name.startswith("fiberloom.twin") for name in sys.modules),
     } | lag.figures()
 

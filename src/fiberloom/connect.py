@@ -57,7 +57,9 @@ def open_hardware(
         return _twin(plane, camera, seed, faults)
     if faults:
         raise InputError("--faults goes with the twin; a twin on the network takes them when it is started")
-    return OpenedArray.of(bus, _camera(plane, camera) if isinstance(camera, str) else camera)
+    if isinstance(camera, str):
+        return OpenedArray.of(bus, _camera(plane, camera), camera)
+    return OpenedArray.of(bus, camera)
 
 
 def _twin(plane: FocalPlane, camera: Any, seed: int, faults: str) -> Source:

@@ -23,11 +23,13 @@ from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.operation.session.states import Deed
 from fiberloom.operation.source import OpenedArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
 from fiberloom.operation.sweep.array_sweep import THICKER_MM, ArraySweep
+from fiberloom.operation.sweep.kept import KeptSweep
 from fiberloom.report.outputs import marks, prepare_folder
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -287,11 +289,18 @@ class Field:
                 found.maps.save(cached)
         return found.maps, cached
 
-    async def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
+    async def sweep(
+        self,
+        points: int = POINTS,
+        *,
+        out: str | Path = RUNS / "transmission",
+        keep: Callable[[Calibration], None] = lambda _: None,
+    ) -> Calibration:
         """Sweeps every positioner, whatever is cached, and reports how good its map is.
 
         A twin is swept on a bench. An array is swept where it is: all turn together, after the begin check,
-        by verified steps; who does not move is gone round.
+        by verified steps; who does not move is gone round. One that was stopped goes on with the next call:
+        every point is kept in `out` until the sweep has ended.
 
         Parameters
         ----------
@@ -299,6 +308,8 @@ class Field:
             Per axis and direction, at least 8.
         out : str or Path
             Folder of the record of an array.
+        keep : callable
+            Called with the calibration before what was kept of the points goes, e.g. to save it.
 
         Returns
         -------
@@ -309,7 +320,7 @@ class Field:
         ------
         InputError
             Too few points; no positioner answers; none can be swept, or the sweep is stopped again and
-            again.
+            again; the folder holds a part of the sweep of another array, or by another camera.
 
         Examples
         --------
@@ -320,10 +331,24 @@ class Field:
         True
         """
         self.watcher.say("calibrating transmissions")
-        on_bench = await self.source.sweep(points, self.watcher.count)
-        return on_bench or await self._swept_in_place(SweepSettings(points), prepare_folder(Path(out)))
+        if (on_bench := await self.source.sweep(points, self.watcher.count)) is not None:
+            keep(on_bench)
+            return on_bench
+        folder, settings = prepare_folder(Path(out)), SweepSettings(points)
+        kept = await beside(KeptSweep.open, folder, self._about_sweep(settings))
+        if kept.done:
+            self.watcher.say(f"{kept.done} points were measured before: the sweep goes on")
+        found = await self._swept_in_place(settings, folder, kept)
+        await beside(keep, found)
+        await beside(kept.forget)
+        return found
 
-    async def _swept_in_place(self, settings: SweepSettings, folder: Path) -> Calibration:
+    def _about_sweep(self, settings: SweepSettings) -> dict[str, str]:
+        """What a sweep that goes on must have in common with its begin."""
+        named = self.source.named() if isinstance(self.source, OpenedArray) else {}
+        return {**named, "layout": self.plane.config_hash(), "number of points": str(settings.n_points)}
+
+    async def _swept_in_place(self, settings: SweepSettings, folder: Path, kept: KeptSweep) -> Calibration:
         maps = nominal_maps(self.plane)
         async with contextlib.AsyncExitStack() as stack:
             plane, make = await self._held(stack, self.plane, maps)
@@ -334,7 +359,7 @@ class Field:
             motion.state.looser_mm = THICKER_MM
             try:
                 await motion.connect()
-                data = await ArraySweep(motion, settings, self.watcher.count).run()
+                data = await ArraySweep(motion, settings, self.watcher.count, kept).run()
             finally:
                 await motion.close()
         return calibration_of(self.plane, data, settings)
@@ -346,13 +371,14 @@ class Field:
         if self.book is None:
             return plane, FieldMotion
         array = KnownArray(plane, maps, self.source, self.book)
-        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
         return session.plane, held.motion
 
     async def _recorder(self, stack: contextlib.AsyncExitStack, folder: Path) -> SurveyRecorder:
-        store = stack.enter_context(Store.open(folder / STORE))
-        return SurveyRecorder(stack.enter_context(self._survey_run(store)), self.plane)
+        store = await stack.enter_async_context(entered(Store.open, folder / STORE))
+        run = await stack.enter_async_context(entered(self._survey_run, store))
+        return SurveyRecorder(run, self.plane)
 
     async def observe(
         self,
@@ -418,7 +444,8 @@ class Field:
         folder = prepare_folder(place.base)
         settings, learning = _asked(corrections, options, self.seed)
         maps = await self.calibrate(self._points or POINTS)
-        known = known_so_far(self.plane, maps, self.maps_file or folder / "maps.npz", learning)
+        maps_file = self.maps_file or folder / "maps.npz"
+        known = await beside(known_so_far, self.plane, maps, maps_file, learning)
         self._observer = Observer(
             self.plane, known, place, self.command_line, self.source.about(), self.watcher, self.keep
         )
@@ -426,7 +453,7 @@ class Field:
         if self.book is None:
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
-        session = Session(array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
@@ -533,9 +560,15 @@ class FieldRun:
         """As `Field.calibrate`."""
         return finish(self._field.calibrate(points))
 
-    def sweep(self, points: int = POINTS, *, out: str | Path = RUNS / "transmission") -> Calibration:
-        """As `Field.sweep`: `points`, `out`."""
-        return finish(self._field.sweep(points, out=out))
+    def sweep(
+        self,
+        points: int = POINTS,
+        *,
+        out: str | Path = RUNS / "transmission",
+        keep: Callable[[Calibration], None] = lambda _: None,
+    ) -> Calibration:
+        """As `Field.sweep`: `points`, `out`, `keep`."""
+        return finish(self._field.sweep(points, out=out, keep=keep))
 
     def observe(
         self,

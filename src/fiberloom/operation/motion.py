@@ -39,6 +39,7 @@ from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.stop import reason, to_its_end
+from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.store.run import CUT_SHORT
 from fiberloom.typing import Flags, Floats, Ints
@@ -104,6 +105,11 @@ class FieldState:
     def mobile(self) -> Flags:
         """(N,) positioners that follow commands; a dark one does, though its fibre is not seen."""
         return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults]) & ~self.unproven
+
+    def standing(self, one: Standing) -> Flags:
+        """(N,) of which the begin check says this; none before it."""
+        found = self.beginning.standing if self.beginning is not None else [None] * len(self.plane)
+        return np.array([standing is one for standing in found])
 
     @property
     def healthy(self) -> Flags:
@@ -260,13 +266,14 @@ class FieldMotion:
         """`plane`: layout of N positioners; `maps`: their transmission maps; `hardware`: bus and camera;
         `recorder`: keeps every move; `progress`: called with the name of each step."""
         self.plane, self.maps, self.hardware = plane, maps, hardware
-        self.recorder, self.progress = recorder, progress
+        self.writer, self.progress = Writer(), progress
+        self.recorder = WriterRecorder(recorder, self.writer)
         self.client = Client(hardware.transport)
         self.care = MotorCare(plane, self.client)
         self.eye = PatientCamera(
             hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
         )
-        self.state = FieldState(plane, recorder)
+        self.state = FieldState(plane, self.recorder)
         self.has_moved = False
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
@@ -295,7 +302,8 @@ class FieldMotion:
         vouched = await self._vouched(answered)
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
-        state.begin(answered, image, vouched)
+        await beside(state.begin, answered, image, vouched)
+        await self.writer.written()
 
     async def _all_at_rest(self) -> None:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places."""
@@ -385,6 +393,7 @@ class FieldMotion:
         self.recorder.move(move)
         if move.interrupted:
             self.recorder.event(CUT_SHORT, f"{int(interrupted.sum())} positioners are not at their goals")
+        await self.writer.written()
         return interrupted
 
     async def _look_after(self) -> Measurement:
@@ -414,10 +423,14 @@ class FieldMotion:
         text += f"; no answer from {', '.join(map(str, silent))}" if silent else ""
         self.recorder.left(self.state.here_deg, self.state.wire_deg, answered, text)
         self.progress(text)
+        await self.writer.written()
 
     async def close(self) -> None:
-        """Closes the bus; one that the caller has opened stays open."""
-        await self.client.close()
+        """Closes the bus; one that the caller has opened stays open. All that was recorded is written."""
+        try:
+            await self.client.close()
+        finally:
+            await self.writer.close()
 
     def _verify(self, planned: Plan) -> None:
         found = verify(self.state.obstacles(), planned)
@@ -428,6 +441,7 @@ class FieldMotion:
     async def _execute(self, planned: Plan) -> Results:
         trajectories = await asyncio.to_thread(self._all_on_the_wire, planned)
         await self.care.begin(list(trajectories), self.progress)
+        await self.writer.written()
         self.has_moved = True
         try:
             await when_linked(self.client, trajectories)

@@ -21,6 +21,7 @@ from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation, metrology_goals_mm
+from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
@@ -136,9 +137,13 @@ class Observer:
             assign_relaxed, self.known.plane, targets, seed=settings.seed
         )
         hardware = await connect()
-        with Store.open(self.place.store) as store, self._run(store, kept, settings.seed) as run:
-            self.folder = _folder_of(run, self.place, store)
-            record_begin(run, kept, targets, assignment, self._about(run, settings.seed))
+        async with (
+            entered(Store.open, self.place.store) as store,
+            entered(self._run, store, kept, settings.seed) as run,
+        ):
+            self.folder = await beside(_folder_of, run, self.place, store)
+            about = self._about(run, settings.seed)
+            await beside(record_begin, run, kept, targets, assignment, about)
             log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
             loop: Loop | None = None
             try:
@@ -146,17 +151,19 @@ class Observer:
                 motion = self._motion(kept, targets, assignment, hardware, run)
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
-                self.known.record_used(run)
+                await beside(self.known.record_used, run)
                 await _whole(loop)
-                self.known.record_learnt(run)
-                log.close()
+                await beside(self.known.record_learnt, run)
+                await beside(log.close)
             finally:
                 log.stop()
-                about = self._about(run, settings.seed) | self.known.summary()
-                figures = _moved(loop) | {"about": about, "wall_s": time.monotonic() - begun_s}
+                figures = _moved(loop) | {
+                    "about": about | self.known.summary(),
+                    "wall_s": time.monotonic() - begun_s,
+                }
                 self.last = Observation(kept, targets, assignment, **figures)
-                _record_end(run, figures, log)
-            self.keep(self.last)
+                await beside(_record_end, run, figures, log)
+            await beside(self.keep, self.last)
         return self.last
 
     def _about(self, run: Run, seed: int) -> dict[str, Any]:

@@ -80,13 +80,15 @@ class OpenedArray:
 
     bus: BusSpec | Transport
     camera: Camera
+    camera_name: str = ""
+    """Its address, where it has one."""
 
     @classmethod
-    def of(cls, bus: str | Transport, camera: Any) -> OpenedArray:
+    def of(cls, bus: str | Transport, camera: Any, camera_name: str = "") -> OpenedArray:
         """An array on a bus, given by its address or opened, with a camera, which is an object.
 
-        The bus is opened when something moves. Raises InputError where the address cannot be read or
-        the camera has no `measure`.
+        The bus is opened when something moves; `camera_name`: the camera's address. Raises InputError
+        where the address cannot be read or the camera has no `measure`.
         """
         if isinstance(camera, str) or not callable(getattr(camera, "measure", None)):
             raise InputError(
@@ -94,7 +96,13 @@ class OpenedArray:
                 "measure(expected_mm) -> Measurement, e.g. fiberloom.metrology.pipeline.ImageCamera over "
                 "your exposures"
             )
-        return cls(BusSpec.parse(bus) if isinstance(bus, str) else bus, camera)
+        return cls(BusSpec.parse(bus) if isinstance(bus, str) else bus, camera, camera_name)
+
+    def named(self) -> dict[str, str]:
+        """Bus and camera in words: equal for two commands to one array."""
+        spec = self.bus if isinstance(self.bus, BusSpec) else None
+        bus = "opened" if spec is None else f"{spec.interface}:{','.join(spec.channels)}"
+        return {"bus": bus, "camera": self.camera_name or type(self.camera).__name__}
 
     async def open(self) -> Hardware:
         """Opens the bus, unless the caller has opened it."""

@@ -29,8 +29,8 @@ HEARTBEAT_S = 2.0
 STALE_S = 20.0
 """An owner without a sign of life for so long is taken for gone, whatever its process does."""
 
-SEEN, REPORTED, UNKNOWN = "seen", "reported", "unknown"
-"""How a place is known: by an image, by the positioner alone, or not."""
+SEEN, RIGHT, REPORTED, UNKNOWN = "seen", "right", "reported", "unknown"
+"""How a place is known: by an image; by an image that shows it where it reports; by its report alone; not."""
 
 
 class NotOwner(RuntimeError):
@@ -102,7 +102,7 @@ class ArrayPlaces:
     wire_deg: Floats
     """(N, 2) as reported on the bus; NaN where it did not answer."""
     how: list[str]
-    """seen, reported or unknown."""
+    """seen, right, reported or unknown."""
     datum: Flags
     """(N,) searched since power came on, as far as the record goes."""
     utc: list[datetime | None]

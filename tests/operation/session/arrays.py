@@ -12,6 +12,7 @@ from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.twin import NoiseCamera, Twin, draw_units
+from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.source import TwinSource
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.typing import Floats
@@ -26,14 +27,17 @@ class TwinArray:
     twin: Twin
     dark: list[int] = field(default_factory=list)
     """Rows whose fibres are not seen."""
+    images: bool = False
+    """By a camera that takes images; its spots have no names."""
 
     @classmethod
     def of(cls, plane, start_deg: Floats | None = None, seed: int = 0):
         return cls(Twin(plane, draw_units(plane, seed), seed=seed, start_deg=start_deg))
 
     async def open(self):
+        camera = image_camera(self.twin, 0) if self.images else NoiseCamera(self.twin, 0.669, 0)
         return Hardware(
-            TwinTransport(self.twin), _Dimmed(NoiseCamera(self.twin, 0.669, 0), self.dark), self.twin
+            TwinTransport(self.twin), _Dimmed(camera, self.dark) if self.dark else camera, self.twin
         )
 
 

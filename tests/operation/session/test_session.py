@@ -41,7 +41,7 @@ def test_park_folds_all_and_says_so(array, store):
     book = ArrayBook(store, BUS)
     assert (book.state().state, book.state().owned) == ("parked", False)
     places = book.places(PLANE.positioner_id)
-    assert places.how == ["seen"] * len(PLANE)
+    assert places.how == ["right"] * len(PLANE)
     assert not places.datum.any()
     np.testing.assert_allclose(places.angles_deg, PLANE.park_deg, atol=0.1)
     assert [run.status for run in store.runs()] == ["finished"]

@@ -1,7 +1,10 @@
-"""An array in another process: swept, observed with its maps, and the same as the one of its seed here."""
+"""An array in another process: swept, with a stop in the middle, observed with its maps, and the same as the
+one of its seed here."""
 
 import json
+import signal
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -13,20 +16,40 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.spec import BusSpec
 from fiberloom.calibration.transmission.maps import load
 from fiberloom.metrology.sources.spec import CameraSpec, open_camera
+from fiberloom.operation.sweep.kept import KEPT
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.database import Store
 from fiberloom.targets import random_targets, write_targets
 from fiberloom.twin.source import TwinSource
 
-N, SEED, POINTS = 7, 3, 8
+N, SEED, POINTS = 3, 3, 8
+STOPPED_AFTER = 5
+EXPOSURE_S = 2
+"""In place of 5 s, for some 45 images."""
 
 
 def told(*words):
     """What a command prints as JSON, and its exit code."""
     with start(*words, "--json", stdout=subprocess.PIPE) as command:
-        out, err = command.communicate(timeout=3600)  # 54 images, whatever else the machine does
+        out, err = command.communicate(timeout=3600)  # 33 images, whatever else the machine does
     assert command.returncode in (0, 1), err
     return json.loads(out), command.returncode
+
+
+def stopped(folder, *words):
+    """Ends a command by SIGTERM once it has measured some points of a sweep; its exit code."""
+    with start(*words, "--json", stdout=subprocess.PIPE) as command:
+        while command.poll() is None and (not (folder / KEPT).exists() or points(folder) < STOPPED_AFTER):
+            time.sleep(0.2)
+        command.send_signal(signal.SIGTERM)
+        _, err = command.communicate(timeout=300)
+    return command.returncode, err
+
+
+def points(folder):
+    """How many points of a sweep are kept."""
+    with np.load(folder / KEPT) as file:
+        return int(file["head0"][3])
 
 
 @pytest.mark.long
@@ -36,11 +59,22 @@ def test_maps_of_an_array_in_another_process_are_those_of_its_units(tmp_path):
     write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")
     blind_um = {}
     with served_array(N, SEED) as (bus, camera):
+        camera = f"{camera}&exposure={EXPOSURE_S}"
         known = ["--positioners", N, "--seed", SEED, "--bus", bus, "--camera", camera]
         known += ["--store", tmp_path / "arrays.sqlite"]
         words = ["calibrate", "transmission", "--points", POINTS, "--out", tmp_path / "cal"]
+        code, err = stopped(tmp_path / "cal", *words, *known)
+        assert code == 130, err
+        before = points(tmp_path / "cal")
+        assert STOPPED_AFTER <= before < 2 * POINTS
         found, code = told(*words, *known)
         assert (code, found["calibrated"], found["refused"]) == (0, N, {})
+        with Store.open(tmp_path / "cal" / "store.sqlite") as store:
+            kinds = [store.moves(run.id)["kind"].tolist() for run in store.runs()]
+        assert [kinds[0].count("sweep, alpha up"), sum(k.count("sweep, alpha up") for k in kinds)] == [
+            min(before, POINTS),
+            POINTS,
+        ]
         book = ArrayBook(Store.open(tmp_path / "arrays.sqlite"), bus)
         assert (book.state().state, book.state().owned) == ("parked", False)
         for name, maps in (("linear", []), ("swept", ["--calibration", found["maps"]])):

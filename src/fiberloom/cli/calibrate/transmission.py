@@ -72,8 +72,9 @@ def transmission(options: TransmissionOptions) -> int:
     out, field = options.out, options.field()
     field.command_line = " ".join(sys.argv)
     with waiting(options.as_json) as field.watcher:
-        calibration = field.run.sweep(options.points, out=out)
-    calibration.maps.save(out / "transmission.npz")
+        calibration = field.run.sweep(
+            options.points, out=out, keep=lambda found: found.maps.save(out / "transmission.npz")
+        )
     summary = marks(field.plane, options.seed) | calibration.summary()
     write_whole(out / "transmission.json", json.dumps(summary, indent=2) + "\n")
     ok = calibration.report.ok

@@ -55,12 +55,15 @@ class MotionRule(MotionWatch):
         doubtful = [d for d in deviations if d.kind is not DeviationKind.LINK_DOWN]
         if not doubtful:
             return True
-        self._rests |= {d.positioner: self._resting(d) for d in doubtful}
-        proven = await asyncio.to_thread(self.is_proven)
+        proven = await asyncio.to_thread(self._is_proven_with, doubtful)
         for d in doubtful:
             text = "the others go on: proven clear of it" if proven else "all are stopped: not proven clear"
             self._event("deviation", text, d.positioner)
         return proven
+
+    def _is_proven_with(self, doubtful: Sequence[Deviation]) -> bool:
+        self._rests |= {d.positioner: self._resting(d) for d in doubtful}
+        return self.is_proven()
 
     def _resting(self, deviation: Deviation) -> list[Trajectory]:
         """Its trajectory, cut off where it may have come to rest."""

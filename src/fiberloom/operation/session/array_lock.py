@@ -55,6 +55,7 @@ class ArrayLock:
             require_legal(deed, state, *self._about(before))  # again: it may have changed since
         except InputError:
             self.book.release(self._token, before.state, before.text)
+            self._token = ""
             raise
         self.state = after(state, Step.CONNECT)
         self._thread = threading.Thread(target=self._watch, args=(on_stop,), daemon=True)
@@ -83,7 +84,9 @@ class ArrayLock:
             raise NotOwner(f"{self.book.address}: another process owns it by now; nothing more is moved")
 
     def release(self) -> None:
-        """Gives it back, in the state that it has."""
+        """Gives it back, in the state that it has; nothing where it was not taken."""
+        if not self._token:
+            return
         self._over.set()
         if self._thread is not None:
             self._thread.join()

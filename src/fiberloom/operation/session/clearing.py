@@ -8,12 +8,13 @@ a searcher sweeps, and the discs within which two searchers may be are disjoint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
+from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import CollisionBodies
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
@@ -215,13 +216,31 @@ class Clearing:
         return self._places_deg[np.flatnonzero(free)[0]] if free.any() else None
 
 
-def within_reach(plane: FocalPlane, here_deg: Floats, row: int) -> Flags:
-    """(N,) whose arms are, by more than nothing, where the arm of one positioner may be.
+def within_reach(plane: FocalPlane, here_deg: Floats, row: int, any_alpha: Flags | None = None) -> Flags:
+    """(N,) whose arms are not proven to be out of where the arm of one may be, whatever its angles.
 
-    `plane`: N positioners; `here_deg` (N, 2): where each is; `row`: of the one.
+    The verifier's word, with the whole reach of that arm as an obstacle. `plane`: N positioners; `here_deg`
+    (N, 2): where each is; `row`: of the one; `any_alpha` (N,): folded ones of which alpha is not known: such
+    an arm may be anywhere in the disc that it sweeps about its own axis.
     """
-    arms = np.ascontiguousarray(plane.beta_segments(*here_deg.T))
-    centre = np.tile(plane.centres_mm[row], (len(plane), 2))
-    gap_mm = geometry.segment_distance(arms, centre)
-    near = gap_mm < plane.body_reach_mm[row] + plane.collision_buffer_mm
-    return np.asarray(near & (np.arange(len(plane)) != row))
+    reach = np.array([[*plane.centres_mm[row], plane.body_reach_mm[row]]])
+    still = replace(plane, offline=np.ones(len(plane), dtype=bool), offline_position_deg=here_deg.copy())
+    alone = replace(still, fiducials=reach, guide_cameras=plane.guide_cameras[:0])
+    near = np.zeros(len(plane), dtype=bool)
+    for contact in verify(alone, _at_rest(plane, here_deg)).contacts:
+        near[plane.index_of(contact.positioner_id)] |= contact.other == "fiducial 0"
+    if any_alpha is not None:
+        ends_mm = plane.beta_segments(*here_deg.T).reshape(-1, 2, 2) - plane.centres_mm[:, None]
+        disc_mm = np.hypot(*np.moveaxis(ends_mm, -1, 0)).max(axis=1) + plane.collision_buffer_mm
+        apart_mm = np.hypot(*(plane.centres_mm - plane.centres_mm[row]).T)
+        near |= any_alpha & (apart_mm < disc_mm + plane.body_reach_mm[row])
+    near[row] = False
+    return near
+
+
+def _at_rest(plane: FocalPlane, here_deg: Floats) -> Plan:
+    robots = (
+        Trajectory(int(p), np.zeros(1), a[:1], a[1:])
+        for p, a in zip(plane.positioner_id, here_deg, strict=True)
+    )
+    return Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(robots))

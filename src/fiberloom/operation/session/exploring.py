@@ -188,10 +188,10 @@ class Exploration:
             text = f"collision of positioner {self._id(row)} in a small move: `fiberloom recover`"
             self.left_out[self._id(row)] = text
             self.motion.recorder.event("alarm", text, self._id(row))
-            self.motion.lock.step(Step.COLLIDE, text)
+            await self.motion.step(Step.COLLIDE, text)
             return False
         await self.motion.look(self.motion.state.unproven)
-        self.motion.lock.step(Step.REST)
+        await self.motion.step(Step.REST)
         if not result.ok:
             self._leave_out(row, f"its small move ended otherwise: {result}")
         return result.ok

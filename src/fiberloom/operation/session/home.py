@@ -10,6 +10,7 @@ from fiberloom.bus.protocol import Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.move import Goals
+from fiberloom.operation.safety.begin import Standing
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.clearing import Clearing, Round, within_reach
 from fiberloom.operation.session.motion import FOLDED_DEG, SessionMotion
@@ -31,7 +32,7 @@ TURN_MM = 0.03
 TRIES = 2
 """Rounds in which one is tried whose way turned out not to be clear."""
 
-UNSEEN, LIGHT = "where it is cannot be seen", "bring light, or exclude it"
+UNSEEN, LIGHT = "where it is cannot be seen", "light its fibre, exclude it, or search it on the bench"
 
 _INITIALIZED = {"alpha": Status.DATUM_ALPHA_INITIALIZED, "beta": Status.DATUM_BETA_INITIALIZED}
 
@@ -106,6 +107,11 @@ class Homing:
         lost = state.somewhere & ~state.mobile & (np.arange(len(self._plane)) != self._lost)
         return Clearing(self._plane, state.here_deg, state.mobile, lost)
 
+    def _near(self, row: int) -> Flags:
+        """(N,) whose arms may be within the reach of one, as all are now."""
+        state = self.motion.state
+        return within_reach(self._plane, state.here_deg, row, state.standing(Standing.BLIND))
+
     async def _search_lost(self) -> None:
         """Those of which nothing is known, one at a time, before the others fold.
 
@@ -115,7 +121,7 @@ class Homing:
         state = self.motion.state
         for row in [r for r in self.rows if state.somewhere[r] and not state.mobile[r]]:
             state = self.motion.state
-            near = within_reach(self._plane, state.here_deg, row) & state.mobile
+            near = await asyncio.to_thread(self._near, row)
             if near.any():
                 who = ", ".join(map(str, self._plane.positioner_id[near]))
                 self._give_up(
@@ -220,7 +226,7 @@ class Homing:
     async def _search_group(self, ids: list[int], axis: str) -> list[int]:
         """Searches one axis or both of these at once; stops them all where anything goes wrong."""
         motion = self.motion
-        motion.lock.step(Step.MOVE)
+        await motion.step(Step.MOVE)
         motion.has_moved = True
         try:
             begun = await motion.client.home(ids, None if axis == "both" else axis)
@@ -229,7 +235,7 @@ class Homing:
         except BaseException as error:
             await to_its_end(motion.stop(reason(error)))
             raise
-        motion.lock.step(Step.REST)
+        await motion.step(Step.REST)
         failed = {**begun.failed, **ended.failed}
         done = [i for i in ids if i not in failed and i in initialized]
         for i in ids:

@@ -17,12 +17,12 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, allowed_miss_mm
+from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, Standing, allowed_miss_mm
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
-from fiberloom.store.arrays import REPORTED, SEEN, UNKNOWN, ArrayPlaces
+from fiberloom.store.arrays import REPORTED, RIGHT, SEEN, UNKNOWN, ArrayPlaces
 from fiberloom.typing import Flags, Floats, Ints
 
 SAME_DEG = 0.15
@@ -60,6 +60,10 @@ class SessionMotion(FieldMotion):
         self.lock = lock
         self.datum = np.zeros(len(plane), dtype=bool)
         """(N,) searched since power came on."""
+        self._right = np.zeros(len(plane), dtype=bool)
+        """(N,) that have not moved since they were seen where they report, with power on."""
+        self._known: ArrayPlaces | None = None
+        """What was on record when the command began."""
         self._separating = False
         self._image: Measurement | None = None
         self._reported = np.zeros(len(plane), dtype=bool)
@@ -67,27 +71,47 @@ class SessionMotion(FieldMotion):
     async def connect(self) -> None:
         """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
         if self.lock.state is not SessionState.CONNECTING:
-            self.lock.step(Step.CONNECT)
+            await self.step(Step.CONNECT)
         await super().connect()
         await self._settle_offline()
+        # dark, and believed where it was seen to be right: from now on it is its count that is believed
+        self.datum |= self._right & self.state.standing(Standing.VOUCHED)
         self._note(self._image)
-        self.lock.step(Step.BEGIN)
+        await self.step(Step.BEGIN)
+
+    async def step(self, step: Step, text: str = "") -> None:
+        """Goes on in the table of states, in the store before it returns; `text` says why.
+
+        NotOwner where the array was lost meanwhile.
+        """
+        await self.writer.now(self.lock.step, step, text)
 
     async def _vouched(self, answered: Flags) -> Flags:
-        """(N,) whose datum is on record, and which are where the record has them; as `FieldMotion`."""
-        ids, known = self.plane.positioner_id, self.lock.book.places(self.plane.positioner_id)
+        """(N,) which are where the record has them, and whose count is right; as `FieldMotion`.
+
+        It is since its datum was searched, or where it was seen to be right, as long as it has not moved
+        from there. In both cases power must not have gone since.
+        """
+        ids, known = self.plane.positioner_id, await self._places()
+        self._known = known
         self._reported, wire_deg = answered.copy(), self.state.wire_deg.copy()
         # excluded ones are not read for a motion; their datum is kept where they have not moved
         further = np.isin(ids, self.client.ids) & self.plane.offline
         if further.any():
             wire_deg[further], self._reported[further] = await self.client.positions_deg(ids[further])
         off_deg = np.abs(wire_deg - known.wire_deg).max(axis=1)
-        self.datum = known.datum & self._reported & (off_deg <= SAME_DEG)
+        same = self._reported & (off_deg <= SAME_DEG)
         if self._reported.any():
-            self.datum &= await self._powered(self._reported)
-        self.lock.step(Step.ANSWER)
+            same &= await self._powered(self._reported)
+        self.datum = known.datum & same
+        await self.step(Step.ANSWER)
+        self._right = same & (np.array(known.how) == RIGHT)
         given = self.hardware.vouched
-        return self.datum.copy() if given is None else self.datum | given
+        return np.asarray(self.datum | self._right | (False if given is None else given))
+
+    async def _places(self) -> ArrayPlaces:
+        """What is on record of all."""
+        return await self.writer.now(self.lock.book.places, self.plane.positioner_id)
 
     async def _powered(self, there: Flags) -> Flags:
         """(N,) which say that their datum is set and that power has not gone since."""
@@ -113,12 +137,12 @@ class SessionMotion(FieldMotion):
                 state.here_deg[row] = found.alpha_deg[0], found.beta_deg[0]
             else:
                 state.somewhere[row] = True
-        unplaced = np.array(self.lock.book.places(self.plane.positioner_id).how) == UNKNOWN
+        unplaced = np.array((await self._places()).how) == UNKNOWN
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """As `FieldMotion.look`; the state says that an image is taken."""
-        self.lock.step(Step.LOOK)
+        await self.step(Step.LOOK)
         self._image = await super().look(unknown)
         return self._image
 
@@ -129,18 +153,18 @@ class SessionMotion(FieldMotion):
         interrupted = await super().move(number, label, planned, goals, comparison)
         self._reported |= self.state.hearing.heard & ~self.plane.offline
         self._note(self._image)
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         return interrupted
 
     async def _execute(self, planned: Plan) -> Results:
-        self.lock.step(Step.MOVE)
+        await self.step(Step.MOVE)
         return await super()._execute(planned)
 
     async def stop(self, why: str) -> None:
         """As `FieldMotion.stop`; the state says `why`, and where each was left is kept."""
         await super().stop(why)
         self._note(None)
-        self.lock.step(Step.STOP, why)
+        await self.step(Step.STOP, why)
 
     async def read_positions(self, positioner_id: Ints) -> Flags:
         """Asks these where they are; (n,) which have answered."""
@@ -151,7 +175,7 @@ class SessionMotion(FieldMotion):
 
         `positioner_id`: those that have found it; `datum`: of both axes, so that their places say so.
         """
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         ids = self.plane.positioner_id
         await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
         if datum and positioner_id:
@@ -184,7 +208,7 @@ class SessionMotion(FieldMotion):
         """
         number = int(self.plane.positioner_id[row])
         await self.care.begin([number], self.progress)
-        self.lock.step(Step.MOVE)
+        await self.step(Step.MOVE)
         self.has_moved = True
         try:
             await self._declare_if_lost(row)
@@ -197,7 +221,7 @@ class SessionMotion(FieldMotion):
         except BaseException as error:
             await to_its_end(self.stop(reason(error)))
             raise
-        self.lock.step(Step.REST)
+        await self.step(Step.REST)
         return results[number]
 
     async def _declare_if_lost(self, row: int) -> None:
@@ -210,7 +234,7 @@ class SessionMotion(FieldMotion):
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
         if self.lock.state is SessionState.LOOKING:
-            self.lock.step(Step.REST)
+            await self.step(Step.REST)
         self.state = FieldState(self.plane, self.recorder)
         await self.connect()
 
@@ -262,6 +286,20 @@ class SessionMotion(FieldMotion):
             return []
         return sorted({collision.positioner for collision in self.client.collisions})
 
+    def _seen_right(self, image: Measurement | None) -> Flags:
+        """(N,) that the image shows where they report, far enough from the alpha axis to show alpha.
+
+        None while the linear ratio allows larger misses.
+        """
+        state = self.state
+        if image is None or state.looser_mm > 0.0:
+            return np.zeros(len(self.plane), dtype=bool)
+        reported_mm = state.metrology_mm(state.here_deg)
+        most_mm = allowed_miss_mm(self.plane, reported_mm)
+        miss_mm = np.hypot(*(image.xy_mm - reported_mm).T)
+        right = image.seen & (miss_mm <= most_mm) & (most_mm >= 3.0 * SCATTER_MM)
+        return np.asarray(right & state.mobile & self._reported)
+
     def _note(self, image: Measurement | None) -> None:
         """ArrayPlaces of all, as they are now; of an excluded one only where it is seen or was known."""
         state = self.state
@@ -269,12 +307,17 @@ class SessionMotion(FieldMotion):
         self.datum &= ~doubted
         seen = np.zeros(len(self.plane), dtype=bool) if image is None else image.seen
         how = np.where(seen, SEEN, np.where(doubted | ~self._reported, UNKNOWN, REPORTED))
+        how[self._seen_right(image)] = RIGHT
         angles_deg = np.where(((how == UNKNOWN) | state.somewhere)[:, None], np.nan, state.here_deg)
         trusted = self._reported & ~self.plane.offline
         wire_deg = np.where(trusted[:, None], state.wire_deg, np.nan)
-        places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum, [None] * len(self.plane))
-        self.lock.book.note_places(self.plane.positioner_id, places)
-        self.lock.book.forget_datum(self.plane.positioner_id[~self.datum])
+        if (known := self._known) is not None:  # its row would be kept, and say that it is right
+            kept = np.isnan(angles_deg).any(axis=1) & (np.array(known.how) == RIGHT)
+            angles_deg[kept], how[kept] = known.angles_deg[kept], REPORTED
+        ids = self.plane.positioner_id
+        places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum.copy(), [None] * len(ids))
+        self.writer.later(self.lock.book.note_places, ids, places)
+        self.writer.later(self.lock.book.forget_datum, ids[~self.datum])
 
 
 def last_status(motion: FieldMotion) -> list[FibreStatus]:

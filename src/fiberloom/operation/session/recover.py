@@ -54,7 +54,7 @@ class Recovery:
         free = not self.stuck and not (self.look_only and self.touching)
         if not free:
             text = "; ".join(self.stuck.values()) or f"touching: {', '.join(self.touching)}"
-            self.motion.lock.step(Step.COLLIDE, text)
+            await self.motion.step(Step.COLLIDE, text)
         return free
 
     async def _way(self, attempt: int) -> Untangled:
@@ -64,7 +64,7 @@ class Recovery:
         within = in_reach_of_lost(state)
         plane = replace(plane, offline=plane.offline | within)
         found = await asyncio.to_thread(untangle, plane, state.here_deg, seed=attempt)
-        return _of_bodies(found, len(state.plane.fiducials))
+        return _of_bodies(found, state)
 
     async def _clear_flags(self) -> None:
         """The one place where flags of collisions are cleared: what touches is on record by now."""
@@ -93,15 +93,12 @@ def in_reach_of_lost(state: FieldState) -> Flags:
     return np.asarray(within & state.mobile)
 
 
-def _of_bodies(found: Untangled, n_fiducials: int) -> Untangled:
-    """Without the reaches of those that may be anywhere: arms in them touch nothing that is known of."""
-    reaches = {
-        pair
-        for pair in found.overlaps
-        for name, _, k in (body.partition(" ") for body in pair)
-        if name == "fiducial" and int(k) >= n_fiducials
-    }
-    overlaps = {pair: mm for pair, mm in found.overlaps.items() if pair not in reaches}
+def _of_bodies(found: Untangled, state: FieldState) -> Untangled:
+    """Without those that may be anywhere: in their reach, and where they report, no body is for certain."""
+    lost = state.plane.positioner_id[state.somewhere & ~state.mobile].tolist()
+    first = len(state.plane.fiducials)
+    nowhere = {f"positioner {p}" for p in lost} | {f"fiducial {first + k}" for k in range(len(lost))}
+    overlaps = {pair: mm for pair, mm in found.overlaps.items() if not nowhere.intersection(pair)}
     touching = {body for pair in overlaps for body in pair}
     stuck = {p: why for p, why in found.stuck.items() if f"positioner {p}" in touching}
     return replace(found, overlaps=overlaps, stuck=stuck)

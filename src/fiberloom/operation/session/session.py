@@ -17,6 +17,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Goals, Recorder
 from fiberloom.operation.recording import SurveyRecorder
 from fiberloom.operation.safety.stop import reason
+from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.exploring import Exploration
 from fiberloom.operation.session.home import Homing
@@ -122,23 +123,29 @@ class Session:
                 loop.call_soon_threadsafe(task.cancel)
 
         lock = ArrayLock(self.known.book, self.command_line)
-        said = lock.take(deed, stop)
-        if said:
-            self.progress(said)
-        held = HeldArray(self, lock, said)
+        try:
+            said = await beside(lock.take, deed, stop)
+            if said:
+                self.progress(said)
+            async with self._ended(HeldArray(self, lock, said), why) as held:
+                yield held
+        finally:
+            await beside(lock.release)
+
+    @asynccontextmanager
+    async def _ended(self, held: HeldArray, why: list[str]) -> AsyncIterator[HeldArray]:
+        """Says in the state of the array how the command has ended; `why`: it was stopped by another one."""
         try:
             yield held
-            held.settle()
+            await beside(held.settle)
         except asyncio.CancelledError:
-            held.leave(Step.STOP, why[0] if why else "stopped by the operator")
+            await beside(held.leave, Step.STOP, why[0] if why else "stopped by the operator")
             if why:
                 raise StoppedError(f"{why[0]}; what was measured is kept") from None
             raise
         except BaseException as error:
-            held.leave(Step.LOSE, reason(error))
+            await beside(held.leave, Step.LOSE, reason(error))
             raise
-        finally:
-            lock.release()
 
     def start_run(self) -> Run:
         """A run in the store of the array."""
@@ -151,25 +158,24 @@ class Session:
     @asynccontextmanager
     async def _moving(self, deed: Deed) -> AsyncIterator[SessionMotion]:
         """Owns the array, opens bus and camera, and does the begin check."""
-        async with self.owning(deed) as held:
-            with self.start_run() as run:
-                if held.said:
-                    run.record_event("taken over", held.said)
-                hardware = await self.known.source.open()
-                recorder = SurveyRecorder(run, self.plane)
-                motion = held.motion(self.plane, self.known.maps, hardware, recorder, self.progress)
-                try:
-                    self.progress("begin check")
-                    await motion.connect()
-                    yield motion
-                finally:
-                    await motion.close()
+        async with self.owning(deed) as held, entered(self.start_run) as run:
+            if held.said:
+                await beside(run.record_event, "taken over", held.said)
+            hardware = await self.known.source.open()
+            recorder = SurveyRecorder(run, self.plane)
+            motion = held.motion(self.plane, self.known.maps, hardware, recorder, self.progress)
+            try:
+                self.progress("begin check")
+                await motion.connect()
+                yield motion
+            finally:
+                await motion.close()
 
     async def park(self) -> SessionReport:
         """Folds every positioner that follows commands, by a verified plan."""
         async with self._moving(Deed.PARK) as motion:
             await fold(motion)
-        return self._report("park", motion)
+        return await beside(self._report, "park", motion)
 
     async def home(self, positioner_id: Iterable[int] | None = None) -> SessionReport:
         """Searches the datum of positioners, in an order in which no arms can meet; then folds.
@@ -181,7 +187,7 @@ class Session:
             homing = Homing(motion, self._rows(positioner_id))
             await homing.run()
             await fold(motion)
-        report = self._report("home", motion)
+        report = await beside(self._report, "home", motion)
         report.datum_found, report.left_out = homing.found, homing.left_out
         return report
 
@@ -199,7 +205,7 @@ class Session:
                 await exploration.run()
             if exploration.found and motion.lock.state is not SessionState.LOCKED:
                 await fold(motion)
-        report = self._report("recover", motion)
+        report = await beside(self._report, "recover", motion)
         report.touching, report.found = recovery.touching, exploration.found
         report.stages = recovery.stages + exploration.stages
         report.left_out |= exploration.left_out | recovery.stuck

@@ -19,6 +19,7 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments.model import AXES
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals
+from fiberloom.operation.sweep.kept import KeptPass, KeptSweep
 from fiberloom.operation.sweep.ways import ClearWays, SweepPass, clear_ways, slow_plan
 from fiberloom.planning import Plan, PlanSettings
 from fiberloom.typing import Flags, Floats
@@ -48,13 +49,15 @@ class ArraySweep:
         motion: FieldMotion,
         settings: SweepSettings,
         progress: Callable[[int, int], None] = lambda done, total: None,
+        kept: KeptSweep | None = None,
     ) -> None:
         """`motion`: of the N positioners, connected, with arms thicker by THICKER_MM; `settings`: how to
-        sweep; `progress`: called with the points done and all."""
+        sweep; `progress`: called with the points done and all; `kept`: what was measured before."""
         self.motion, self.settings, self.plane = motion, settings, motion.plane
         self._progress, self._done, self._total = progress, 0, 4 * settings.n_points
+        self._kept = kept or KeptSweep()
         self._left: dict[int, str] = {}
-        self._number = 0
+        self._number, self._pass_number = 0, 0
         self._place_deg = motion.state.here_deg
 
     async def run(self) -> SweepData:
@@ -77,7 +80,8 @@ class ArraySweep:
         whole = np.zeros(len(self.plane), dtype=bool)
         number = 0
         while number == 0 or (self._able & ~whole).any():
-            best = await asyncio.to_thread(self._best_pass, whole)
+            known = self._kept.at(self._pass_number)
+            best = known.swept if known else await asyncio.to_thread(self._best_pass, whole)
             if best is None and number:
                 return
             if number:
@@ -104,13 +108,19 @@ class ArraySweep:
 
     async def _pass(self, swept: SweepPass) -> tuple[Floats, ClearWays]:
         """Points (2, K, N, 2) of one pass; begun anew where a positioner drops out on the way."""
-        done = self._done
+        done, number = self._done, self._pass_number
+        self._pass_number += 1
+        known = self._kept.at(number)
         for _ in range(RECOVERIES + 1):
-            self._done = done
-            ways = await self._to_begin(swept)
-            seen = await self._swept(swept, ways)
-            if seen is not None:
-                return seen, ways
+            if known is None or not known.complete:
+                known = await self._to_begin(swept, known)
+                self._kept.begin(number, known)
+            self._done = done + known.done
+            if known.swept.axis == 0:  # beta has other passes
+                self._left |= known.ways.why
+            if await self._finished(known):
+                return known.xy_mm, known.ways
+            known = None
             self.motion.recorder.event("recovery", f"the sweep of {AXES[swept.axis]} is begun anew")
             await self._fold()
         which = ", ".join(map(str, self._troubled())) or "none of those that move"
@@ -119,45 +129,48 @@ class ArraySweep:
             f"follow: {which}; exclude them"
         )
 
-    async def _to_begin(self, swept: SweepPass) -> ClearWays:
-        """Brings those that can take part to the begin of a pass."""
+    async def _to_begin(self, swept: SweepPass, known: KeptPass | None) -> KeptPass:
+        """Brings those that can take part to where a pass begins, or goes on.
+
+        `known`: the pass as it was left; it is begun anew where others take part now.
+        """
         for _ in range(RECOVERIES + 1):
             ways = await asyncio.to_thread(self._ways, swept)
             if not ways.takes.any():
                 raise InputError(f"no positioner can be swept: {self._first_reason(ways)}")
-            begin_deg = swept.places_deg(ways.low_deg)[0]
+            begun = known if known and known.fits(swept, ways) else KeptPass.begun(swept, ways)
+            begin_deg = begun.begin_deg()
             goal_deg = np.where(ways.takes[:, None], begin_deg, self.motion.state.here_deg)
             await self.motion.go(Goals.without_targets(self.plane, goal_deg))
             late = np.abs(self.motion.state.here_deg - goal_deg).max(axis=1) > AT_BEGIN_DEG
             dropped = ways.takes & ~self.motion.state.mobile
             if not (dropped | (late & ways.takes)).any():
-                if swept.axis == 0:  # beta has other passes
-                    self._left |= ways.why
                 self._place_deg = goal_deg
-                return ways
+                return begun
             for row in np.flatnonzero(late & self.motion.state.mobile):
                 self._left[int(row)] = "could not be brought to where its sweep begins"
         raise InputError("positioners could not be brought to where the sweep begins; home them first")
 
-    async def _swept(self, swept: SweepPass, ways: ClearWays) -> Floats | None:
-        """Points (2, K, N, 2) of both directions; None where a positioner dropped out on the way."""
-        self.motion.progress(f"sweeping {AXES[swept.axis]}")
+    async def _finished(self, begun: KeptPass) -> bool:
+        """Measures what is left of a pass; False where a positioner dropped out on the way."""
+        self.motion.progress(f"sweeping {AXES[begun.swept.axis]}")
+        self._progress(self._done, self._total)
+        swept, ways, first = begun.swept, begun.ways, begun.done
         places_deg, usable = swept.places_deg(ways.low_deg), swept.usable(ways.low_deg)
-        seen = np.full((2, *usable.shape, 2), np.nan)
-        count = len(usable)
-        for direction, order in ((1, range(count)), (0, range(count - 1, -1, -1))):
+        for direction, k in begun.steps[first:]:
             label = f"{AXES[swept.axis]} {('down', 'up')[direction]}"
-            if direction == 0 and not await self._step(places_deg[-1], ways, f"{label}, run-up"):
-                return None
-            for k in order:
-                if not await self._step(places_deg[k + 1], ways, label):
-                    return None
-                image = self.motion.moves[-1].measurement
-                good = image.seen & usable[k] & ways.takes
-                seen[direction, k, good] = image.xy_mm[good]
-                self._done += 1
-                self._progress(self._done, self._total)
-        return seen
+            turns = (direction, k) == (0, len(usable) - 1) and begun.done > first
+            if turns and not await self._step(places_deg[-1], ways, f"{label}, run-up"):
+                return False
+            if not await self._step(places_deg[k + 1], ways, label):
+                return False
+            image = self.motion.moves[-1].measurement
+            good = image.seen & usable[k] & ways.takes
+            begun.xy_mm[direction, k, good] = image.xy_mm[good]
+            begun.done, self._done = begun.done + 1, self._done + 1
+            await self.motion.writer.now(self._kept.save)
+            self._progress(self._done, self._total)
+        return True
 
     async def _step(self, place_deg: Floats, ways: ClearWays, label: str) -> bool:
         """One step of all; False where one of them dropped out."""

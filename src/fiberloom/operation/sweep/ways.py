@@ -40,7 +40,10 @@ class SweepPass:
     def places_deg(self, low_deg: Floats) -> Floats:
         """(K + 2, N, 2) places on the way up, with the run-ups; `low_deg` (N,): lowest beta of each."""
         first, last = self.points_deg[0] - self.run_up_deg, self.points_deg[-1] + self.run_up_deg
-        turning = np.concatenate([[first], self.points_deg, [last]])
+        return self.at(np.concatenate([[first], self.points_deg, [last]]), low_deg)
+
+    def at(self, turning: Floats, low_deg: Floats) -> Floats:
+        """(M, N, 2) places with the axis that turns at these angles (M,) in deg; `low_deg` (N,)."""
         places = np.empty((len(turning), len(low_deg), 2))
         places[..., self.axis] = turning[:, None]
         places[..., 1 - self.axis] = self.rest_deg
