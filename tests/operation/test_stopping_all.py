@@ -205,18 +205,19 @@ class OfSome:
         return type(image)(x, y, seen, image.time_s)
 
 
-def motion_of(plane, twin, faults=""):
+def motion_of(plane, twin, recorder, faults=""):
     bus = faulty_transport(twin, faults, 0)
     vouched = np.ones(len(plane), dtype=bool)
     hardware = Hardware(bus, OfSome(twin, len(plane)), twin, vouched=vouched)
-    return FieldMotion(plane, identity(plane.positioner_id), hardware, Kept())
+    return FieldMotion(plane, identity(plane.positioner_id), hardware, recorder)
 
 
 def test_what_is_on_the_bus_and_not_in_the_layout_is_stopped_too_and_only_the_others_are_booked():
     whole = fl.FocalPlane.of("sdssv", n=7)
     plane = whole.select(np.arange(5))
     twin = Twin(whole, draw_units(whole, 0), seed=0)
-    motion = motion_of(plane, twin)
+    kept = Kept()
+    motion = motion_of(plane, twin, kept)
     strangers = whole.positioner_id[5:].tolist()
 
     async def scenario():
@@ -227,7 +228,7 @@ def test_what_is_on_the_bus_and_not_in_the_layout_is_stopped_too_and_only_the_ot
         await motion.stop("stopped by the operator")
 
     asyncio.run(scenario())
-    ((_, _, answered, text),) = motion.recorder.lefts
+    ((_, _, answered, text),) = kept.lefts
     assert answered.tolist() == [True] * 5
     assert text.startswith("stopped by the operator; 5 positioners at rest")
     rest_deg = twin.truth()
@@ -239,24 +240,23 @@ def test_what_is_on_the_bus_and_not_in_the_layout_is_stopped_too_and_only_the_ot
 @pytest.mark.parametrize("where", ["_come_to_rest", "_read_positions"])
 def test_an_error_before_all_have_been_heard_stops_all(where):
     plane = fl.FocalPlane.of("sdssv", n=7)
-    motion = motion_of(
-        plane, Twin(plane, draw_units(plane, 0), seed=0), "refuse=#" + str(plane.positioner_id[3])
-    )
+    kept, refused = Kept(), "refuse=#" + str(plane.positioner_id[3])
+    motion = motion_of(plane, Twin(plane, draw_units(plane, 0), seed=0), kept, refused)
 
     async def scenario():
         await motion.connect()
-        kept, calls = getattr(motion, where), []
+        real, calls = getattr(motion, where), []
 
         async def fails(*args):
             calls.append(args)
             if len(calls) == 1:
                 raise OSError("no bus")
-            return await kept(*args)
+            return await real(*args)
 
         setattr(motion, where, fails)
         with pytest.raises(OSError, match="no bus"):
             await motion.go(Goals.without_targets(plane, plane.park_deg - [0.0, 30.0]))
 
     asyncio.run(scenario())
-    ((_, _, _, text),) = motion.recorder.lefts
+    ((_, _, _, text),) = kept.lefts
     assert text.startswith("stopped after an error: no bus")
