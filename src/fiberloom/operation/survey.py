@@ -78,6 +78,7 @@ async def survey(
     """
     wide = plane.with_collision_buffer(plane.collision_buffer_mm + settings.safety_mm)
     motion = settings.motion(wide, maps, hardware, recorder, lambda _: None)
+    motion.state.looser_mm = settings.safety_mm  # the layout is not known yet; arms are thicker by it
     design = Design(plane, settings.fit)
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:

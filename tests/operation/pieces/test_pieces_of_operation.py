@@ -1,16 +1,20 @@
 """Rules of operation by themselves: the edge of the reach, what the verifier refuses, the survey's arms."""
 
 import asyncio
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fiberloom.calibration.transmission.maps import identity
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey
 from fiberloom.planning import Plan, Trajectory, plan
+from fiberloom.studies.paper.no_record import NoRecord
+from fiberloom.twin import draw_units, field_hardware
 
 PLANE = generate(load_instrument("sdssv"), 0, n_positioners=7)
 ROWS = np.arange(7)
@@ -75,6 +79,14 @@ def test_a_survey_moves_arms_that_are_thicker_than_they_are():
     with pytest.raises(Stop):
         asyncio.run(survey(PLANE, None, None, SurveySettings(safety_mm=0.5, motion=motion), None))
     assert made[0].collision_buffer_mm == pytest.approx(PLANE.collision_buffer_mm + 0.5)
+
+
+def test_a_survey_leaves_none_out_for_a_layout_that_is_not_known_yet():
+    """It measures what is wrong there: centres by 0.19 mm, where folded arms may show 0.17 mm else."""
+    off = replace(PLANE, arms=PLANE.arms + np.array([0.19, 0.0, 0.0, 0.0, 0.0]))
+    maps, hardware = identity(PLANE.positioner_id), field_hardware(PLANE, draw_units(PLANE, 0), 0)
+    found = asyncio.run(survey(off, maps, hardware, SurveySettings(configurations=2), NoRecord()))
+    assert (np.ptp(found.theta_deg, axis=1).max(axis=1) > 5.0).all()
 
 
 def test_residuals_of_a_survey_are_summed_up_as_their_rms():
