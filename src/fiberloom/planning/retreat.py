@@ -257,7 +257,7 @@ class _Flood:
         falls = self.overlapped & (gaps < np.where(highest < 0.0, highest - _FALL_MM, 0.0))
         near = ~self.overlapped & (gaps < np.minimum(self.need - 1e-9, 0.5 * CLEAR_MM))
         bad = np.flatnonzero((falls | near).any(axis=1))
-        return min(int(bad[0] - 1) // _SAMPLES, len(nodes) - 2) if len(bad) else None
+        return int(bad[0] - 1) // _SAMPLES if len(bad) else None
 
 
 def _close_border(allowed: Flags, direction: Ints) -> None:
