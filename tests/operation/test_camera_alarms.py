@@ -202,7 +202,8 @@ def small_instrument(folder):
     return path
 
 
-FAULTS = "camera_hang@40+50,camera_half@90+20,camera_stale@110+20,camera_error@130+10"
+# each begins before the one before it ends: no exposure is good in between
+FAULTS = "camera_hang@40+50,camera_half@85+25,camera_stale@105+25,camera_error@125+12"
 
 
 @pytest.mark.slow
