@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fiberloom.bus.client import Client
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import generate, load_instrument
@@ -39,6 +40,26 @@ class TwinArray:
         return Hardware(
             TwinTransport(self.twin), _Dimmed(camera, self.dark) if self.dark else camera, self.twin
         )
+
+
+def lying(array, plane, lies):
+    """The array, in which rows of the plane believe to be elsewhere, by so many degrees of alpha and beta."""
+    client = Client(TwinTransport(array.twin))
+
+    async def tell():
+        for row, off_deg in lies.items():
+            ids = [int(plane.positioner_id[row])]
+            wire_deg, _ = await client.positions_deg(ids)
+            assert (await client.set_position(ids, *(wire_deg + off_deg).T)).ok.all()
+
+    done(tell())
+    array.twin.touches()
+    return array
+
+
+def off_park_mm(array, plane) -> Floats:
+    """(N,) how far the metrology fibres are from where they are when all are folded."""
+    return np.hypot(*(array.twin.fibre_xy("metrology") - plane.forward(*plane.park_deg.T)).T)
 
 
 @dataclass

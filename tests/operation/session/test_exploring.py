@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from arrays import TwinArray, done, layout, session
+from arrays import TwinArray, done, layout, lying, off_park_mm, session
 
-from fiberloom.bus.client import Client
 from fiberloom.operation.safety.explore import at_spot
 from fiberloom.operation.session import exploring
 from fiberloom.planning import random_configuration
 from fiberloom.store import Store
-from fiberloom.twin.transport import TwinTransport
 
 PLANE = layout(19)
 DEPLOYED = random_configuration(PLANE, 1)
@@ -21,24 +19,8 @@ def store(tmp_path):
         yield store
 
 
-def lying(lies, true_deg=DEPLOYED):
-    """An array in which rows believe to be elsewhere, by so many degrees of alpha and beta."""
-    array = TwinArray.of(PLANE, true_deg)
-    client = Client(TwinTransport(array.twin))
-
-    async def tell():
-        for row, off_deg in lies.items():
-            ids = [int(PLANE.positioner_id[row])]
-            wire_deg, _ = await client.positions_deg(ids)
-            assert (await client.set_position(ids, *(wire_deg + off_deg).T)).ok.all()
-
-    done(tell())
-    array.twin.touches()
-    return array
-
-
-def off_park_mm(array):
-    return np.hypot(*(array.twin.fibre_xy("metrology") - PLANE.forward(*PLANE.park_deg.T)).T)
+def deployed(lies, true_deg=DEPLOYED):
+    return lying(TwinArray.of(PLANE, true_deg), PLANE, lies)
 
 
 def events(store):
@@ -57,13 +39,13 @@ def events(store):
     ],
 )
 def test_those_that_lie_are_found_told_and_folded(store, lies):
-    array = lying(lies)
+    array = deployed(lies)
     report = done(session(array, PLANE, store).recover())
     assert array.twin.touches() == []
     ids = PLANE.positioner_id[list(lies)].tolist()
     assert sorted(report.found) == sorted(ids)
     assert (report.state, report.left_out) == ("parked", {})
-    assert off_park_mm(array).max() < 0.5
+    assert off_park_mm(array, PLANE).max() < 0.5
     told = [p for kind, p, _ in events(store) if kind == "found"]
     assert sorted(told) == sorted(ids)
     # from now on they are like any other
@@ -82,7 +64,7 @@ def test_an_elbow_on_the_other_side_is_found_by_how_the_fibre_moves(store):
     row, true_deg = 4, DEPLOYED.copy()
     true_deg[row] = mirrored(row, DEPLOYED[row])
     assert true_deg[row, 1] > 180.0
-    array = lying({row: DEPLOYED[row] - true_deg[row] + (30.0, 0.0)}, true_deg)
+    array = deployed({row: DEPLOYED[row] - true_deg[row] + (30.0, 0.0)}, true_deg)
     array.twin.touches()
     report = done(session(array, PLANE, store).recover())
     assert array.twin.touches() == []
@@ -99,7 +81,7 @@ def test_an_elbow_on_the_other_side_is_found_by_how_the_fibre_moves(store):
 
 
 def test_look_says_what_would_be_done_and_moves_nothing(store):
-    array = lying({4: (40.0, 0.0)})
+    array = deployed({4: (40.0, 0.0)})
     before_deg = array.twin.truth()
     report = done(session(array, PLANE, store).recover(look_only=True))
     np.testing.assert_allclose(array.twin.truth(), before_deg, atol=0.1)
@@ -108,7 +90,7 @@ def test_look_says_what_would_be_done_and_moves_nothing(store):
 
 
 def test_a_dark_one_is_not_moved_and_named_with_what_to_do(store):
-    array = lying({4: (40.0, 0.0)})
+    array = deployed({4: (40.0, 0.0)})
     array.dark = [4]
     before_deg = array.twin.truth()
     report = done(session(array, PLANE, store).recover())
@@ -125,7 +107,7 @@ def test_a_way_into_a_neighbour_is_not_taken(store, monkeypatch, proven):
     if not proven:
         monkeypatch.setattr(exploring, "is_clear", lambda *how: True)
     beside_deg = np.where(np.arange(19)[:, None] == 6, [80.0, 95.0], PLANE.park_deg)
-    array = lying({6: (40.0, 0.0)}, beside_deg)
+    array = deployed({6: (40.0, 0.0)}, beside_deg)
     report = done(session(array, PLANE, store).recover())
     assert bool(array.twin.touches()) != proven
     # the other ways are not clear with the elbow on the other side

@@ -1,14 +1,14 @@
 """`recover` by a camera whose spots have no names: one that lies is a spot that belongs to none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from arrays import TwinArray, done, layout, session
+from arrays import TwinArray, done, layout, lying, off_park_mm, session
 
-from fiberloom.bus.client import Client
 from fiberloom.operation.session.exploring import Exploration
 from fiberloom.planning import random_configuration
 from fiberloom.store import Store
-from fiberloom.twin.transport import TwinTransport
 
 PLANE = layout(19)
 DEPLOYED = random_configuration(PLANE, 1)
@@ -20,21 +20,8 @@ def store(tmp_path):
         yield store
 
 
-def lying(lies):
-    """A deployed array under an image camera, in which rows believe to be elsewhere by so many degrees."""
-    array = TwinArray.of(PLANE, DEPLOYED)
-    array.images = True
-    client = Client(TwinTransport(array.twin))
-
-    async def tell():
-        for row, off_deg in lies.items():
-            ids = [int(PLANE.positioner_id[row])]
-            wire_deg, _ = await client.positions_deg(ids)
-            assert (await client.set_position(ids, *(wire_deg + off_deg).T)).ok.all()
-
-    done(tell())
-    array.twin.touches()
-    return array
+def deployed(lies):
+    return lying(replace(TwinArray.of(PLANE, DEPLOYED), images=True), PLANE, lies)
 
 
 def spied(monkeypatch):
@@ -53,7 +40,7 @@ def spied(monkeypatch):
 
 @pytest.mark.parametrize("lies", [{4: (15.0, 0.0)}, {11: (60.0, 0.0)}])
 def test_one_that_lies_is_found_among_spots_without_names(store, monkeypatch, lies):
-    array, looked = lying(lies), spied(monkeypatch)
+    array, looked = deployed(lies), spied(monkeypatch)
     report = done(session(array, PLANE, store).recover())
     assert array.twin.touches() == []
     ids = PLANE.positioner_id[list(lies)].tolist()
@@ -61,14 +48,13 @@ def test_one_that_lies_is_found_among_spots_without_names(store, monkeypatch, li
     assert (report.state, report.left_out) == ("parked", {})
     # its place came from a spot that belongs to none
     assert {row for row, n, _ in looked if n} == set(lies)
-    off_mm = np.hypot(*(array.twin.fibre_xy("metrology") - PLANE.forward(*PLANE.park_deg.T)).T)
-    assert off_mm.max() < 0.5
+    assert off_park_mm(array, PLANE).max() < 0.5
     assert done(session(array, PLANE, store).park()).ok
 
 
 def test_a_report_that_would_touch_a_neighbour_is_no_collision_and_keeps_no_other_from_being_found(store):
     """One that may be anywhere is a body nowhere; a small move must be clear there, too, so it stays."""
-    array = lying({2: (40.0, 0.0), 13: (-25.0, 20.0)})
+    array = deployed({2: (40.0, 0.0), 13: (-25.0, 20.0)})
     report = done(session(array, PLANE, store).recover())
     assert array.twin.touches() == []
     found, stays = PLANE.positioner_id[[2, 13]].tolist()
@@ -78,7 +64,7 @@ def test_a_report_that_would_touch_a_neighbour_is_no_collision_and_keeps_no_othe
 
 def test_without_the_spots_of_none_it_is_not_found_and_stays(store, monkeypatch):
     """What those spots are for."""
-    array = lying({11: (60.0, 0.0)})
+    array = deployed({11: (60.0, 0.0)})
     monkeypatch.setattr(
         Exploration,
         "_spots",
