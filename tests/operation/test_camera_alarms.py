@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from programs import free_port, start
+from programs import serving
 
 import fiberloom as fl
 from fiberloom.bus.identifier import decode
@@ -214,22 +214,14 @@ def test_every_fault_of_the_camera_comes_and_goes_and_the_observation_completes(
     plane = fl.FocalPlane.of(str(instrument), n=N)
     write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")
     fl.Field.twin(plane, camera="noise").run.calibrate().save(tmp_path / "maps.npz")
-    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
     same = ["--instrument", instrument, "--positioners", N]
-    words = ["twin", *same, "--listen", bus, "--camera-listen", camera, "--faults", FAULTS]
-    with start(*words, stdout=subprocess.PIPE) as served:
-        try:
-            served.stdout.readline()
-            assert served.stdout.readline().startswith("camera: alpaca://")
-            url = f"alpaca://{camera}/0?deadline=8&retries=0"
-            words = ["observe", tmp_path / "targets.csv", *same, "--bus", f"cannet://{bus}", "--camera", url]
-            words += ["--calibration", tmp_path / "maps.npz", "--store", tmp_path / "arrays.sqlite"]
-            words += ["--moves", 2, "--out", tmp_path / "out"]
-            command = [sys.executable, "-m", "fiberloom.cli", *map(str, words)]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=400)
-        finally:
-            served.terminate()
-            served.communicate(timeout=60)
+    with serving(*same, "--faults", FAULTS) as (bus, camera):
+        url = f"alpaca://{camera}/0?deadline=8&retries=0"
+        words = ["observe", tmp_path / "targets.csv", *same, "--bus", f"cannet://{bus}", "--camera", url]
+        words += ["--calibration", tmp_path / "maps.npz", "--store", tmp_path / "arrays.sqlite"]
+        words += ["--moves", 2, "--out", tmp_path / "out"]
+        command = [sys.executable, "-m", "fiberloom.cli", *map(str, words)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=400)
     assert done.returncode == 0, done.stderr
     events, _ = events_of(tmp_path / "out")
     alarms = "\n".join(t for k, t in zip(events["kind"], events["text"], strict=True) if k == "alarm")

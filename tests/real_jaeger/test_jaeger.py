@@ -8,7 +8,6 @@ import json
 import os
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import free_port
 
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin.server.address import Address
@@ -68,14 +68,6 @@ def closed(process):
     process.wait()
     process.stdin.close()
     process.stdout.close()
-
-
-def free_ports(count):
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for s in sockets:
-            s.bind(("127.0.0.1", 0))
-        return [s.getsockname()[1] for s in sockets]
 
 
 class Served:
@@ -140,7 +132,7 @@ def addresses(port, devices):
 
 
 PROFILES = ("twin", "crowd", "bench", "boot", "array")
-PORTS = dict(zip(PROFILES, free_ports(len(PROFILES)), strict=True))
+PORTS = {profile: free_port() for profile in PROFILES}
 
 
 @pytest.fixture(scope="module")

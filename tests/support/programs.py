@@ -1,6 +1,7 @@
 """Commands of the package in processes of their own."""
 
 import contextlib
+import random
 import signal
 import socket
 import subprocess
@@ -26,22 +27,30 @@ def start(*words: object, **options: object) -> subprocess.Popen:
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A TCP port that nobody listens on, below those the system hands to others meanwhile (32768 up)."""
+    while True:
+        port = random.SystemRandom().randrange(10_000, 32_768)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
+@contextlib.contextmanager
+def serving(*words: object) -> Iterator[tuple[str, str]]:
+    """`fiberloom twin` with these words and an Alpaca camera: where its bus and its camera listen."""
+    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
+    with start("twin", *words, "--listen", bus, "--camera-listen", camera, stdout=subprocess.PIPE) as served:
+        try:
+            said = [served.stdout.readline() for _ in range(2)]
+            assert said[1].startswith("camera: alpaca://"), [*said, served.communicate(timeout=120)]
+            yield bus, camera
+        finally:
+            served.terminate()
+            served.communicate(timeout=120)
 
 
 @contextlib.contextmanager
 def served_array(positioners: int, seed: int = 0) -> Iterator[tuple[str, str]]:
     """Bus and camera of a twin in another process, by their addresses."""
-    bus, camera = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
-    words = ["twin", "--positioners", positioners, "--seed", seed, "--listen", bus, "--camera-listen", camera]
-    with start(*words, stdout=subprocess.PIPE) as served:
-        try:
-            served.stdout.readline()
-            assert served.stdout.readline().startswith("camera: alpaca://")
-            yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=120"
-        finally:
-            served.terminate()
-            served.communicate(timeout=120)
+    with serving("--positioners", positioners, "--seed", seed) as (bus, camera):
+        yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=120"
