@@ -52,10 +52,10 @@ def test_unknown_positioners_are_cut_off_when_every_link_is_down():
     bus, _ = setup()
     bus.link_of = lambda positioner: None
     bus.links[0].goes_down("cut", 1.0)
-    assert not cut_off(bus, 7)
+    assert cut_off(bus, [7]) == set()
     bus.links[1].goes_down("cut", 1.0)
-    assert cut_off(bus, 7)
-    assert not cut_off(object(), 7)  # a transport that tells of no links
+    assert cut_off(bus, [7]) == {7}
+    assert cut_off(object(), [7]) == set()  # a transport that tells of no links
 
 
 def test_what_waits_behind_a_broken_link_ends_at_once_and_the_rest_is_answered():

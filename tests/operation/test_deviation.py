@@ -248,7 +248,7 @@ def test_one_that_was_silent_at_the_begin_comes_back_by_the_rule_of_the_begin_ch
 
 def test_links_are_waited_for_before_a_move():
     times = iter(range(100))
-    exchange = SimpleNamespace(cut_off=lambda i: next(times) < 4)
+    exchange = SimpleNamespace(cut_off=lambda ids: set(ids) if next(times) < 4 else set())
 
     async def wait(done, deadline_s):
         while not done():

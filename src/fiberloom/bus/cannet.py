@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import re
 import socket
 import time
@@ -34,9 +35,15 @@ _FRAME = re.compile(r"M ([1-4]) CED ([0-9A-F]{8})((?: [0-9A-F]{2}){0,8})", re.IG
 _FRAMES_PER_S = 3500.0
 _QUEUE = 90.0  # of the 100 places, frames
 _STALL_S = 5.0  # a gateway that does not read for so long is gone
+# Lines that are read in one step of the loop: 500 positioners answer with thousands at once.
+_LINES_A_STEP = 64
 
 
-def frame_to_line(port: int, frame: tuple[int, bytes] | Frame) -> str:
+_Sent = tuple[int, bytes] | Frame
+"""Identifier and data come first."""
+
+
+def frame_to_line(port: int, frame: _Sent) -> str:
     """The line that sends a frame on a port, without its end."""
     text = f"M {port} CED {frame[0]:08X}"
     return f"{text} {frame[1].hex(' ').upper()}" if frame[1] else text
@@ -159,8 +166,12 @@ class _Gateway:
     async def _read(self) -> str:
         """Hands on lines until the connection closes or goes wrong; returns why it ended."""
         try:
-            while raw := await self.reader.readline():
+            for there in itertools.count(1):
+                if not (raw := await self.reader.readline()):
+                    break
                 self.take(raw.decode("ascii", "replace").strip())
+                if there % _LINES_A_STEP == 0:  # a line that has come already is no step of the loop
+                    await asyncio.sleep(0)
         except (OSError, ValueError) as error:
             return str(error) or type(error).__name__
         return "closed the connection"
@@ -187,14 +198,15 @@ class _Gateway:
         if self.writer is not None:
             self.writer.write("".join(f"{line}\n" for line in lines).encode("ascii"))
 
-    async def feed(self, port: int, lines: list[str]) -> None:
-        """Lines for a port, no faster than the CAN bus takes them; dropped while the link is down."""
+    async def feed(self, port: int, frames: list[_Sent]) -> None:
+        """Frames for a port, no faster than the CAN bus takes them; dropped while the link is down."""
         pace = self.paces[port]
-        while lines and self.link.up:
+        while frames and self.link.up:
             await asyncio.sleep(pace.wait_s())
-            now, lines = lines[: pace.room()], lines[pace.room() :]
+            room = pace.room()
+            now, frames = frames[:room], frames[room:]
             pace.add(len(now))
-            await self._push(now)
+            await self._push([frame_to_line(port, frame) for frame in now])
 
     async def _push(self, lines: Sequence[str]) -> None:
         if not self.link.up or self.writer is None:
@@ -307,18 +319,18 @@ class CanNetTransport:
         self._route[frame.id >> 18] = (gateway, port)
         self._received.put_nowait(frame._replace(time_s=self.time_s))
 
-    async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
+    async def send(self, frames: Sequence[_Sent]) -> None:
         """Writes frames to the ports they belong to, no faster than the CAN bus takes them.
 
         What belongs to a gateway whose link is down is dropped.
         """
         if self._closed:
             raise TransportLost("CAN@net: the transport is closed")
-        queues: dict[tuple[_Gateway, int], list[str]] = {}
+        queues: dict[tuple[_Gateway, int], list[_Sent]] = {}
         for frame in frames:
-            for gateway, port in self._places(frame[0] >> 18):
-                queues.setdefault((gateway, port), []).append(frame_to_line(port, frame))
-        await asyncio.gather(*(g.feed(p, lines) for (g, p), lines in queues.items()))
+            for place in self._places(frame[0] >> 18):
+                queues.setdefault(place, []).append(frame)
+        await asyncio.gather(*(g.feed(p, mine) for (g, p), mine in queues.items()))
 
     def _places(self, positioner: int) -> list[tuple[_Gateway, int]]:
         known = self._route.get(positioner)

@@ -50,10 +50,10 @@ class _BroadcastWaiter:
         if self.waited_for is not None:
             self.waited_for.discard(positioner)
 
-    def give_up(self, gone: Callable[[int], bool]) -> None:
+    def give_up(self, cut_off: Callable[[Iterable[int]], set[int]]) -> None:
         """Waits no longer for positioners that are cut off."""
         if self.waited_for is not None:
-            self.waited_for = {i for i in self.waited_for if not gone(i)}
+            self.waited_for -= cut_off(self.waited_for)
 
     def complete(self) -> bool:
         return self.waited_for is not None and not self.waited_for
@@ -85,9 +85,9 @@ class Exchange:
         """The transport's clock."""
         return self.transport.time_s
 
-    def cut_off(self, positioner: int) -> bool:
-        """True when no frame reaches this positioner now: the connection is gone, or its link is down."""
-        return self.lost is not None or cut_off(self.transport, positioner)
+    def cut_off(self, positioners: Iterable[int]) -> set[int]:
+        """Those that no frame reaches now: the connection is gone, or their link is down."""
+        return cut_off(self.transport, positioners) if self.lost is None else set(positioners)
 
     async def unicast(
         self,
@@ -125,8 +125,9 @@ class Exchange:
     ) -> None:
         frames: list[tuple[int, bytes]] = []
         self._see_links()
+        gone = self.cut_off(positioners)
         for row, (positioner, payload) in enumerate(zip(positioners, payloads, strict=True)):
-            if self.cut_off(positioner):
+            if positioner in gone:
                 waiter.missing -= 1
                 continue
             key = self._free_key(command, positioner)
@@ -134,6 +135,7 @@ class Exchange:
                 await self._send(frames)
                 frames = []
                 key = await self._wait_for_key(command, positioner, deadline_s)
+                gone = self.cut_off(positioners)
             if key is None:
                 break
             self._pending[key] = (waiter, row)
@@ -273,7 +275,8 @@ class Exchange:
         """Tells of links that have changed; gives up what waits behind one that is down."""
         changed = self._links.changes()
         if any(not link.up for link in changed):
-            for key in [key for key in self._pending if self.cut_off(key >> 14)]:
+            gone = self.cut_off({key >> 14 for key in self._pending})
+            for key in [key for key in self._pending if key >> 14 in gone]:
                 self._pending.pop(key)[0].missing -= 1
             for waiter in self._broadcasts.values():
                 waiter.give_up(self.cut_off)

@@ -6,7 +6,7 @@ link that is up until the transport raises TransportLost.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 FIRST_RETRY_S = 0.5
@@ -52,17 +52,21 @@ def links_of(transport: object) -> Sequence[Link]:
     return links
 
 
-def cut_off(transport: object, positioner: int) -> bool:
-    """True when no frame reaches the positioner now: its link is down, or all of them are.
+def cut_off(transport: object, positioners: Iterable[int]) -> set[int]:
+    """Those of `positioners` that no frame reaches now: their link is down, or all of them are.
 
     A positioner that has not answered yet may hang on any link.
     """
     links = links_of(transport)
-    if all(link.up for link in links):
-        return False
-    find = getattr(transport, "link_of", None)
-    link: Link | None = None if find is None else find(positioner)
-    return not any(link.up for link in links) if link is None else not link.up
+    if all(link.up for link in links):  # nearly always: asked once, and not for each of 500
+        return set()
+    find = getattr(transport, "link_of", lambda positioner: None)
+    all_down = not any(link.up for link in links)
+
+    def is_cut(link: Link | None) -> bool:
+        return all_down if link is None else not link.up
+
+    return {positioner for positioner in positioners if is_cut(find(positioner))}
 
 
 class LinkWatch:

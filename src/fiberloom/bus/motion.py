@@ -119,7 +119,7 @@ class Arrivals:
     def _something(self) -> bool:
         """A collision, or a link that has gone down: no reason to rest any longer."""
         collided = not self._client.collided.isdisjoint(self._active)
-        return collided or any(self._client.exchange.cut_off(i) for i in self._active)
+        return collided or bool(self._client.exchange.cut_off(self._active))
 
     def _collided(self) -> bool:
         return any(result.outcome is Outcome.COLLIDED for result in self.results.values())
@@ -159,7 +159,8 @@ class _Followers:
     """What polls have shown of positioners that should follow their trajectories."""
 
     def __init__(self, client: Requests, trajectories: Mapping[int, WireTrajectory], begun_s: float) -> None:
-        self._client, self._trajectories, self._begun_s = client, trajectories, begun_s
+        self._client, self._begun_s = client, begun_s
+        self._duration_s = {i: t.duration_s for i, t in trajectories.items()}
         self.answers = Results()
         self.confirmed: set[int] = set()
         """Those that have answered START."""
@@ -182,10 +183,10 @@ class _Followers:
 
     def _at_rest_early(self, positioner: int) -> bool:
         answer = self.answers[positioner]
-        if not answer.ok or answer.values[0] & _COLLIDED:
-            return False
-        ended = self.elapsed_s >= self._trajectories[positioner].duration_s
-        return bool(answer.values[0] & _LOST_WAY) or (bool(answer.values[0] & _COMPLETED) and not ended)
+        bits = answer.values[0] if answer.ok else 0
+        if not bits & (_COMPLETED | _LOST_WAY) or bits & _COLLIDED:
+            return False  # nearly all, at every poll
+        return bool(bits & _LOST_WAY) or self.elapsed_s < self._duration_s[positioner]
 
     def _deviation(self, positioner: int) -> Deviation | None:
         kind = self._kind(positioner)
@@ -264,7 +265,7 @@ class MotionRun:
 
     async def _cut_before_start(self) -> bool:
         """A START that cannot reach all is not sent. True when that is so."""
-        cut = [i for i in self.results if self._client.exchange.cut_off(i)]
+        cut = self._client.exchange.cut_off(self.results)
         if cut:
             self.results.update(all_of(self.results, Outcome.STOPPED))
             self.results.update(all_of(cut, Outcome.DISCONNECTED))
@@ -338,7 +339,7 @@ class MotionRun:
             return
 
         def back() -> bool:
-            return not any(client.exchange.cut_off(i) for i in cut)
+            return not client.exchange.cut_off(cut)
 
         await client.exchange.wait(back, client.time_s + RECONNECT_S)
         waiting = Patience(self._tolerance.margin_s)
@@ -354,8 +355,8 @@ class MotionRun:
             if not where.ok:
                 self.results[i] = where
                 continue
-            off = np.abs(np.subtract(where.values, self._trajectories[i].end_counts))
-            arrived = bool((off <= limit).all())
+            ends = zip(where.values, self._trajectories[i].end_counts, strict=True)
+            arrived = all(abs(is_at - end) <= limit for is_at, end in ends)
             self.results[i] = Result(i, Outcome.DONE if arrived else Outcome.MISPLACED, values=where.values)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -88,6 +88,14 @@ def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool
     if values is None:  # accepted, but not with what the table promises
         return Result(positioner, Outcome.REFUSED, Response.INCORRECT_AMOUNT_OF_DATA)
     return Result(positioner, Outcome.DONE, Response.ACCEPTED, values)
+
+
+def results_of(
+    positioners: Sequence[int], command: Command, replies: Iterable[Frame | None], lost: set[int]
+) -> list[Result]:
+    """As `result_of`, for one reply of each; `lost`: those that no frame reaches now."""
+    pairs = zip(positioners, replies, strict=True)
+    return [result_of(i, command, reply, i in lost) for i, reply in pairs]
 
 
 def all_of(positioners: Iterable[int], outcome: Outcome) -> Results:

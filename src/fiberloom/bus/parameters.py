@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fiberloom._core import firmware as _firmware
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Outcome, Result, Results, result_of
+from fiberloom.bus.outcome import Outcome, Result, Results, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, Response, Status
 from fiberloom.errors import InputError
 from fiberloom.typing import Flags
@@ -177,13 +177,11 @@ async def _many(client: Client, command: Command, asked: list[Asked]) -> list[tu
     for attempt in range(client.retries + 1):
         rest = [a for a in asked if a not in out or out[a].outcome is Outcome.TIMED_OUT]
         for bite in _bites(rest):
-            replies = await client.exchange.unicast(
-                command, [i for i, _ in bite], [spec.pack(*values) for _, values in bite], _TIMEOUT_S
-            )
-            out |= {
-                a: result_of(a[0], command, r, client.exchange.cut_off(a[0]))
-                for a, r in zip(bite, replies, strict=True)
-            }
+            ids = [i for i, _ in bite]
+            payloads = [spec.pack(*values) for _, values in bite]
+            replies = await client.exchange.unicast(command, ids, payloads, _TIMEOUT_S)
+            results = results_of(ids, command, replies, client.exchange.cut_off(ids))
+            out |= dict(zip(bite, results, strict=True))
         if attempt == client.retries or all(r.outcome is not Outcome.TIMED_OUT for r in out.values()):
             break
     return [(a, out[a]) for a in asked]

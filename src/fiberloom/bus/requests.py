@@ -12,7 +12,7 @@ from fiberloom import units
 from fiberloom.bus.exchange import Exchange
 from fiberloom.bus.identifier import Identifier
 from fiberloom.bus.links import Link
-from fiberloom.bus.outcome import Outcome, Results, all_of, result_of
+from fiberloom.bus.outcome import Outcome, Results, all_of, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, CommandFlag
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.typing import Flags, Floats
@@ -127,8 +127,11 @@ class Requests:
         self, command: Command, ids: Sequence[int], payloads: Sequence[bytes], timeout_s: float
     ) -> Results:
         replies = await self.exchange.unicast(command, ids, payloads, timeout_s)
-        pairs = zip(ids, replies, strict=True)
-        return Results({i: result_of(i, command, reply, self.exchange.cut_off(i)) for i, reply in pairs})
+        return self._judged(command, ids, replies)
+
+    def _judged(self, command: Command, ids: Sequence[int], replies: Iterable[Frame | None]) -> Results:
+        results = results_of(ids, command, replies, self.exchange.cut_off(ids))
+        return Results(zip(ids, results, strict=True))
 
     async def _again(
         self,
@@ -159,8 +162,7 @@ class Requests:
         chosen = self._chosen(ids)
         timeout_s = spec.timeout_s if timeout_s is None else timeout_s
         replies = await self.exchange.broadcast(command, spec.pack(), timeout_s, chosen)
-        cut_off = self.exchange.cut_off
-        results = Results({i: result_of(i, command, replies.get(i), cut_off(i)) for i in chosen})
+        results = self._judged(command, chosen, map(replies.get, chosen))
         if spec.flags & CommandFlag.REPEATABLE:
             for _ in range(self.retries):
                 await self._again(command, chosen, [spec.pack()] * len(chosen), timeout_s, results)
@@ -186,9 +188,9 @@ class Requests:
             answered = await self.exchange.broadcast(Command.GET_STATUS, b"", POLL_TIMEOUT_S, asked)
         silent = [i for i in asked if i not in answered]
         rest = await self._unicast(Command.GET_STATUS, silent, [b""] * len(silent), POLL_TIMEOUT_S)
-        return Results(
-            {i: rest[i] if i in rest else result_of(i, Command.GET_STATUS, answered[i], False) for i in asked}
-        )
+        polled = self._judged(Command.GET_STATUS, asked, map(answered.get, asked))
+        polled.update(rest)
+        return polled
 
     async def rest(self, ids: set[int], until_s: float, early_s: float = 0.0) -> bool:
         """Lets time pass, but no longer than to the first collision of these; True when there was one."""
@@ -225,7 +227,7 @@ class Requests:
         asked = self._chosen(ids)
         if not asked:
             replies = await self.exchange.broadcast(Command.STOP_TRAJECTORY, b"", within_s)
-            return Results({i: result_of(i, Command.STOP_TRAJECTORY, f, False) for i, f in replies.items()})
+            return self._judged(Command.STOP_TRAJECTORY, list(replies), replies.values())
         results = all_of(asked, Outcome.TIMED_OUT)
         while missing := [i for i, r in results.items() if not r.ok]:
             left_s = max(min(deadline_s - self.time_s, _STOP_ROUND_S), 1e-3)
@@ -234,6 +236,6 @@ class Requests:
             )
             if self.time_s >= deadline_s or self.exchange.lost:
                 break
-            if all(r.ok or self.exchange.cut_off(i) for i, r in results.items()):
+            if self.exchange.cut_off(results).issuperset(results.failed):
                 break
         return results

@@ -12,7 +12,7 @@ import numpy as np
 
 from fiberloom import units
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Results, result_of
+from fiberloom.bus.outcome import Results, results_of
 from fiberloom.bus.protocol import Command
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats, Ints
@@ -87,8 +87,8 @@ async def _read_bite(
         asked = [ids[row] for row, _ in places]
         replies = await client.exchange.unicast(command, asked, payloads, 2.0)
         missing = []
-        for (row, k), reply in zip(places, replies, strict=True):
-            result = result_of(ids[row], command, reply, client.exchange.cut_off(ids[row]))
+        results = results_of(asked, command, replies, client.exchange.cut_off(asked))
+        for (row, k), result in zip(places, results, strict=True):
             if result.ok:
                 out[:, row, k] = result.values
             else:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom import units
 from fiberloom.bus.exchange import Exchange
-from fiberloom.bus.outcome import Outcome, Result, Results, result_of
+from fiberloom.bus.outcome import Outcome, Result, Results, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, Status
 from fiberloom.errors import InputError
 
@@ -102,11 +102,10 @@ class _Loading:
         """One round of frames; returns those all of whose frames were accepted."""
         replies = await self.exchange.unicast(command, ids, payloads, self.timeout_s)
         worst: dict[int, Result] = {}
-        for positioner, reply in zip(ids, replies, strict=True):
-            result = result_of(positioner, command, reply, self.exchange.cut_off(positioner))
-            known = worst.setdefault(positioner, result)
+        for result in results_of(ids, command, replies, self.exchange.cut_off(ids)):
+            known = worst.setdefault(result.positioner, result)
             if known.ok or result.outcome is Outcome.REFUSED:
-                worst[positioner] = result
+                worst[result.positioner] = result
         silent = [i for i, result in worst.items() if result.outcome is Outcome.TIMED_OUT]
         for positioner in await self._understood(command, silent):
             worst[positioner] = Result(positioner, Outcome.DONE)
@@ -122,10 +121,7 @@ class _Loading:
             replies = await self.exchange.unicast(
                 Command.GET_STATUS, silent, [b""] * len(silent), _STATUS_TIMEOUT_S
             )
-            status = {
-                i: result_of(i, Command.GET_STATUS, reply, False)
-                for i, reply in zip(silent, replies, strict=True)
-            }
+            status = {r.positioner: r for r in results_of(silent, Command.GET_STATUS, replies, set())}
             taken += [i for i, r in status.items() if r.ok and _took(command, Status(r.values[0]))]
             silent = [i for i, r in status.items() if r.outcome is Outcome.TIMED_OUT]
         return taken

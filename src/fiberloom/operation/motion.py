@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import gc
 from collections.abc import Callable
 
 import numpy as np
@@ -288,6 +289,8 @@ class FieldMotion:
         InputError where none of the layout's positioners answers, most fibres are not seen, or most are
         not where they report.
         """
+        # what is there by now is not searched for garbage before `close`: that holds up every thread, 0.1 s
+        gc.freeze()
         state, known = self.state, self.plane.positioner_id.tolist()
         found = set(await self.client.discover())
         if not found & set(known):
@@ -427,6 +430,7 @@ class FieldMotion:
 
     async def close(self) -> None:
         """Closes the bus; one that the caller has opened stays open. All that was recorded is written."""
+        gc.unfreeze()
         try:
             await self.client.close()
         finally:
@@ -481,10 +485,11 @@ class FieldMotion:
         return answered
 
     def _all_on_the_wire(self, planned: Plan) -> dict[int, WireTrajectory]:
-        return {robot.positioner_id: self._on_the_wire(robot) for robot in planned.robots if robot.moves}
+        moving = [robot for robot in planned.robots if robot.moves]
+        rows = self.plane.index_of([robot.positioner_id for robot in moving]).tolist()
+        return {r.positioner_id: self._on_the_wire(row, r) for row, r in zip(rows, moving, strict=True)}
 
-    def _on_the_wire(self, robot: Trajectory) -> WireTrajectory:
-        row = int(self.plane.index_of(robot.positioner_id))
+    def _on_the_wire(self, row: int, robot: Trajectory) -> WireTrajectory:
         wire_deg = self.maps.path_to_wire(row, robot.points_deg)
         return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
 

@@ -201,8 +201,8 @@ def verify(
 
 def _beyond_stops(plane: FocalPlane, plan: Plan) -> Iterator[Violation]:
     """One for each positioner that the plan puts where no arm can be, the deepest moment."""
-    for robot in plan.robots:
-        if plane.offline[int(plane.index_of(robot.positioner_id))]:
+    for row, robot in _by_row(plane, plan):
+        if plane.offline[row]:
             continue
         beyond = beyond_stops_deg(plane, robot.points_deg).max(axis=1)
         k = int(beyond.argmax())
@@ -219,8 +219,7 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     motions: list[Floats | None] = [None] * plane.n
     for row in np.flatnonzero(plane.offline):
         motions[row] = np.array([[0.0, *deg_to_rad(plane.offline_position_deg[row])]])
-    for robot in plan.robots:
-        place = int(plane.index_of(robot.positioner_id))
+    for place, robot in _by_row(plane, plan):
         if plane.offline[place] and robot.moves:
             raise InputError(f"positioner {robot.positioner_id} is offline, but the plan moves it")
         if not plane.offline[place]:
@@ -233,6 +232,12 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
             "give one that does not move a single point"
         )
     return [m for m in motions if m is not None]
+
+
+def _by_row(plane: FocalPlane, plan: Plan) -> list[tuple[int, Trajectory]]:
+    """The trajectories of a plan, each with its row in the plane."""
+    rows = plane.index_of([robot.positioner_id for robot in plan.robots]).tolist()
+    return list(zip(rows, plan.robots, strict=True))
 
 
 def _refuse_endless(robot: Trajectory) -> None:

@@ -271,11 +271,12 @@ class TransmissionMaps:
         side = _side(direction)
         given = np.asarray(values, dtype=np.float64)
         given = np.broadcast_to(given, (len(rows), 2, *given.shape[2:]))
-        out = np.empty(given.shape)
-        for k, row in enumerate(rows):
-            for axis in range(2):
-                out[k, axis] = polyline(source[row, axis, side], goal[row, axis, side], given[k, axis])
-        return out
+        x_knots = source[rows, :, side]
+        x = given.reshape(len(rows), 2, -1)
+        k = np.empty(x.shape, dtype=np.int64)
+        for place in np.ndindex(len(rows), 2):
+            k[place] = _segments(x_knots[place], x[place])
+        return _along(x_knots, goal[rows, :, side], k, x).reshape(given.shape)
 
     def delta_deg(self, theta_deg: ArrayLike, direction: int = NEGATIVE) -> Floats:
         """Deviation from a linear gear, delta(theta) of Eq. 7.
@@ -444,10 +445,23 @@ def polyline(x_knots: Floats, y_knots: Floats, x: ArrayLike) -> Floats:
     Knots (K,) and values of any unit, usually deg.
     """
     x = np.asarray(x, dtype=np.float64)
-    k = np.clip(np.searchsorted(x_knots, x, side="right") - 1, 0, len(x_knots) - 2)
-    t = (x - x_knots[k]) / (x_knots[k + 1] - x_knots[k])
+    flat = x.ravel()
+    return _along(x_knots, y_knots, _segments(x_knots, flat), flat).reshape(x.shape)
+
+
+def _segments(x_knots: Floats, x: Floats) -> Ints:
+    """For each of `x` (M,) the number of the last knot (K,) that is not above it; -1 before the first."""
+    found: Ints = x_knots.searchsorted(x, side="right") - 1
+    return found
+
+
+def _along(x_knots: Floats, y_knots: Floats, k: Ints, x: Floats) -> Floats:
+    """Polylines (..., K) at `x` (..., M); `k` (..., M) as `_segments` has them."""
+    k = k.clip(0, x_knots.shape[-1] - 2)
+    before, after = (np.take_along_axis(x_knots, at, axis=-1) for at in (k, k + 1))
+    low, high = (np.take_along_axis(y_knots, at, axis=-1) for at in (k, k + 1))
+    t = (x - before) / (after - before)
     # from the nearer knot: exact at both, and the inverse polyline undoes it to rounding
-    low, high = y_knots[k], y_knots[k + 1]
     return np.where(t <= 0.5, low + t * (high - low), high - (1.0 - t) * (high - low))
 
 

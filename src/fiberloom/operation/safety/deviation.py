@@ -119,6 +119,6 @@ async def when_linked(client: Client, ids: Iterable[int], within_s: float = RECO
     asked = list(ids)
 
     def linked() -> bool:
-        return not any(client.exchange.cut_off(i) for i in asked)
+        return not client.exchange.cut_off(asked)
 
     return linked() or await client.exchange.wait(linked, client.time_s + within_s)

@@ -38,7 +38,9 @@ _PRECISE = (
 )
 """Precise moves of each axis: the status bit, and the command that switches them on."""
 
-_POWER_WENT = Status.ESTIMATED_POSITION | Status.POSITION_RESTORED
+# Plain integers: with flags as such, 500 answers hold up the event loop.
+_POWER_WENT = int(Status.ESTIMATED_POSITION | Status.POSITION_RESTORED)
+_DATUM_SET = int(Status.DATUMS_INITIALIZED)
 
 
 class SessionMotion(FieldMotion):
@@ -116,10 +118,8 @@ class SessionMotion(FieldMotion):
     async def _powered(self, there: Flags) -> Flags:
         """(N,) which say that their datum is set and that power has not gone since."""
         powered = np.zeros(len(self.plane), dtype=bool)
-        for positioner, answer in (await self.client.status(self.plane.positioner_id[there])).items():
-            bits = answer.values[0] if answer.ok else 0
-            initialised = bits & Status.DATUMS_INITIALIZED == Status.DATUMS_INITIALIZED
-            powered[self.plane.index_of(positioner)] = initialised and not bits & _POWER_WENT
+        answers = await self.client.status(self.plane.positioner_id[there])
+        powered[there] = [answer.ok and _has_power(answer.values[0]) for answer in answers.values()]
         return powered
 
     async def _settle_offline(self) -> None:
@@ -318,6 +318,11 @@ class SessionMotion(FieldMotion):
         places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum.copy(), [None] * len(ids))
         self.writer.later(self.lock.book.note_places, ids, places)
         self.writer.later(self.lock.book.forget_datum, ids[~self.datum])
+
+
+def _has_power(bits: int) -> bool:
+    """Whether the datum is set, and power has not gone since."""
+    return bits & _DATUM_SET == _DATUM_SET and not bits & _POWER_WENT
 
 
 def last_status(motion: FieldMotion) -> list[FibreStatus]:
