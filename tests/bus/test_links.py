@@ -58,6 +58,32 @@ def test_unknown_positioners_are_cut_off_when_every_link_is_down():
     assert cut_off(object(), [7]) == set()  # a transport that tells of no links
 
 
+class CountedLinks(LinkedBus):
+    """Counts how often somebody asks for the links."""
+
+    asked = 0
+
+    @property
+    def links(self):
+        CountedLinks.asked += 1
+        return self.known_links
+
+    @links.setter
+    def links(self, links):
+        self.known_links = links
+
+    def link_of(self, positioner):
+        return self.known_links[0 if positioner % 2 else 1]
+
+
+def test_links_are_looked_at_for_all_positioners_together():
+    """Not once for each frame: with 500 positioners that holds up the event loop by some 20 ms."""
+    client = Client(CountedLinks(range(1, 51)))
+    CountedLinks.asked = 0
+    assert asyncio.run(client.command(Command.SET_SPEED, range(1, 51), 1000, 1000)).ok.all()
+    assert CountedLinks.asked < 25
+
+
 def test_what_waits_behind_a_broken_link_ends_at_once_and_the_rest_is_answered():
     bus, client = setup(1, 2)
     bus.change = lambda identifier, frame: [(0.8, frame)]

@@ -1,6 +1,7 @@
 """Real transports: a CAN@net gateway over TCP, played by a small server, and python-can."""
 
 import asyncio
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from fakes import FakeBus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.bus import Client, Command, Frame, Outcome, PythonCanTransport, WireTrajectory
+from fiberloom.bus import Client, Command, Frame, Outcome, PythonCanTransport, WireTrajectory, cannet
 from fiberloom.bus.cannet import CanNetTransport, frame_to_line, line_to_frame
 from fiberloom.bus.identifier import encode
 from fiberloom.errors import InputError
@@ -190,6 +191,45 @@ def test_the_transmit_queue_of_the_gateway_is_never_overrun():
         return transport.time_s - begin_s
 
     assert with_gateway(scenario, {1: [1]}) > 0.08
+
+
+async def most_in_a_step(work, count):
+    """By how much `count()` grows at most in one step of the loop, until `work` is done."""
+    task, counts = asyncio.ensure_future(work), [count()]
+    while not task.done():
+        await asyncio.sleep(0)
+        counts.append(count())
+    return max(b - a for a, b in pairwise(counts))
+
+
+def test_the_loop_goes_on_while_thousands_of_lines_are_read():
+    async def scenario(gateway, transport):
+        async def all_read():
+            gateway.writers[0].write(b"E 1 NOTHING\n" * 3000)
+            while len(transport.events) < 3000:
+                await asyncio.sleep(0)
+
+        return await most_in_a_step(all_read(), lambda: len(transport.events))
+
+    assert with_gateway(scenario, {1: [1]}) <= 100
+
+
+def test_the_loop_goes_on_while_hundreds_of_lines_are_written(monkeypatch):
+    made = []
+
+    def line(*arguments):
+        made.append(arguments)
+        return frame_to_line(*arguments)
+
+    async def scenario(gateway, transport):
+        client = Client(transport)
+        ids = await client.discover()
+        monkeypatch.setattr(cannet, "frame_to_line", line)
+        asking = client.exchange.unicast(Command.GET_STATUS, ids, [b""] * len(ids), 5.0)
+        return await most_in_a_step(asking, lambda: len(made))
+
+    assert with_gateway(scenario, {1: range(1, 301)}) <= 100
+    assert len(made) == 300
 
 
 def test_python_can_carries_the_same_frames():

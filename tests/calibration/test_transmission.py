@@ -91,6 +91,17 @@ def test_rows_can_be_picked():
         maps.rows_of([7, 99])
 
 
+@pytest.mark.parametrize("shape", [(3, 2), (3, 2, 41)])
+def test_all_rows_in_one_go_are_the_polyline_of_each_to_the_last_bit(shape):
+    maps = some_maps()
+    theta = np.random.default_rng(2).uniform(-9.0, 371.0, shape)  # beyond both ends, too
+    for direction, side in ((NEGATIVE, 0), (POSITIVE, 1)):
+        got = maps.to_wire(theta, direction=direction)
+        for row, axis in np.ndindex(3, 2):
+            knots = maps.output_deg[row, axis, side], maps.wire_deg[row, axis, side]
+            np.testing.assert_array_equal(got[row, axis], polyline(*knots, theta[row, axis]))
+
+
 def test_delta_and_backlash_are_those_of_eq_7():
     maps = some_maps(1)
     at = THETA[[20, 75]]

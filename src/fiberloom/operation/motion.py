@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import gc
 from collections.abc import Callable
 
 import numpy as np
@@ -39,6 +38,7 @@ from fiberloom.operation.safety.begin import (
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.looking import PatientCamera
+from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
 from fiberloom.planning import Plan, Trajectory, plan, verify
@@ -275,6 +275,7 @@ class FieldMotion:
             hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
         )
         self.state = FieldState(plane, self.recorder)
+        self._loop_first = LoopFirst()
         self.has_moved = False
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
@@ -289,8 +290,7 @@ class FieldMotion:
         InputError where none of the layout's positioners answers, most fibres are not seen, or most are
         not where they report.
         """
-        # what is there by now is not searched for garbage before `close`: that holds up every thread, 0.1 s
-        gc.freeze()
+        self._loop_first.begin()
         state, known = self.state, self.plane.positioner_id.tolist()
         found = set(await self.client.discover())
         if not found & set(known):
@@ -430,7 +430,7 @@ class FieldMotion:
 
     async def close(self) -> None:
         """Closes the bus; one that the caller has opened stays open. All that was recorded is written."""
-        gc.unfreeze()
+        self._loop_first.end()
         try:
             await self.client.close()
         finally:
