@@ -93,7 +93,10 @@ def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool
 def results_of(
     positioners: Sequence[int], command: Command, replies: Iterable[Frame | None], lost: set[int]
 ) -> list[Result]:
-    """As `result_of`, for one reply of each; `lost`: those that no frame reaches now."""
+    """As `result_of`, for each of n `positioners` and its one of n `replies` to the same `command`.
+
+    `lost`: those that no frame reaches now.
+    """
     pairs = zip(positioners, replies, strict=True)
     return [result_of(i, command, reply, i in lost) for i, reply in pairs]
 

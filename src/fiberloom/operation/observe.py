@@ -21,6 +21,7 @@ from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.results import Observation, metrology_goals_mm
+from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
@@ -131,6 +132,12 @@ class Observer:
         no positioner answers or most fibres are not seen, UnsafePlanError where the verifier refuses a
         plan.
         """
+        with LoopFirst():
+            return await self._observe(targets, settings, connect)
+
+    async def _observe(
+        self, targets: TargetList, settings: ObserveSettings, connect: Callable[[], Any]
+    ) -> Observation:
         begun_s = time.monotonic() if self.begun_s is None else self.begun_s
         self.watcher.say("assigning targets")
         kept, assignment = await asyncio.to_thread(

@@ -1,14 +1,19 @@
 """The event loop comes first while an array can move, and the process is as before afterwards."""
 
+import asyncio
 import gc
 import sys
 
 import pytest
 
 import fiberloom as fl
+from fiberloom.calibration.transmission.maps import identity
+from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.observe import Silent
 from fiberloom.operation.safety.loop_first import TURN_S, LoopFirst
+from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.targets import random_targets
+from fiberloom.twin import draw_units, field_hardware
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +55,7 @@ def test_shorter_turns_are_left_as_they_are(before_s):
     sys.setswitchinterval(before_s)
 
 
-def test_an_observation_has_it_from_its_first_image_to_the_last(tmp_path):
+def test_an_observation_has_it_from_its_first_step_to_the_last(tmp_path):
     seen = []
 
     class Watching(Silent):
@@ -63,6 +68,21 @@ def test_an_observation_has_it_from_its_first_image_to_the_last(tmp_path):
     field = fl.Field.twin(plane, seed=1)
     field.watcher = Watching()
     field.run.observe(random_targets(plane, 14, 1), corrections=1, out=tmp_path)
-    moving = [row[1:] for row in seen if row[0].startswith("planning")]
-    assert moving
-    assert all(turn_s == pytest.approx(TURN_S) and frozen > 1000 for turn_s, frozen in moving)
+    said = [text for text, *_ in seen]
+    assert said[0] == "assigning targets"
+    assert any(text.startswith("planning") for text in said)
+    assert all(turn_s == pytest.approx(TURN_S) and frozen > 1000 for _, turn_s, frozen in seen)
+
+
+def test_any_motion_has_it_until_its_bus_is_closed():
+    plane = fl.FocalPlane.of("sdssv", n=1)
+
+    async def run():
+        hardware = field_hardware(plane, draw_units(plane, 1), 1)
+        motion = FieldMotion(plane, identity(plane.positioner_id), hardware, NoRecord())
+        await motion.connect()
+        while_open_s = sys.getswitchinterval()
+        await motion.close()
+        return while_open_s
+
+    assert asyncio.run(run()) == pytest.approx(TURN_S)

@@ -1,7 +1,7 @@
-"""The event loop before the other threads of the process, as long as an array can move.
+"""The event loop before the other threads of the process, as long as it has to hear a bus or a stop.
 
-Threads of Python take turns. One that computes keeps its turn for 5 ms where nobody says otherwise, and the
-loop waits as long each time it has read or sent something. And now and then the interpreter looks through all
+Threads of Python take turns. One that computes keeps its turn for 5 ms by default, and the loop waits as long
+each time it has read or sent something. And now and then the interpreter looks through all
 there is for what can be forgotten: every thread waits meanwhile, 0.1 s and more once everything is imported.
 """
 
@@ -16,7 +16,7 @@ TURN_S = 0.001
 
 
 class LoopFirst:
-    """Short turns, and no search through what is there, from `begin` to `end`.
+    """Short turns, and no search through what is there, from `begin` to `end`; or within `with`.
 
     Both are of the whole process: they end with the last of several.
     """
@@ -24,6 +24,12 @@ class LoopFirst:
     _begun: ClassVar[set[LoopFirst]] = set()
     _turn_s: ClassVar[float]
     """As it was before."""
+
+    def __enter__(self) -> None:
+        self.begin()
+
+    def __exit__(self, *error: object) -> None:
+        self.end()
 
     def begin(self) -> None:
         """From now on; a second time, what has come since is not searched either."""
