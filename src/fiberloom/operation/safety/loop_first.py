@@ -1,8 +1,8 @@
 """The event loop before the other threads of the process, as long as it has to hear a bus or a stop.
 
 Threads of Python take turns. One that computes keeps its turn for 5 ms by default, and the loop waits as long
-each time it has read or sent something. And now and then the interpreter looks through all
-there is for what can be forgotten: every thread waits meanwhile, 0.1 s and more once everything is imported.
+each time it has read or sent something. And now and then the interpreter looks through all there is for what
+can be forgotten: every thread waits meanwhile, 0.1 s and more once everything is imported.
 """
 
 from __future__ import annotations
