@@ -87,6 +87,7 @@ def test_rows_can_be_picked():
     path = np.column_stack([np.linspace(0, 90, 7), np.linspace(180, 20, 7)])
     repeated = maps.to_wire(path, index=np.full(7, 1), direction=POSITIVE)
     np.testing.assert_array_equal(maps.path_to_wire(1, path, POSITIVE), repeated)
+    assert maps.to_wire(np.zeros((0, 2)), index=[]).shape == (0, 2)  # none has answered
     with pytest.raises(InputError, match="positioner 99"):
         maps.rows_of([7, 99])
 

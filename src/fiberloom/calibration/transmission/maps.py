@@ -267,12 +267,12 @@ class TransmissionMaps:
         index: ArrayLike | None,
         direction: int,
     ) -> Floats:
-        rows = np.arange(len(self)) if index is None else np.atleast_1d(np.asarray(index))
+        rows = np.arange(len(self)) if index is None else np.atleast_1d(np.asarray(index, dtype=np.int64))
         side = _side(direction)
         given = np.asarray(values, dtype=np.float64)
         given = np.broadcast_to(given, (len(rows), 2, *given.shape[2:]))
         x_knots = source[rows, :, side]
-        x = given.reshape(len(rows), 2, -1)
+        x = given if given.ndim > 2 else given[..., None]
         k = np.empty(x.shape, dtype=np.int64)
         for place in np.ndindex(len(rows), 2):
             k[place] = _segments(x_knots[place], x[place])
