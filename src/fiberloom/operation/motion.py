@@ -338,9 +338,10 @@ class FieldMotion:
 
     async def _hear_all(self, moving: int) -> None:
         """Waits until all answer, or nobody can be on the way any more."""
+        silent = ", ".join(map(str, self._unheard))
         self._alarm(
-            f"{moving} positioners are still moving at the begin, and {', '.join(map(str, self._unheard))} do "
-            f"not answer: nobody is stopped in their way; waiting up to {LONGEST_MOTION_S:.0f} s"
+            f"{moving} positioners are still moving at the begin; no answer from {silent}, in whose way "
+            f"nobody is stopped: waiting up to {LONGEST_MOTION_S:.0f} s"
         )
         until_s = self.client.time_s + LONGEST_MOTION_S
         while self._unheard and self.client.time_s < until_s:
