@@ -8,6 +8,10 @@
 
 #include "fl_positioner.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Bytes a port should have; with less (or none) settings are simply not kept. */
 #define FL_STORAGE_BYTES 2048
 
@@ -25,5 +29,9 @@ bool fl_storage_note_position(fl_positioner_t *p, bool moving);
 
 /* The same for positions that are about to be declared, with both datums known. */
 bool fl_storage_declare_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -90,9 +90,20 @@ def test_an_array_has_to_be_named(at):
 
 
 def test_of_no_array_nothing_is_on_record(at):
-    code, out, _ = at("status", bus=None)
+    for bus in (None, BUS):
+        code, out, _ = at("status", bus=bus)
+        assert code == 0
+        assert "no array is on record" in out
+    assert not at.store.exists()  # who only asks makes no store
+
+
+def test_status_only_reads(at, monkeypatch):
+    """Also beside a command that has the store, on media that cannot be written, and on a full disk."""
+    at("exclude", "add", "204", "--why", "dark")
+    monkeypatch.setattr(Store, "open", lambda *a, **k: pytest.fail("opened to write"))
+    code, out, _ = at("status", "--json")
     assert code == 0
-    assert "no array is on record" in out
+    assert json.loads(out)[0]["excluded"] == 1
 
 
 def test_status_tells_what_is_on_record_of_every_array(at):

@@ -1,6 +1,7 @@
 """Writing parameters over a bus that loses and falsifies frames: all of them, or the old ones."""
 
 import asyncio
+import re
 
 import numpy as np
 import pytest
@@ -203,6 +204,132 @@ def test_an_interrupted_write_puts_the_old_ones_back(bench):
     bench.bus.lose_request = interrupt
     with pytest.raises(KeyboardInterrupt):
         bench.write()
+    assert bench.held(power_cut=False) == bench.factory()
+
+
+def test_interrupted_before_anything_has_changed_nothing_is_put_back(bench):
+    sent = []
+
+    def interrupt(identifier):
+        sent.append(identifier.command)
+        if identifier.command == Command.BEGIN_PARAMETERS:
+            raise KeyboardInterrupt
+        return False
+
+    bench.bus.lose_request = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        bench.write()
+    assert sent[-1] == Command.BEGIN_PARAMETERS
+    assert bench.held(power_cut=False) == bench.factory()
+
+
+@pytest.mark.parametrize("meddle", ["lose_answer", "falsify"])
+def test_one_that_cannot_be_read_is_not_written(bench, meddle):
+    """Its answers are lost, or are those to another question."""
+    first = Once(Command.GET_PARAMETER_ALPHA, IDS[0], nth=3, forever=meddle == "lose_answer")
+    if meddle == "falsify":
+        bench.bus.falsify = lambda identifier, data: b"\x07" + data[1:] if first(identifier) else data
+    else:
+        bench.bus.lose_answer = first
+    done = bench.write()
+    assert done[IDS[0]].reason == "a parameter was not answered; check the bus and repeat"
+    assert [done[i].in_force for i in IDS] == ["old", "new", "new"]
+    assert bench.held() == bench.factory()
+
+
+def test_what_started_anew_before_it_was_read_back_is_named(bench):
+    """A power cut right after the commit: all it says fits together, but it is the old."""
+    after = Once(Command.GET_PARAMETER_TABLE, IDS[0], nth=2)
+
+    def cut(identifier):
+        if after(identifier):
+            bench.twin.power_cycle(IDS[0])
+        return False
+
+    bench.bus.lose_request = cut
+    done = bench.write()
+    assert re.search(r"reading back: alpha \w+ is .*, .* was written; the old", done[IDS[0]].reason)
+    assert [done[i].in_force for i in IDS] == ["old", "new", "new"]
+    assert bench.held() == bench.factory()
+
+
+class Refusing(Meddling):
+    """Answers a request with a code that says why not."""
+
+    refused = None
+
+    async def receive(self, timeout_s):
+        frames = await super().receive(timeout_s)
+        return [f._replace(id=f.id | 2) if self.refused(decode(f.id)) else f for f in frames]
+
+
+def test_a_save_that_is_refused_leaves_the_old_ones_in_force(bench):
+    """Nothing was saved, so nothing more is: the storage wears."""
+    bench.bus.__class__ = Refusing
+    saves = Once(Command.SAVE_INTERNAL_CALIBRATION, IDS[0])
+    bench.bus.lose_request = lambda identifier: saves(identifier) and False
+    bench.bus.refused = Once(Command.SAVE_INTERNAL_CALIBRATION, IDS[0])
+    done = bench.write()
+    assert saves.seen == 1
+    assert "refused" in done[IDS[0]].reason
+    assert "to SAVE_INTERNAL_CALIBRATION; the old parameters are in force again" in done[IDS[0]].reason
+    assert [done[i].in_force for i in IDS] == ["old", "new", "new"]
+    bench.bus.refused = lambda identifier: False
+    assert bench.held(power_cut=False) == bench.factory()
+
+
+@pytest.mark.parametrize("meddle", ["lose_answer", "falsify"])
+def test_a_save_that_is_not_reported_is_undone(bench, meddle):
+    """The status after the save is lost, or does not tell of it."""
+    status = Once(Command.GET_STATUS, IDS[0], forever=True)
+    setattr(bench.bus, meddle, status)
+    if meddle == "falsify":
+        bench.bus.falsify = lambda identifier, data: bytes(8) if status(identifier) else data
+    done = bench.write()
+    assert done[IDS[0]].reason.startswith(
+        "it does not report what was saved; the old parameters are in force"
+    )
+    assert bench.held() == bench.factory()
+
+
+def test_where_the_commit_never_came_the_checksum_says_that_the_old_ones_are_in_force(bench):
+    bench.bus.lose_request = Once(Command.COMMIT_PARAMETERS, IDS[0], forever=True)
+    done = bench.write()
+    assert done[IDS[0]].reason.endswith("; the old parameters are in force")
+    assert [done[i].in_force for i in IDS] == ["old", "new", "new"]
+    assert bench.held(power_cut=False) == bench.factory()
+
+
+def test_where_neither_the_commit_nor_the_checksum_is_answered_nobody_knows(bench):
+    bench.bus.lose_answer = Once(Command.COMMIT_PARAMETERS, IDS[0], forever=True)
+    bench.bus.lose_request = Once(Command.GET_PARAMETER_TABLE, IDS[0], nth=2, forever=True)
+    done = bench.write()
+    assert [done[i].in_force for i in IDS] == ["unknown", "new", "new"]
+    assert "which parameters are in force is not known: switch its power off and on" in done[IDS[0]].reason
+    assert "the old" not in done[IDS[0]].reason
+    # as it says
+    assert bench.held() == bench.factory()
+
+
+def test_where_the_old_ones_cannot_be_put_back_it_says_so(bench):
+    """Neither the save nor the second beginning comes through: the new ones work until the power goes."""
+    bench.bus.lose_request = lambda identifier: save(identifier) or begin(identifier)
+    save = Once(Command.SAVE_INTERNAL_CALIBRATION, IDS[0], forever=True)
+    begin = Once(Command.BEGIN_PARAMETERS, IDS[0], nth=2, forever=True)
+    done = bench.write()
+    told = done[IDS[0]].reason
+    assert "putting the old ones back failed (timed out to BEGIN_PARAMETERS): switch its power off" in told
+    assert [done[i].in_force for i in IDS] == ["unknown", "new", "new"]
+    assert bench.held(power_cut=False) == bench.wanted[IDS[0]].tobytes()
+    assert bench.held() == bench.factory()
+
+
+def test_where_the_old_ones_are_in_force_but_may_not_be_saved_it_says_so(bench):
+    """No answer to any save: what is in the storage is not known."""
+    bench.bus.lose_answer = Once(Command.SAVE_INTERNAL_CALIBRATION, IDS[0], forever=True)
+    done = bench.write()
+    assert "after a power cut it may start with the new ones: repeat" in done[IDS[0]].reason
+    assert done[IDS[0]].in_force == "old"
     assert bench.held(power_cut=False) == bench.factory()
 
 

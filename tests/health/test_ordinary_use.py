@@ -108,7 +108,9 @@ def assert_healthy(monitor):
 def test_the_same_field_again_from_the_folded_place(store, runs):
     days = Days()
     goal = days.field()
-    assert_healthy(in_turn(store, days, [PARKED] * runs, [goal] * runs))
+    monitor = in_turn(store, days, [PARKED] * runs, [goal] * runs)
+    assert_healthy(monitor)
+    assert monitor.moves == 3 * runs  # where a run begins is no move
 
 
 def test_other_fields_from_the_folded_place(store):

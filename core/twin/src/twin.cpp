@@ -125,7 +125,7 @@ void Twin::State::boot(const TwinSetup &s) {
         int32_t position[FL_AXES];
         for (size_t axis = 0; axis < FL_AXES; ++axis)
             position[axis] = wire_count(plant.motor_rad(2 * i + axis), plant.params(2 * i + axis).gear_ratio);
-        positioners[i].set_position(position);
+        positioners[i].deliver(position);
     }
 }
 

@@ -28,6 +28,7 @@ _GET = (Command.GET_PARAMETER_ALPHA, Command.GET_PARAMETER_BETA)
 _BITE = 16
 """Frames of one command under way to a positioner: its queue of answers holds so many."""
 _TIMEOUT_S = 2.0
+_REPEAT = "switch its power off and on, and repeat"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +175,7 @@ async def _many(client: Client, command: Command, asked: list[Asked]) -> list[tu
     """Many requests to each positioner, by bites; those without an answer are asked again."""
     spec = COMMANDS[command]
     out: dict[Asked, Result] = {}
-    for attempt in range(client.retries + 1):
+    for _ in range(client.retries + 1):
         rest = [a for a in asked if a not in out or out[a].outcome is Outcome.TIMED_OUT]
         for bite in _bites(rest):
             replies = await client.exchange.unicast(
@@ -184,8 +185,6 @@ async def _many(client: Client, command: Command, asked: list[Asked]) -> list[tu
                 a: result_of(a[0], command, r, client.exchange.cut_off(a[0]))
                 for a, r in zip(bite, replies, strict=True)
             }
-        if attempt == client.retries or all(r.outcome is not Outcome.TIMED_OUT for r in out.values()):
-            break
     return [(a, out[a]) for a in asked]
 
 
@@ -247,7 +246,10 @@ class _Writer:
 
     def _book(self, results: Results, what: str) -> None:
         for i, r in results.failed.items():
-            self._fault[i] = self._fault[i] or f"{_told(r)} to {what}; the old parameters are in force"
+            after = "the old parameters are in force"
+            if self._in_force[i] == "unknown":
+                after = f"which parameters are in force is not known: {_REPEAT}"
+            self._fault[i] = self._fault[i] or f"{_told(r)} to {what}; {after}"
 
     async def _stage(self, ids: list[int], values: dict[int, AxisParameters]) -> None:
         """The copy, and in it what differs from what is in force."""
@@ -324,8 +326,6 @@ class _Writer:
 
     async def restore(self, ids: list[int], why: str, perhaps_saved: bool = False) -> None:
         """Puts the old parameters back in force (and in the storage, if need be), and says why."""
-        if not ids:
-            return
         old = {i: self._before[i].values for i in ids}
         for i in ids:
             self._fault[i] = ""
@@ -340,11 +340,11 @@ class _Writer:
 
     def _conclude(self, number: int, why: str, not_kept: bool) -> None:
         self.changed.pop(number, None)
-        fault = self._fault[number]
+        fault = self._fault[number].partition(";")[0]  # without what is in force: that is not the old ones
         self._in_force[number] = "unknown" if fault else "old"
         after = "the old parameters are in force again"
         if fault:
-            after = f"putting the old ones back failed ({fault}): switch its power off and on, and repeat"
+            after = f"putting the old ones back failed ({fault}): {_REPEAT}"
         elif not_kept:
             after += ", but after a power cut it may start with the new ones: repeat"
         self._fault[number] = f"{why}; {after}"

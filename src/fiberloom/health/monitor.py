@@ -151,7 +151,7 @@ class HealthMonitor:
 
     def update(self, passage: ObservedMove) -> None:
         """Learn from one move."""
-        self.moves += 1
+        self.moves += not passage.begins  # where a run begins nothing has moved yet
         seen: Flags = np.all(np.isfinite(passage.seen_mm), axis=1)
         self.dark.add(of_event(~seen, *self.settings.dark))
         if passage.begins:

@@ -26,7 +26,7 @@ def health_report(where: str, plane: FocalPlane) -> dict[str, Any]:
             for passage in passages(opened, run_id, plane):
                 monitor.update(passage)
         runs += 1
-    if monitor.moves == 0:
+    if runs == 0:
         raise InputError(
             f"{where}: no run of this focal plane ({plane.instrument.name}, {len(plane)} positioners); "
             "give the --instrument, --layout and --seed that it was observed with"

@@ -11,6 +11,8 @@ from fiberloom.operation.session import home
 from fiberloom.operation.session.clearing import Clearing, within_reach
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.transport import TwinTransport
 
 PLANE = layout(19)
@@ -186,3 +188,18 @@ def test_one_that_lies_is_seen_but_not_right(store):
     report = done(session(array, PLANE, store).home([LOST]))
     assert array.twin.touches() == []
     assert report.datum_found == []
+
+
+def test_those_that_are_excluded_or_silent_stay_though_they_are_named(store):
+    """`home --only` of one that is excluded, of one that does not answer, and of one that is neither."""
+    array, silent, other = TwinArray.of(PLANE), int(PLANE.positioner_id[3]), int(PLANE.positioner_id[12])
+    for kind in (FaultKind.DEAF, FaultKind.MUTE):
+        array.twin.inject(Fault(kind, silent))
+    before_deg = array.twin.truth()
+    report = done(session(array, PLANE, store, exclude=(LOST,)).home([LOST, silent, other]))
+    assert array.twin.touches() == []
+    assert report.left_out[LOST].endswith(": excluded, or switched off")
+    assert report.left_out[silent] == "does not answer on the bus"
+    assert report.datum_found == [other]
+    stayed = [ROW, 3]
+    np.testing.assert_allclose(array.twin.truth()[stayed], before_deg[stayed], atol=0.1)

@@ -1,13 +1,16 @@
 """Broken hardware, as seen from the bus and from the camera."""
 
+import struct
+
 import numpy as np
 import pytest
-from wire import COLLISION, STATUS, commands, goto
+from wire import COLLISION, POSITION, STATUS, commands, goto
 
-from fiberloom.bus.identifier import encode
-from fiberloom.bus.protocol import Status
+from fiberloom.bus.identifier import decode, encode
+from fiberloom.bus.protocol import Command, Response, Status
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, FaultKind, Twin, draw_units
+from fiberloom.units import COUNTS_PER_DEG
 
 PLANE = generate(load_instrument("sdssv"), seed=8, n_positioners=3)
 UNITS = draw_units(PLANE, seed=2)
@@ -86,6 +89,24 @@ def test_offline_positioners_stand_and_keep_silent():
     twin.send([(encode(0, STATUS), b"")])
     assert HEALTHY not in {r[0] for r in commands(twin.run(0.001))}
     assert twin.truth()[1] == pytest.approx([33.0, 150.0])
+
+
+def test_after_a_power_cut_in_motion_a_positioner_finds_its_datum_again():
+    """A unit comes with its datum calibrated and saved: the operator's `home` needs no bench."""
+    twin = Twin(PLANE, UNITS, seed=1, threads=1, neighbours=False, start_deg=(6.0, 174.0))
+    goto(twin, VICTIM, 10.0, 170.0)
+    twin.run(0.3)
+    twin.power_cycle(VICTIM)
+    assert Status.ESTIMATED_POSITION in status(twin, VICTIM)
+    assert Status.DATUM_ALPHA_INITIALIZED not in status(twin, VICTIM)
+    twin.send([(encode(VICTIM, Command.GO_TO_DATUMS, 5), b"")])
+    assert [decode(reply.id).code for reply in twin.run(0.01)] == [Response.ACCEPTED]
+    twin.run(150.0)
+    assert Status.DATUMS_INITIALIZED in status(twin, VICTIM)
+    twin.send([(encode(VICTIM, POSITION, 6), b"")])
+    (reply,) = twin.run(0.001)
+    reported_deg = np.array(struct.unpack("<ii", reply.data)) / COUNTS_PER_DEG
+    assert reported_deg == pytest.approx(twin.truth()[0], abs=1.0)
 
 
 def test_power_cycle_ends_a_move():

@@ -2,16 +2,20 @@
 
 import pytest
 from doors import MODEL, PATIENCE_S, SeenTwin, failure
+from programs import free_port
 
 from fiberloom.metrology.sources import folder as folder_module
 from fiberloom.metrology.sources.alpaca import AlpacaSource
 from fiberloom.metrology.sources.errors import CameraRefused, CameraSilent, ImageBroken, ImageStale
 from fiberloom.metrology.sources.folder import FolderSource
+from fiberloom.metrology.sources.indi import IndiSource
 from fiberloom.metrology.sources.remote import ExposureSettings
 from fiberloom.twin.camera.imaging import ImagingCamera, StillScene
+from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.alpaca import AlpacaServer
 from fiberloom.twin.server.camera.exposing import TwinShutter
 from fiberloom.twin.server.camera.folder import FolderWriter
+from fiberloom.twin.server.camera.indi import NAME, IndiServer
 
 SHORT_S = 1.0
 """A deadline for what never comes."""
@@ -45,6 +49,17 @@ def folder(shutter, tmp_path, monkeypatch):
     writer.close()
 
 
+@pytest.fixture
+def indi(shutter):
+    for package in ("indipyclient", "indipydriver", "indipyserver"):
+        pytest.importorskip(package, reason="pip install 'fiberloom[cameras]': INDI")
+    address = Address("127.0.0.1", free_port())
+    IndiServer(shutter, address)
+    source = IndiSource(address.host, address.port, NAME, ExposureSettings(0.1, retries=0))
+    yield source
+    source.close()
+
+
 @pytest.mark.parametrize(
     ("door", "fault", "kind", "deadline_s"),
     [
@@ -56,6 +71,10 @@ def folder(shutter, tmp_path, monkeypatch):
         ("folder", "camera_error", CameraSilent, SHORT_S),
         ("folder", "camera_half", ImageBroken, PATIENCE_S),
         ("folder", "camera_stale", ImageStale, SHORT_S),
+        ("indi", "camera_hang", CameraSilent, SHORT_S),
+        ("indi", "camera_error", CameraRefused, PATIENCE_S),
+        ("indi", "camera_half", ImageBroken, PATIENCE_S),
+        ("indi", "camera_stale", ImageStale, PATIENCE_S),
     ],
 )
 def test_faults_reach_the_host_as_what_they_are_and_go(request, twin, door, fault, kind, deadline_s):

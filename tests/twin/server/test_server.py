@@ -386,3 +386,110 @@ def test_what_a_host_does_not_read_is_thrown_away_and_counted():
     kept, unread = run(scenario)
     assert BACKLOG_BYTES <= kept < BACKLOG_BYTES + 100
     assert unread > 5000
+
+
+# who waits for a device, and what else the schedule does
+
+
+async def visitor(server):
+    """A connection of another program, by its two ends."""
+    address = server.listeners[0].address
+    return await asyncio.open_connection(address.host, address.port)
+
+
+def test_one_host_may_wait_for_a_moment_a_third_may_not():
+    async def scenario(server, client):
+        patient, writer = await visitor(server)
+        for _ in range(2):
+            hurried, other = await visitor(server)
+            assert await hurried.read() == b""  # hung up on
+            other.close()
+        refused = server.traffic.refused_clients
+        assert await patient.read() == b""
+        writer.close()
+        return refused, server.traffic.refused_clients, await client.status(IDS)
+
+    refused, at_last, status = run(scenario)
+    assert refused >= 2
+    assert at_last == 3
+    assert status.ok.all()
+
+
+def test_what_a_host_says_while_it_waits_is_answered_in_its_turn(monkeypatch):
+    monkeypatch.setattr("fiberloom.twin.server.server.GRACE_S", 30.0)
+
+    async def scenario():
+        async with served() as server:
+            _, first = await visitor(server)
+            await asyncio.sleep(0.05)
+            reader, second = await visitor(server)
+            second.write(b"DEV IDENT")
+            await second.drain()
+            await asyncio.sleep(0.05)
+            second.write(b"IFY\n")
+            await asyncio.sleep(0.05)
+            first.close()
+            answer = await reader.readline()
+            second.close()
+            return answer, server.traffic.clients
+
+    answer, clients = asyncio.run(asyncio.wait_for(scenario(), 20.0))
+    assert answer == b"R CAN@net NT 420\n"
+    assert clients == 2
+
+
+def test_one_that_waited_and_went_leaves_its_place_to_the_next(monkeypatch):
+    monkeypatch.setattr("fiberloom.twin.server.server.GRACE_S", 30.0)
+
+    async def scenario(server, client):
+        _, gone = await visitor(server)
+        gone.close()
+        await asyncio.sleep(0.05)
+        reader, next_one = await visitor(server)
+        await asyncio.sleep(0.05)
+        await client.close()
+        next_one.write(b"DEV IDENTIFY\n")
+        answer = await reader.readline()
+        next_one.close()
+        return answer, server.traffic.refused_clients
+
+    assert run(scenario) == (b"R CAN@net NT 420\n", 0)
+
+
+def test_served_in_the_bootloader_none_moves():
+    async def scenario(server, client):
+        moved = await client.goto(IDS, 60.0, 120.0)
+        with server.real.held() as twin:
+            return moved, twin.truth()
+
+    moved, truth = run(scenario, bootloader=True)
+    assert set(outcomes(moved).values()) == {Outcome.REFUSED}
+    np.testing.assert_allclose(truth, np.tile(START, (8, 1)), atol=0.7)
+
+
+def test_faults_of_camera_and_sensor_come_and_go_by_the_twins_time():
+    async def scenario(server, client):
+        before = server.faults()
+        await until(server, 2.2)
+        during = server.faults(), (await arrive(client, [VICTIM], 20.0, 160.0))[VICTIM].outcome
+        await until(server, 30.2)
+        after = server.faults()
+        with server.real.held() as twin:
+            return before, during, after, twin.dark.tolist(), server.look().lit_mm, server.happened
+
+    before, during, after, dark, lit_mm, happened = run(
+        scenario, faults=f"camera_half@2+28,stuck_hall=#{VICTIM}@2+28,dark=#{IDS[1]}@2+1"
+    )
+    assert before == after == frozenset()
+    assert during == ({"camera_half"}, Outcome.COLLIDED)
+    assert not any(dark)
+    assert np.isfinite(lit_mm).all()
+    assert len(happened) == 6
+    assert sum(text.endswith(" ends") for text in happened) == 3
+
+
+def test_what_a_camera_sees_of_a_twin_that_is_not_served_yet():
+    twin = Twin(PLANE, UNITS, seed=1, threads=1, neighbours=False)
+    look = TwinServer(twin, [Address("127.0.0.1", 0)]).look()
+    np.testing.assert_array_equal(look.lit_mm, twin.fibre_xy("metrology"))
+    assert look.time_s == twin.time_s
