@@ -94,7 +94,7 @@ class MotionWatch:
     async def to_stop(self, deviations: Sequence[Deviation], going: Going) -> frozenset[int]:
         """Which positioners are stopped now: none while the others may go on.
 
-        `deviations`: found by one poll; `going`: all others. Asked again when somebody can be reached again.
+        `deviations`: found by one poll; `going`: all others. Asked again when one of them is reached.
         """
         if deviations and not await self.may_go_on(deviations):
             self.stopping = True
@@ -325,7 +325,7 @@ class MotionRun:
         polled_s = -np.inf
         while True:
             now_s = client.time_s
-            if collided := self._followers.collided(active):  # at once, before anybody is polled
+            if collided := self._followers.collided(active):  # at once, before any poll
                 found += collided
             elif now_s >= polled_s + poll_s - LONGEST_WAIT_S / 2:
                 found += await self._followers.look(active - set(refused))

@@ -317,7 +317,7 @@ class FieldMotion:
     async def _all_at_rest(self) -> None:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places.
 
-        Not while somebody does not answer: that one may move, too, and who is stopped would be in its way.
+        Not while one does not answer: it may move, too, and those that are stopped would be in its way.
         """
         moving = await self._on_the_way()
         if (moving or self.left_moving) and self._unheard:
@@ -337,11 +337,11 @@ class FieldMotion:
         return sorted(set(self.plane.positioner_id[~self.plane.offline].tolist()) - set(self.client.ids))
 
     async def _hear_all(self, moving: int) -> None:
-        """Waits until all answer, or nobody can be on the way any more."""
+        """Waits until all answer, or none can be on the way any more."""
         silent = ", ".join(map(str, self._unheard))
         self._alarm(
             f"{moving} positioners are still moving at the begin; no answer from {silent}, in whose way "
-            f"nobody is stopped: waiting up to {LONGEST_MOTION_S:.0f} s"
+            f"none is stopped: waiting up to {LONGEST_MOTION_S:.0f} s"
         )
         until_s = self.client.time_s + LONGEST_MOTION_S
         while self._unheard and self.client.time_s < until_s:

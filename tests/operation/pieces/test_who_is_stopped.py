@@ -13,7 +13,7 @@ from fiberloom.calibration.transmission.maps import identity
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
-from fiberloom.operation.safety.deviation import Choice, MotionRule, cut_off_at
+from fiberloom.operation.safety.deviation import Choice, MotionRule, _rank, cut_off_at
 from fiberloom.planning import plan, random_pair, verify
 from fiberloom.planning.verification import Violation
 from fiberloom.studies.paper.no_record import NoRecord
@@ -102,7 +102,7 @@ def test_of_choices_that_all_touch_the_one_with_fewer_and_later_contacts_is_made
         return Choice(frozenset(), tuple(Violation("robots", k, "99", t, 1.0) for k, t in enumerate(times)))
 
     ranked = [choice(), choice(5.0), choice(2.0), choice(9.0, 9.0)]
-    assert sorted((ranked[k] for k in (2, 0, 3, 1)), key=lambda one: one.cost) == ranked
+    assert sorted((ranked[k] for k in (2, 0, 3, 1)), key=_rank) == ranked
 
 
 def test_where_no_choice_is_proven_an_alarm_says_so():

@@ -4,10 +4,10 @@ Stopping half of a verified motion is what collides: what cannot be reached goes
 stopped in its way. Going on past an arm that is not where the plan has it collides too. So the verifier
 decides, for the places where that arm may be.
 
-Where somebody cannot be reached, the rule looks for the largest part of the others that can be stopped. All
+Where one cannot be reached, the rule looks for the largest part of the others that can be stopped. All
 pairs that go on are proven by the plan, and two at rest stay apart; so only pairs of one that rests and one
-that goes on count. Of such a pair the one that was stopped is let go on, until nobody meets anybody. Whoever
-is let go had to be, whatever the others do: it was in the way of one that goes on in every choice. So where
+that goes on count. Of such a pair the one that was stopped is let go on, until none meet. One that is let go
+had to be, whatever the others do: it was in the way of one that goes on in every choice. So where
 any choice is free of contacts this one is.
 """
 
@@ -42,20 +42,14 @@ class Choice:
     stop: frozenset[int]
     contacts: tuple[Violation, ...] = ()
 
-    @property
-    def cost(self) -> tuple[int, float]:
-        """Fewer contacts, then later ones."""
-        pairs = {_pair(contact) for contact in self.contacts}
-        return len(pairs), -min((contact.time_s for contact in self.contacts), default=0.0)
-
 
 class MotionRule(MotionWatch):
     """Lets a motion go on where the verifier proves it safe with the deviating positioners where they are.
 
     A link that is down stops none: what is behind it follows the plan, which is proven. For one that is
     silent both are proven: that it goes on, by the plan, and that it came to rest anywhere since it was
-    last known to move. A collision stops all; while somebody cannot be reached, as many as can be stopped
-    so that nobody meets anybody, and the others as soon as all can be reached again.
+    last known to move. A collision stops all; while one cannot be reached, as many as can be stopped
+    so that no arms meet, and the others as soon as all can be reached again.
     """
 
     def __init__(
@@ -88,20 +82,20 @@ class MotionRule(MotionWatch):
         return proven
 
     async def chosen(self, going: Going) -> frozenset[int]:
-        """Those whose stop leaves nobody in anybody's way; all, where all can be reached.
+        """Those whose stop leaves no arm in the way of another; all, where all can be reached.
 
         Where no choice is proven, the one with the fewest contacts, and an alarm.
         """
-        everybody = going.reachable | going.unreachable
+        all_ids = going.reachable | going.unreachable
         if not going.unreachable:
-            self._event("deviation", f"all {len(everybody)} on the way are stopped", None)
-            return everybody
+            self._event("deviation", f"all {len(all_ids)} on the way are stopped", None)
+            return all_ids
         choice = await asyncio.to_thread(self.best, going)
         for kind, text in _told(choice, going):
             self._event(kind, text, None)
         self._rests |= self._stopped_at(choice.stop, going)
         # one that gives no answer may hear nevertheless
-        return everybody if choice.stop == going.reachable else choice.stop
+        return all_ids if choice.stop == going.reachable else choice.stop
 
     def _is_proven_with(self, doubtful: Sequence[Deviation]) -> bool:
         self._rests |= {d.positioner: self._resting(d) for d in doubtful}
@@ -143,7 +137,7 @@ class MotionRule(MotionWatch):
             if not in_the_way:
                 break
             tried.append(self._with(stop - in_the_way, going))
-        return min(tried, key=lambda choice: choice.cost)
+        return min(tried, key=_rank)
 
     def _stopped_of(self, contact: Violation, stop: frozenset[int]) -> list[int]:
         """Of a contact the one that was stopped, if the other one is on its way."""
@@ -164,7 +158,7 @@ class MotionRule(MotionWatch):
         return Choice(stop, tuple(found.values()))
 
     def _places(self, stop: frozenset[int], going: Going) -> dict[int, list[Trajectory]]:
-        """STOPS places for everyone that is at rest then, or may be."""
+        """STOPS places for each that is at rest then, or may be."""
         known = {i: rests for i, rests in self._rests.items() if i not in going.reachable}
         return self._stopped_at(stop, going) | known
 
@@ -198,6 +192,12 @@ class MotionRule(MotionWatch):
         return np.union1d(near.ravel(), rows)
 
 
+def _rank(choice: Choice) -> tuple[int, float]:
+    """Lower is better: the number of pairs that touch, then the time of the first contact in s, negative."""
+    pairs = {_pair(contact) for contact in choice.contacts}
+    return len(pairs), -min((contact.time_s for contact in choice.contacts), default=0.0)
+
+
 def _pair(contact: Violation) -> frozenset[int]:
     """The positioners of a contact; with an obstacle there is one."""
     other = {int(contact.other)} if contact.other.isdecimal() else set()
@@ -212,7 +212,7 @@ def _told(choice: Choice, going: Going) -> Iterator[tuple[str, str]]:
     yield "deviation", f"{text}: {'not ' if choice.contacts else ''}proven clear of contacts"
     if choice.contacts:
         found = "; ".join(map(str, choice.contacts[:3]))
-        yield "alarm", f"whoever is stopped, arms may touch: {found}"
+        yield "alarm", f"in every choice of those to stop arms may touch; in this one: {found}"
 
 
 def cut_off_at(whole: Trajectory, time_s: float) -> Trajectory:
