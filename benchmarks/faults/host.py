@@ -18,6 +18,7 @@ import fiberloom.connect
 from fiberloom.bus.links import Link
 from fiberloom.bus.transport import Frame
 from fiberloom.cli.app import main
+from fiberloom.connect import array_address
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.sources.errors import (
     CameraError,
@@ -26,7 +27,10 @@ from fiberloom.metrology.sources.errors import (
     ImageBroken,
     ImageStale,
 )
+from fiberloom.operation.session.states import SessionState
 from fiberloom.operation.source import OpenedArray
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
 
 CRASH = 70
 """Exit code of what is no answer to an operator."""
@@ -95,23 +99,42 @@ class Desk:
     log: Path
     """Takes what the command prints."""
 
-    def words(self, targets: Path) -> list[str]:
+    @property
+    def store(self) -> Path:
+        """Of the array."""
+        return self.folder / "arrays.sqlite"
+
+    def observe(self, targets: Path) -> list[str]:
         """The command, as typed."""
-        files = ["--calibration", str(self.maps), "--store", str(self.folder / "arrays.sqlite")]
-        bus = ["--bus", BUS, "--camera", CAMERA]
         more = ["--moves", str(MOVES), "--pages", "none", "--out", str(self.folder / "out")]
-        return ["fiberloom", "observe", str(targets), *self.options, *bus, *files, *more]
+        return ["fiberloom", "observe", str(targets), *self._array, *more]
+
+    def recover(self) -> list[str]:
+        """What the operator types where the array is locked after a collision."""
+        return ["fiberloom", "recover", *self._array]
+
+    @property
+    def _array(self) -> list[str]:
+        files = ["--calibration", str(self.maps), "--store", str(self.store)]
+        return [*self.options, "--bus", BUS, "--camera", CAMERA, *files]
+
+    def locked(self) -> bool:
+        """Whether the array is locked after a collision."""
+        if not self.store.exists():
+            return False
+        with Store.open(self.store, create=False) as store:
+            return ArrayBook(store, array_address(BUS)).state().state == SessionState.LOCKED
 
 
 MOVES = 4
 """Of a command: the blind move and three corrections, so that two further ones follow the first two."""
 
 
-def command(pipe: Connection, desk: Desk, targets: Path) -> None:
-    """Waits for its turn, runs one command, tells how it ended."""
+def command(pipe: Connection, desk: Desk, words: list[str]) -> None:
+    """Waits for its turn, runs one command of these words, tells how it ended."""
     array = PipedArray(pipe, desk.ids, pipe.recv())
     fiberloom.connect.open_hardware = lambda *_, **__: OpenedArray(array, array)
-    sys.argv = desk.words(targets)
+    sys.argv = words
     code, said = _run()
     with desk.log.open("a") as log:
         log.write(said)

@@ -84,7 +84,8 @@ def judged(world: World, maps: TransmissionMaps, folder: Path, ended: list[Ended
     bad = [e for e in ended if e.exit == CRASH or (e.exit < 0 and not e.killed)]
     crashes = [f"exit code {e.exit} {e.said[-1500:]}" for e in bad]
     line["crash"] = "\n".join(crashes)
-    line["exits"] = [e.exit for e in ended]
+    for deed, name in (("observe", "exits"), ("recover", "recover_exits")):
+        line[name] = [e.exit for e in ended if e.deed == deed]
     line["said"] = [_last_line(e.said) for e in ended]
     return line
 
@@ -382,8 +383,9 @@ class _Judge:
         return UM_PER_MM * np.fmin.reduce(off)
 
     def _false_success(self) -> list[int]:
-        """Commands that ended with exit code 0 while too few of the assigned fibres are near."""
-        return [k for k, e in enumerate(self.ended) if e.exit == 0 and not self._is_success(e)]
+        """Observations that ended with exit code 0 while too few of the assigned fibres are near."""
+        done = [k for k, e in enumerate(self.ended) if e.exit == 0 and e.deed == "observe"]
+        return [k for k in done if not self._is_success(self.ended[k])]
 
     def _is_success(self, ended: Ended) -> bool:
         finals = [i for i, _ in self._finals() if ended.begun_s <= i.shot.time_s <= ended.ended_s]

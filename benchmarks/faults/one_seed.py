@@ -1,4 +1,7 @@
-"""One seed in a process of its own: an array, two commands one after the other, and what came of it."""
+"""One seed in a process of its own: an array, two commands one after the other, and what came of it.
+
+Where one leaves the array locked after a collision `fiberloom recover` follows, as an operator would type it.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +57,15 @@ def run_seed(array: Array, scene: Scene, log: Path) -> dict[str, Any]:
     begun_s = time.monotonic()
     with _folder(scene) as (folder, ballast):
         desk = Desk(array.plane.positioner_id.tolist(), array.options, array.maps_file, folder, log)
-        hosts = [_host(array, scene, desk, number) for number in range(COMMANDS)]
+        hosts = [_hosts(array, scene, desk, number) for number in range(COMMANDS)]
         fill = None if ballast is None else lambda fault: ballast.fill(fault.size)
         world = World(array.plane, array.units, scene, fill)
-        ended = [_ended(world, ballast, host, number) for number, host in enumerate(hosts)]
-        line = judged(world, array.maps, folder, ended)
+        operator = Operator(world, ballast, desk)
+        for number, (observe, recover) in enumerate(hosts):
+            operator.types(observe, kill=number == 0)
+            operator.goes_on(recover)
+        line = judged(world, array.maps, folder, operator.ended)
+        line |= {"locked": operator.locked, "recovered": operator.recovered}
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     line["cpu_s"] = round(sum(u.ru_utime + u.ru_stime for u in used), 2)
     line["wall_s"] = round(time.monotonic() - begun_s, 2)
@@ -76,22 +83,30 @@ def _folder(scene: Scene) -> Iterator[tuple[Path, Ballast | None]]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _host(array: Array, scene: Scene, desk: Desk, number: int) -> tuple[BaseProcess, Connection]:
-    """A command in a process of its own, that waits; begun before the twin has threads."""
+Host = tuple[BaseProcess, Connection]
+"""A command in a process of its own, that waits for its turn."""
+
+
+def _hosts(array: Array, scene: Scene, desk: Desk, number: int) -> tuple[Host, Host]:
+    """An observation, and what may have to follow it; begun before the twin has threads."""
     targets = desk.folder / f"targets-{number}.csv"
     n = 8 * len(array.plane)
     write_targets(random_targets(array.plane, n, COMMANDS * scene.seed + number), targets)
+    return _host(desk, desk.observe(targets)), _host(desk, desk.recover())
+
+
+def _host(desk: Desk, words: list[str]) -> Host:
     ours, theirs = FORK.Pipe()
-    process = FORK.Process(target=partial(_alone, ours), args=(theirs, desk, targets), daemon=True)
+    process = FORK.Process(target=partial(_alone, ours), args=(theirs, desk, words), daemon=True)
     process.start()
     theirs.close()
     return process, ours
 
 
-def _alone(ours: Connection, theirs: Connection, desk: Desk, targets: Path) -> None:
+def _alone(ours: Connection, theirs: Connection, desk: Desk, words: list[str]) -> None:
     die_with_parent()
     ours.close()  # or the end of the other process would not be noticed
-    command(theirs, desk, targets)
+    command(theirs, desk, words)
 
 
 def die_with_parent() -> None:
@@ -99,18 +114,38 @@ def die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
-def _ended(world: World, ballast: Ballast | None, host: tuple[BaseProcess, Connection], number: int) -> Ended:
-    """Serves one command; afterwards room is made, and where it died the array goes on alone."""
-    process, pipe = host
-    kills = world.scene.of("kill") if number == 0 else []
-    assert process.pid is not None
-    ended = world.serve(pipe, process.pid, kills[0] if kills else None)
-    pipe.close()
-    process.join()
-    if ended.exit < 0:
-        ended = replace(ended, exit=process.exitcode or ended.exit)
-    if ballast is not None:
-        ballast.away()
-    if ended.exit < 0:
-        world.passes(float(np.random.default_rng([world.scene.seed, 0x6A]).uniform(0.0, GAP_S)))
-    return ended
+class Operator:
+    """Types commands, makes room on the disk, recovers what is locked."""
+
+    def __init__(self, world: World, ballast: Ballast | None, desk: Desk) -> None:
+        """`world`: the array; `ballast`: of a disk that may be full; `desk`: files."""
+        self._world, self._ballast, self._desk = world, ballast, desk
+        self.ended: list[Ended] = []
+        """Every command, in order."""
+        self.locked = self.recovered = 0
+        """How often a command left the array locked, and how often it was not after `recover`."""
+
+    def types(self, host: Host, *, kill: bool = False, deed: str = "observe") -> None:
+        """Serves one command; afterwards room is made, and where it died the array goes on alone."""
+        (process, pipe), world = host, self._world
+        kills = world.scene.of("kill") if kill else []
+        assert process.pid is not None
+        ended = world.serve(pipe, process.pid, kills[0] if kills else None)
+        pipe.close()
+        process.join()
+        code = (process.exitcode or ended.exit) if ended.exit < 0 else ended.exit
+        self.ended.append(replace(ended, exit=code, deed=deed))
+        if self._ballast is not None:
+            self._ballast.away()
+        if code < 0:
+            world.passes(float(np.random.default_rng([world.scene.seed, 0x6A]).uniform(0.0, GAP_S)))
+
+    def goes_on(self, recover: Host) -> None:
+        """Recovers where the array is locked; a host that is not needed ends."""
+        if not self._desk.locked():
+            recover[1].close()
+            recover[0].kill()
+            return
+        self.locked += 1
+        self.types(recover, deed="recover")
+        self.recovered += not self._desk.locked()

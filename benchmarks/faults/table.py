@@ -124,6 +124,8 @@ def _further(lines: list[Line]) -> list[str]:
         f"{count(lines, 'told_good')} fibres told on target",
         f"contacts with what nothing had shown yet: {count(lines, 'contacts_unknown')} in "
         f"{seeds_with(lines, 'contacts_unknown')} seeds",
+        f"arrays left locked by a collision: {count(lines, 'locked')}; no longer after `recover`: "
+        f"{count(lines, 'recovered')}",
         f"commands by exit code: {codes}",
     ]
 

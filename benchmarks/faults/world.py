@@ -57,6 +57,7 @@ class Ended:
     begun_s: float
     ended_s: float
     killed: bool = False
+    deed: str = "observe"
 
 
 class World:

@@ -3,7 +3,7 @@
 from fiberloom.bus.cannet import CanNetTransport
 from fiberloom.bus.client import Client, Collision
 from fiberloom.bus.links import Link
-from fiberloom.bus.motion import Deviation, DeviationKind, MotionWatch, Tolerance
+from fiberloom.bus.motion import Deviation, DeviationKind, Going, MotionWatch, Tolerance
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.bus.protocol import Command, Response, Status
 from fiberloom.bus.trajectory import WireTrajectory
@@ -17,6 +17,7 @@ __all__ = [
     "Deviation",
     "DeviationKind",
     "Frame",
+    "Going",
     "Link",
     "MotionWatch",
     "Outcome",

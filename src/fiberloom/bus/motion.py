@@ -1,8 +1,9 @@
 """Patience for motions to end, and running trajectories under watch.
 
 After START every positioner is polled at once and then once a second. What is found is a `Deviation`; whether
-the others go on is for the watch to say. A link that is down stops no other positioner: those behind it
-follow their trajectories to the end, and the plan keeps clear of collisions only if all do (docs/bus.md).
+the others go on, and which of them are stopped, is for the watch to say. A link that is down stops no other
+positioner: those behind it follow their trajectories to the end, and the plan keeps clear of collisions only
+if all do (docs/bus.md).
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ SILENT_POLLS, SILENT_S = 3, 2.0
 over so long."""
 CONFIRM_S = 0.1
 """A positioner that seems not to move is asked once more after this time: some report late that they move."""
+
+COLLIDED_S = 0.1
+"""So long before it says so, a positioner that collided may have come to rest: the control sees that late."""
 
 _SAME_S = 1e-6
 """Less than a tick of any clock."""
@@ -65,14 +69,40 @@ class Deviation:
     """Until when it was known to follow its trajectory; 0: never."""
 
 
+@dataclass(frozen=True, slots=True)
+class Going:
+    """Who follows a trajectory still, as far as is known."""
+
+    time_s: float
+    """After START, s."""
+    reachable: frozenset[int]
+    unreachable: frozenset[int] = frozenset()
+    """A link that is down, or no answer: no stop can be counted on."""
+
+
 @dataclass
 class MotionWatch:
-    """How a motion is watched. A caller with a better rule overrides `may_go_on`."""
+    """How a motion is watched. A caller with a better rule overrides `may_go_on` and `chosen`."""
 
     poll_s: float = 1.0
     """Time between polls; infinity: none, as before START was watched."""
     deviations: list[Deviation] = field(default_factory=list)
     """All that was found so far."""
+    stopping: bool = False
+    """The motion is to end, as soon as that can be done."""
+
+    async def to_stop(self, deviations: Sequence[Deviation], going: Going) -> frozenset[int]:
+        """Which positioners are stopped now: none while the others may go on.
+
+        `deviations`: found by one poll; `going`: all others. Asked again when one of them is reached.
+        """
+        if deviations and not await self.may_go_on(deviations):
+            self.stopping = True
+        return await self.chosen(going) if self.stopping else frozenset()
+
+    async def chosen(self, going: Going) -> frozenset[int]:
+        """Which are stopped where the motion is to end: all, as far as they can be reached."""
+        return going.reachable | going.unreachable
 
     async def may_go_on(self, deviations: Sequence[Deviation]) -> bool:
         """Whether the other positioners may go on, given what was found by one poll."""
@@ -181,6 +211,16 @@ class _Followers:
             self.answers.update(await self._client.poll(early))
         return [found for i in sorted(ids) if (found := self._deviation(i)) is not None]
 
+    def collided(self, ids: set[int]) -> list[Deviation]:
+        """Those of these that have said by themselves that they collided."""
+        since_s = max(self.elapsed_s - COLLIDED_S, 0.0)
+        ids = ids & self._client.collided
+        return [Deviation(i, DeviationKind.COLLIDED, self.elapsed_s, since_s) for i in sorted(ids)]
+
+    def silent(self, positioner: int) -> bool:
+        """Has left two polls in a row without an answer."""
+        return self._told.get(positioner) is DeviationKind.SILENT
+
     def _at_rest_early(self, positioner: int) -> bool:
         answer = self.answers[positioner]
         bits = answer.values[0] if answer.ok else 0
@@ -242,10 +282,13 @@ class MotionRun:
         self._client, self._trajectories = client, trajectories
         self._watch, self._tolerance = watch, tolerance
         self.results = all_of(trajectories, Outcome.TIMED_OUT)
+        self._let_go: frozenset[int] = frozenset()
+        """Those that the rule has let go on, although the motion is to end."""
 
     async def run(self) -> Results:
         """The outcome of each positioner."""
         client, longest_s = self._client, max(t.duration_s for t in self._trajectories.values())
+        self._watch.stopping = False
         self._followers = _Followers(client, self._trajectories, client.time_s)
         if await self._cut_before_start():
             return self.results
@@ -254,8 +297,7 @@ class MotionRun:
         until_s = client.time_s + longest_s
         going = await self._follow(started, until_s)
         left_s = max(until_s - client.time_s, 0.0)
-        if going is None:
-            await self._outlive(left_s)
+        if not going:
             return self.results
         waiting = Patience(left_s + self._tolerance.margin_s, left_s)
         self.results.update(await Arrivals(client, going, waiting).wait())
@@ -272,15 +314,8 @@ class MotionRun:
             await self._client.abort(i for i in self.results if i not in cut)
         return bool(cut)
 
-    async def _outlive(self, left_s: float) -> None:
-        """What a stop did not reach may run to its planned end: nothing else moves before that."""
-        beyond = (Outcome.TIMED_OUT, Outcome.DISCONNECTED)
-        if any(result.outcome in beyond for result in self.results.values()):
-            await self._client.sleep(left_s)
-            await self._when_back()
-
-    async def _follow(self, started: Results, until_s: float) -> set[int] | None:
-        """Polls until the planned end; those that go on, None when all were stopped."""
+    async def _follow(self, started: Results, until_s: float) -> set[int]:
+        """Polls until the planned end; those that go on till then, or may: a stop did not reach them."""
         client, poll_s = self._client, self._watch.poll_s
         active = set(self.results)
         refused = [i for i, r in started.items() if r.outcome is Outcome.REFUSED]
@@ -291,34 +326,49 @@ class MotionRun:
         polled_s = -np.inf
         while True:
             now_s = client.time_s
-            if now_s >= polled_s + poll_s - LONGEST_WAIT_S / 2:
+            if collided := self._followers.collided(active):  # at once, before any poll
+                found += collided
+            elif now_s >= polled_s + poll_s - LONGEST_WAIT_S / 2:
                 found += await self._followers.look(active - set(refused))
                 polled_s = now_s
-            if found and not await self._settle(found, active):
-                return None
+            await self._settle(found, active)
+            if not active:
+                return active
             found = []
             # in the reader's own steps: on a virtual clock the end then comes in the same tick, polled or not
             last = until_s <= now_s + LONGEST_WAIT_S
             ahead_s, early_s = (until_s, 0.0) if last else (now_s + LONGEST_WAIT_S, _SAME_S)
-            if await client.rest(active, ahead_s, early_s) or last:
-                return active  # at the end, or at a collision, which the wait for the end sees to
+            if not await client.rest(active, ahead_s, early_s) and last:
+                return active
 
-    async def _settle(self, found: list[Deviation], active: set[int]) -> bool:
-        """Asks the rule; takes those out that do not move. False when all were stopped."""
+    async def _settle(self, found: list[Deviation], active: set[int]) -> None:
+        """Asks the rule; takes those out of `active` that do not move, or were stopped."""
         self._watch.deviations += found
-        go_on = await self._watch.may_go_on(found)
         out = [d for d in found if d.kind not in HARMLESS]
         for deviation in out:
             self._book(deviation)
             active.discard(deviation.positioner)
-        if go_on:
-            await self._client.abort([d.positioner for d in out])
-            return True
-        stopped = await self._client.stop_all(ids=self.results)
-        for i in active:
-            reached = i not in stopped or stopped[i].ok
-            self.results[i] = Result(i, Outcome.STOPPED) if reached else stopped[i]
-        return False
+        going = self._going(active)
+        if found or (self._watch.stopping and going.reachable - self._let_go):
+            stop = await self._watch.to_stop(found, going)
+            self._let_go = going.reachable - stop
+            # what has deviated holds its trajectory still, and a later START would set it off
+            await self._stop(stop, active, [d.positioner for d in out])
+
+    async def _stop(self, stop: frozenset[int], active: set[int], out: list[int]) -> None:
+        """Stops these, and those that are `out`; who does not answer stays active: it may go on."""
+        asked = [*stop, *out]
+        stopped = await self._client.stop_all(ids=asked) if asked else Results()
+        for i in stop:
+            self.results[i] = Result(i, Outcome.STOPPED) if stopped[i].ok else stopped[i]
+            if stopped[i].ok:
+                active.discard(i)
+
+    def _going(self, active: set[int]) -> Going:
+        """Who is on the way, and who of them can be reached."""
+        cut_off, silent = self._client.exchange.cut_off(active), self._followers.silent
+        unreachable = frozenset(i for i in active if i in cut_off or silent(i))
+        return Going(self._followers.elapsed_s, frozenset(active) - unreachable, unreachable)
 
     def _book(self, deviation: Deviation) -> None:
         """What became of one that does not follow its trajectory."""

@@ -66,6 +66,13 @@ MOST = 0.5
 REST_TIMEOUT_S = 5.0
 """A stopped positioner is at rest after a fraction of a second."""
 
+LONGEST_MOTION_S = 60.0
+"""So long after a host has gone, one that does not answer may still follow its trajectory: plans of 500
+positioners last 35 s."""
+
+HEAR_S = 1.0
+"""Between attempts to hear who does not answer."""
+
 RECOVERIES = 3
 """How often a blind move that was stopped is planned anew round the positioners that are in the way."""
 
@@ -276,6 +283,8 @@ class FieldMotion:
         )
         self.state = FieldState(plane, self.recorder)
         self._loop_first = LoopFirst()
+        self.left_moving = False
+        """The host before was lost while it moved the field."""
         self.has_moved = False
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
@@ -292,13 +301,13 @@ class FieldMotion:
         """
         self._loop_first.begin()
         state, known = self.state, self.plane.positioner_id.tolist()
-        found = set(await self.client.discover())
-        if not found & set(known):
+        if not set(await self.client.discover()) & set(known):
             raise InputError(
                 f"none of the {len(known)} positioners of this layout answers on the bus; "
                 "check its power and address"
             )
         await self._all_at_rest()
+        found = set(self.client.ids)
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
@@ -309,14 +318,42 @@ class FieldMotion:
         await self.writer.written()
 
     async def _all_at_rest(self) -> None:
-        """Stops what still moves, as a host that was killed leaves it: places of before are no places."""
-        moving = [i for i, answer in (await self.client.poll(self.client.ids)).items() if _moves(answer)]
+        """Stops what still moves, as a host that was killed leaves it: places of before are no places.
+
+        Not while one does not answer: it may move, too, and those that are stopped would be in its way.
+        """
+        moving = await self._on_the_way()
+        if (moving or self.left_moving) and self._unheard:
+            await self._hear_all(len(moving))
+            moving = await self._on_the_way()
         if moving:
-            text = f"{len(moving)} positioners were still moving at the begin; all are stopped"
-            self.recorder.event("alarm", text)
-            self.progress(text)
+            self._alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
             await self.client.stop_all()
             await self.client.wait_until_done(moving, REST_TIMEOUT_S, stop_on_collision=False)
+
+    async def _on_the_way(self) -> list[int]:
+        return [i for i, answer in (await self.client.poll(self.client.ids)).items() if _moves(answer)]
+
+    @property
+    def _unheard(self) -> list[int]:
+        """Positioners of the layout that the bus does not have now."""
+        return sorted(set(self.plane.positioner_id[~self.plane.offline].tolist()) - set(self.client.ids))
+
+    async def _hear_all(self, moving: int) -> None:
+        """Waits until all answer, or none can be on the way any more."""
+        silent = ", ".join(map(str, self._unheard))
+        self._alarm(
+            f"{moving} positioners are still moving at the begin; no answer from {silent}, in whose way "
+            f"none is stopped: waiting up to {LONGEST_MOTION_S:.0f} s"
+        )
+        until_s = self.client.time_s + LONGEST_MOTION_S
+        while self._unheard and self.client.time_s < until_s:
+            await self.client.sleep(HEAR_S)
+            await self.client.discover()
+
+    def _alarm(self, text: str) -> None:
+        self.recorder.event("alarm", text)
+        self.progress(text)
 
     async def _vouched(self, answered: Flags) -> Flags:
         """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""

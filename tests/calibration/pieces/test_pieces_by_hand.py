@@ -14,9 +14,11 @@ from fiberloom.calibration.bench.stiffness import StiffnessData, identify_stiffn
 from fiberloom.calibration.bench.torque import mean_wave
 from fiberloom.calibration.commissioning.checks import _bend
 from fiberloom.calibration.commissioning.measured import BACKLASH, Measured, of_maps
+from fiberloom.calibration.focal_plane.design import LEAST_BEND_DEG, candidates
 from fiberloom.calibration.focal_plane.fit import FitSettings, FocalPlaneFit, _Fit
 from fiberloom.calibration.transmission.evaluate import _not_moved
-from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
+from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps, _numbers
+from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 
 PLANE = generate(load_instrument("sdssv"), 0, n_positioners=7)
@@ -208,3 +210,21 @@ def test_an_acceptance_judges_the_blind_error_and_that_after_the_moves_allowed(m
     more = SimpleNamespace(**{**vars(asked), "moves": 9})
     checks = acceptance._checks(SimpleNamespace(error_um=error_um), nominal, more, 0)
     assert {c.name: c.value for c in checks}["error after 9 moves, largest"] == 7.0
+
+
+@pytest.mark.parametrize(
+    "ids", [np.array([1.0, 2.0]), np.array([[1, 2]]), np.array(["1", "2"]), np.array([3, 3])]
+)
+def test_positioners_of_maps_are_whole_numbers_each_once(ids):
+    with pytest.raises(InputError, match="positioner_id"):
+        _numbers(ids)
+
+
+def test_the_ends_of_beta_are_drawn_evenly_over_two_degrees():
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=100)
+    beta_deg = candidates(plane, np.random.default_rng(1))[..., 1]
+    high_deg = plane.limits_deg[1, 1]
+    for past_deg in (beta_deg.min(axis=1) - LEAST_BEND_DEG, high_deg - beta_deg.max(axis=1)):
+        assert (past_deg >= 0.0).all()
+        assert (past_deg <= 2.0).all()
+        assert past_deg.mean() == pytest.approx(1.0, abs=4.0 * 2.0 / np.sqrt(12 * 100))

@@ -10,8 +10,10 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.identifier import decode
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.errors import InputError
+from fiberloom.planning import random_configuration
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.transport import TwinTransport
 
 PLANE = layout(7)
@@ -88,3 +90,17 @@ def test_nothing_to_recover_from_unlocks(store):
     # at rest it is always possible: those that are not certain to be anywhere are looked for
     again = done(session(TwinArray.of(PLANE), PLANE, store).recover())
     assert (again.touching, again.found, again.state) == ([], [], "parked")
+
+
+@pytest.mark.parametrize("rows", [[3], [0, 1, 4, 6]])
+def test_those_that_do_not_move_are_gone_round_and_the_array_is_unlocked(store, rows):
+    """Each is found by a collision of its own; four of them are more than the ways that are tried in vain."""
+    array = TwinArray.of(PLANE, random_configuration(PLANE, 2))
+    stuck = PLANE.positioner_id[rows].tolist()
+    for positioner in stuck:
+        array.twin.inject(Fault("stuck_hall", positioner))
+    report = done(session(array, PLANE, store).recover())
+    assert report.state == "parked"  # all that move
+    assert {p for p, why in report.left_out.items() if why == "dead"} == set(stuck)
+    assert array.twin.touches() == []
+    assert done(session(array, PLANE, store).park()).state != "locked"

@@ -18,6 +18,9 @@ constexpr int hurry_rounds = 32;
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
+// States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
+// of 500 takes nine millions.
+constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
 constexpr int near_by = 8; // neighbours that may join a group, or get more time with it
 
 } // namespace
@@ -61,12 +64,24 @@ bool Repair::run(int last_steps) {
     return rounds(static_cast<int>(most));
 }
 
+// After a while without success there is none to be expected: one that is locked in has no way at all.
+std::int64_t Repair::most_in_vain() const {
+    const std::int64_t states = std::max(least_vain, vain_per_robot * paths_.size());
+    return static_cast<std::int64_t>(settings_.effort * static_cast<double>(states));
+}
+
 bool Repair::rounds(int most) {
-    for (int k = 0; k < most; ++k) {
+    int fewest = paths_.conflicts();
+    std::int64_t since = expansions();
+    for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
         const auto all = pairs();
         if (all.empty()) return true;
         round(all[random_.below(all.size())]);
         ++statistics_.repairs;
+        if (paths_.conflicts() < fewest) {
+            fewest = paths_.conflicts();
+            since = expansions();
+        }
         const int most_at_once = std::max(statistics_.first_conflicts, paths_.conflicts());
         settings_.watch("parting paths that meet", most_at_once - paths_.conflicts(), most_at_once);
     }

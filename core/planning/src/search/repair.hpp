@@ -52,6 +52,7 @@ class Repair {
     bool squeeze(int deadline);
     int arrival() const;
     bool rounds(int most);
+    std::int64_t most_in_vain() const;
     void give_time(Pair pair);
     static int least_cost(const Robot &robot, const Costs &costs);
     void tidy_one(PathIndex i, const Costs &costs);

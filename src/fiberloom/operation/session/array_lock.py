@@ -36,6 +36,8 @@ class ArrayLock:
         self.state, self.text = SessionState.OFF, ""
         self.lost = False
         """Another process has taken it."""
+        self.left_moving = False
+        """The owner before was lost in a motion."""
         self._token = ""
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
@@ -62,6 +64,7 @@ class ArrayLock:
         self._thread.start()
         if not before.stale:
             return ""
+        self.left_moving = before.state == SessionState.MOVING
         gone = "has ended without a word" if before.silent_s < HEARTBEAT_S * 5 else "gives no sign of life"
         return f"taken over from {before.owner}, which {gone}; it was {before.state}"
 

@@ -59,7 +59,7 @@ class SessionMotion(FieldMotion):
         `recorder`: keeps every move; `progress`: called with the name of each step; `lock`: of the array,
         taken."""
         super().__init__(plane, maps, hardware, recorder, progress)
-        self.lock = lock
+        self.lock, self.left_moving = lock, lock.left_moving
         self.datum = np.zeros(len(plane), dtype=bool)
         """(N,) searched since power came on."""
         self._right = np.zeros(len(plane), dtype=bool)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fiberloom.health.status import FibreStatus
 from fiberloom.operation.motion import FieldState
 from fiberloom.operation.move import Goals
 from fiberloom.operation.session.clearing import within_reach
@@ -17,7 +18,7 @@ from fiberloom.planning.untangling import Stage, Untangled
 from fiberloom.typing import Flags
 
 TRIES = 3
-"""Ways that are begun, before a person has to look."""
+"""Ways that are begun, before a person has to look; one that shows who does not move is no try."""
 
 
 @dataclass
@@ -34,15 +35,19 @@ class Recovery:
     """What was done, or would be."""
     stuck: dict[int, str] = field(default_factory=dict)
     """Why a positioner still touches something."""
+    dead: dict[int, str] = field(default_factory=dict)
+    """By row: those that were seen not to move, and by what. The begin check alone cannot tell."""
 
     async def run(self) -> bool:
         """Recovers; True where nothing touches any more. The array is locked otherwise."""
-        for attempt in range(TRIES):
-            way = await self._way(attempt)
-            if attempt == 0:
+        failed, first = 0, True
+        while failed < TRIES:
+            way = await self._way(failed)
+            if first:
                 self.touching = [f"{a} and {b}: {mm:.2f} mm" for (a, b), mm in way.overlaps.items()]
                 for text in self.touching:
                     self.motion.recorder.event("touching", text)
+            first = False
             self.stuck = dict(way.stuck)
             if self.look_only:
                 self.stages = [stage.what for stage in way.stages]
@@ -50,12 +55,24 @@ class Recovery:
             await self._clear_flags()
             if await self._follow(way):
                 break
-            await self.motion.begin_again()
+            failed += not await self._begin_again()
         free = not self.stuck and not (self.look_only and self.touching)
         if not free:
             text = "; ".join(self.stuck.values()) or f"touching: {', '.join(self.touching)}"
             await self.motion.step(Step.COLLIDE, text)
         return free
+
+    async def _begin_again(self) -> bool:
+        """The begin check anew, with those as obstacles that did not move; True where there is a new one."""
+        before, state = len(self.dead), self.motion.state
+        for row in np.flatnonzero(state.hearing.heard).tolist():
+            if state.faults[row] is FibreStatus.DEAD:
+                self.dead[row] = "did not move on the way apart"
+        await self.motion.begin_again()
+        for row, why in self.dead.items():
+            if self.motion.state.mobile[row]:
+                self.motion.state.flag(row, FibreStatus.DEAD, why)
+        return len(self.dead) > before
 
     async def _way(self, attempt: int) -> Untangled:
         state = self.motion.state

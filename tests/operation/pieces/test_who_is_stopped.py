@@ -1,0 +1,264 @@
+"""A collision while somebody cannot be reached: the verifier says which of the others are stopped."""
+
+import asyncio
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+
+from fiberloom.bus.links import Link
+from fiberloom.bus.motion import Deviation, DeviationKind, Going
+from fiberloom.calibration.transmission.maps import identity
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.move import Goals
+from fiberloom.operation.safety.deviation import Choice, MotionRule, _rank, cut_off_at
+from fiberloom.planning import plan, random_pair, verify
+from fiberloom.planning.verification import Violation
+from fiberloom.studies.paper.no_record import NoRecord
+from fiberloom.twin import draw_units
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.hardware import field_hardware
+
+
+def field(n, seed):
+    """Layout, goals and the plan there from the folded places."""
+    plane = generate(load_instrument("sdssv"), seed=seed, n_positioners=n)
+    goal_deg = random_pair(plane, seed)[1]
+    return plane, goal_deg, plan(plane, plane.park_deg, goal_deg, seed=seed)
+
+
+class Heard(NoRecord):
+    """Keeps events."""
+
+    def __init__(self):
+        self.events = []
+
+    def event(self, kind, text, positioner_id=None):
+        self.events.append((kind, text))
+
+
+# the choice
+
+
+def going(plane, time_s, collided, unreachable):
+    ids = set(plane.positioner_id.tolist()) - {collided}
+    cut = frozenset(unreachable) & ids
+    return Going(time_s, frozenset(ids) - cut, cut)
+
+
+def rule(plane, planned, collided, time_s, heard=None):
+    made = MotionRule(plane, planned, (heard or Heard()).event)
+    deviation = Deviation(collided, DeviationKind.COLLIDED, time_s, time_s - 0.1)
+    assert not asyncio.run(made.may_go_on([deviation]))
+    return made
+
+
+def meets(plane, planned, stop, collided, time_s):
+    """Whether anybody meets anybody in the whole field, by the verifier."""
+    robots = [cut_off_at(r, time_s) if r.positioner_id in {*stop, collided} else r for r in planned.robots]
+    return bool(verify(plane, replace(planned, robots=tuple(robots))).collisions)
+
+
+CASES = [(seed, time_s) for seed in range(4) for time_s in (4.0, 8.0, 12.0)]
+
+
+def test_where_any_choice_is_free_of_contacts_the_one_that_is_made_is():
+    """Held against every choice there is, in fields of seven."""
+    freed, stopping_all_touches = 0, 0
+    for seed, time_s in CASES:
+        plane, _, planned = field(7, seed)
+        collided = int(plane.positioner_id[3])
+        on = going(plane, time_s, collided, plane.positioner_id[1::2].tolist())
+        choice = rule(plane, planned, collided, time_s).best(on)
+        every = [set(c) for k in range(len(on.reachable) + 1) for c in combinations(sorted(on.reachable), k)]
+        free = [stop for stop in every if not meets(plane, planned, stop, collided, time_s)]
+        if not choice.contacts:
+            assert choice.stop in free
+            assert len(choice.stop) == max(map(len, free))
+            freed += 1
+        else:  # only where a place in between, or a moment later, is not free
+            assert not free or meets_later(plane, planned, free, collided, time_s)
+        stopping_all_touches += meets(plane, planned, on.reachable, collided, time_s)
+    assert freed >= 6
+    assert stopping_all_touches >= 2  # what the rule is for
+
+
+def meets_later(plane, planned, choices, collided, time_s):
+    return all(meets(plane, planned, stop, collided, time_s + 0.5) for stop in choices)
+
+
+def test_without_anybody_out_of_reach_a_collision_stops_all():
+    plane, _, planned = field(7, 1)
+    collided = int(plane.positioner_id[3])
+    on = going(plane, 8.0, collided, [])
+    made = rule(plane, planned, collided, 8.0)
+    assert asyncio.run(made.chosen(on)) == on.reachable
+
+
+def test_of_choices_that_all_touch_the_one_with_fewer_and_later_contacts_is_made():
+    def choice(*times):
+        return Choice(frozenset(), tuple(Violation("robots", k, "99", t, 1.0) for k, t in enumerate(times)))
+
+    ranked = [choice(), choice(5.0), choice(2.0), choice(9.0, 9.0)]
+    assert sorted((ranked[k] for k in (2, 0, 3, 1)), key=_rank) == ranked
+
+
+def test_where_no_choice_is_proven_an_alarm_says_so():
+    plane, _, planned = field(7, 1)
+    heard = Heard()
+    collided = int(plane.positioner_id[3])
+    made = rule(plane, planned, collided, 8.0, heard)
+    made.best = lambda on: Choice(on.reachable, (Violation("robots", 1, "2", 9.0, 1.0),))
+    asyncio.run(made.chosen(going(plane, 8.0, collided, [int(plane.positioner_id[0])])))
+    assert [kind for kind, _ in heard.events][-1] == "alarm"
+    assert "arms may touch" in heard.events[-1][1]
+
+
+# in the twin
+
+
+class Gone(BaseException):
+    """The host was killed."""
+
+
+class CutBus:
+    """The bus of a twin behind two gateways; the cable of the second is cut for a time."""
+
+    dies_s = math.inf
+    """The host is killed then: nothing more is sent, not even a stop."""
+
+    def __init__(self, twin, inner, cut_s, back_s):
+        self.twin, self.inner, self.due = twin, inner, [(cut_s, True), (back_s, False)]
+        self.links = [Link("gateway 1"), Link("gateway 2")]
+        self.behind = set(twin.plane.positioner_id[1::2].tolist())
+        self.known = set()
+
+    def link_of(self, positioner):
+        """Of one that has answered."""
+        return self.links[int(positioner in self.behind)] if positioner in self.known else None
+
+    def follow(self):
+        while self.due and self.twin.time_s >= self.due[0][0]:
+            _, down = self.due.pop(0)
+            for positioner in self.behind:
+                for kind in ("deaf", "mute"):
+                    (self.twin.inject if down else self.twin.clear)(Fault(kind, positioner))
+            (self.links[1].goes_down if down else lambda _, at_s: self.links[1].comes_up(at_s))(
+                "cut", self.twin.time_s
+            )
+
+    @property
+    def time_s(self):
+        return self.inner.time_s
+
+    async def send(self, frames):
+        self.follow()
+        self.alive()
+        await self.inner.send(frames)
+
+    def alive(self):
+        if self.time_s >= self.dies_s:
+            raise Gone
+
+    async def receive(self, timeout_s):
+        self.alive()
+        frames = await self.inner.receive(min(timeout_s, 0.05))
+        self.follow()
+        self.known |= {frame.id >> 18 for frame in frames} & set(self.twin.plane.positioner_id.tolist())
+        return frames
+
+    async def close(self):
+        pass
+
+
+def moved(n, seed, row, stuck_s, cut_s, back_s=44.0):
+    """A blind move in which one positioner stalls while a cable is cut; its events and the true contacts."""
+    plane, goal_deg, _ = field(n, seed)
+    text = f"stuck_hall=#{plane.positioner_id[row]}@{stuck_s}"
+    hardware = field_hardware(plane, draw_units(plane, seed), seed, faults=text)
+    bus = CutBus(hardware.truth, hardware.transport, cut_s, back_s)
+    heard = Heard()
+    motion = FieldMotion(plane, identity(plane.positioner_id), replace(hardware, transport=bus), heard)
+
+    async def run():
+        await motion.connect()
+        await motion.go(Goals.without_targets(plane, goal_deg))
+
+    asyncio.run(run())
+    return heard.events, hardware.truth.touches()
+
+
+STALLS = {"n": 19, "seed": 1, "row": 6, "stuck_s": 6.0, "cut_s": 4.0}
+
+
+def test_a_collision_while_a_cable_is_cut_leads_to_no_other():
+    events, touches = moved(**STALLS)
+    assert touches == []
+    told = [text for kind, text in events if kind == "deviation" and "no stop reaches" in text]
+    assert len(told) >= 1
+    assert told[0].startswith("6 are stopped, 3 go on")
+    assert told[0].endswith("proven clear of contacts")
+
+
+@pytest.mark.slow
+def test_with_all_stopped_that_can_be_reached_arms_touch(monkeypatch):
+    """What the choice is for."""
+
+    async def reachable(_, on):
+        return on.reachable
+
+    monkeypatch.setattr(MotionRule, "chosen", reachable)
+    _, touches = moved(**STALLS)
+    assert touches
+
+
+def test_when_the_cable_is_back_all_are_stopped():
+    events, touches = moved(**STALLS, back_s=9.0)
+    assert touches == []
+    (first, *_), (then, *_) = [[t for _, t in events if part in t] for part in ("no stop reaches", "all ")]
+    assert first.startswith("6 are stopped, 3 go on")
+    assert then == "all 12 on the way are stopped"
+
+
+def killed_and_begun_again(back_s, seed=1, n=19):
+    """A host is killed in a move while a cable is cut; the next one moves on. Its events, true contacts."""
+    plane, goal_deg, _ = field(n, seed)
+    hardware = field_hardware(plane, draw_units(plane, seed), seed)
+    bus = CutBus(hardware.truth, hardware.transport, 4.0, back_s)
+    heard = Heard()
+    first, second = (
+        FieldMotion(plane, identity(plane.positioner_id), replace(hardware, transport=bus), recorder)
+        for recorder in (Heard(), heard)
+    )
+
+    async def run():
+        await first.connect()
+        bus.dies_s = 8.0
+        with pytest.raises(Gone):
+            await first.go(Goals.without_targets(plane, goal_deg))
+        bus.dies_s, bus.known = math.inf, set()
+        await second.connect()
+        await second.go(Goals.without_targets(plane, plane.park_deg))
+
+    asyncio.run(run())
+    return heard.events, hardware.truth.touches()
+
+
+@pytest.mark.parametrize("back_s", [14.0, 500.0])
+def test_a_host_that_is_killed_while_a_cable_is_cut_leaves_nobody_in_anybodys_way(back_s):
+    events, touches = killed_and_begun_again(back_s)
+    assert touches == []
+    waited, *later = [text for kind, text in events if kind == "alarm" and "still moving" in text]
+    assert waited.startswith("10 positioners are still moving at the begin; no answer from ")
+    assert later == (
+        ["19 positioners were still moving at the begin; all are stopped"] if back_s < 20.0 else []
+    )
+
+
+@pytest.mark.slow
+def test_stopped_at_once_they_would_be(monkeypatch):
+    """What the wait is for."""
+    monkeypatch.setattr(FieldMotion, "_unheard", [])
+    assert killed_and_begun_again(500.0)[1]
