@@ -72,9 +72,9 @@ def test_an_observation_has_it_from_its_first_step_to_the_last(tmp_path):
     field.watcher = Watching()
     field.run.observe(random_targets(plane, 14, 1), corrections=1, out=tmp_path)
     said = [text for text, *_ in seen]
-    assert said[0] == "assigning targets"
+    first = said.index("assigning targets")  # before it the maps are made, where no file has them yet
     assert any(text.startswith("planning") for text in said)
-    assert all(turn_s == pytest.approx(TURN_S) and frozen > 1000 for _, turn_s, frozen in seen)
+    assert all(turn_s == pytest.approx(TURN_S) and frozen > 1000 for _, turn_s, frozen in seen[first:])
 
 
 def test_any_motion_has_it_until_its_bus_is_closed():

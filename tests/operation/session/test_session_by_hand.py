@@ -112,7 +112,7 @@ def test_every_run_of_a_session_is_in_the_report_of_health(tmp_path):
         moves = 0
         for number in (1, 2):
             done(session(array, plane, store).park())
-            moves += len(store.moves(store.runs()[-1].id)["number"])  # with that of the beginning
+            moves += store.runs()[-1].n_moves
             found = health_report(str(tmp_path), plane)
             assert (found["runs"], found["moves"]) == (number, moves)
         assert found["states"]["healthy"] == len(plane)
