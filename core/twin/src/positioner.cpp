@@ -7,6 +7,7 @@
 
 #include "fl_dispatch.h"
 #include "fl_identifier.h"
+#include "fl_storage.h"
 
 namespace fl::twin {
 
@@ -33,6 +34,15 @@ void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
 void Positioner::start(uint16_t id) {
     const fl_port_t hardware = port();
     fl_positioner_init(&firmware_, &hardware, id, factory_);
+}
+
+void Positioner::deliver(const int32_t position_cnt[FL_AXES], const int32_t stop_cnt[FL_AXES]) {
+    for (int axis = 0; axis < FL_AXES; ++axis) {
+        fl_axis_t &a = firmware_.axis[axis];
+        a.offset_cnt = stop_cnt[axis] - a.law.datum_cnt;
+    }
+    fl_positioner_set_position(&firmware_, position_cnt);
+    fl_storage_save(&firmware_);
 }
 
 void Positioner::power_cycle() {

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "fiberloom/twin/twin.hpp"
-#include "fl_storage.h"
 
 namespace fl::twin {
 
@@ -34,11 +33,8 @@ class Positioner {
     void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
     // Back to what is flashed or stored: what was only set is gone.
     void power_cycle();
-    // As delivered: it knows where it is and where its datum is, and has that in its storage.
-    void deliver(const int32_t position_cnt[FL_AXES]) {
-        fl_positioner_set_position(&firmware_, position_cnt);
-        fl_storage_save(&firmware_);
-    }
+    // As delivered: it knows where it is and where its stops are, and has that in its storage.
+    void deliver(const int32_t position_cnt[FL_AXES], const int32_t stop_cnt[FL_AXES]);
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     // False when the firmware has nothing to do for its axes in this tick.

@@ -45,6 +45,10 @@ std::vector<Give> gives_of(const Plant &plant) {
     return gives;
 }
 
+// Where a datum search ends the rotor has wound up the gear by 0.5 to 1.5 turns beyond the first touch; the
+// rotor's angle tells the rest. tests/twin/faults/test_faults.py searches datums against it.
+constexpr double wound_rad = two_pi;
+
 int32_t wire_count(double motor_rad, double gear_ratio) {
     return static_cast<int32_t>(std::lround(motor_rad / (two_pi * gear_ratio) * counts_per_turn));
 }
@@ -122,10 +126,13 @@ void Twin::State::boot(const TwinSetup &s) {
         plant.sense(g, 0); // the first hall reading is real
     }
     for (size_t i = 0; i < s.ids.size(); ++i) {
-        int32_t position[FL_AXES];
-        for (size_t axis = 0; axis < FL_AXES; ++axis)
-            position[axis] = wire_count(plant.motor_rad(2 * i + axis), plant.params(2 * i + axis).gear_ratio);
-        positioners[i].deliver(position);
+        int32_t position[FL_AXES], stop[FL_AXES];
+        for (size_t axis = 0; axis < FL_AXES; ++axis) {
+            const double gear_ratio = plant.params(2 * i + axis).gear_ratio;
+            position[axis] = wire_count(plant.motor_rad(2 * i + axis), gear_ratio);
+            stop[axis] = wire_count(plant.lower_stop_rad(2 * i + axis) - wound_rad, gear_ratio);
+        }
+        positioners[i].deliver(position, stop);
     }
 }
 

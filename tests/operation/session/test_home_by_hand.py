@@ -187,23 +187,52 @@ def test_after_a_search_that_did_not_end_no_other_group_begins():
     assert set(homing.left_out) == {ids[4]}  # the last one waits for the next round
 
 
-def test_turns_are_counted_in_the_last_image():
-    """The image before was taken elsewhere: by it all would be right."""
-    right_mm = PLANE.forward(*HERE.T)
-    off_mm = PLANE.forward(*(HERE + np.where(ROWS[:, None] == 2, [TURN_DEG[0], 0.0], 0.0)).T)
-    moves = [SimpleNamespace(measurement=SimpleNamespace(xy_mm=xy)) for xy in (right_mm, off_mm)]
+def counting(here_deg, *seen_mm):
+    """A homing whose images show these places (7, 2) one after another; what it declares, what it tells."""
+    images = [SimpleNamespace(xy_mm=xy) for xy in seen_mm]
+    moves = [SimpleNamespace(measurement=image) for image in images]
     client, told = Bus(), []
-    state = SimpleNamespace(here_deg=HERE, wire_deg=HERE + 0.01)
+    state = SimpleNamespace(here_deg=here_deg, wire_deg=here_deg + 0.01)
     recorder = SimpleNamespace(event=lambda *what: told.append(what))
-    motion = SimpleNamespace(plane=PLANE, client=client, state=state, moves=moves, recorder=recorder)
+    motion = SimpleNamespace(
+        plane=PLANE, client=client, state=state, moves=moves, image=images[0], recorder=recorder
+    )
     homing = Homing(motion, ROWS)
 
     async def folded():
         pass
 
     homing._fold = folded
+    return homing, client.declared, told
+
+
+def count(homing):
     asyncio.run(homing._count_turns([int(p) for p in PLANE.positioner_id], "alpha"))
-    ((ids, alpha_deg, beta_deg),) = client.declared
+
+
+def test_turns_are_counted_in_the_last_image():
+    """The image before was taken elsewhere: by it all would be right."""
+    right_mm = PLANE.forward(*HERE.T)
+    off_mm = PLANE.forward(*(HERE + np.where(ROWS[:, None] == 2, [TURN_DEG[0], 0.0], 0.0)).T)
+    homing, declared, told = counting(HERE, right_mm, off_mm)
+    count(homing)
+    ((ids, alpha_deg, beta_deg),) = declared
     assert ids == [int(PLANE.positioner_id[2])]
     np.testing.assert_allclose([alpha_deg[0], beta_deg[0]], HERE[2] + 0.01 + [TURN_DEG[0], 0.0])
     assert len(told) == 1
+
+
+def test_what_the_maps_err_by_does_not_hide_a_turn():
+    """Folded, a turn of alpha is 45 um; maps that err by 20 um leave 25 um of it, as if it were right."""
+    folded_deg = np.array(PLANE.park_deg)
+    right_mm = PLANE.forward(*folded_deg.T)
+    turned_mm = PLANE.forward(*(folded_deg + TURN_DEG * [1, 0]).T)
+    error_mm = -0.020 * (turned_mm - right_mm) / np.hypot(*(turned_mm - right_mm).T)[:, None]
+    homing, declared, _ = counting(folded_deg, right_mm + error_mm, turned_mm + error_mm)
+    count(homing)
+    assert declared[-1][0] == []  # by the one image alone it is not seen
+    homing._learn_misses()
+    count(homing)
+    ids, alpha_deg, _ = declared[-1]
+    assert ids == [int(p) for p in PLANE.positioner_id]
+    np.testing.assert_allclose(alpha_deg, folded_deg[:, 0] + 0.01 + TURN_DEG[0])

@@ -49,6 +49,8 @@ class Homing:
         """Row of the one that searches though nothing is known of it; -1: none."""
         self._alpha: set[int] = set()
         """Rows whose alpha was found."""
+        self._misses_mm = np.zeros((len(motion.plane), 2))
+        """(N, 2) by which the maps err where all are folded; 0 where that is not known."""
 
     @property
     def _plane(self) -> FocalPlane:
@@ -61,6 +63,7 @@ class Homing:
         await self._search_lost()
         await self._whole()
         await self._fold()
+        self._learn_misses()
         await self._search_alpha()
         await self._search_beta()
         for row in self.rows:
@@ -268,7 +271,8 @@ class Homing:
         if not len(rows):
             return
         await self._fold()
-        here_deg, seen_mm = motion.state.here_deg[rows], motion.moves[-1].measurement.xy_mm[rows]
+        here_deg = motion.state.here_deg[rows]
+        seen_mm = motion.moves[-1].measurement.xy_mm[rows] - self._misses_mm[rows]
         turns = _turns_off(self._plane, rows, here_deg, seen_mm, axis)
         off = np.flatnonzero(turns.any(axis=1))
         gear = np.array([a.gear for a in self._plane.instrument.axes])
@@ -277,6 +281,17 @@ class Homing:
         for k in off:
             text = f"datum found {turns[k].tolist()} motor turns off, by the image; declared so"
             motion.recorder.event("datum", text, self._id(rows[k]))
+
+    def _learn_misses(self) -> None:
+        """By how much the maps err where all are folded, before a search can change what is reported.
+
+        A motor turn of alpha moves a folded fibre by 45 um (SDSS-V): no more than twice what maps may err by.
+        """
+        if (image := self.motion.image) is None:
+            return
+        miss_mm = image.xy_mm - self._plane.forward(*self.motion.state.here_deg.T)
+        known = self._folded() & (np.hypot(*miss_mm.T) < TURN_MM)
+        self._misses_mm = np.where(known[:, None], miss_mm, 0.0)
 
     async def _fold(self) -> None:
         state = self.motion.state

@@ -88,6 +88,8 @@ class Plant {
     }
     // Motor angle, rad.
     double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
+    // Motor angle at which the arm touches its lower hard stop.
+    double lower_stop_rad(size_t axis) const { return lane(axis, &AxisGroup::stop_lo_rad); }
 
     // All of it, now.
     AxisState state(size_t axis) const;
