@@ -195,31 +195,21 @@ def test_what_is_read_back_differently_is_told_and_the_old_ones_restored(bench):
     assert bench.held() == bench.factory()
 
 
-def test_an_interrupted_write_puts_the_old_ones_back(bench):
-    def interrupt(identifier):
-        if identifier.command == Command.SAVE_INTERNAL_CALIBRATION:
-            raise KeyboardInterrupt
-        return False
-
-    bench.bus.lose_request = interrupt
-    with pytest.raises(KeyboardInterrupt):
-        bench.write()
-    assert bench.held(power_cut=False) == bench.factory()
-
-
-def test_interrupted_before_anything_has_changed_nothing_is_put_back(bench):
+@pytest.mark.parametrize("command", [Command.BEGIN_PARAMETERS, Command.SAVE_INTERNAL_CALIBRATION])
+def test_an_interrupted_write_puts_back_what_has_changed(bench, command):
+    """Nothing where nothing has: the frame that was interrupted is the last one."""
     sent = []
 
     def interrupt(identifier):
         sent.append(identifier.command)
-        if identifier.command == Command.BEGIN_PARAMETERS:
+        if identifier.command == command:
             raise KeyboardInterrupt
         return False
 
     bench.bus.lose_request = interrupt
     with pytest.raises(KeyboardInterrupt):
         bench.write()
-    assert sent[-1] == Command.BEGIN_PARAMETERS
+    assert (sent[-1] == command) == (command == Command.BEGIN_PARAMETERS)
     assert bench.held(power_cut=False) == bench.factory()
 
 
