@@ -122,7 +122,7 @@ class Desk:
         """Whether the array is locked after a collision."""
         if not self.store.exists():
             return False
-        with Store.open(self.store, create=False) as store:
+        with Store.read(self.store) as store:
             return ArrayBook(store, array_address(BUS)).state().state == SessionState.LOCKED
 
 
