@@ -88,15 +88,15 @@ def test_the_schedule_cuts_and_takes_the_host_again():
         server = TwinServer(twin, addresses, schedule=schedule)
         await server.open()
         transport = await CanNetTransport.open([str(listener.address) for listener in server.listeners])
-        seen = []
-        while server.time_s < 1.0 or not transport.links[0].up:
-            seen.append(transport.links[0].up)
-            await asyncio.sleep(0.05)
+        for up in (True, False, True):
+            while transport.links[0].up != up:
+                await asyncio.sleep(0.02)
+        # the cut's end is told by the schedule's own turn, which may come after the host is back
+        while len(server.happened) < 2:
+            await asyncio.sleep(0.02)
         await transport.close()
         server.close()
-        return seen, server.happened
+        return server.happened
 
-    seen, happened = asyncio.run(asyncio.wait_for(run(), 60.0))
-    assert seen[0]
-    assert not seen[-1]
+    happened = asyncio.run(asyncio.wait_for(run(), 60.0))
     assert [text.split(": ")[1] for text in happened] == ["cut gateway 1", "cut gateway 1 ends"]
