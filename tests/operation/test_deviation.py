@@ -17,7 +17,8 @@ from fiberloom.operation import motion as operation
 from fiberloom.operation.judge import Evidence
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
-from fiberloom.operation.safety.deviation import MotionRule, cut_off_at, when_linked
+from fiberloom.operation.safety.choice import cut_off_at
+from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import Hearing
 from fiberloom.planning import Plan, Trajectory, plan, random_pair
 from fiberloom.twin import draw_units
@@ -42,7 +43,7 @@ class Recorder:
 
 def rule():
     events = []
-    return MotionRule(PLANE, PLANNED, lambda *event: events.append(event)), events
+    return MotionRule(PLANE, PLANNED, lambda *event: events.append(event), lambda: 0.0), events
 
 
 def allowed(kind, row, time_s=0.4, known_s=0.0):
@@ -57,7 +58,7 @@ def test_the_rule_is_the_verifiers_and_allows_some_and_not_others():
     # the same question, put to the verifier about the whole field
     for row, verdict in enumerate(verdicts):
         robots = list(PLANNED.robots)
-        robots[row] = cut_off_at(robots[row], 0.0)
+        robots[row] = cut_off_at(robots[row], np.zeros(1))[0]
         whole = Plan(PLANNED.instrument, PLANNED.collision_buffer_mm, tuple(robots))
         assert verdict == (not operation.verify(PLANE, whole).collisions)
 
@@ -66,7 +67,7 @@ def test_the_rule_is_the_verifiers_and_allows_some_and_not_others():
 def test_a_goal_that_the_plan_refused_elsewhere_changes_nothing(refused):
     blocked = replace(PLANNED, refused={int(PLANE.positioner_id[refused]): "blocked"})
     for row in (0, 9, 18):
-        made = MotionRule(PLANE, blocked, lambda *_: None)
+        made = MotionRule(PLANE, blocked, lambda *_: None, lambda: 0.0)
         deviation = Deviation(int(PLANE.positioner_id[row]), DeviationKind.NOT_STARTED, 0.4, 0.0)
         assert asyncio.run(made.may_go_on([deviation])) == allowed(DeviationKind.NOT_STARTED, row)
 
@@ -101,9 +102,9 @@ def test_cut_off_it_stays_where_it_was_then():
     whole = Trajectory(
         7, np.array([0.0, 2.0, 4.0]), np.array([0.0, 20.0, 0.0]), np.array([180.0, 90.0, 90.0])
     )
-    half = cut_off_at(whole, 3.0)
+    (half,) = cut_off_at(whole, np.array([3.0]))
     np.testing.assert_allclose(half.at([1.0, 3.0, 9.0]), [[10.0, 135.0], [10.0, 90.0], [10.0, 90.0]])
-    at_once = cut_off_at(whole, 0.0)
+    (at_once,) = cut_off_at(whole, np.zeros(1))
     assert not at_once.moves
     np.testing.assert_allclose(at_once.at(5.0), [0.0, 180.0])
 

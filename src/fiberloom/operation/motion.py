@@ -486,7 +486,9 @@ class FieldMotion:
         self.has_moved = True
         try:
             await when_linked(self.client, trajectories)
-            rule = MotionRule(self.state.obstacles(), planned, self.recorder.event)
+            rule = MotionRule(
+                self.state.obstacles(), planned, self.recorder.event, lambda: self.client.time_s
+            )
             results = await self.client.run_trajectories(trajectories, watch=rule)
             if not results.ok.all():
                 await self._come_to_rest(list(trajectories))

@@ -1,6 +1,6 @@
 """Proof that a plan is safe: other code and another method than the planner's."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +18,8 @@ from fiberloom.planning.bodies import (
     beyond_stops_deg,
     travel_rad,
 )
-from fiberloom.planning.trajectories import MOST_DEG, Plan, Trajectory
-from fiberloom.typing import Flags, Floats
+from fiberloom.planning.trajectories import KEYS, MOST_DEG, Plan, Trajectory
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _WHAT = {
@@ -185,10 +185,11 @@ def verify(
         np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
     )
     rules.separating = limits.separating
-    found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, plan), rules)
+    points = _Points.of(plane, plan)
+    found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, points), rules)
     return Verification(
         violations=(
-            *_beyond_stops(plane, plan),
+            *_beyond_stops(plane, points),
             *(_violation(plane, *entry) for entry in found["violations"]),
         ),
         min_robot_clearance_mm=_gap(found["robots"]),
@@ -199,32 +200,77 @@ def verify(
     )
 
 
-def _beyond_stops(plane: FocalPlane, plan: Plan) -> Iterator[Violation]:
+@dataclass(frozen=True)
+class _Points:
+    """All points of a plan, one trajectory after the other."""
+
+    robots: tuple[Trajectory, ...]
+    rows: Ints
+    """(R,) of each trajectory in the plane."""
+    first: Ints
+    """(R,) index of its first point."""
+    time_s: Floats
+    """(M,)"""
+    angles_deg: Floats
+    """(M, 2)"""
+
+    @classmethod
+    def of(cls, plane: FocalPlane, plan: Plan) -> "_Points":
+        robots = plan.robots
+        counts = [len(r.time_s) for r in robots]
+        if any(len(r.alpha_deg) != n or len(r.beta_deg) != n for r, n in zip(robots, counts, strict=True)):
+            raise ValueError("a trajectory has as many angles as times")
+        alpha, beta = (_one_after_another(getattr(r, name) for r in robots) for name in KEYS[1:])
+        return cls(
+            robots,
+            np.atleast_1d(plane.index_of([r.positioner_id for r in robots])).astype(np.int64),
+            np.cumsum([0, *counts])[:-1],
+            _one_after_another(r.time_s for r in robots),
+            np.column_stack([alpha, beta]),
+        )
+
+    def worst(self, size: Floats) -> list[int]:
+        """Of each trajectory that has a `size` (M,) above 0 the point where it is largest."""
+        bad = np.flatnonzero(size > 0.0)
+        whose = np.searchsorted(self.first, bad, side="right") - 1
+        return [int(bad[whose == k][size[bad[whose == k]].argmax()]) for k in np.unique(whose)]
+
+    def of_point(self, point: int) -> int:
+        """The trajectory of a point."""
+        return int(np.searchsorted(self.first, point, side="right")) - 1
+
+
+def _one_after_another(parts: Iterable[Floats]) -> Floats:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _beyond_stops(plane: FocalPlane, points: _Points) -> Iterator[Violation]:
     """One for each positioner that the plan puts where no arm can be, the deepest moment."""
-    for row, robot in _by_row(plane, plan):
-        if plane.offline[row]:
-            continue
-        beyond = beyond_stops_deg(plane, robot.points_deg).max(axis=1)
-        k = int(beyond.argmax())
-        if beyond[k] > 0.0:
-            yield Violation("stops", robot.positioner_id, "", float(robot.time_s[k]), float(beyond[k]))
+    beyond = beyond_stops_deg(plane, points.angles_deg).max(axis=1, initial=0.0)
+    for point in points.worst(beyond):
+        k = points.of_point(point)
+        if not plane.offline[points.rows[k]]:
+            whose, time_s = points.robots[k].positioner_id, points.time_s[point]
+            yield Violation("stops", whose, "", float(time_s), float(beyond[point]))
 
 
 def _gap(found: dict[str, Any]) -> float:
     return float(found["gap_mm"]) if found["robot"] >= 0 else float("inf")
 
 
-def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
+def _motions(plane: FocalPlane, points: _Points) -> list[Floats]:
     """(n, 3) time, alpha, beta in s and rad per row of the plane."""
     motions: list[Floats | None] = [None] * plane.n
     for row in np.flatnonzero(plane.offline):
         motions[row] = np.array([[0.0, *deg_to_rad(plane.offline_position_deg[row])]])
-    for place, robot in _by_row(plane, plan):
-        if plane.offline[place] and robot.moves:
+    _refuse_endless(plane, points)
+    moments = np.column_stack([points.time_s, deg_to_rad(points.angles_deg)])
+    ways = np.split(moments, points.first[1:])
+    for row, robot, way in zip(points.rows, points.robots, ways, strict=False):
+        if plane.offline[row] and robot.moves:
             raise InputError(f"positioner {robot.positioner_id} is offline, but the plan moves it")
-        if not plane.offline[place]:
-            _refuse_endless(robot)
-            motions[place] = np.column_stack([robot.time_s, deg_to_rad(robot.points_deg)])
+        if not plane.offline[row]:
+            motions[row] = way
     missing = [int(p) for p, m in zip(plane.positioner_id, motions, strict=True) if m is None]
     if missing:
         raise InputError(
@@ -234,19 +280,16 @@ def _motions(plane: FocalPlane, plan: Plan) -> list[Floats]:
     return [m for m in motions if m is not None]
 
 
-def _by_row(plane: FocalPlane, plan: Plan) -> list[tuple[int, Trajectory]]:
-    """The trajectories of a plan, each with its row in the plane."""
-    rows = plane.index_of([robot.positioner_id for robot in plan.robots]).tolist()
-    return list(zip(rows, plan.robots, strict=True))
-
-
-def _refuse_endless(robot: Trajectory) -> None:
+def _refuse_endless(plane: FocalPlane, points: _Points) -> None:
     """Before a proof begins that would not end. What is not finite is told as a violation."""
-    farthest = np.abs(robot.points_deg).max(initial=0.0, where=np.isfinite(robot.points_deg))
-    if farthest > MOST_DEG:
-        raise InputError(
-            f"positioner {robot.positioner_id} goes to {farthest:g} deg; at most {MOST_DEG:g} deg is sound"
-        )
+    far = np.nan_to_num(np.abs(points.angles_deg), posinf=0.0).max(axis=1, initial=0.0)
+    for point in points.worst(np.where(far > MOST_DEG, far, 0.0)):
+        k = points.of_point(point)
+        if not plane.offline[points.rows[k]]:
+            raise InputError(
+                f"positioner {points.robots[k].positioner_id} goes to {far[point]:g} deg; "
+                f"at most {MOST_DEG:g} deg is sound"
+            )
 
 
 def _arrives(plane: FocalPlane, plan: Plan) -> Flags:

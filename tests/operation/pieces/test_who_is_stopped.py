@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
 import pytest
 
 from fiberloom.bus.links import Link
@@ -13,7 +14,8 @@ from fiberloom.calibration.transmission.maps import identity
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
-from fiberloom.operation.safety.deviation import Choice, MotionRule, _rank, cut_off_at
+from fiberloom.operation.safety.choice import Choice, ahead, cut_off_at, rank
+from fiberloom.operation.safety.deviation import STOPS, MotionRule
 from fiberloom.planning import plan, random_pair, verify
 from fiberloom.planning.verification import Violation
 from fiberloom.studies.paper.no_record import NoRecord
@@ -48,16 +50,20 @@ def going(plane, time_s, collided, unreachable):
     return Going(time_s, frozenset(ids) - cut, cut)
 
 
-def rule(plane, planned, collided, time_s, heard=None):
-    made = MotionRule(plane, planned, (heard or Heard()).event)
+def rule(plane, planned, collided, time_s, heard=None, clock=None):
+    made = MotionRule(plane, planned, (heard or Heard()).event, clock or (lambda: 0.0))
     deviation = Deviation(collided, DeviationKind.COLLIDED, time_s, time_s - 0.1)
     assert not asyncio.run(made.may_go_on([deviation]))
     return made
 
 
+def rested(robot, time_s):
+    return cut_off_at(robot, np.array([time_s]))[0]
+
+
 def meets(plane, planned, stop, collided, time_s):
     """Whether anybody meets anybody in the whole field, by the verifier."""
-    robots = [cut_off_at(r, time_s) if r.positioner_id in {*stop, collided} else r for r in planned.robots]
+    robots = [rested(r, time_s) if r.positioner_id in {*stop, collided} else r for r in planned.robots]
     return bool(verify(plane, replace(planned, robots=tuple(robots))).collisions)
 
 
@@ -71,7 +77,7 @@ def test_where_any_choice_is_free_of_contacts_the_one_that_is_made_is():
         plane, _, planned = field(7, seed)
         collided = int(plane.positioner_id[3])
         on = going(plane, time_s, collided, plane.positioner_id[1::2].tolist())
-        choice = rule(plane, planned, collided, time_s).best(on)
+        choice = rule(plane, planned, collided, time_s).best(on, time_s + np.linspace(0.0, 0.5, STOPS))
         every = [set(c) for k in range(len(on.reachable) + 1) for c in combinations(sorted(on.reachable), k)]
         free = [stop for stop in every if not meets(plane, planned, stop, collided, time_s)]
         if not choice.contacts:
@@ -89,6 +95,50 @@ def meets_later(plane, planned, choices, collided, time_s):
     return all(meets(plane, planned, stop, collided, time_s + 0.5) for stop in choices)
 
 
+def test_what_a_choice_says_of_contacts_the_whole_field_confirms():
+    """In fields where many are let go, one because of the other; held against whole trajectories."""
+    let_go, touching = [], 0
+    for seed, time_s in [(seed, time_s) for seed in range(6) for time_s in (3.0, 6.0)]:
+        plane, _, planned = field(61, seed)
+        ids = plane.positioner_id.tolist()
+        collided = ids[30]
+        on = going(plane, time_s, collided, ids[seed % 3 :: 3])
+        made = MotionRule(plane, planned, Heard().event, lambda: 0.0)
+        asyncio.run(made.may_go_on([Deviation(collided, DeviationKind.COLLIDED, time_s, time_s)]))
+        when_s = time_s + np.linspace(0.0, 0.5, STOPS)
+        choice = made.best(on, when_s)
+        found = {
+            pair for t in when_s for pair in touching_pairs(planned, plane, choice.stop, collided, time_s, t)
+        }
+        assert {pair_of(c) for c in choice.contacts} == {p for p in found if not p <= choice.stop}
+        let_go.append(len(on.reachable) - len(choice.stop))
+        touching += bool(choice.contacts)
+    assert max(let_go) >= 5
+    assert touching < 6
+
+
+@pytest.mark.parametrize("now_s", [0.0, 0.01, 3.3, 1e3])
+def test_what_is_ahead_is_the_rest_of_the_way(now_s):
+    _, _, planned = field(7, 2)
+    when_s = np.linspace(0.0, planned.duration_s, 3000)
+    for robot in planned.robots:
+        left = ahead(robot, now_s)
+        np.testing.assert_allclose(left.at(when_s), robot.at(now_s + when_s), atol=1e-9)
+        assert left.time_s[0] == 0.0
+        assert (np.diff(left.time_s) > 0.0).all()
+
+
+def pair_of(contact):
+    return frozenset({contact.positioner_id} | ({int(contact.other)} if contact.other.isdecimal() else set()))
+
+
+def touching_pairs(planned, plane, stop, collided, collided_s, stopped_s):
+    """Pairs in contact, by whole trajectories: one is cut off when it collided, others when they stop."""
+    end_s = dict.fromkeys(stop, stopped_s) | {collided: collided_s}
+    robots = (rested(r, end_s[r.positioner_id]) if r.positioner_id in end_s else r for r in planned.robots)
+    return {pair_of(c) for c in verify(plane, replace(planned, robots=tuple(robots))).collisions}
+
+
 def test_without_anybody_out_of_reach_a_collision_stops_all():
     plane, _, planned = field(7, 1)
     collided = int(plane.positioner_id[3])
@@ -102,7 +152,7 @@ def test_of_choices_that_all_touch_the_one_with_fewer_and_later_contacts_is_made
         return Choice(frozenset(), tuple(Violation("robots", k, "99", t, 1.0) for k, t in enumerate(times)))
 
     ranked = [choice(), choice(5.0), choice(2.0), choice(9.0, 9.0)]
-    assert sorted((ranked[k] for k in (2, 0, 3, 1)), key=_rank) == ranked
+    assert sorted((ranked[k] for k in (2, 0, 3, 1)), key=rank) == ranked
 
 
 def test_where_no_choice_is_proven_an_alarm_says_so():
@@ -110,10 +160,42 @@ def test_where_no_choice_is_proven_an_alarm_says_so():
     heard = Heard()
     collided = int(plane.positioner_id[3])
     made = rule(plane, planned, collided, 8.0, heard)
-    made.best = lambda on: Choice(on.reachable, (Violation("robots", 1, "2", 9.0, 1.0),))
+    made.best = lambda on, _: Choice(on.reachable, (Violation("robots", 1, "2", 9.0, 1.0),))
     asyncio.run(made.chosen(going(plane, 8.0, collided, [int(plane.positioner_id[0])])))
     assert [kind for kind, _ in heard.events][-1] == "alarm"
     assert "arms may touch" in heard.events[-1][1]
+
+
+def chosen_slowly(takes_s):
+    """The instants of rest that each choice was made for, and the events; each takes so long."""
+    plane, _, planned = field(7, 1)
+    heard, asked, clock = Heard(), [], [100.0]
+    collided = int(plane.positioner_id[3])
+    made = rule(plane, planned, collided, 8.0, heard, clock=lambda: clock[0])
+
+    def best(on, resting_s):
+        asked.append((resting_s[0], resting_s[-1]))
+        clock[0] += takes_s[len(asked) - 1]
+        return Choice(on.reachable)
+
+    made.best = best
+    asyncio.run(made.chosen(going(plane, 8.0, collided, [int(plane.positioner_id[0])])))
+    return asked, heard.events
+
+
+def test_a_choice_that_took_longer_than_it_allowed_for_is_made_anew():
+    asked, events = chosen_slowly([0.7, 0.6])
+    assert asked == [pytest.approx((8.0, 8.5)), pytest.approx((8.7, 8.7 + 1.4 + 0.3))]
+    assert "alarm" not in [kind for kind, _ in events]
+
+
+def test_where_it_is_always_late_an_alarm_says_so():
+    asked, events = chosen_slowly([0.3, 0.9, 2.0])
+    assert len(asked) == 3
+    assert (
+        "alarm",
+        "the choice of who is stopped took 2.0 s: arms may be further than it was proven for",
+    ) in events
 
 
 # in the twin

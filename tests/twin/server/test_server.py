@@ -223,7 +223,7 @@ def test_what_does_not_fit_the_queue_is_gone_and_the_device_says_so():
         return client.exchange.transport.events, client.exchange.strays, server.report()
 
     # slowly, so that the queue does not empty while the lines are read
-    events, answered, report = run(scenario, speed=0.2)
+    events, answered, report = run(scenario, speed=0.02)
     assert 0 < report["overflowed"] <= 199
     assert answered < 301
     assert report["frames_in"] == 300

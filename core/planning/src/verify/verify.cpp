@@ -44,7 +44,9 @@ class Encounter {
     }
 
     void descend(const Moment &from, const Moment &to, int depth) {
-        const double bound = 0.5 * (from.gap_mm + to.gap_mm - (to.travelled_mm - from.travelled_mm));
+        const double way = to.travelled_mm - from.travelled_mm;
+        // lines that cross cannot be nearer: nothing is gained in an interval where they stay so
+        const double bound = std::max(0.5 * (from.gap_mm + to.gap_mm - way), -radii_mm_);
         if (bound >= enough_mm()) return;
         if (depth == deepest) { // cannot be shown to be free: it is not
             if (bound < best_.gap_mm) best_ = {bound, from.time_s, -1, -1};

@@ -3,12 +3,6 @@
 Stopping half of a verified motion is what collides: what cannot be reached goes on, among arms that were
 stopped in its way. Going on past an arm that is not where the plan has it collides too. So the verifier
 decides, for the places where that arm may be.
-
-Where one cannot be reached, the rule looks for the largest part of the others that can be stopped. All
-pairs that go on are proven by the plan, and two at rest stay apart; so only pairs of one that rests and one
-that goes on count. Of such a pair the one that was stopped is let go on, until none meet. One that is let go
-had to be, whatever the others do: it was in the way of one that goes on in every choice. So where
-any choice is free of contacts this one is.
 """
 
 from __future__ import annotations
@@ -16,31 +10,27 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.motion import RECONNECT_S, Deviation, DeviationKind, Going, MotionWatch
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning import Plan, Trajectory, Violation, verify
-from fiberloom.typing import Ints
+from fiberloom.operation.safety.choice import Choice, Choosing, cut_off_at, meeting
+from fiberloom.planning import Plan, Trajectory
+from fiberloom.typing import Floats, Ints
 
 STOPS = 7
 """Places along its trajectory at which a positioner may have come to rest that are tried."""
 
-STOPPED_S = 0.5
-"""So long after the choice one that is stopped is at rest: the verifier, the bus, the motor."""
+CHOOSING_S = 0.2
+"""What a choice may take."""
+STOPPING_S = 0.3
+"""So long after a stop is sent a positioner is at rest: the bus, the motor."""
+CHOICES = 3
+"""So often a choice is made anew that took longer than it allowed for."""
 
 AT_ITS_START = frozenset({DeviationKind.NOT_STARTED, DeviationKind.REFUSED})
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Who is stopped, and what the verifier finds then."""
-
-    stop: frozenset[int]
-    contacts: tuple[Violation, ...] = ()
 
 
 class MotionRule(MotionWatch):
@@ -57,12 +47,13 @@ class MotionRule(MotionWatch):
         plane: FocalPlane,
         planned: Plan,
         event: Callable[[str, str, int | None], None],
+        clock: Callable[[], float],
         poll_s: float = 1.0,
     ) -> None:
         """`plane`: N positioners, with the obstacles of the plan; `planned`: the motion that runs; `event`:
-        records kind, text and positioner; `poll_s`: time between polls, s."""
+        records kind, text and positioner; `clock`: time of the bus, s; `poll_s`: time between polls, s."""
         super().__init__(poll_s)
-        self._plane, self._planned, self._event = plane, planned, event
+        self._plane, self._planned, self._event, self._clock = plane, planned, event, clock
         self._rests: dict[int, list[Trajectory]] = {}
 
     async def may_go_on(self, deviations: Sequence[Deviation]) -> bool:
@@ -90,10 +81,10 @@ class MotionRule(MotionWatch):
         if not going.unreachable:
             self._event("deviation", f"all {len(all_ids)} on the way are stopped", None)
             return all_ids
-        choice = await asyncio.to_thread(self.best, going)
+        choice, stopped_s = await self._in_time(going)
         for kind, text in _told(choice, going):
             self._event(kind, text, None)
-        self._rests |= self._stopped_at(choice.stop, going)
+        self._rests |= self._stopped_at(choice.stop, stopped_s)
         # one that gives no answer may hear nevertheless
         return all_ids if choice.stop == going.reachable else choice.stop
 
@@ -106,18 +97,17 @@ class MotionRule(MotionWatch):
         row = int(self._plane.index_of(deviation.positioner))
         whole = self._planned.robots[row]
         if deviation.kind in AT_ITS_START:
-            return [cut_off_at(whole, 0.0)] * STOPS
+            return cut_off_at(whole, np.zeros(1)) * STOPS
         # a restart drops what the motor had still to go: it may rest a little later than it was seen
         collided = deviation.kind is DeviationKind.COLLIDED
         last_s = deviation.time_s + (0.0 if collided else self.poll_s / 2)
-        return [cut_off_at(whole, t) for t in np.linspace(deviation.known_s, last_s, STOPS)]
+        return cut_off_at(whole, np.linspace(deviation.known_s, last_s, STOPS))
 
     def is_proven(self) -> bool:
         """True when nothing meets the positioners that may rest, wherever they do."""
         rows = self._around(self.resting_rows())
-        return not any(
-            self._meeting(rows, {i: places[k] for i, places in self._rests.items()}) for k in range(STOPS)
-        )
+        worlds = ({i: places[k] for i, places in self._rests.items()} for k in range(STOPS))
+        return not any(meeting(self._plane, self._planned, rows, world) for world in worlds)
 
     def resting_rows(self) -> Ints:
         """Rows of the positioners that may be at rest."""
@@ -125,83 +115,41 @@ class MotionRule(MotionWatch):
 
     # who is stopped
 
-    def best(self, going: Going) -> Choice:
-        """The largest part of the reachable ones that can be stopped without a contact.
+    async def _in_time(self, going: Going) -> tuple[Choice, Floats]:
+        """A choice, and the times after START in s at which those it stops may come to rest.
 
-        Where there is none, the better one of those that were tried.
+        Arms go on while it is made. One that took longer than it allowed for is made anew, with twice
+        the time.
         """
-        tried = [self._with(going.reachable, going)]
-        while tried[-1].contacts:
-            stop = tried[-1].stop
-            in_the_way = {i for contact in tried[-1].contacts for i in self._stopped_of(contact, stop)}
-            if not in_the_way:
-                break
-            tried.append(self._with(stop - in_the_way, going))
-        return min(tried, key=_rank)
+        choosing_s = CHOOSING_S
+        for _ in range(CHOICES):
+            began_s = self._clock()
+            stopped_s = going.time_s + np.linspace(0.0, choosing_s + STOPPING_S, STOPS)
+            choice = await asyncio.to_thread(self.best, going, stopped_s)
+            took_s = self._clock() - began_s
+            if took_s <= choosing_s:
+                return choice, stopped_s
+            going = dataclasses.replace(going, time_s=going.time_s + took_s)
+            choosing_s = 2.0 * took_s
+        text = f"the choice of who is stopped took {took_s:.1f} s: arms may be further than it was proven for"
+        self._event("alarm", text, None)
+        return choice, stopped_s
 
-    def _stopped_of(self, contact: Violation, stop: frozenset[int]) -> list[int]:
-        """Of a contact the one that was stopped, if the other one is on its way."""
-        pair = _pair(contact)
-        mixed = len(pair & stop) == 1 and not (pair - stop) & self._rests.keys()
-        return list(pair & stop) if mixed else []
+    def best(self, going: Going, stopped_s: Floats) -> Choice:
+        """Who is stopped; `stopped_s`: (STOPS,) s after START, when those may come to rest."""
+        return Choosing(self._plane, self._planned, going, stopped_s, self._rests).best()
 
-    def _with(self, stop: frozenset[int], going: Going) -> Choice:
-        """What the verifier finds where these are stopped now and the others go on."""
-        rests = self._places(stop, going)
-        pairs = self._plane.neighbour_pairs()
-        ids = self._plane.positioner_id[pairs]
-        mixed = np.isin(ids, list(rests)).any(axis=1) & ~np.isin(ids, list(stop)).all(axis=1)
-        found = {}
-        for robots in self._worlds(rests, going):
-            for contact in self._meeting(np.unique(pairs[mixed]), robots):
-                found[_pair(contact)] = contact
-        return Choice(stop, tuple(found.values()))
-
-    def _places(self, stop: frozenset[int], going: Going) -> dict[int, list[Trajectory]]:
-        """STOPS places for each that is at rest then, or may be."""
-        known = {i: rests for i, rests in self._rests.items() if i not in going.reachable}
-        return self._stopped_at(stop, going) | known
-
-    def _stopped_at(self, stop: frozenset[int], going: Going) -> dict[int, list[Trajectory]]:
-        """Places of those that are stopped now."""
-        when_s = np.linspace(going.time_s, going.time_s + STOPPED_S, STOPS)
-        robots = {r.positioner_id: r for r in self._planned.robots}
-        return {i: [cut_off_at(robots[i], t) for t in when_s] for i in stop}
-
-    def _worlds(self, rests: dict[int, list[Trajectory]], going: Going) -> Iterator[dict[int, Trajectory]]:
-        """By positioner, what differs from the plan: each of the places, and that who may go on does."""
-        for k in range(STOPS):
-            yield {i: places[k] for i, places in rests.items()}
-        if rests.keys() & going.unreachable:
-            yield {i: places[-1] for i, places in rests.items() if i not in going.unreachable}
-
-    def _meeting(self, rows: Ints, instead: dict[int, Trajectory]) -> tuple[Violation, ...]:
-        """Contacts among these rows where some do not follow the plan, but something else."""
-        plane = self._plane.select(rows)
-        near = set(plane.positioner_id.tolist())
-        refused = {p: why for p, why in self._planned.refused.items() if p in near}
-        robots = [self._planned.robots[row] for row in rows]
-        robots = [instead.get(r.positioner_id, r) for r in robots]
-        local = dataclasses.replace(self._planned, robots=tuple(robots), refused=refused)
-        return verify(plane, local).collisions
+    def _stopped_at(self, stop: Iterable[int], stopped_s: Floats) -> dict[int, list[Trajectory]]:
+        """Places of those that come to rest at these times."""
+        rows = self._plane.index_of(np.array(sorted(stop), dtype=np.int64))
+        robots = [self._planned.robots[row] for row in np.atleast_1d(rows)]
+        return {r.positioner_id: cut_off_at(r, stopped_s) for r in robots}
 
     def _around(self, rows: Ints) -> Ints:
         """These rows and those whose arms can meet theirs: all other pairs are proven by the plan."""
         pairs = self._plane.neighbour_pairs()
         near = pairs[np.isin(pairs, rows).any(axis=1)]
         return np.union1d(near.ravel(), rows)
-
-
-def _rank(choice: Choice) -> tuple[int, float]:
-    """Lower is better: the number of pairs that touch, then the time of the first contact in s, negative."""
-    pairs = {_pair(contact) for contact in choice.contacts}
-    return len(pairs), -min((contact.time_s for contact in choice.contacts), default=0.0)
-
-
-def _pair(contact: Violation) -> frozenset[int]:
-    """The positioners of a contact; with an obstacle there is one."""
-    other = {int(contact.other)} if contact.other.isdecimal() else set()
-    return frozenset({contact.positioner_id, *other})
 
 
 def _told(choice: Choice, going: Going) -> Iterator[tuple[str, str]]:
@@ -213,20 +161,6 @@ def _told(choice: Choice, going: Going) -> Iterator[tuple[str, str]]:
     if choice.contacts:
         found = "; ".join(map(str, choice.contacts[:3]))
         yield "alarm", f"in every choice of those to stop arms may touch; in this one: {found}"
-
-
-def cut_off_at(whole: Trajectory, time_s: float) -> Trajectory:
-    """A trajectory that comes to rest at once at this time, in s."""
-    before = whole.time_s < time_s
-    end_deg = whole.at(time_s)
-    if not before.any() or not whole.moves:
-        return Trajectory(whole.positioner_id, np.zeros(1), end_deg[:1], end_deg[1:])
-    return Trajectory(
-        whole.positioner_id,
-        np.append(whole.time_s[before], time_s),
-        np.append(whole.alpha_deg[before], end_deg[0]),
-        np.append(whole.beta_deg[before], end_deg[1]),
-    )
 
 
 async def when_linked(client: Client, ids: Iterable[int], within_s: float = RECONNECT_S) -> bool:
