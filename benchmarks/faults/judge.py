@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fiberloom.bus.motion import DeviationKind
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.health.past_runs import health_report
@@ -161,6 +162,11 @@ def _read_events(store: Store, run: int, images: tuple[int, list[datetime]], rec
         record.events.append(Event(run, image, str(found["kind"][k]), positioner, str(found["text"][k])))
 
 
+def _says_left(event: Event) -> bool:
+    """That one came to rest in a motion, or has restarted."""
+    return event.kind == "deviation" and event.text.startswith(DeviationKind.LEFT.value)
+
+
 # judging
 
 
@@ -223,7 +229,9 @@ class _Judge:
         told += [
             e.image
             for e in self.record.events
-            if e.positioner_id == number and e.kind in names and self._time(e.image) >= fault.at_s
+            if e.positioner_id == number
+            and (e.kind in names or _says_left(e))
+            and self._time(e.image) >= fault.at_s
         ]
         if number in self.findings:
             told.append(len(images) - 1)
@@ -336,6 +344,11 @@ class _Judge:
                 if image.status[i] in {str(s) for s in FAULTS}
             ]
         never = self._never_ill()
+        false += [
+            [e.run, e.positioner_id, e.kind]
+            for e in self.record.events
+            if _says_left(e) and e.positioner_id in never
+        ]
         false += [[0, number, "health"] for number in self.findings if number in never]
         return count, false
 

@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from benchmarks.faults.campaign import LINES, Campaign, arrays_of
+from benchmarks.faults.campaign import ARRAYS, LINES, Campaign, arrays_of
 from benchmarks.faults.disk import Ballast, mounted
 from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
 from benchmarks.faults.one_seed import run_seed
@@ -15,6 +15,7 @@ from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, inte
 from fiberloom.errors import InputError
 from fiberloom.operation import results
 from fiberloom.operation.motion import FieldState
+from fiberloom.operation.session.recover import Recovery
 from fiberloom.twin.twin import Touch, Twin
 
 
@@ -245,3 +246,29 @@ def test_a_false_good_is_counted(array, tmp_path, monkeypatch):
     found = came_of(array, tmp_path)
     assert len(found["false_good"]) == found["told_good"] > 0
     assert found["false_success"] == [0, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("works", [True, False])
+def test_an_array_that_is_left_locked_is_recovered(tmp_path, monkeypatch, works):
+    """Seed 99: a hall sensor sticks in a field of 37, arms collide, and the array is locked."""
+    if not works:
+        monkeypatch.setattr(Recovery, "run", nothing_is_done)
+    dense = arrays_of(37, tmp_path)[99 % ARRAYS]
+    found = run_seed(dense, draw(99, dense.plane.positioner_id.tolist()), tmp_path / "log")
+    assert (found["locked"], found["recovered"]) == (1, int(works))
+    assert len(found["recover_exits"]) == 1
+
+
+async def nothing_is_done(*_):
+    raise InputError("nothing is done")
+
+
+@pytest.mark.slow
+def test_a_restart_that_is_told_where_no_image_comes_is_not_missed(array, tmp_path):
+    """At rest; the motion that shows it is the last one before the camera fails for good."""
+    hang = Injected("camera_hang", 0, 3.0, 6.0)
+    found = came_of(array, tmp_path, hang, Injected("reboot", number(array), 25.0))
+    assert found["runs"][0] == "failed"
+    told = {f["kind"]: f for f in found["faults"]}["reboot"]
+    assert not told["missed"]
