@@ -35,6 +35,8 @@ from .judge import judged
 from .world import Ended, World
 
 COMMANDS = 2
+RECOVERS = 2
+"""So often `recover` is typed, where the array is locked still: the camera may fail meanwhile."""
 _PR_SET_PDEATHSIG = 1
 FORK = multiprocessing.get_context("fork")
 GAP_S = 20.0
@@ -61,9 +63,9 @@ def run_seed(array: Array, scene: Scene, log: Path) -> dict[str, Any]:
         fill = None if ballast is None else lambda fault: ballast.fill(fault.size)
         world = World(array.plane, array.units, scene, fill)
         operator = Operator(world, ballast, desk)
-        for number, (observe, recover) in enumerate(hosts):
+        for number, (observe, *recovers) in enumerate(hosts):
             operator.types(observe, kill=number == 0)
-            operator.goes_on(recover)
+            operator.goes_on(recovers)
         line = judged(world, array.maps, folder, operator.ended)
         line |= {"locked": operator.locked, "recovered": operator.recovered}
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
@@ -87,12 +89,12 @@ Host = tuple[BaseProcess, Connection]
 """A command in a process of its own, that waits for its turn."""
 
 
-def _hosts(array: Array, scene: Scene, desk: Desk, number: int) -> tuple[Host, Host]:
+def _hosts(array: Array, scene: Scene, desk: Desk, number: int) -> list[Host]:
     """An observation, and what may have to follow it; begun before the twin has threads."""
     targets = desk.folder / f"targets-{number}.csv"
     n = 8 * len(array.plane)
     write_targets(random_targets(array.plane, n, COMMANDS * scene.seed + number), targets)
-    return _host(desk, desk.observe(targets)), _host(desk, desk.recover())
+    return [_host(desk, words) for words in [desk.observe(targets), *[desk.recover()] * RECOVERS]]
 
 
 def _host(desk: Desk, words: list[str]) -> Host:
@@ -140,12 +142,14 @@ class Operator:
         if code < 0:
             world.passes(float(np.random.default_rng([world.scene.seed, 0x6A]).uniform(0.0, GAP_S)))
 
-    def goes_on(self, recover: Host) -> None:
-        """Recovers where the array is locked; a host that is not needed ends."""
-        if not self._desk.locked():
-            recover[1].close()
-            recover[0].kill()
-            return
-        self.locked += 1
-        self.types(recover, deed="recover")
-        self.recovered += not self._desk.locked()
+    def goes_on(self, recovers: list[Host]) -> None:
+        """Recovers where the array is locked, again where that fails; a host that is not needed ends."""
+        known = self.locked > self.recovered
+        self.locked += self._desk.locked() and not known
+        for process, pipe in recovers:
+            if self._desk.locked():
+                self.types((process, pipe), deed="recover")
+            else:
+                pipe.close()
+                process.kill()
+        self.recovered = self.locked - self._desk.locked()

@@ -1,5 +1,6 @@
 """After a collision: the array is locked, `recover` says what touches and takes it apart."""
 
+import asyncio
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,9 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.identifier import decode
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.errors import InputError
+from fiberloom.operation.session.array_lock import ArrayLock
+from fiberloom.operation.session.recover import Recovery
+from fiberloom.operation.session.session import HeldArray
 from fiberloom.planning import random_configuration
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -82,6 +86,48 @@ def test_precise_moves_are_off_while_arms_part_and_on_again_afterwards(store):
     alpha, beta = Status.PRECISE_POSITIONING_ALPHA, Status.PRECISE_POSITIONING_BETA
     assert {i for i, b in bits.items() if b & alpha} == {moving}
     assert not any(b & beta for b in bits.values())
+
+
+class Killed(BaseException):
+    """The process is gone: nothing is tidied up."""
+
+
+@pytest.mark.parametrize("end", ["stopped", "failed", "killed"])
+def test_however_a_recovery_is_cut_short_the_array_stays_locked(store, end, monkeypatch):
+    array = TwinArray.of(PLANE, TANGLED_DEG)
+
+    async def cut_short(recovery, stage):
+        told.append(ArrayBook(store, BUS).state().state)
+        if end == "killed":  # as its row is left
+            monkeypatch.setattr("fiberloom.store.arrays.is_alive", lambda *_: False)
+            monkeypatch.setattr(ArrayLock, "release", lambda lock: lock._over.set())
+            patched.setattr(HeldArray, "leave", lambda *_: None)
+        raise {"stopped": asyncio.CancelledError, "failed": InputError("no image"), "killed": Killed}[end]
+
+    told = []
+    with monkeypatch.context() as patched:
+        patched.setattr(Recovery, "_stage", cut_short)
+        with pytest.raises((asyncio.CancelledError, InputError, Killed)):
+            done(session(array, PLANE, store).recover())
+    assert told == ["recovering"]
+    for command in ("park", "home"):
+        with pytest.raises(InputError, match=r"is locked .collision of positioners 205, 228"):
+            done(getattr(session(array, PLANE, store), command)())
+    text = ArrayBook(store, BUS).state().text
+    assert ("not recovered" in text) == (end != "killed")
+    assert done(session(array, PLANE, store).recover()).state == "parked"
+
+
+def test_ways_in_vain_leave_it_locked(store, monkeypatch):
+    array = TwinArray.of(PLANE, TANGLED_DEG)
+
+    async def in_vain(*_):
+        return False
+
+    monkeypatch.setattr(Recovery, "_follow", in_vain)
+    report = done(session(array, PLANE, store).recover())
+    assert report.state == "locked"
+    assert ArrayBook(store, BUS).state().text == f"touching: {', '.join(report.touching)}"
 
 
 def test_nothing_to_recover_from_unlocks(store):

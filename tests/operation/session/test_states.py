@@ -58,14 +58,26 @@ def test_every_state_can_be_reached_and_left():
     assert all(set(steps.values()) - {state} for state, steps in NEXT.items())
 
 
+AFTER_A_COLLISION = {SessionState.LOCKED, SessionState.RECOVERING}
+
+
 def test_from_every_state_but_off_everything_can_be_stopped():
-    for state in set(SessionState) - {SessionState.OFF}:
+    for state in set(SessionState) - {SessionState.OFF} - AFTER_A_COLLISION:
         assert after(state, Step.STOP) is SessionState.STOPPED
         assert after(state, Step.COLLIDE) is SessionState.LOCKED
 
 
+def test_a_locked_array_stays_locked_until_nothing_touches():
+    for state in AFTER_A_COLLISION:
+        assert {after(state, step) for step in NEXT[state]} <= AFTER_A_COLLISION | {SessionState.IDLE}
+        assert {after(state, step) for step in (Step.STOP, Step.LOSE, Step.COLLIDE)} == {SessionState.LOCKED}
+    ends = [step for state in AFTER_A_COLLISION for step, s in NEXT[state].items() if s is SessionState.IDLE]
+    assert ends == [Step.FREE]
+
+
 def test_no_motion_before_the_begin_check():
-    assert {s for s, steps in NEXT.items() if Step.MOVE in steps} == {SessionState.IDLE, SessionState.LOOKING}
+    moving = {SessionState.IDLE, SessionState.LOOKING, SessionState.RECOVERING}
+    assert {s for s, steps in NEXT.items() if Step.MOVE in steps} == moving
     with pytest.raises(RuntimeError, match="that is unknown cannot move"):
         after(SessionState.UNKNOWN, Step.MOVE)
     with pytest.raises(RuntimeError, match="that is off cannot move"):

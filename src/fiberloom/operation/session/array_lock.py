@@ -20,11 +20,21 @@ POLL_S = 0.1
 KEPT = frozenset({SessionState.IDLE, SessionState.PARKED, SessionState.STOPPED, SessionState.LOCKED})
 """States in which a command may leave an array; from any other one it is `unknown`."""
 
+NOT_RECOVERED = "; not recovered: "
+"""Between what an array is locked for and how the last try to recover it ended."""
+
+
+def left_as(state: SessionState) -> SessionState:
+    """The state of an array whose command ends in `state`."""
+    if state is SessionState.RECOVERING:
+        return SessionState.LOCKED
+    return state if state in KEPT else SessionState.UNKNOWN
+
 
 def state_of(row: ArrayState) -> SessionState:
-    """The state of an array as the next command finds it: `unknown` where the owner was lost on the way."""
+    """The state of an array as the next command finds it, also where the owner was lost on the way."""
     state = SessionState(row.state)
-    return SessionState.UNKNOWN if row.stale and state not in KEPT else state
+    return left_as(state) if row.stale else state
 
 
 class ArrayLock:
@@ -38,6 +48,8 @@ class ArrayLock:
         """Another process has taken it."""
         self.left_moving = False
         """The owner before was lost in a motion."""
+        self._collision = ""
+        """What an array that recovers was locked for."""
         self._token = ""
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
@@ -51,7 +63,8 @@ class ArrayLock:
         """
         found = self.book.state()
         require_legal(deed, state_of(found), *self._about(found))
-        self._token, before = self.book.take(self.command_line, SessionState.CONNECTING)
+        begun = after(state_of(found), Step.CONNECT)
+        self._token, before = self.book.take(self.command_line, begun)
         state = state_of(before)
         try:
             require_legal(deed, state, *self._about(before))  # again: it may have changed since
@@ -60,11 +73,14 @@ class ArrayLock:
             self._token = ""
             raise
         self.state = after(state, Step.CONNECT)
+        if self.state is SessionState.RECOVERING:
+            self._collision = self.text = before.text.split(NOT_RECOVERED)[0]
+        self.book.enter(self._token, self.state, self.text)
         self._thread = threading.Thread(target=self._watch, args=(on_stop,), daemon=True)
         self._thread.start()
         if not before.stale:
             return ""
-        self.left_moving = before.state == SessionState.MOVING
+        self.left_moving = before.state in (SessionState.MOVING, SessionState.RECOVERING)
         gone = "has ended without a word" if before.silent_s < HEARTBEAT_S * 5 else "gives no sign of life"
         return f"taken over from {before.owner}, which {gone}; it was {before.state}"
 
@@ -77,6 +93,8 @@ class ArrayLock:
         """Goes on in the table; `text` says why. NotOwner where the array was lost meanwhile."""
         self.check()
         state = after(self.state, step)
+        if self.state is SessionState.RECOVERING and step not in (Step.FREE, Step.COLLIDE):
+            text = self._collision + (NOT_RECOVERED + text if state is SessionState.LOCKED else "")
         if (state, text) != (self.state, self.text):
             self.book.enter(self._token, state, text)
         self.state, self.text = state, text
@@ -93,8 +111,7 @@ class ArrayLock:
         self._over.set()
         if self._thread is not None:
             self._thread.join()
-        state = self.state if self.state in KEPT else SessionState.UNKNOWN
-        self.book.release(self._token, state, self.text)
+        self.book.release(self._token, left_as(self.state), self.text)
 
     def _watch(self, on_stop: Callable[[str], None]) -> None:
         beat_s, told = time.monotonic(), False

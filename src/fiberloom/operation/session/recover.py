@@ -40,27 +40,30 @@ class Recovery:
 
     async def run(self) -> bool:
         """Recovers; True where nothing touches any more. The array is locked otherwise."""
-        failed, first = 0, True
+        way = await self._way(0)
+        self.touching = _texts(way)
+        for text in self.touching:
+            self.motion.recorder.event("touching", text)
+        if self.look_only:
+            self.stages = [stage.what for stage in way.stages]
+        else:
+            way = await self._apart(way)
+        self.stuck = dict(way.stuck)
+        free = not self.stuck and not way.overlaps
+        text = "; ".join(self.stuck.values()) or f"touching: {', '.join(_texts(way))}"
+        await self.motion.step(Step.FREE if free else Step.COLLIDE, "" if free else text)
+        return free
+
+    async def _apart(self, way: Untangled) -> Untangled:
+        """Follows ways until one has come to its end; what is left then, or after `TRIES` in vain."""
+        failed = 0
         while failed < TRIES:
-            way = await self._way(failed)
-            if first:
-                self.touching = [f"{a} and {b}: {mm:.2f} mm" for (a, b), mm in way.overlaps.items()]
-                for text in self.touching:
-                    self.motion.recorder.event("touching", text)
-            first = False
-            self.stuck = dict(way.stuck)
-            if self.look_only:
-                self.stages = [stage.what for stage in way.stages]
-                break
             await self._clear_flags()
             if await self._follow(way):
-                break
+                return replace(way, overlaps={})
             failed += not await self._begin_again()
-        free = not self.stuck and not (self.look_only and self.touching)
-        if not free:
-            text = "; ".join(self.stuck.values()) or f"touching: {', '.join(self.touching)}"
-            await self.motion.step(Step.COLLIDE, text)
-        return free
+            way = await self._way(failed)
+        return way
 
     async def _begin_again(self) -> bool:
         """The begin check anew, with those as obstacles that did not move; True where there is a new one."""
@@ -100,6 +103,11 @@ class Recovery:
     async def _stage(self, stage: Stage) -> bool:
         goals = Goals.without_targets(self.motion.plane, np.asarray(stage.plan.end_deg))
         return bool((await self.motion.stage(stage.what, stage.plan, goals, stage.separates)).any())
+
+
+def _texts(way: Untangled) -> list[str]:
+    """What touches, and by how much it overlaps."""
+    return [f"{a} and {b}: {mm:.2f} mm" for (a, b), mm in way.overlaps.items()]
 
 
 def in_reach_of_lost(state: FieldState) -> Flags:

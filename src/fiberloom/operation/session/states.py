@@ -21,6 +21,7 @@ class SessionState(StrEnum):
     LOOKING = "looking"
     STOPPED = "stopped"  # stopped on the way; where each was left is on record
     LOCKED = "locked"  # after a collision: moves only to recover
+    RECOVERING = "recovering"  # at that; locked again unless nothing touches any more
     PARKED = "parked"  # at rest and folded
 
 
@@ -50,6 +51,7 @@ class Step(StrEnum):
     FOLD = "fold"  # at rest, and folded
     STOP = "stop"
     COLLIDE = "collide"
+    FREE = "free"  # nothing touches any more
     LOSE = "lose"  # the command ends, and where positioners are is not known
 
 
@@ -76,6 +78,7 @@ INSTEAD = {
     S.CONNECTING: "wait, or `fiberloom stop`",
     S.MOVING: "wait, or `fiberloom stop`",
     S.LOOKING: "wait, or `fiberloom stop`",
+    S.RECOVERING: "wait, or `fiberloom stop`",
 }
 """What to do where a command is not legal."""
 
@@ -87,7 +90,7 @@ NEXT: dict[SessionState, dict[Step, SessionState]] = {
     S.UNKNOWN: {Step.CONNECT: S.CONNECTING, Step.LOOK: S.LOOKING, Step.BEGIN: S.IDLE, **_ANYWHERE},
     S.IDLE: {
         **{Step.CONNECT: S.CONNECTING, Step.LOOK: S.LOOKING, Step.MOVE: S.MOVING},
-        **{Step.REST: S.IDLE, Step.FOLD: S.PARKED, **_ANYWHERE},
+        **{Step.REST: S.IDLE, Step.FOLD: S.PARKED, Step.FREE: S.IDLE, **_ANYWHERE},
     },
     S.MOVING: {Step.LOOK: S.LOOKING, Step.REST: S.IDLE, **_ANYWHERE},
     S.LOOKING: {
@@ -95,7 +98,13 @@ NEXT: dict[SessionState, dict[Step, SessionState]] = {
         **_ANYWHERE,
     },
     S.STOPPED: {Step.CONNECT: S.CONNECTING, **_ANYWHERE},
-    S.LOCKED: {Step.CONNECT: S.CONNECTING, **_ANYWHERE},
+    S.LOCKED: {Step.CONNECT: S.RECOVERING, **dict.fromkeys(_ANYWHERE, S.LOCKED)},
+    S.RECOVERING: {
+        **dict.fromkeys(
+            (Step.CONNECT, Step.ANSWER, Step.LOOK, Step.BEGIN, Step.MOVE, Step.REST), S.RECOVERING
+        ),
+        **{Step.FREE: S.IDLE, **dict.fromkeys(_ANYWHERE, S.LOCKED)},
+    },
     S.PARKED: {Step.CONNECT: S.CONNECTING, **_ANYWHERE},
 }
 """Which step leads where; a step that is not in the row of a state is a mistake of the program."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from fiberloom.bus.client import Client
 from fiberloom.bus.transport import Transport, TransportLost
 from fiberloom.errors import InputError
+from fiberloom.operation.session.array_lock import state_of
 from fiberloom.operation.session.states import SessionState
 from fiberloom.store.arrays import ArrayBook, ArrayState
 from fiberloom.store.process import host_name
@@ -78,7 +79,7 @@ class Stopper:
 
     async def _heard(self, owner: ArrayState, within_s: float) -> bool:
         """The owner says that it has stopped; then it has some time to close."""
-        heard = self.book.state().state == SessionState.STOPPED
+        heard = self.book.state().state in (SessionState.STOPPED, SessionState.LOCKED)
         return heard and await self._given_back(owner, within_s)
 
     async def _own_connection(self, owned: bool = False) -> StopReport:
@@ -103,7 +104,7 @@ class Stopper:
 
     def _book_stopped(self, text: str) -> None:
         """A locked array stays locked: a stop does not move arms apart."""
-        if self.book.state().state != SessionState.LOCKED:
+        if state_of(self.book.state()) is not SessionState.LOCKED:
             self.book.note_stopped(text, SessionState.STOPPED)
 
     async def _interrupt(self, owner: ArrayState, own: StopReport) -> StopReport:
