@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from sqlalchemy import select
 
 from fiberloom.errors import InputError
 from fiberloom.store import Store
@@ -13,7 +14,8 @@ from fiberloom.store.arrays import ArrayBook, ArrayPlaces
 from fiberloom.store.engines import file_engine
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 from fiberloom.store.parts import pack
-from fiberloom.store.schema import Base
+from fiberloom.store.schema import Base, PlaceRow
+from fiberloom.store.sums import _sum
 
 BUS = "cannet://10.1.10.31:19228"
 
@@ -151,6 +153,27 @@ def test_a_damaged_row_is_not_written_over(path):
             with pytest.raises(InputError, match="is not what was written"):
                 deed()
     assert list(dump(path)) == before
+
+
+def test_a_datum_that_was_never_searched_is_not_believed(path):
+    """It would make a positioner that is not seen move."""
+    with Store.open(path) as store:
+        ArrayBook(store, BUS).forget_datum(np.array([4]))
+        assert ArrayBook(store, BUS).places(np.array([4])).datum.tolist() == [False]
+    damage(path, "UPDATE places SET datum = 1")
+    with pytest.raises(InputError, match="row 4 of the table places is not what was written"):
+        everything(path)
+
+
+def test_sums_of_places_that_left_the_datum_out_are_right_still(path):
+    with Store.open(path) as store, store.transaction() as connection:
+        (row,) = connection.execute(select(PlaceRow.__table__)).mappings()
+        old = _sum(PlaceRow.__table__, row, {"datum"})
+    damage(path, f"UPDATE places SET row_sum = {old}")
+    everything(path)
+    damage(path, "UPDATE places SET alpha_deg = 3.5")
+    with pytest.raises(InputError, match="table places"):
+        everything(path)
 
 
 def dump(path):

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, delete, select, update
+from sqlalchemy import ColumnElement, Connection, delete, select
 from sqlalchemy.exc import IntegrityError
 
 from fiberloom.errors import InputError
@@ -276,11 +276,10 @@ class ArrayBook:
 
     def forget_datum(self, positioner_id: Ints) -> None:
         """The datum of these is not known any more; where they were last stays on record."""
-        query = update(PlaceRow).where(
-            PlaceRow.address == self.address, PlaceRow.positioner_id.in_([int(p) for p in positioner_id])
-        )
+        asked = PlaceRow.positioner_id.in_([int(p) for p in positioner_id])
+        these = (PlaceRow.address == self.address) & PlaceRow.datum.is_(True) & asked
         with self.store.transaction() as connection:
-            connection.execute(query.values(datum=False))
+            change(connection, PlaceRow, these, {"datum": False})
 
     def _place_row(self, positioner: int, places: ArrayPlaces, row: int, now: datetime) -> dict[str, Any]:
         wire = [float(v) if np.isfinite(v) else None for v in places.wire_deg[row]]
