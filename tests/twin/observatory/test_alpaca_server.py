@@ -2,6 +2,8 @@
 
 import http.client
 import json
+import socket
+import struct
 import time
 from dataclasses import replace
 from urllib.parse import urlencode
@@ -227,6 +229,18 @@ def test_our_client_gets_what_the_twin_paints(port, twin):
     np.testing.assert_array_equal(image.pixels, wanted.pixels)
     assert (image.gain_e_adu, image.saturation_adu) == (wanted.gain_e_adu, wanted.saturation_adu)
     assert image.exposure_s == 5.0
+
+
+def test_clients_that_go_away_are_no_news(port, capfd):
+    source(port, exposure_s=1.0).expose()
+    asked = b"GET /api/v1/camera/0/imagearray HTTP/1.1\r\nHost: twin\r\n\r\n"
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", port)) as gone:
+            gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # resets at its end
+            gone.sendall(asked)
+            gone.recv(1)  # it is being answered
+    assert member(port, "imageready")["Value"]
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_a_longer_exposure_is_brighter(port):

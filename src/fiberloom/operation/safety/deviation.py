@@ -23,7 +23,7 @@ from fiberloom.typing import Floats, Ints
 STOPS = 7
 """Places along its trajectory at which a positioner may have come to rest that are tried."""
 
-CHOOSING_S = 0.2
+CHOOSING_S = 0.3
 """What a choice may take."""
 STOPPING_S = 0.3
 """So long after a stop is sent a positioner is at rest: the bus, the motor."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -295,13 +296,21 @@ def _management(words: list[str]) -> Any:
     raise BadCall(f"/management/{'/'.join(words)}: no such page")
 
 
+class _Server(ThreadingHTTPServer):
+    """Says nothing of a client that goes away before it has its answer: it may have been killed."""
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
 class AlpacaServer:
     """Serves a shutter at `host` and `port` until `close`; port 0: one that the system chooses."""
 
     def __init__(self, shutter: TwinShutter, host: str, port: int) -> None:
         own = {"device": AlpacaDevice(shutter), "transactions": itertools.count(1)}
         handler = type("AlpacaHandler", (_Handler,), own)
-        self._server = ThreadingHTTPServer((host, port), handler)
+        self._server = _Server((host, port), handler)
         self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
