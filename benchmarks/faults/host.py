@@ -19,6 +19,7 @@ from fiberloom.bus.links import Link
 from fiberloom.bus.transport import Frame
 from fiberloom.cli.app import main
 from fiberloom.connect import array_address
+from fiberloom.errors import InputError
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.sources.errors import (
     CameraError,
@@ -122,8 +123,11 @@ class Desk:
         """Whether the array is locked after a collision."""
         if not self.store.exists():
             return False
-        with Store.read(self.store) as store:
-            return ArrayBook(store, array_address(BUS)).state().state == SessionState.LOCKED
+        try:
+            with Store.read(self.store) as store:
+                return ArrayBook(store, array_address(BUS)).state().state == SessionState.LOCKED
+        except InputError:  # its command was killed before it had made the tables
+            return False
 
 
 MOVES = 4

@@ -9,6 +9,7 @@ import pytest
 from benchmarks.faults.campaign import ARRAYS, LINES, Campaign, arrays_of
 from benchmarks.faults.disk import Ballast, mounted
 from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
+from benchmarks.faults.host import Desk
 from benchmarks.faults.one_seed import run_seed
 from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, interval, table
 
@@ -272,3 +273,11 @@ def test_a_restart_that_is_told_where_no_image_comes_is_not_missed(array, tmp_pa
     assert found["runs"][0] == "failed"
     told = {f["kind"]: f for f in found["faults"]}["reboot"]
     assert not told["missed"]
+
+
+def test_a_store_without_tables_is_of_no_locked_array(tmp_path):
+    """As a command leaves it that was killed at its very begin."""
+    desk = Desk([1], (), tmp_path / "maps.npz", tmp_path, tmp_path / "log")
+    assert not desk.locked()
+    desk.store.touch()
+    assert not desk.locked()

@@ -11,7 +11,9 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.identifier import decode
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.errors import InputError
+from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.session.array_lock import ArrayLock
+from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray
 from fiberloom.planning import random_configuration
@@ -116,6 +118,24 @@ def test_however_a_recovery_is_cut_short_the_array_stays_locked(store, end, monk
     text = ArrayBook(store, BUS).state().text
     assert ("not recovered" in text) == (end != "killed")
     assert done(session(array, PLANE, store).recover()).state == "parked"
+
+
+def test_a_stage_that_is_proven_no_more_is_planned_anew(store, monkeypatch):
+    """Seed 221 of the fault campaign: the image had put a dead one 3.5 um elsewhere."""
+    array, proofs, prove = TwinArray.of(PLANE, TANGLED_DEG), [], SessionMotion._verify
+
+    def refused_once(motion, planned):
+        proofs.append(planned)
+        if len(proofs) == 2:
+            raise UnsafePlanError("the verifier refused the planned motion")
+        prove(motion, planned)
+
+    monkeypatch.setattr(SessionMotion, "_verify", refused_once)
+    report = done(session(array, PLANE, store).recover())
+    assert (report.state, report.ok) == ("parked", True)
+    assert len(proofs) >= 3
+    texts = store.events(store.runs()[-1].id)["text"]
+    assert [t for t in texts if "another way is looked for" in t]
 
 
 def test_ways_in_vain_leave_it_locked(store, monkeypatch):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fiberloom.health.status import FibreStatus
-from fiberloom.operation.motion import FieldState
+from fiberloom.operation.motion import FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals
 from fiberloom.operation.session.clearing import within_reach
 from fiberloom.operation.session.motion import SessionMotion
@@ -101,8 +101,17 @@ class Recovery:
         return True
 
     async def _stage(self, stage: Stage) -> bool:
+        """Carries out one; True where it did not end as planned.
+
+        Or did not begin: the last image has put who does not move some micrometres elsewhere, and a way that
+        just passed there is proven no more.
+        """
         goals = Goals.without_targets(self.motion.plane, np.asarray(stage.plan.end_deg))
-        return bool((await self.motion.stage(stage.what, stage.plan, goals, stage.separates)).any())
+        try:
+            return bool((await self.motion.stage(stage.what, stage.plan, goals, stage.separates)).any())
+        except UnsafePlanError as error:
+            self.motion.recorder.event("recovery", f"{stage.what}: {error}; another way is looked for")
+            return True
 
 
 def _texts(way: Untangled) -> list[str]:
