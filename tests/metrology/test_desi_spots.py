@@ -18,7 +18,9 @@ def folder():
         found = parent / "shared" / "data" / "desi" / "desimeter"
         if found.is_dir():
             return found
-    pytest.skip("no ../shared/data/desi beside the checkout")
+    pytest.skip(
+        "no ../shared/data/desi beside the checkout: spots that DESI measured are not in this repository"
+    )
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ def real_field() -> FocalPlane:
     for parent in (ROOT, ROOT.parent, ROOT.parent.parent):
         if (parent / REAL).is_dir():
             return read_layout(parent / REAL, SDSSV)
-    pytest.skip(f"the calibration tables {REAL} are not beside this checkout")
+    pytest.skip(f"no {REAL} beside the checkout: the real tables are not public")
     raise AssertionError
 
 

@@ -207,8 +207,8 @@ class _Points:
     robots: tuple[Trajectory, ...]
     rows: Ints
     """(R,) of each trajectory in the plane."""
-    first: Ints
-    """(R,) index of its first point."""
+    whose: Ints
+    """(M,) index of the trajectory."""
     time_s: Floats
     """(M,)"""
     angles_deg: Floats
@@ -224,20 +224,24 @@ class _Points:
         return cls(
             robots,
             np.atleast_1d(plane.index_of([r.positioner_id for r in robots])).astype(np.int64),
-            np.cumsum([0, *counts])[:-1],
+            np.repeat(np.arange(len(robots)), counts),
             _one_after_another(r.time_s for r in robots),
             np.column_stack([alpha, beta]),
         )
 
-    def worst(self, size: Floats) -> list[int]:
-        """Of each trajectory that has a `size` (M,) above 0 the point where it is largest."""
-        bad = np.flatnonzero(size > 0.0)
-        whose = np.searchsorted(self.first, bad, side="right") - 1
-        return [int(bad[whose == k][size[bad[whose == k]].argmax()]) for k in np.unique(whose)]
+    @property
+    def ways(self) -> list[Floats]:
+        """(n, 3) of each trajectory: time, alpha, beta in s and rad."""
+        moments = np.column_stack([self.time_s, deg_to_rad(self.angles_deg)])
+        ends = np.cumsum(np.bincount(self.whose, minlength=len(self.robots)))
+        return np.split(moments, ends[:-1]) if self.robots else []
 
-    def of_point(self, point: int) -> int:
-        """The trajectory of a point."""
-        return int(np.searchsorted(self.first, point, side="right")) - 1
+    def worst(self, plane: FocalPlane, size: Floats) -> Iterator[tuple[Trajectory, int]]:
+        """Trajectories with a `size` (M,) above 0, not of who is offline; the point where it is largest."""
+        bad = np.flatnonzero((size > 0.0) & ~plane.offline[self.rows][self.whose])
+        for k in np.unique(self.whose[bad]):
+            of_it = bad[self.whose[bad] == k]
+            yield self.robots[k], int(of_it[size[of_it].argmax()])
 
 
 def _one_after_another(parts: Iterable[Floats]) -> Floats:
@@ -247,11 +251,8 @@ def _one_after_another(parts: Iterable[Floats]) -> Floats:
 def _beyond_stops(plane: FocalPlane, points: _Points) -> Iterator[Violation]:
     """One for each positioner that the plan puts where no arm can be, the deepest moment."""
     beyond = beyond_stops_deg(plane, points.angles_deg).max(axis=1, initial=0.0)
-    for point in points.worst(beyond):
-        k = points.of_point(point)
-        if not plane.offline[points.rows[k]]:
-            whose, time_s = points.robots[k].positioner_id, points.time_s[point]
-            yield Violation("stops", whose, "", float(time_s), float(beyond[point]))
+    for robot, point in points.worst(plane, beyond):
+        yield Violation("stops", robot.positioner_id, "", float(points.time_s[point]), float(beyond[point]))
 
 
 def _gap(found: dict[str, Any]) -> float:
@@ -264,9 +265,7 @@ def _motions(plane: FocalPlane, points: _Points) -> list[Floats]:
     for row in np.flatnonzero(plane.offline):
         motions[row] = np.array([[0.0, *deg_to_rad(plane.offline_position_deg[row])]])
     _refuse_endless(plane, points)
-    moments = np.column_stack([points.time_s, deg_to_rad(points.angles_deg)])
-    ways = np.split(moments, points.first[1:])
-    for row, robot, way in zip(points.rows, points.robots, ways, strict=False):
+    for row, robot, way in zip(points.rows, points.robots, points.ways, strict=True):
         if plane.offline[row] and robot.moves:
             raise InputError(f"positioner {robot.positioner_id} is offline, but the plan moves it")
         if not plane.offline[row]:
@@ -283,13 +282,10 @@ def _motions(plane: FocalPlane, points: _Points) -> list[Floats]:
 def _refuse_endless(plane: FocalPlane, points: _Points) -> None:
     """Before a proof begins that would not end. What is not finite is told as a violation."""
     far = np.nan_to_num(np.abs(points.angles_deg), posinf=0.0).max(axis=1, initial=0.0)
-    for point in points.worst(np.where(far > MOST_DEG, far, 0.0)):
-        k = points.of_point(point)
-        if not plane.offline[points.rows[k]]:
-            raise InputError(
-                f"positioner {points.robots[k].positioner_id} goes to {far[point]:g} deg; "
-                f"at most {MOST_DEG:g} deg is sound"
-            )
+    for robot, point in points.worst(plane, np.where(far > MOST_DEG, far, 0.0)):
+        raise InputError(
+            f"positioner {robot.positioner_id} goes to {far[point]:g} deg; at most {MOST_DEG:g} deg is sound"
+        )
 
 
 def _arrives(plane: FocalPlane, plan: Plan) -> Flags:

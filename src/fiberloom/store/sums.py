@@ -87,8 +87,9 @@ def check(row: type[Base], rows: Iterable[Row]) -> None:
 
 def _is_sound(table: Table, values: Row) -> bool:
     try:
-        left_out = _LEFT_OUT.get(table.name, set())
-        return bool(values[SUM] in (_sum(table, values), _sum(table, values, left_out)))
+        left_out = _LEFT_OUT.get(table.name, ())
+        found = values[SUM]
+        return bool(found == _sum(table, values) or (left_out and found == _sum(table, values, left_out)))
     except (ValueError, TypeError, OverflowError):  # a text where a number belongs
         return False
 
