@@ -25,6 +25,7 @@ from fiberloom.operation.judge import ASTRAY_MM
 from fiberloom.operation.safety.looking import ALARM
 from fiberloom.store import Store
 from fiberloom.store.run import FINISHED, INTERRUPTED, START, STOPPED, RunInfo
+from fiberloom.twin.twin import Touch
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -180,7 +181,7 @@ class _Judge:
         """By fault: number of the first image that shows it; -1: none."""
 
     def line(self) -> dict[str, Any]:
-        known, unknown = self._contacts()
+        known, unknown, unreached = self._contacts()
         healthy, false = self._false_flags()
         good, far = self._told_good()
         return {
@@ -188,6 +189,7 @@ class _Judge:
             "images": len(self.record.images),
             "contacts": known,
             "contacts_unknown": unknown,
+            "contacts_unreached": unreached,
             "healthy": healthy,
             "false_flags": false,
             "told_good": good,
@@ -256,7 +258,9 @@ class _Judge:
         if kind == "dark":
             return True
         lies = kind in (*HIDDEN, "stuck_hall", "false_start") and self._shows_lying(k, row)
-        return lies or (kind != "false_start" and self._shows_stillness(k, row, kind))
+        # one of HIDDEN whose motor has not turned waits, as its plan may want it to
+        still = kind not in (*HIDDEN, "false_start")
+        return lies or (still and self._shows_stillness(k, row, kind))
 
     def _shows_lying(self, k: int, row: int) -> bool:
         """It is not where it reports."""
@@ -315,15 +319,26 @@ class _Judge:
 
     # what must not be
 
-    def _contacts(self) -> tuple[list[Any], list[Any]]:
-        """Contacts with what was known, or could have been; and with what no image had shown yet."""
+    def _contacts(self) -> tuple[list[Any], list[Any], list[Any]]:
+        """Contacts with what was known, or could have been; with what no image had shown yet; and of those
+        that no frame reached with one that was ill."""
         known: list[Any] = []
         unknown: list[Any] = []
+        unreached: list[Any] = []
         for touch in self.world.contacts:
             pair = (touch.positioner_id, touch.other)
             hidden = any(self._was_hidden(f, touch.time_s) for f in self.shown if f.positioner_id in pair)
-            (unknown if hidden else known).append([round(touch.time_s, 3), *pair])
-        return known, unknown
+            where = unknown if hidden else unreached if self._was_out_of_reach(touch) else known
+            where.append([round(touch.time_s, 3), *pair])
+        return known, unknown, unreached
+
+    def _was_out_of_reach(self, touch: Touch) -> bool:
+        """One was behind the cut cable, where nothing can stop it, and the other one had a fault."""
+        pair = (touch.positioner_id, touch.other)
+        cut = [f for f in self.world.scene.of("cut") if f.at_s <= touch.time_s <= f.at_s + f.size]
+        behind = {p for fault in cut for p in self.world.behind(fault)}
+        ill = {f.positioner_id for f in self.shown if f.at_s <= touch.time_s}
+        return any(one in behind and other in ill for one, other in (pair, pair[::-1]))
 
     def _was_hidden(self, fault: Injected, time_s: float) -> bool:
         if fault.kind not in HIDDEN or time_s < fault.at_s:

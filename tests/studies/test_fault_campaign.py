@@ -4,12 +4,14 @@ import json
 import os
 import signal
 import time
+from types import SimpleNamespace
 
 import pytest
 from benchmarks.faults.campaign import ARRAYS, LINES, Campaign, arrays_of
 from benchmarks.faults.disk import Ballast, mounted
 from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
 from benchmarks.faults.host import Desk
+from benchmarks.faults.judge import Record, _Judge
 from benchmarks.faults.one_seed import run_seed
 from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, interval, table
 
@@ -228,6 +230,28 @@ def test_contacts_are_counted_by_what_was_known(array, tmp_path, monkeypatch):
     touches = iter([[Touch(20.0, a, b)]])
     found = came_of(array, tmp_path, Injected("lying", a, 19.0))
     assert (found["contacts"], found["contacts_unknown"]) == ([], [[20.0, a, b]])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("row", "kind"), [(2, "contacts_unreached"), (0, "contacts")])
+def test_a_contact_of_one_that_no_frame_reaches_is_counted_apart(array, tmp_path, monkeypatch, row, kind):
+    """Rows 1, 3, 5 are behind the cut cable. One in row 2 could have been stopped."""
+    a, b = number(array, 1), number(array, 2)
+    cut, ill = Injected("cut", 0, 18.0, 5.0), Injected("stuck_hall", number(array, row), 19.0)
+    touches = iter([[Touch(20.0, a, b)]])
+    monkeypatch.setattr(Twin, "touches", lambda _: next(touches, []))
+    found = came_of(array, tmp_path, cut, ill)
+    told = {name: found[name] for name in ("contacts", "contacts_unknown", "contacts_unreached")}
+    assert {name for name, value in told.items() if value} == {kind}
+
+
+def test_one_that_waits_where_it_reports_does_not_show_that_it_lies():
+    """Seed 68: a motion was stopped before its motor had turned; nothing could tell of it."""
+    world = SimpleNamespace(contacts=[], scene=Scene(68, ()), plane=None)
+    judge = _Judge(world, None, Record([], [], []), [], [])
+    judge._shows_lying = lambda *_: False
+    judge._shows_stillness = lambda *_: True
+    assert [judge._shows(1, 0, kind) for kind in ("lying", "broken_arm", "dead")] == [False, False, True]
 
 
 @pytest.mark.slow
