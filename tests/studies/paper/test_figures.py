@@ -45,8 +45,9 @@ def test_figure_5_counts_are_areas():
 
 def test_figure_10_measures_what_the_gear_is():
     gears = fig10.measure(0, 40, n_units=2)
-    low, high = gears.backlash_deg
+    low, high = gears.gap_deg
     assert 40.0 < low < high < 300.0
+    assert 2.0 < gears.off_deg[0] < 25.0  # the ripple's slope, a tenth
     # 40 points see no tooth pairings: their ripple, 0.4 and 0.5 mrad rms together, is the error
     assert (gears.error_mdeg > 10.0).all()
     assert (gears.error_mdeg < 60.0).all()

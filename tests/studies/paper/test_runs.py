@@ -56,14 +56,19 @@ def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, wr
     gap = np.array([0.0, 100.0 / GEAR])[None, None, :, None]
     maps = TransmissionMaps(np.arange(2), theta + ripple + gap, theta)
     monkeypatch.setattr(fig10, "calibrated", lambda *a: SimpleNamespace(maps=maps))
-    curves = fig10.GearCurves(np.array([60.0, 200.0]), np.array([36.0, 36.0]), np.array([3.0, 4.0]))
+    gap, backlash, off = (np.array(pair) for pair in ([60.0, 200.0], [70.0, 180.0], [11.0, 2.0]))
+    curves = fig10.GearCurves(gap, backlash, off, np.array([36.0, 36.0]), np.array([3.0, 4.0]))
     monkeypatch.setattr(fig10, "measure", lambda seed, points: curves)
     _, found = made(fig10, settings)
     assert settings.said == ["Figure 10: seed 5", "Figure 10: seed 6"]
     assert found["fig10.backlash.min_motor_deg"].ours == 60.0
     assert found["fig10.backlash.max_motor_deg"].ours == 200.0
     assert found["fig10.peaks_per_turn"].ours == found["fig10.peaks_per_turn"].paper == 36.0
-    assert sum(q.beyond for q in found.values()) == 2
+    assert found["fig10.backlash.corrected.max_motor_deg"].ours == 180.0
+    assert found["fig10.backlash.corrected.max_motor_deg"].misses  # 28 % off: it does not come back
+    assert found["fig10.backlash.gap_200.off_motor_deg"].ours == 11.0
+    assert found["fig10.backlash.eq7_800.off_motor_deg"].ours == 2.0
+    assert sum(q.beyond for q in found.values()) == 8
     panels = written[0].axes
     assert [p.get_title() for p in panels[:2]] == ["alpha", "beta"]
     for panel in panels[2:]:
