@@ -12,6 +12,7 @@ import numpy as np
 
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.calibration.adaptive.learnt import origin, pack, unpack
+from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.instruments import FocalPlane
@@ -112,6 +113,8 @@ class Learning:
 
     arms: Path | None = None
     """Arms of `calibrate focal-plane`, in place of the layout's."""
+    fibres: Path | None = None
+    """Offsets of `calibrate fibres`: where the science fibres are on their arms."""
     learnt: str | None = None
     """Store of what was learnt; default with `adapt`: beside the maps."""
     adapt: bool = False
@@ -129,6 +132,9 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     """
     host = plane if asked.arms is None else load_arms(asked.arms, plane)
     files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": asked.arms})
+    if asked.fibres is not None:
+        host = FibreOffsets.load(asked.fibres).applied(host)
+        files["fibres"] = asked.fibres
     if not (asked.adapt or asked.learnt):
         return Known(host, maps, files=files)
     covariance = None if asked.arms is None else load_arms_covariance(asked.arms, plane)

@@ -1,7 +1,7 @@
 """Offsets from several fields (or nights): inverse covariance, the guider's patterns, fibres that changed.
 
-Of field f and fibre n a vector is known,  d_fn = o_n + M_fn c_f + noise(C_fn + place^2),  with o_n the offset in
-the frame of the arm and c_f the sizes of the four patterns that field f could not tell (`estimate`). Arms
+Of field f and fibre n a vector is known, d_fn = o_n + M_fn c_f + noise(C_fn + place^2), with o_n the offset
+in the frame of the arm and c_f the sizes of the four patterns that field f could not tell (`estimate`). Arms
 point elsewhere in each field, so that the differences between fields tell c_f: least squares over all o_n
 and c_f, the former taken out. What fields disagree by beyond the noise of their light (metrology of each
 field, the stars' places) is `place`, the same for all.
@@ -27,8 +27,8 @@ PLACE_UM = 0.5
 metrology camera alone has 0.669 um in two dimensions."""
 _MOST_PLACE_UM = 20.0
 _UNLIKELY = (1e-5, 1e-3)
-"""Chance below which two fields, or three and more, disagree on a fibre. Of three one is left out, which costs
-little where it was right; of two both are."""
+"""Chance below which two fields, or three and more, disagree on a fibre. Of three one is left
+out, which costs little where it was right; of two both are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,15 +182,18 @@ class _Solution:
         own[~self.known] = np.eye(2)
         self.own = np.linalg.inv(own)
         felt = self.weight @ e.modes  # (entries, 2, 4)
-        self.shared = np.zeros((e.n_fibres, 2, e.n_fields, MODES))
-        np.add.at(self.shared, (e.fibre_of, slice(None), e.field_of), felt)
-        self.shared = self.shared.reshape(e.n_fibres, 2, -1)
+        # a fibre has one entry of a field at most
+        shared = np.zeros((e.n_fibres, 2, e.n_fields, MODES))
+        shared[e.fibre_of, :, e.field_of] = felt
+        self.shared: Floats = shared.reshape(e.n_fibres, 2, -1)
         pulled = np.zeros((e.n_fibres, 2))
         np.add.at(pulled, e.fibre_of, np.einsum("kij,kj->ki", self.weight, e.d))
         right = np.zeros((e.n_fields, MODES))
         np.add.at(right, e.field_of, np.einsum("kij,ki->kj", felt, e.d))
         blocks = np.zeros((e.n_fields, MODES, e.n_fields, MODES))
-        np.add.at(blocks, (e.field_of, slice(None), e.field_of), e.modes.swapaxes(-1, -2) @ felt)
+        squares = e.modes.swapaxes(-1, -2) @ felt
+        for k in range(e.n_fields):
+            blocks[k, :, k] = squares[e.field_of == k].sum(axis=0)
         size = e.n_fields * MODES
         weak = np.repeat(np.maximum(e.mode_um, 1e-6) ** -2.0, MODES)
         matrix = blocks.reshape(size, size) + np.diag(weak)
@@ -210,18 +213,18 @@ class _Solution:
     def chi2(self) -> tuple[Floats, Ints]:
         """By fibre: squared disagreement in sigmas, and its degrees of freedom."""
         e, left = self.e, self.left()
-        square = np.bincount(
-            e.fibre_of, np.einsum("ki,kij,kj->k", left, self.weight, left), minlength=e.n_fibres
-        )
+        each = np.einsum("ki,kij,kj->k", left, self.weight, left)
+        square = np.bincount(e.fibre_of, each, minlength=e.n_fibres).astype(np.float64)
         count = np.bincount(e.fibre_of[e.used], minlength=e.n_fibres)
-        return square, 2 * np.maximum(count - 1, 0)
+        return square, (2 * np.maximum(count - 1, 0)).astype(np.int64)
 
     def alone(self) -> Floats:
         """(entries,) sigmas squared of each entry against the others of its fibre."""
         e, left = self.e, self.left()
         spread = e.c + e.place_um**2 * np.eye(2) - self.own[e.fibre_of]
         spread += 1e-6 * np.eye(2)
-        return np.einsum("ki,ki->k", left, np.linalg.solve(spread, left[..., None])[..., 0])
+        square: Floats = np.einsum("ki,ki->k", left, np.linalg.solve(spread, left[..., None])[..., 0])
+        return square
 
     def covariance(self) -> Floats:
         """(K, 2, 2) um^2."""

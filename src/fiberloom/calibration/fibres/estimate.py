@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_of
 
+from fiberloom.calibration.fibres.descent import fitted
 from fiberloom.calibration.fibres.dithered import DitheredField
 from fiberloom.calibration.fibres.model import (
     MODES,
@@ -26,7 +27,6 @@ from fiberloom.calibration.fibres.model import (
     Normal,
     Unknowns,
 )
-from fiberloom.calibration.fibres.descent import fitted
 from fiberloom.calibration.fibres.start import begin
 from fiberloom.errors import InputError
 from fiberloom.typing import Flags, Floats, Ints
@@ -37,8 +37,10 @@ _LEAST_SPREAD_UM = 10.0
 _LEAST_SN = 8.0
 """Of all fluxes of a fibre together, at the best offset: the chance of noise alone, tried at 150 places in
 500 fibres, is below 1e-9."""
-_SEEING = (0.2, 2.0)
+_SEEING = (0.2, 1.8)
 """FWHM over the fibre's core, in between which a fibre feels where its star is."""
+_LEAST_LOSS, _LEAST_FOLLOWED = 0.1, 0.5
+"""Rms of the logarithm of the light by dither, and the share of it that the fluxes must show."""
 _PASSES = 3
 """To find how much seeing, transparency and guider scatter."""
 _LEAST_SPREAD = (0.003, 0.01, 0.3)
@@ -126,10 +128,11 @@ def _fit(whole: FieldModel, rows: Ints) -> _Result:
     """Fits some of the fibres, then again with the guider's errors as large as they turned out."""
     model = whole.select(rows)
     at, used = fitted(model, begin(model))
-    _check_seeing(whole.field, np.exp(float(at.exposure[:, 1].mean())), model.settings.core_um)
+    _check_falloff(model, at)
     for _ in range(_PASSES):
         model.settings = as_found(model.settings, at.exposure, model.normal(at, used.astype(float)).exposure)
         at, used = fitted(model, at, robust=False)
+        _check_falloff(model, at)
     return _Result(model, at, used)
 
 
@@ -168,12 +171,23 @@ def _check_dithers(field: DitheredField) -> None:
         )
 
 
-def _check_seeing(field: DitheredField, fwhm_um: float, core_um: float) -> None:
-    """Light that is the same wherever the telescope looks fits stars that are spread over everything."""
-    if not _SEEING[0] < fwhm_um / core_um < _SEEING[1]:
+def _check_falloff(model: FieldModel, at: Unknowns) -> None:
+    """Light that is the same wherever the telescope looks is no star's.
+
+    It fits stars that are spread over everything, and also stars in the middle of their fibres, with a
+    transparency that makes up for what each dither loses.
+    """
+    fwhm_um = float(np.exp(at.exposure[:, 1].mean()))
+    share = model.fluxes(at)[0] / np.exp(at.star[:, 0] + at.exposure[:, :1])
+    loss = np.log(np.maximum(np.median(share, axis=1), 1e-6))
+    loss -= loss.mean()
+    followed = 1.0 + float(loss @ at.exposure[:, 0]) / max(float(loss @ loss), 1e-12)
+    plain = loss.std() < _LEAST_LOSS or not _SEEING[0] < fwhm_um / model.settings.core_um < _SEEING[1]
+    if plain or not followed > _LEAST_FOLLOWED:
         raise InputError(
-            f"{field.name}: tells nothing of the fibres: the light would be that of stars with a FWHM of "
-            f"{fwhm_um:.0f} um; are these stars, and are fluxes, dithers and core (um) right?"
+            f"{model.field.name}: tells nothing of the fibres: the light does not change with the dithers as "
+            f"that of stars does (FWHM {fwhm_um:.0f} um, {max(followed, 0.0):.0%} of the expected change); "
+            "are fluxes, dithers and core (um) right?"
         )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from fiberloom.calibration.fibres.dithered import DitheredField
 from fiberloom.errors import InputError
 from fiberloom.tables import TableFile, read_table, write_columns
-from fiberloom.typing import Array, Floats, Ints
+from fiberloom.typing import Floats, Ints
 
 OF_EXPOSURE = ("dither_x_um", "dither_y_um")
 OF_FIBRE = ("star_x_mm", "star_y_mm", "fibre_x_mm", "fibre_y_mm", "arm_deg")
@@ -32,7 +32,7 @@ def write_exposures(path: str | Path, field: DitheredField, marks: Mapping[str, 
     """Writes a field as ECSV; a flux that was not measured has no row. `marks`: for the head."""
     e, n = np.nonzero(field.measured)
     places = np.column_stack([field.star_mm, field.fibre_mm, field.arm_deg])
-    columns: dict[str, Array] = {"exposure": e + 1}
+    columns: dict[str, Any] = {"exposure": e + 1}
     columns |= {name: field.dither_um[e, k] for k, name in enumerate(OF_EXPOSURE)}
     columns |= {"positioner_id": field.positioner_id[n], "fibre": field.fibre[n]}
     columns |= {name: places[n, k] for k, name in enumerate(OF_FIBRE)}

@@ -14,7 +14,7 @@ that all fibres share, nor the mean transparency from the stars' fluxes: they ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class FieldSettings:
 
     core_um: float = CORE_UM
     """Diameter of the fibres' cores."""
-    profile: StarProfile = StarProfile()
+    profile: StarProfile = field(default_factory=StarProfile)
     """Of the stars; its width is fitted."""
     guide_um: float = 10.0
     """Rms per coordinate by which a dither may differ from what is told."""
@@ -46,8 +46,8 @@ class FieldSettings:
     seeing_spread: float = 0.3
     """Rms of the logarithm of the FWHM among the exposures of a field."""
     transparency_spread: float = 0.2
-    """The same of the transparency, at first. How much light the outer dithers lose tells the seeing, as far as
-    the transparency does not change; where it does, the fit finds the spread."""
+    """The same of the transparency, at first. The light that outer dithers lose tells the seeing, as far as
+    the transparency does not change; how much it does the fit finds."""
     most_sigma_um: float = 10.0
     """Of an offset that still counts as found, per coordinate."""
 
@@ -146,9 +146,9 @@ class FieldModel:
         right_exposure = np.einsum("enp,en->ep", je, left).ravel() + pull
         d = _damped(d, damping) + 1e-9 * np.eye(OF_STAR)
         a = _damped(a[None], damping)[0]
-        inverse = np.linalg.inv(d)
-        felt = inverse @ b
-        schur = np.linalg.inv(a - np.einsum("npk,npl->kl", b, felt, optimize=True))
+        inverse = np.asarray(np.linalg.inv(d), dtype=np.float64)
+        felt: Floats = inverse @ b
+        schur: Floats = np.linalg.inv(a - np.einsum("npk,npl->kl", b, felt, optimize=True))
         exposure = schur @ (right_exposure - np.einsum("npk,np->k", felt, right_star, optimize=True))
         star = np.einsum("npq,nq->np", inverse, right_star) - felt @ exposure
         return Normal(inverse, felt, schur, (star, exposure.reshape(n_e, OF_EXPOSURE)))

@@ -29,7 +29,7 @@ _COLUMNS = (
 MOST_MM = 1.0
 """Of an offset: a fibre that is farther off was never glued so."""
 _SAME_LEVER_MM = 1e-3
-"""By which the layout's science fibre may be elsewhere against its metrology fibre than when it was measured."""
+"""By which the layout's fibres may be elsewhere against each other than when stars were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ class FibreOffsets:
         reason = [
             "" if not r else r.replace("its fields disagree", "its nights disagree") for r in found.reason
         ]
-        fields = {key: 0 for key in keys}
+        fields = dict.fromkeys(keys, 0)
         for night in nights:
             for key, n in zip(night._keys(), night.n_fields.tolist(), strict=True):
                 fields[key] += n
@@ -255,7 +255,7 @@ class FibreOffsets:
     def _keys(self) -> list[tuple[int, str]]:
         return list(zip(self.positioner_id.tolist(), self.fibre.tolist(), strict=True))
 
-    def _name(self, row: int) -> str:
+    def _name(self, row: Any) -> str:
         return f"positioner {self.positioner_id[row]}, fibre {self.fibre[row]}"
 
 

@@ -1,4 +1,4 @@
-"""Where the fit of a dithered field begins: offsets of all stars by trial, seeing and transparency by the best.
+"""Where the fit of a dithered field begins: offsets of all stars by trial, then seeing and transparency.
 
 A star that is far off makes more than one valley; least squares alone would stay in the wrong one.
 """

@@ -14,7 +14,7 @@ import numpy as np
 from fiberloom.calibration.fibres.dithered import CORE_UM, DitheredField, hexagon
 from fiberloom.calibration.fibres.model import places_of
 from fiberloom.calibration.fibres.throughput import StarProfile, light
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
 
@@ -23,7 +23,7 @@ class SkyConditions:
     """What is drawn; rms where nothing else is said."""
 
     sn: tuple[float, float] = (30.0, 100.0)
-    """Of an exposure of a star in the middle of its fibre in mean conditions: from, to; evenly in logarithm."""
+    """Of a star in the middle of its fibre, an exposure in mean conditions: from, to; even in logarithm."""
     seeing_um: float = 85.0
     """FWHM: 1.4 arcsec at 60 um/arcsec."""
     seeing_spread: float = 0.10
@@ -106,12 +106,12 @@ class Sky:
         rng, c, n = self._rng, self.conditions, len(true_mm)
         apart_um = UM_PER_MM * (believed.star_mm - true_mm)
         moved = dither_um[:, None] + self._guided(len(dither_um), believed.fibre_mm)
-        lit = np.isfinite(apart_um).all(axis=1)
+        lit = np.asarray(np.isfinite(apart_um).all(axis=1))
         s = moved + np.where(lit[:, None], apart_um, 0.0)
         fwhm_um = c.seeing_um * np.exp(c.seeing_spread * rng.standard_normal(len(dither_um)))
         clear = np.exp(c.transparency_spread * rng.standard_normal(len(dither_um)))
         profile = StarProfile(float(rng.uniform(*c.exponents)))
-        sn = np.exp(rng.uniform(*np.log(c.sn), n))
+        sn = np.exp(rng.uniform(np.log(c.sn[0]), np.log(c.sn[1]), n))
         middle = float(light(profile, np.array(0.0), np.array(c.seeing_um), core_um).share)
         # S/N = flux / sqrt(flux + background)
         bright = 0.5 * (sn**2 + np.sqrt(sn**4 + 4.0 * c.background_e * sn**2)) / middle
@@ -145,7 +145,7 @@ class Sky:
     def _companions(self, n: int, s: Floats, share: Any) -> Floats:
         """(E, N) light of second stars, over that of the first."""
         rng, c = self._rng, self.conditions
-        double: Flags = rng.random(n) < c.doubles
+        double = np.asarray(rng.random(n) < c.doubles)
         size = np.where(double, rng.uniform(0.05, 0.5, n), 0.0)
         far, angle = rng.uniform(20.0, 150.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
         beside = s + (far * np.array([np.cos(angle), np.sin(angle)])).T
@@ -157,6 +157,6 @@ class Sky:
         rng, c = self._rng, self.conditions
         counted = rng.poisson(mean + c.background_e).astype(np.float64)
         error = np.sqrt(np.maximum(counted, 1.0))
-        hit = rng.random(mean.shape) < c.cosmics
+        hit = np.asarray(rng.random(mean.shape) < c.cosmics)
         flux = counted - c.background_e + np.where(hit, error * rng.uniform(3.0, 100.0, mean.shape), 0.0)
         return flux, error
