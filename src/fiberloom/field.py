@@ -552,15 +552,8 @@ def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple
         save_images=options.get("save_images", False),
         seed=seed,
     )
-    arms, fibres = options.get("arms"), options.get("fibres")
-    learning = Learning(
-        arms=None if arms is None else Path(arms),
-        fibres=None if fibres is None else Path(fibres),
-        learnt=options.get("learnt"),
-        adapt=options.get("adapt", False),
-        seed=seed,
-    )
-    return settings, learning
+    files = options.get("arms"), options.get("fibres"), options.get("learnt")
+    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
 
 
 class FieldRun:

@@ -62,7 +62,7 @@ class Unknowns:
     """(E, 6): logarithms of transparency and FWHM in um; shift x, y, rotation, scale in um."""
 
     def moved(self, star: Floats, exposure: Floats) -> Unknowns:
-        """Further by a step of the same shapes and units."""
+        """Further by a step: `star` (N, 3) and `exposure` (E, 6), logarithms and um."""
         return Unknowns(self.star + star, self.exposure + exposure)
 
 

@@ -72,7 +72,7 @@ class StarProfile:
         return density, mean
 
 
-class Light(NamedTuple):
+class FibreLight(NamedTuple):
     """Shares of a star's light, and how they change."""
 
     share: Floats
@@ -83,7 +83,7 @@ class Light(NamedTuple):
     """Derivative by the logarithm of the FWHM: a share."""
 
 
-def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: float) -> Light:
+def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: float) -> FibreLight:
     """The share of a star's light that a fibre takes.
 
     Parameters
@@ -99,7 +99,7 @@ def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: flo
 
     Returns
     -------
-    Light
+    FibreLight
         Share and derivatives, of the common shape.
     """
     width = fwhm_um / profile.fwhm
@@ -110,4 +110,4 @@ def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: flo
     share = turn * a * (mean * (r[..., None] * _COS + a[..., None])).sum(axis=-1)
     by_r = turn * a * (density * _COS).sum(axis=-1)
     by_a = turn * a * density.sum(axis=-1)
-    return Light(share, by_r / width, -(r * by_r + a * by_a))
+    return FibreLight(share, by_r / width, -(r * by_r + a * by_a))
