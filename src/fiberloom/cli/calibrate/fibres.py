@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions
-from fiberloom.cli.observe import TWIN, ErrorsOption, FaultsOption, MapsOption, check, field_of
+from fiberloom.cli.observe import TWIN, FaultsOption, MapsOption, check, field_of
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
@@ -45,7 +45,9 @@ class FibreOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
     moves: Annotated[int, typer.Option(min=1, help="Moves of each field of the twin.")] = 3
     camera: Annotated[str | None, typer.Option(help="image or noise of the twin (default: noise).")] = None
     faults: FaultsOption = ""
-    errors: ErrorsOption = "fibre"
+    errors: Annotated[
+        str, typer.Option(help="What is off its tables in the twin: all, none, or some, with factors.")
+    ] = "fibre"
     calibration: MapsOption = None
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/fibres")
 
