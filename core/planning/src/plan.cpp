@@ -66,7 +66,12 @@ PathSet Planner::assemble() {
 bool Planner::find_paths() {
     PathSet paths = assemble();
     Repair repair(paths, settings_, statistics_);
-    repair.first_paths();
+    const List<PathIndex> without = repair.first_paths();
+    for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
+    if (!without.empty()) {
+        goals_.settle();
+        return false;
+    }
     const int last = static_cast<int>(settings_.last_deadline * paths.steps()) + 20;
     const int wanted = paths.steps();
     const bool free = repair.run(last);

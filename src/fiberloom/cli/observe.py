@@ -12,6 +12,7 @@ import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_book, command_line, excluded
 from fiberloom.cli.options import (
+    ErrorsOptions,
     JsonOptions,
     PlaneOptions,
     RequireOptions,
@@ -62,12 +63,6 @@ FieldCameraOption = Annotated[
     ),
 ]
 FaultsOption = Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")]
-ErrorsOption = Annotated[
-    str,
-    typer.Option(
-        help="What is off its tables in the twin: none (default), all, or some, with factors: fibre=2,arm."
-    ),
-]
 MapsOption = Annotated[
     Path | None,
     typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
@@ -75,7 +70,9 @@ MapsOption = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneOptions, JsonOptions):
+class ObservationOptions(
+    ExcludeOptions, ArmsFileOptions, RequireOptions, ErrorsOptions, PlaneOptions, JsonOptions
+):
     """Of `fiberloom observe`."""
 
     targets: TargetsArgument
@@ -95,7 +92,6 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
     )
     save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False
     faults: FaultsOption = ""
-    errors: ErrorsOption = ""
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False
@@ -178,7 +174,7 @@ _FILES = {
 
 def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
-    from fiberloom.twin.errors.sizes import factors_of
+    from fiberloom.twin.errors.switches import factors_of
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import OBSERVED
 

@@ -76,6 +76,16 @@ class JsonOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ErrorsOptions:
+    """What is off its tables in the twin."""
+
+    errors: Annotated[
+        str,
+        typer.Option(help="What is off its tables in the twin: none (default), all, or some: fibre=2,arm."),
+    ] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RequireOptions:
     """Of a command that fails where too little was achieved."""
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.observe import ErrorsOption
-from fiberloom.cli.options import JsonOptions, PlaneOptions
+from fiberloom.cli.options import ErrorsOptions, JsonOptions, PlaneOptions
 from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwinOptions(PlaneOptions, JsonOptions):
+class TwinOptions(ErrorsOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom twin`."""
 
     listen: Annotated[str, typer.Option(help="HOST:PORT of the first device.")] = "127.0.0.1:19228"
@@ -55,7 +54,6 @@ class TwinOptions(PlaneOptions, JsonOptions):
         str,
         typer.Option(help="Faults: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."),
     ] = ""
-    errors: ErrorsOption = ""
     speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0
     neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True
     bootloader: Annotated[
@@ -86,7 +84,7 @@ class TwinOptions(PlaneOptions, JsonOptions):
 
 def twin(options: TwinOptions) -> None:
     """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
-    from fiberloom.twin.errors.sizes import factors_of
+    from fiberloom.twin.errors.switches import factors_of
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import SEEN, SERVED
     from fiberloom.twin.server.address import address_of, addresses_of

@@ -12,7 +12,8 @@ from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.twin import draw_units
 from fiberloom.twin.draw import put_in
 from fiberloom.twin.errors.frame import WrongFrame
-from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TableErrors, factors_of, heavy
+from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TableErrors, heavy
+from fiberloom.twin.errors.switches import factors_of
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "sdssv"
 SDSSV = FocalPlane.of("sdssv")

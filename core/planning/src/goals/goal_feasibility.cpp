@@ -237,4 +237,13 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     return false;
 }
 
+void GoalFeasibility::has_no_way(PositionerIndex i) {
+    const bool again =
+        std::any_of(refused_.begin(), refused_.end(), [&](const Refused &r) { return r.robot == i.value(); });
+    if (again)
+        freeze(i);
+    else
+        send_to_safe_place(i, Refusal::no_way_alone, {});
+}
+
 } // namespace fl::planning

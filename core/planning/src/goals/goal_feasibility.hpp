@@ -29,6 +29,8 @@ class GoalFeasibility {
     Robot make_robot(PositionerIndex i) const;
     // Sends a positioner to a place that blocks no other; false if there is none it can reach.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
+    // One for which the search has found no way, though it seemed to have one; again: it stays where it is.
+    void has_no_way(PositionerIndex i);
 
   private:
     struct Goal {

@@ -21,7 +21,9 @@ constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
 // of 500 takes nine millions.
 constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
-constexpr int near_by = 8; // neighbours that may join a group, or get more time with it
+constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
+constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
+constexpr int near_by = 8;            // neighbours that may join a group, or get more time with it
 
 } // namespace
 
@@ -35,18 +37,31 @@ List<PathIndex> Repair::longest_first() const {
     return order;
 }
 
-void Repair::first_paths() {
+List<PathIndex> Repair::first_paths() {
+    List<PathIndex> without;
     const List<PathIndex> order = longest_first();
     for (const PathIndex i : order)
         if (paths_.at(i).still) paths_.keep_still(i);
+    const int most = longest_first_path * (paths_.steps() + longest_hold);
     int found = 0;
     for (const PathIndex i : order) {
-        while (!paths_.at(i).still && !paths_.seek(i, {}, any_cost, {}, search_))
-            paths_.allow(i, paths_.at(i).deadline + 1);
+        if (!paths_.at(i).still && !first_path(i, most)) without.push_back(i);
         settings_.watch("finding paths", ++found, paths_.size());
     }
+    if (!without.empty()) return without;
     for (const PathIndex i : order) paths_.count_conflicts(i);
     statistics_.first_conflicts = paths_.conflicts();
+    return without;
+}
+
+// A path by the first deadline that allows one, of at most so many steps.
+bool Repair::first_path(PathIndex i, int most) {
+    for (int tries = 1; !paths_.seek(i, {}, any_cost, {}, search_); ++tries) {
+        const int deadline = paths_.at(i).deadline;
+        if (deadline >= most) return false;
+        paths_.allow(i, deadline + (tries < single_steps ? 1 : 1 + deadline / more_time));
+    }
+    return true;
 }
 
 List<Repair::Pair> Repair::pairs() const {

@@ -10,8 +10,9 @@ class Repair {
     Repair(PathSet &paths, const Settings &settings, Statistics &statistics)
         : paths_(paths), settings_(settings), statistics_(statistics), random_(settings.seed) {}
 
-    // A path for every positioner, longest first, conflicts allowed where they cannot be avoided.
-    void first_paths();
+    // A path for every positioner, longest first, conflicts allowed where they cannot be avoided. Those that
+    // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
+    List<PathIndex> first_paths();
     // Replans groups until no two paths conflict (true), or until effort or deadline are used up.
     bool run(int last_steps);
     // Looks for paths that end earlier, down to this many steps.
@@ -21,6 +22,7 @@ class Repair {
     std::int64_t expansions() const { return search_.expansions() + joint_.expansions(); }
 
   private:
+    bool first_path(PathIndex i, int most);
     struct Pair {
         PathIndex first, second;
     };

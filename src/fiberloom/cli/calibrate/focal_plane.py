@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ExcludeOptions
-from fiberloom.cli.observe import ErrorsOption, FaultsOption, MapsOption, check, field_of
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
+from fiberloom.cli.observe import FaultsOption, MapsOption, check, field_of
+from fiberloom.cli.options import ErrorsOptions, JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
 SurveyCameraOption = Annotated[
@@ -26,7 +26,7 @@ MOUNTED_DEG = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class FocalPlaneOptions(ExcludeOptions, PlaneOptions, JsonOptions):
+class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, PlaneOptions, JsonOptions):
     """Of `calibrate focal-plane`."""
 
     configurations: Annotated[int, typer.Option(min=4, help="Configurations of all positioners.")] = 40
@@ -41,7 +41,6 @@ class FocalPlaneOptions(ExcludeOptions, PlaneOptions, JsonOptions):
     ] = 50.0
     camera: SurveyCameraOption = None
     faults: FaultsOption = ""
-    errors: ErrorsOption = ""
     calibration: MapsOption = None
     measured: Annotated[
         Path | None, typer.Option(help="Fit the last run of a store, also an interrupted one; nothing moves.")

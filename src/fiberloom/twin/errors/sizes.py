@@ -20,6 +20,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
+from fiberloom.twin.errors.switches import factors_of
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -108,9 +109,6 @@ class TableErrors:
 NO_ERRORS = TableErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0)
 """A twin whose host has true tables."""
 
-TERMS = ("arm", "fibre", "fiducial")
-"""What can be switched."""
-
 
 @dataclass(frozen=True)
 class UnitErrors:
@@ -127,30 +125,6 @@ def heavy(rng: Rng, *shape: int) -> Floats:
     t = rng.standard_t(FREEDOM, shape) / np.sqrt(FREEDOM / (FREEDOM - 2.0))
     held: Floats = np.clip(t, -_FARTHEST, _FARTHEST)
     return held
-
-
-def factors_of(switches: str) -> dict[str, float]:
-    """By term of `switches` the factor on its size (a ratio); 0 where the text does not name it."""
-    factors = dict.fromkeys(TERMS, 0.0)
-    for part in filter(None, (word.strip() for word in switches.split(","))):
-        name, given, text = part.partition("=")
-        if part in ("all", "none"):
-            factors = dict.fromkeys(TERMS, 1.0 if part == "all" else 0.0)
-        elif name in TERMS:
-            factors[name] = _factor(part, text if given else "1")
-        else:
-            raise InputError(f"--errors {part}: known are all, none, {', '.join(TERMS)}, each with =FACTOR")
-    return factors
-
-
-def _factor(part: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not 0.0 <= value <= 100.0:
-        raise InputError(f"--errors {part}: a factor on the size, 0 to 100")
-    return value
 
 
 def _told(instrument: Instrument) -> TableErrors:
