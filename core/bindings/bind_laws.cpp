@@ -138,7 +138,7 @@ Output<double, -1, 6> regulator(Params params, Input2<double> rows, int32_t zero
                                o.torque.feedforward_Nm,
                                o.torque.watched_Nm,
                                o.voltage,
-                               st->seen.load_rad_s2 * cfg->regulator.inertia,
+                               st->regulator.seen.load_rad_s2 * cfg->regulator.inertia,
                                double(fl_sub_i32(rotor, st->teeth.gear_cnt))};
         std::copy_n(row, 6, out.data() + 6 * i);
     }

@@ -52,9 +52,10 @@ void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_drive_stat
 #define X(type, name) b.gap.name[i] = state.teeth.name;
     FL_LAW_GAP(X)
 #undef X
-#define X(type, name) b.seen.name[i] = state.seen.name;
+#define X(type, name) b.seen.name[i] = state.regulator.seen.name;
     FL_LAW_SEEN(X)
 #undef X
+    b.slack_Nm[i] = state.regulator.slack_Nm;
 }
 
 void take_output(const LawBatch &b, int i, fl_axis_t &a) {
@@ -67,12 +68,13 @@ void take_output(const LawBatch &b, int i, fl_axis_t &a) {
 #define X(type, name) a.drive.teeth.name = b.gap.name[i];
     FL_LAW_GAP(X)
 #undef X
-#define X(type, name) a.drive.seen.name = b.seen.name[i];
+#define X(type, name) a.drive.regulator.seen.name = b.seen.name[i];
     FL_LAW_SEEN(X)
 #undef X
 #define X(type, name) a.torque.name = b.torque.name[i];
     FL_LAW_TORQUE(X)
 #undef X
+    a.drive.regulator.slack_Nm = b.slack_Nm[i];
     a.voltage = b.voltage[i];
 }
 

@@ -36,7 +36,7 @@ typedef struct fl_drive_state {
     fl_servo_state_t servo;
     fl_touch_state_t touch;
     fl_teeth_state_t teeth;
-    fl_observer_state_t seen;
+    fl_regulator_state_t regulator;
 } fl_drive_state_t;
 
 /* The touch watch of this tick (fl_touch.h): `torque` is what the servo has asked for, `voltage` what of it
@@ -97,9 +97,9 @@ static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_d
                                        fl_sub_i32(in->command_cnt, in->rotor_cnt));
     const int32_t pushes = fl_regulator_pushes(gap, st->servo.direction, in->speed_rad_s);
     const fl_servo_out_t torque =
-        fl_regulator_step(&cfg->servo, &cfg->regulator, &st->servo, &st->seen, in, pushes);
+        fl_regulator_step(&cfg->servo, &cfg->regulator, &st->servo, &st->regulator, in, pushes);
     const float applied_Nm = fl_drive_voltage(cfg, torque.torque_Nm) * cfg->full_Nm;
-    fl_regulator_applied(&cfg->regulator, &st->seen, applied_Nm - torque.feedforward_Nm);
+    fl_regulator_applied(&cfg->regulator, &st->regulator, applied_Nm - torque.feedforward_Nm);
     return fl_drive_end(cfg, st, in, rotor, &torque);
 }
 

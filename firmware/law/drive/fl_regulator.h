@@ -22,6 +22,8 @@
 /* Nearer than this the teeth are taken to touch: 2 motor degrees, of what the backlash may be wrong by. */
 #define FL_TEETH_NEAR_CNT ((int32_t)(2.0 * FL_TURN_CNT / 360.0))
 
+#define FL_SLACK_FADE 0.9f /* per tick: 5 ms */
+
 typedef struct fl_regulator_config {
     float k_e, k_v;                 /* Nm/rad, Nm s/rad */
     float gain_e, gain_v, gain_a;   /* of the observer */
@@ -30,6 +32,11 @@ typedef struct fl_regulator_config {
     float gap_coulomb, gap_drag;    /* Nm, Nm s/rad: of the rotor alone */
 } fl_regulator_config_t;
 
+typedef struct fl_regulator_state {
+    fl_observer_state_t seen;
+    float slack_Nm; /* what the gear may resist with, unknown to the feedforward */
+} fl_regulator_state_t;
+
 /* 1 while the motor pushes the gear in its commanded direction, in the middle of the coming tick. */
 static inline int32_t fl_regulator_pushes(fl_gap_t gap, float direction, float speed_rad_s) {
     const int32_t lead = (int32_t)(fl_abs(speed_rad_s) * (0.5f * FL_TICK_S * FL_CNT_PER_RAD));
@@ -37,19 +44,25 @@ static inline int32_t fl_regulator_pushes(fl_gap_t gap, float direction, float s
     return left - lead <= FL_TEETH_NEAR_CNT;
 }
 
-/* The feedforward, Nm.
+/* What pushing the gear takes more than turning the rotor alone, in the direction of the command, Nm.
  * @pre st->direction is that of this tick */
-static inline float fl_regulator_feedforward(const fl_servo_config_t *cfg, const fl_regulator_config_t *reg,
-                                             const fl_servo_state_t *st, const fl_servo_in_t *in,
-                                             int32_t pushes) {
-    const float cogging = cfg->cogging * fl_sin_cnt(fl_add_i32(fl_add_i32(in->rotor_cnt, in->rotor_cnt),
-                                                               cfg->cogging_phase_cnt));
+static inline float fl_regulator_gear(const fl_servo_config_t *cfg, const fl_regulator_config_t *reg,
+                                      const fl_servo_state_t *st, const fl_servo_in_t *in) {
     const float spring = -cfg->spring_torque - cfg->spring_rate * ((float)in->command_cnt * FL_RAD_PER_CNT);
     /* the gear takes friction and spring from the rotor, and never gives */
     const float resists = fl_max(cfg->coulomb + spring * st->direction, 0.0f);
-    const float friction = (pushes ? resists : reg->gap_coulomb) * st->direction;
-    const float drag = pushes ? cfg->drag * st->drag_scale : reg->gap_drag;
-    return friction + cogging + drag * in->speed_rad_s + cfg->inertia * in->acceleration_rad_s2;
+    return resists - reg->gap_coulomb +
+           (cfg->drag * st->drag_scale - reg->gap_drag) * fl_abs(in->speed_rad_s);
+}
+
+/* The feedforward of the rotor alone, Nm.
+ * @pre st->direction is that of this tick */
+static inline float fl_regulator_rotor(const fl_servo_config_t *cfg, const fl_regulator_config_t *reg,
+                                       const fl_servo_state_t *st, const fl_servo_in_t *in) {
+    const int32_t twice_cnt = fl_add_i32(in->rotor_cnt, in->rotor_cnt);
+    const float cogging = cfg->cogging * fl_sin_cnt(fl_add_i32(twice_cnt, cfg->cogging_phase_cnt));
+    return cogging + reg->gap_coulomb * st->direction + reg->gap_drag * in->speed_rad_s +
+           cfg->inertia * in->acceleration_rad_s2;
 }
 
 /* Learns the drag from the load at speed, as fl_servo_step does. */
@@ -63,23 +76,26 @@ static inline void fl_regulator_learn(const fl_servo_config_t *cfg, fl_servo_sta
 /* The torque of this tick, before the supply limits it.
  * @pre fl_regulator_applied ends the tick */
 static inline fl_servo_out_t fl_regulator_step(const fl_servo_config_t *cfg, const fl_regulator_config_t *reg,
-                                               fl_servo_state_t *st, fl_observer_state_t *seen,
+                                               fl_servo_state_t *st, fl_regulator_state_t *own,
                                                const fl_servo_in_t *in, int32_t pushes) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
     const fl_observer_gains_t gains = {reg->gain_e, reg->gain_v, reg->gain_a};
-    fl_observer_correct(&gains, seen, e_rad);
-    const float load_Nm = reg->inertia * seen->load_rad_s2;
+    fl_observer_correct(&gains, &own->seen, e_rad);
+    const float load_Nm = reg->inertia * own->seen.load_rad_s2;
     fl_regulator_learn(cfg, st, pushes ? in->speed_rad_s : 0.0f, load_Nm);
-    const float feedforward = fl_regulator_feedforward(cfg, reg, st, in, pushes);
-    const float feedback = reg->k_e * seen->error_rad + reg->k_v * seen->rate_rad_s + load_Nm;
-    const fl_servo_out_t out = {feedforward + feedback, feedforward, cfg->k_p * e_rad + load_Nm};
+    const float gear = fl_regulator_gear(cfg, reg, st, in);
+    const float feedforward = fl_regulator_rotor(cfg, reg, st, in) + (pushes ? gear * st->direction : 0.0f);
+    own->slack_Nm = pushes ? FL_SLACK_FADE * own->slack_Nm : fl_max(gear, 0.0f);
+    const float feedback = reg->k_e * own->seen.error_rad + reg->k_v * own->seen.rate_rad_s + load_Nm;
+    const float watched = cfg->k_p * e_rad + load_Nm - own->slack_Nm * st->direction;
+    const fl_servo_out_t out = {feedforward + feedback, feedforward, watched};
     return out;
 }
 
 /* Ends the tick: the torque that the supply gives, beyond the feedforward. */
-static inline void fl_regulator_applied(const fl_regulator_config_t *reg, fl_observer_state_t *seen,
+static inline void fl_regulator_applied(const fl_regulator_config_t *reg, fl_regulator_state_t *own,
                                         float beyond_Nm) {
-    fl_observer_predict(seen, (beyond_Nm + reg->drag * seen->rate_rad_s) * reg->inertia_inverse);
+    fl_observer_predict(&own->seen, (beyond_Nm + reg->drag * own->seen.rate_rad_s) * reg->inertia_inverse);
 }
 
 #endif

@@ -160,7 +160,7 @@ void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *p) {
     a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
     a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
     a->drive.teeth = (fl_teeth_state_t){0, 0};
-    a->drive.seen = (fl_observer_state_t){0.0f, 0.0f, 0.0f};
+    a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
 }
 
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {

@@ -23,6 +23,7 @@ static_assert(4 * (0 FL_LAW_REGULATOR(X)) == sizeof(fl_regulator_config_t),
               "FL_LAW_REGULATOR lists its fields");
 static_assert(4 * (0 FL_LAW_GAP(X)) == sizeof(fl_teeth_state_t), "FL_LAW_GAP lists its fields");
 static_assert(4 * (0 FL_LAW_SEEN(X)) == sizeof(fl_observer_state_t), "FL_LAW_SEEN lists its fields");
+static_assert(sizeof(fl_regulator_state_t) == sizeof(fl_observer_state_t) + 4, "and the slack");
 static_assert(4 * (0 FL_LAW_STATE(X)) == sizeof(fl_servo_state_t), "FL_LAW_STATE lists its fields");
 static_assert(4 * (0 FL_LAW_INPUT(X)) == sizeof(fl_servo_in_t), "FL_LAW_INPUT lists its fields");
 static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE lists its fields");
@@ -77,7 +78,7 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
 #define X(type, name) b.seen.name[i],
     const fl_observer_state_t seen = {FL_LAW_SEEN(X)};
 #undef X
-    return {servo, touch, teeth, seen};
+    return {servo, touch, teeth, {seen, b.slack_Nm[i]}};
 }
 
 // One law over all lanes; with `some`, only what those of this law have found is kept.
@@ -103,9 +104,10 @@ template <fl_law_t Law, bool some> void drive_lanes(LawBatch &b) {
             FL_LAW_GAP(X)
         }
 #undef X
-#define X(type, name) b.seen.name[i] = mine ? state.seen.name : b.seen.name[i];
+#define X(type, name) b.seen.name[i] = mine ? state.regulator.seen.name : b.seen.name[i];
         if (Law == FL_LAW_CONTACT) {
             FL_LAW_SEEN(X)
+            b.slack_Nm[i] = mine ? state.regulator.slack_Nm : b.slack_Nm[i];
         }
 #undef X
 #define X(type, name) b.torque.name[i] = mine ? out.torque.name : b.torque.name[i];

@@ -90,6 +90,7 @@ struct alignas(64) LawBatch {
     } torque;
 #undef X
     Floats voltage_per_Nm, full_Nm;
+    Floats slack_Nm; // of the regulator's state, in and out
     Ints law;
     Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
     Floats rotor_sin, rotor_cos;
