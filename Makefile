@@ -16,7 +16,7 @@ PROGRESS := $(PYTHON) tools/setup/progress.py
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized races bench campaign campaign-faults identification
-.PHONY: reproduce firmware-report docs tutorial lint format inplace stubs lock clean figures coverage mutate
+.PHONY: reproduce firmware-report wheels docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
 	@echo "make run      set up, then observe a field of 500 positioners on the twin"
@@ -38,6 +38,7 @@ help:
 	@echo "make mutate   small changes of the code that no test notices"
 	@echo "make docs     the documentation as a site, into site/"
 	@echo "make tutorial what the tutorial's commands answer, written into its page anew"
+	@echo "make wheels   a wheel by each Python that is promised and here, installed and tried"
 	@echo "make setup    .venv/bin/fiberloom"
 	@echo "make lock     constraints.txt anew, with hashes (needs uv)"
 	@echo "make inplace  rebuild the C and C++ into src/ without reinstalling"
@@ -159,6 +160,11 @@ identification: setup
 docs: setup
 	$(BIN)/mkdocs build --quiet --strict
 	@[ -f runs/reproduce/report.html ] || echo "docs: no report of the reproduction inside; \`make reproduce\` makes one"
+
+# A wheel by each Python of pyproject.toml that is here, each tried where nothing else is; into build/wheels.
+# PYTHONS="/opt/python3.13/bin/python" for others.
+wheels:
+	$(PYTHON) tools/setup/wheels.py build/wheels $(PYTHONS)
 
 # What the commands of the tutorial answer today, into its page.
 tutorial: setup

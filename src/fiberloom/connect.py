@@ -23,7 +23,13 @@ TWIN = "twin:"
 
 
 def open_hardware(
-    plane: FocalPlane, bus: str | Transport, camera: Any, *, seed: int = 0, faults: str = ""
+    plane: FocalPlane,
+    bus: str | Transport,
+    camera: Any,
+    *,
+    seed: int = 0,
+    faults: str = "",
+    errors: str = "",
 ) -> Source:
     """Bus and camera by their addresses; nothing is connected before something moves.
 
@@ -42,6 +48,8 @@ def open_hardware(
         Of the twin's units and noise.
     faults : str
         What goes wrong in the twin.
+    errors : str
+        What is off its tables in the twin: "none" where left out, "all", or terms with factors.
 
     Returns
     -------
@@ -54,19 +62,16 @@ def open_hardware(
         An address that cannot be read, a camera that does not go with the bus, faults without a twin.
     """
     if isinstance(bus, str) and bus.startswith(TWIN):
-        return _twin(plane, camera, seed, faults)
-    if faults:
-        raise InputError("--faults goes with the twin; a twin on the network takes them when it is started")
+        from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
+
+        name = str(camera).removeprefix(TWIN) or "image"
+        return TwinSource(plane, seed, name, faults, errors or "none")
+    for option, text in (("--faults", faults), ("--errors", errors)):
+        if text:
+            raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
     if isinstance(camera, str):
         return OpenedArray.of(bus, _camera(plane, camera), camera)
     return OpenedArray.of(bus, camera)
-
-
-def _twin(plane: FocalPlane, camera: Any, seed: int, faults: str) -> Source:
-    from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
-
-    name = str(camera).removeprefix(TWIN) or "image"
-    return TwinSource(plane, seed, name, faults)
 
 
 def _camera(plane: FocalPlane, address: str) -> Camera:

@@ -127,6 +127,7 @@ class Field:
         camera: str = "image",
         faults: str = "",
         calibration: str | Path | None = None,
+        errors: str = "none",
     ) -> Field:
         """A field on the twin: true units drawn from the seed, with the real firmware in them.
 
@@ -143,6 +144,9 @@ class Field:
             What goes wrong, e.g. ``"dark=3,dead=1,lying=1"``.
         calibration : str or Path, optional
             File of transmission maps; when left out, the twin is swept once and its maps are cached.
+        errors : str
+            What is off its tables, as in a real array: ``"none"``, ``"all"``, or some with factors on
+            their sizes, e.g. ``"fibre=2,fiducial"``; docs/twin/errors.md lists them.
 
         Returns
         -------
@@ -165,7 +169,7 @@ class Field:
         """
         from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
 
-        return cls(plane, TwinSource(plane, seed, camera, faults), seed, calibration)
+        return cls(plane, TwinSource(plane, seed, camera, faults, errors), seed, calibration)
 
     @classmethod
     def open(

@@ -27,7 +27,8 @@ def truth(flipped=True, third=0.64):
         c[TERMS.index(term)] = value
     a = 0.1215 * np.exp(0.3j)
     base = Similarity(a, -a * (3000 - 3000j if flipped else 3000 + 3000j), flipped)
-    return FieldTransform(base, RADIUS, TERMS, c, np.zeros((len(c), len(c))))
+    nothing = np.zeros((len(c), len(c)))
+    return FieldTransform(base, RADIUS, TERMS, c, nothing, nothing)
 
 
 def fiducials(n=60, seed=0):
@@ -112,6 +113,24 @@ def test_fiducial_errors_reach_the_fibres_by_a_third():
         error.append(fit.transform.to_mm(at) - t.to_mm(at))
     factor = np.sqrt(np.mean(np.square(error))) / 8e-3
     assert factor < 0.4  # sqrt(13 / 120) = 0.33
+
+
+def test_the_noise_is_what_images_differ_by_though_the_table_is_wrong():
+    """The table is off by 8 um in all images; spots by 0.02 px, new in each."""
+    t, mm, rng = truth(), fiducials(), np.random.default_rng(4)
+    wrong = mm + rng.normal(0, 8e-3, mm.shape)
+    at = t.to_px(fiducials(15, 5))
+    cov, own = (np.broadcast_to(np.eye(2) * 0.02**2, (len(p), 2, 2)) for p in (mm, at))
+    places, noise, stated = [], [], []
+    for _ in range(150):
+        px = t.to_px(mm) + rng.normal(0, 0.02, mm.shape)
+        fit = fit_transform(px, wrong, Distortion(RADIUS), flipped=True, errors=PlaceErrors(cov, 8e-3))
+        places.append(fit.transform.to_mm(at + rng.normal(0, 0.02, at.shape)))
+        noise.append(np.trace(fit.transform.noise(at, own), axis1=1, axis2=2))
+        stated.append(np.trace(fit.transform.covariance(at, own), axis1=1, axis2=2))
+    scatter = np.var(places, axis=0).sum(axis=1)
+    assert np.mean(np.mean(noise, axis=0) / scatter) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(np.mean(stated, axis=0) / scatter) > 2.0  # what the table is off by is in it
 
 
 def test_the_inverse_of_the_camera_s_distortion_is_among_the_terms():

@@ -55,6 +55,20 @@ def test_the_figures_of_a_move(seen):
     assert summary["motion_s"] == pytest.approx(sum(move.motion_s for move in seen.moves))
 
 
+def test_the_science_fibre_is_not_where_the_camera_s_fibre_says():
+    """What the camera sees comes to its goal; the arm's other fibre does not, and only the truth says so."""
+    plane = fl.FocalPlane.of("sdssv", n=N)
+    field = fl.Field.twin(plane, camera="noise", seed=3, errors="fibre")
+    observed = field.run.observe(random_targets(plane, 60, 3), corrections=1)
+    last = observed.summary()["moves"][-1]
+    off_um = np.concatenate([1e3 * np.hypot(*mm.T) for mm in field.source.units.fibre_offset_mm.values()])
+    assert max(last["measured_rms_um"], last["true_metrology_rms_um"]) < 3.0
+    assert 0.5 * off_um.min() < last["true_rms_um"] < off_um.max()
+    assert last["true_rms_um"] > 2.0 * last["true_metrology_rms_um"]
+    told = observed.summary()["put_in"]["science fibres against the metrology fibre"]
+    assert "BOSS 9 along and 8.3 um across" in told
+
+
 def test_a_comparison_is_no_move_of_the_observation(seen):
     compared = replace(seen.moves[-1], number=3, comparison=True)
     observed = replace(seen, moves=[*seen.moves, compared])

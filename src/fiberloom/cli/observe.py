@@ -62,6 +62,12 @@ FieldCameraOption = Annotated[
     ),
 ]
 FaultsOption = Annotated[str, typer.Option(help="Put faults into the twin, e.g. dark=3,dead=1,lying=1.")]
+ErrorsOption = Annotated[
+    str,
+    typer.Option(
+        help="What is off its tables in the twin: none (default), all, or some, with factors: fibre=2,arm."
+    ),
+]
 MapsOption = Annotated[
     Path | None,
     typer.Option(help="Transmission maps; default: calibrate once, then the cache."),
@@ -89,6 +95,7 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
     )
     save_images: Annotated[bool, typer.Option(help="Keep every exposure as FITS.")] = False
     faults: FaultsOption = ""
+    errors: ErrorsOption = ""
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False
@@ -166,10 +173,12 @@ _FILES = {
 
 def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
+    from fiberloom.twin.errors.sizes import factors_of
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import OBSERVED
 
     parse_faults(options.faults, OBSERVED)
+    factors_of(options.errors)
     options.check_plane()
     check_camera(options)
     for name, hint in _FILES.items():
@@ -182,8 +191,9 @@ def check_camera(options: Any) -> None:
     if options.bus is not None and not options.bus.startswith(TWIN):
         if options.camera is None:
             raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")
-        if options.faults:
-            raise InputError("--faults goes with the twin inside of this process")
+        for option, text in (("--faults", options.faults), ("--errors", options.errors)):
+            if text:
+                raise InputError(f"{option} goes with the twin inside of this process")
     elif options.camera is not None and options.camera.removeprefix(TWIN) not in tuple(CameraKind):
         raise InputError(f"--camera {options.camera}: known are {', '.join(CameraKind)}; others need a --bus")
 
@@ -197,7 +207,8 @@ def field_of(options: Any, camera: str = "image") -> Field:
     from fiberloom.field import Field
 
     plane, bus = options.plane(), options.bus or TWIN
-    source = open_hardware(plane, bus, options.camera or camera, seed=options.seed, faults=options.faults)
+    wrong = {"faults": options.faults, "errors": options.errors}
+    source = open_hardware(plane, bus, options.camera or camera, seed=options.seed, **wrong)
     field = Field(plane, source, options.seed, options.calibration)
     field.exclude = excluded(options.exclude)
     if options.bus is not None or field.exclude:

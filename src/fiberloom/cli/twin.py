@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fiberloom.cli.observe import ErrorsOption
 from fiberloom.cli.options import JsonOptions, PlaneOptions
 from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
@@ -54,6 +55,7 @@ class TwinOptions(PlaneOptions, JsonOptions):
         str,
         typer.Option(help="Faults: KIND=COUNT[@START][+DURATION],... e.g. lying=2,lost=0.01,powercut=1@30."),
     ] = ""
+    errors: ErrorsOption = ""
     speed: Annotated[float, typer.Option(help="Virtual seconds a second; 1 is real time.")] = 1.0
     neighbours: Annotated[bool, typer.Option(help="Arms touch, or pass through each other.")] = True
     bootloader: Annotated[
@@ -84,11 +86,13 @@ class TwinOptions(PlaneOptions, JsonOptions):
 
 def twin(options: TwinOptions) -> None:
     """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
+    from fiberloom.twin.errors.sizes import factors_of
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import SEEN, SERVED
     from fiberloom.twin.server.address import address_of, addresses_of
 
     parse_faults(options.faults, SEEN if options.has_camera else SERVED)
+    factors_of(options.errors)
     addresses_of(options.listen, 1)
     if options.camera_listen is not None:
         address_of(options.camera_listen, "--camera-listen")
@@ -132,6 +136,7 @@ def _warn_of_the_network(options: TwinOptions, addresses: list[Address]) -> None
 
 def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinServer:
     from fiberloom.twin import Twin, draw_units
+    from fiberloom.twin.errors.sizes import TableErrors
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
     from fiberloom.twin.server.device import PORTS
@@ -140,7 +145,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
     schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)
-    units = draw_units(plane, options.seed)
+    units = draw_units(plane, options.seed, errors=TableErrors.of(plane.instrument, options.errors))
     # one thread: ticks are short, and the other core is left to the host
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
     settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
@@ -148,6 +153,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
 
 
 def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProcess:
+    from fiberloom.twin.errors.sizes import TableErrors
     from fiberloom.twin.server.address import address_of
     from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
 
@@ -156,7 +162,10 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProce
     )
     folder = options.camera_folder and options.camera_folder.resolve()
     doors = CameraDoors(alpaca, folder, options.camera_every_s, indi, options.camera_discovery)
-    return CameraProcess(plane, server, seed=options.seed, speed=options.speed, doors=doors)
+    fiducials_mm = TableErrors.of(plane.instrument, options.errors).fiducials_mm(plane, options.seed)
+    return CameraProcess(
+        plane, server, seed=options.seed, speed=options.speed, doors=doors, fiducials_mm=fiducials_mm
+    )
 
 
 async def _serve(

@@ -377,7 +377,7 @@ class _Search:
         inner = np.hypot(*(guides - middle).T) <= _RINGS[0] * self.field_radius_mm
         for gate in (2.0, 1.0, 0.7):
             base = _align(px, guides[inner], base, gate * self.s.coarse_mm)
-        transform = FieldTransform(base, self.radius_mm, (0,), np.zeros(1), np.zeros((1, 1)))
+        transform = FieldTransform(base, self.radius_mm, (0,), np.zeros(1), *np.zeros((2, 1, 1)))
         tree = cKDTree(self.marks_px)
         for ring in _RINGS:
             near = np.flatnonzero(radius <= ring * self.field_radius_mm)

@@ -29,6 +29,9 @@ class Measurement:
 
     loose_mm: Floats | None = None
     """(n, 2) spots that belong to no positioner for certain; None: the camera takes no images."""
+    noise_mm2: Floats | None = None
+    """(N, 2, 2) by which positions differ from image to image, where the camera knows it: a part of the
+    covariance. The rest is the same in every image, and no average takes it away."""
 
     @property
     def xy_mm(self) -> Floats:

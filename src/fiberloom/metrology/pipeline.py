@@ -92,6 +92,8 @@ class Reduction:
     xy_mm: Floats
     """(N, 2); NaN where not seen."""
     covariance_mm2: Floats
+    noise_mm2: Floats
+    """(N, 2, 2) by which positions differ from image to image: without what the fiducials' table is off."""
     expected_mm: Floats
     turbulence: Turbulence | None = None
     loose_mm: Floats | None = None
@@ -122,6 +124,7 @@ class Reduction:
             self.covariance_mm2,
             self.match.status == MatchStatus.AMBIGUOUS,
             self.loose_mm,
+            self.noise_mm2,
         )
 
 
@@ -153,13 +156,17 @@ def reduce_image(
         previous_mm=hints.previous_mm, settings=settings.matching,
     )  # fmt: skip
     covariance = acquisition.transform.covariance(others.xy_px, others.covariance_px2)
-    seen = match.spot >= 0
-    xy, cov = np.full((len(plane), 2), np.nan), np.full((len(plane), 2, 2), np.nan)
-    xy[seen], cov[seen] = spots_mm[match.spot[seen]], covariance[match.spot[seen]]
+    noise = acquisition.transform.noise(others.xy_px, others.covariance_px2)
+    seen, n = match.spot >= 0, len(plane)
+    xy, cov, own = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.full((n, 2, 2), np.nan)
+    for rows, values in ((xy, spots_mm), (cov, covariance), (own, noise)):
+        rows[seen] = values[match.spot[seen]]
     air = _calm(plane, settings, acquisition, hints.standing_mm, xy, cov) if settings.turbulence else None
     spot = np.where(seen, free[match.spot] if len(free) else -1, -1)
     loose = spots_mm[match.stray]
-    return Reduction(image, found, acquisition, match, spot, xy, cov, expected, air, loose)
+    if air is not None:
+        own[seen] += air.variance_mm2[:, None, None] * np.eye(2)
+    return Reduction(image, found, acquisition, match, spot, xy, cov, own, expected, air, loose)
 
 
 def metrology_reach_mm(plane: FocalPlane) -> Floats:

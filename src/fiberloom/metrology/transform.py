@@ -17,7 +17,7 @@ are fiducials.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,6 +99,8 @@ class FieldTransform:
     coefficients_mm: Floats
     covariance_mm2: Floats
     """(K, K) of the coefficients."""
+    noise_mm2: Floats
+    """(K, K) of them by the spots' noise alone, new in every image. The rest is the fiducials' table."""
 
     def to_mm(self, xy_px: ArrayLike) -> Floats:
         """Focal-plane positions (n, 2)."""
@@ -133,6 +135,14 @@ class FieldTransform:
             return own
         j = self.jacobian(xy_px)
         both: Floats = own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        return both
+
+    def noise(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
+        """(n, 2, 2) mm^2 by which positions differ from image to image; `covariance_px2`: of the spots."""
+        b = self._basis(self.similarity.to_mm(xy_px))
+        j = self.jacobian(xy_px)
+        of_fit: Floats = np.einsum("knc,kl,lnd->ncd", b, self.noise_mm2, b)
+        both: Floats = of_fit + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
         return both
 
     def distortion_mm(self, xy_px: ArrayLike) -> Floats:
@@ -242,9 +252,9 @@ def fit_transform(
     freedom = 2 * int(used.sum()) - len(terms)
     chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
     inflate = max(chi2, 1.0) if known else chi2
-    transform = FieldTransform(
-        base, radius_mm, terms, c, np.asarray(np.linalg.inv(normal) * inflate, dtype=np.float64)
-    )
+    inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    noise = inverse * chi2 if not known else _by_spots(a, inverse, used / variance, base, errors)
+    transform = FieldTransform(base, radius_mm, terms, c, inverse * inflate, noise)
     return TransformFit(transform, residual, loo, used, chi2)
 
 
@@ -278,6 +288,17 @@ def _variance(base: Similarity, n: int, errors: PlaceErrors) -> tuple[Floats, bo
     if not (variance > 0).all():
         return np.ones(n), False
     return variance, True
+
+
+def _by_spots(
+    a: Floats, inverse: Floats, weight: Floats, base: Similarity, errors: PlaceErrors | None
+) -> Floats:
+    """(K, K) mm^2 of the coefficients, by the noise of the spots and not by where the table has them."""
+    own, _ = _variance(base, len(weight), replace(errors or PlaceErrors(), sigma_mm=0.0))
+    w = np.repeat(weight, 2)
+    gain = inverse @ (a * w[:, None]).T
+    noise: Floats = (gain * np.repeat(own, 2)) @ gain.T
+    return noise
 
 
 def _robust_similarity(px: Floats, mm: Floats, flipped: bool) -> Similarity:

@@ -128,7 +128,8 @@ class CorrectionLoop:
         `believed_deg`: (N, 2) angles that the positioners report, or were commanded, by their maps;
         `measured_mm`: (N, 2) metrology fibres in the image, NaN where not seen; `active`: (N,) the
         positioners to correct. Those that are not active or not seen keep their estimate and get their
-        goal by it. `covariance_mm2`: (N, 2, 2) noise of each position; None: the camera's mean for all.
+        goal by it. `covariance_mm2`: (N, 2, 2) noise of each position, new in every image; None: the
+        camera's mean for all.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
         wanted = self.goal_deg - self.offsets.mean_deg

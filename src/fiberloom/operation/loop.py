@@ -128,9 +128,7 @@ class Loop:
         that the stop rule does not move again stays; a correction is made of whole steps.
         """
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
-        wanted_deg = corrections.update(
-            here_deg, image.xy_mm, self.correctable & image.seen, image.covariance_mm2
-        )
+        wanted_deg = corrections.update(here_deg, image.xy_mm, self.correctable & image.seen, image.noise_mm2)
         step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
         goal_deg = np.where(self._arrived[:, None], here_deg, goal_deg)

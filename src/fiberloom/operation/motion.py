@@ -425,6 +425,9 @@ class FieldMotion:
             measurement=image,
             measured_error_um=error_um,
             true_mm=self._truth(goals),
+            true_metrology_mm=None
+            if self.hardware.truth is None
+            else self.hardware.truth.fibre_xy(METROLOGY),
             status=self.state.status(goals.has_target, error_um),
             interrupted=bool(interrupted.any()),
             comparison=comparison,

@@ -64,6 +64,8 @@ class Move:
     """Stopped before its end, because a positioner collided or did not move."""
     comparison: bool = False
     """Not part of the observation: a move by another model, for comparison."""
+    true_metrology_mm: Floats | None = None
+    """(N, 2) the metrology fibre; a twin only."""
 
     @property
     def motion_s(self) -> float:

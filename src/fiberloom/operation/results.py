@@ -110,7 +110,8 @@ class Observation:
             {
                 "move": move["label"],
                 "measured rms [um]": move["measured_rms_um"],
-                "true rms [um]": move["true_rms_um"],
+                "metrology fibre true rms [um]": move["true_metrology_rms_um"],
+                "science fibre true rms [um]": move["true_rms_um"],
                 "95 % below [um]": move["p95_um"],
                 "worst [um]": move["max_um"],
                 f"within {self.requirement_um:g} um": f"{move['n_within_requirement']} of {move['n_fibres']}",
@@ -302,6 +303,32 @@ class Observation:
         error: Floats = UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
         return error
 
+    def true_metrology_error_um(self, move: Move) -> Floats | None:
+        """True distance of the metrology fibres from where the camera is to see them.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.true_metrology_error_um(seen.final))
+        7
+        """
+        if move.true_metrology_mm is None:
+            return None
+        error: Floats = UM_PER_MM * np.hypot(*(move.true_metrology_mm - self.metrology_goal_mm()).T)
+        return error
+
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one.
 
@@ -416,7 +443,7 @@ def _not_on_target(observed: Observation, move: Move) -> dict[str, int]:
 def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
     counted = observed.counted(move)
     measured = move.measured_error_um[counted]
-    true = observed.true_error_um(move)
+    true, metrology = observed.true_error_um(move), observed.true_metrology_error_um(move)
     error = observed.error_um(move)[counted]
     return {
         "move": move.number,
@@ -427,6 +454,7 @@ def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
         "n_fibres": int(counted.sum()),
         "n_within_requirement": int((error <= observed.requirement_um).sum()),
         "measured_rms_um": _rms(measured),
+        "true_metrology_rms_um": None if metrology is None else _rms(metrology[counted]),
         "true_rms_um": None if true is None else _rms(true[counted]),
         "p95_um": _percentile(error, 95),
         "max_um": _percentile(error, 100),

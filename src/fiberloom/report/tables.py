@@ -77,17 +77,19 @@ def _text(value: Any) -> str:
 
 def observation_table(summary: Mapping[str, Any]) -> Table:
     """Return the table that closes an observation: one row per move."""
-    table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left")
-    for name in ("move", "as measured\nrms [µm]", "true\nrms [µm]", "95 % below\n[µm]", "worst\n[µm]",
-                 f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
+    table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left",
+                  caption=_caption(summary), caption_justify="left")  # fmt: skip
+    for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]", "95 %\n[µm]",
+                 "worst\n[µm]", f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
         table.add_column(name, justify="left" if name == "move" else "right")
     for move in summary["moves"]:
         if move["interrupted"]:
-            table.add_row(f"{move['label']}: stopped", *5 * ["-"])
+            table.add_row(f"{move['label']}: stopped", *6 * ["-"])
             continue
         table.add_row(
             move["label"],
             _um(move["measured_rms_um"]),
+            _um(move["true_metrology_rms_um"]),
             _um(move["true_rms_um"]),
             _um(move["p95_um"]),
             _um(move["max_um"]),
@@ -124,6 +126,12 @@ def _headline(summary: Mapping[str, Any]) -> str:
         f"{summary['n_within_requirement']} of {summary['n_assigned']} assigned fibres within "
         f"{summary['requirement_um']:g} µm of their targets"
     )
+
+
+def _caption(summary: Mapping[str, Any]) -> str:
+    known = any(move["true_rms_um"] is not None for move in summary["moves"])
+    of = "of the science fibre, true" if known else "as measured"
+    return f"Errors: rms; 95 %, worst and within {of}."
 
 
 def _um(value: float | None) -> str:

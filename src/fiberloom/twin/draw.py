@@ -20,7 +20,9 @@ from fiberloom.calibration.commissioning.backlash import BACKLASH_WAVES, wave_pa
 from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import AXES
+from fiberloom.instruments.arms import L_ALPHA
+from fiberloom.instruments.model import AXES, METROLOGY
+from fiberloom.twin.errors.sizes import NO_ERRORS, TableErrors
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR_DTYPE,
@@ -132,11 +134,14 @@ Knowledge = Literal["identified", "nominal", "true"]
 to all units (as from the factory), or the truth."""
 
 
-def draw_units(plane: FocalPlane, seed: int, firmware: Knowledge = "identified") -> Units:
-    """True units for every positioner of the plane.
+def draw_units(
+    plane: FocalPlane, seed: int, firmware: Knowledge = "identified", errors: TableErrors = NO_ERRORS
+) -> Units:
+    """True units for every positioner of the `plane`, by the `seed`.
 
     A unit depends on the seed and its number alone, so a part of a plane has the same units. The
     instrument's `[twin.alpha]` and `[twin.beta]` tables override nominal plant parameters by name.
+    `firmware`: what it was told; `errors`: of arms and fibres against the layout, without them only `ARM_SD`.
     """
     n = len(plane)
     units = Units(
@@ -163,7 +168,19 @@ def draw_units(plane: FocalPlane, seed: int, firmware: Knowledge = "identified")
             _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], of_maps))
     if firmware == "nominal":
         units.firmware[:] = nominal_firmware(plane)
-    return units
+    return _misbuilt(plane, units, errors)
+
+
+def _misbuilt(plane: FocalPlane, units: Units, errors: TableErrors) -> Units:
+    """The same units with arms and fibres off their tables."""
+    fibres = [name for name in plane.points if name != METROLOGY]
+    each = [errors.drawn_of(int(number), units.seed, fibres) for number in plane.positioner_id]
+    units.arms[:, L_ALPHA] += [one.l_alpha_mm for one in each]
+    return replace(
+        units,
+        beta_longer_mm=np.array([one.beta_longer_mm for one in each]),
+        fibre_offset_mm={name: np.array([one.fibre_mm[name] for one in each]) for name in fibres},
+    )
 
 
 def _nominal(plane: FocalPlane, axis: int) -> Records:
@@ -323,7 +340,7 @@ def known_motor(record: Records) -> dict[str, float]:
     return {name: float(record[name]) for name in ("inertia", "drag")}
 
 
-def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
+def put_in(plane: FocalPlane, camera: str = "noise", errors: TableErrors = NO_ERRORS) -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
     first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
     seen = {
@@ -339,6 +356,7 @@ def put_in(plane: FocalPlane, camera: str = "noise") -> dict[str, str]:
         "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
         "rms (alpha / beta), tuned to Fig. 17",
         "true arms against the layout": f"{1e3 * ARM_SD[2]:g} um rms in centre and length, given (Fig. 20)",
+        **errors.told(plane),
         "firmware parameters": "identified within 1 to 5 % (assumed)",
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",

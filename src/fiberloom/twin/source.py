@@ -18,6 +18,7 @@ from fiberloom.calibration.transmission.sweep import (
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units, put_in
+from fiberloom.twin.errors.sizes import TableErrors
 from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
 from fiberloom.twin.units import Units
 
@@ -34,21 +35,24 @@ class _Key:
 class TwinSource:
     """Implements `fiberloom.operation.source.Source`; what is wrong with its arguments is told at once."""
 
-    def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str) -> None:
+    def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> None:
         check_motors(plane.instrument)
         check_camera(camera)
         draw_faults(plane, faults, seed)
         self.plane, self.seed, self.camera, self.faults = plane, seed, camera, faults
+        self.errors = TableErrors.of(plane.instrument, errors)
 
     @cached_property
     def units(self) -> Units:
         """The true units."""
-        return draw_units(self.plane, self.seed)
+        return draw_units(self.plane, self.seed, errors=self.errors)
 
     @cached_property
     def hardware(self) -> Hardware:
         """The field, folded at first; it keeps its state from one observation to the next."""
-        return field_hardware(self.plane, self.units, self.seed, faults=self.faults, camera=self.camera)
+        return field_hardware(
+            self.plane, self.units, self.seed, faults=self.faults, camera=self.camera, errors=self.errors
+        )
 
     async def open(self) -> Hardware:
         """The field as it is now."""
@@ -70,7 +74,7 @@ class TwinSource:
 
     def about(self) -> dict[str, Any]:
         """What was put in."""
-        return {"put_in": put_in(self.plane, self.camera)}
+        return {"put_in": put_in(self.plane, self.camera, self.errors)}
 
     @property
     def true_plane(self) -> FocalPlane | None:

@@ -128,7 +128,7 @@ class Twin:
         """True position (N, 2) in mm of a fibre; NaN where a positioner lacks it."""
         if fibre not in self.plane.points:
             raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
-        points = self.units.points_mm(self.plane.points[fibre])
+        points = self.units.points_mm(self.plane.points[fibre], fibre)
         return geometry.forward(self.units.arms, points, self._core.outputs_rad())
 
     def inject(self, fault: Fault) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from fiberloom._core import twin as _core
 from fiberloom.bus.parameters import PARAMETERS_DTYPE
 from fiberloom.errors import InputError
+from fiberloom.instruments.model import METROLOGY
 from fiberloom.typing import Array, Floats, Ints, Records
 from fiberloom.units import GEAR
 
@@ -62,6 +64,8 @@ class Units:
     """(N,) by which wear and faults know a unit: the positioner's; the row where none is given."""
     beta_longer_mm: Floats = field(default_factory=lambda: np.empty(0))
     """(N,) by which every point of the beta arm lies farther out than the layout says."""
+    fibre_offset_mm: Mapping[str, Floats] = field(default_factory=dict)
+    """By fibre, (N, 2) in the frame of the beta arm: where it is beyond that, less where the layout says."""
 
     def __post_init__(self) -> None:
         n = len(self.plant)
@@ -80,6 +84,9 @@ class Units:
                 raise InputError(
                     f"units: {name} has shape {getattr(self, name).shape}, {n} units need {shape}"
                 )
+        for name, offset_mm in self.fibre_offset_mm.items():
+            if offset_mm.shape != (n, 2):
+                raise InputError(f"units: offsets of {name} have shape {offset_mm.shape}, not {(n, 2)}")
 
     def __len__(self) -> int:
         return len(self.plant)
@@ -87,7 +94,8 @@ class Units:
     def digest(self) -> str:
         """16 hex digits that change with any number of any unit."""
         digest = hashlib.sha256()
-        for values in (self.plant, self.gear, self.firmware, self.arms, self.beta_longer_mm):
+        own = (self.plant, self.gear, self.firmware, self.arms, self.beta_longer_mm)
+        for values in (*own, *(self.fibre_offset_mm[name] for name in sorted(self.fibre_offset_mm))):
             digest.update(np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()[:16]
 
@@ -109,8 +117,10 @@ class Units:
             arms=self.arms[rows],
             number=self.number[rows],
             beta_longer_mm=self.beta_longer_mm[rows],
+            fibre_offset_mm={name: mm[rows] for name, mm in self.fibre_offset_mm.items()},
         )
 
-    def points_mm(self, layout_mm: Floats) -> Floats:
-        """True points (N, 2) on the beta arms, from where the layout has them."""
-        return layout_mm + np.column_stack([self.beta_longer_mm, np.zeros(len(self))])
+    def points_mm(self, layout_mm: Floats, fibre: str = METROLOGY) -> Floats:
+        """True points (N, 2) of a fibre on the beta arms, from where the layout has them."""
+        longer = np.column_stack([self.beta_longer_mm, np.zeros(len(self))])
+        return layout_mm + longer + self.fibre_offset_mm.get(fibre, 0.0)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ExcludeOptions
-from fiberloom.cli.observe import FaultsOption, MapsOption, check, field_of
+from fiberloom.cli.observe import ErrorsOption, FaultsOption, MapsOption, check, field_of
 from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
@@ -41,6 +41,7 @@ class FocalPlaneOptions(ExcludeOptions, PlaneOptions, JsonOptions):
     ] = 50.0
     camera: SurveyCameraOption = None
     faults: FaultsOption = ""
+    errors: ErrorsOption = ""
     calibration: MapsOption = None
     measured: Annotated[
         Path | None, typer.Option(help="Fit the last run of a store, also an interrupted one; nothing moves.")

@@ -23,6 +23,9 @@ from fiberloom.typing import Array
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
+TRUTHS = ("true_mm", "true_metrology_mm")
+"""What a twin knows of a move."""
+
 _POINT = "point "
 _PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
 _ASSIGNED = ("target", "fibre", "alpha_deg", "beta_deg", "approach_deg", "clearance_mm")
@@ -76,7 +79,8 @@ def assignment_of(part: RunPart) -> Assignment:
 
 def packed_move(move: Move) -> bytes:
     """What a move has beside its measurements: plan, truth, what the image left open."""
-    plan, known = move.plan, {"true_mm": move.true_mm, "ambiguous": move.measurement.ambiguous}
+    plan = move.plan
+    known = {name: getattr(move, name) for name in TRUTHS} | {"ambiguous": move.measurement.ambiguous}
     head = {
         "instrument": plan.instrument,
         "collision_buffer_mm": plan.collision_buffer_mm,

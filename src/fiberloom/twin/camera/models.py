@@ -44,6 +44,7 @@ from fiberloom.twin.camera.imaging import (
     Scene,
     TwinScene,
 )
+from fiberloom.typing import Floats
 
 FIBRE_DIAMETER_UM = 120.0
 """Core of the back-lit fibre of the bench (SDSS-V)."""
@@ -158,23 +159,36 @@ def misaligned(model: CameraModel, seed: int) -> CameraModel:
     return replace(model, optics=replace(model.optics, geometry=off))
 
 
-def image_camera(twin: Any, seed: int, model: CameraModel | None = None) -> ImageCamera:
-    """A camera with images on a twin; the host knows its geometry but not how it is misaligned."""
+def image_camera(
+    twin: Any, seed: int, model: CameraModel | None = None, fiducials_mm: Floats | None = None
+) -> ImageCamera:
+    """A camera with images on a `twin`; the host knows its geometry but not how it is misaligned.
+
+    `seed`: of the misalignment and all noise; `model`: by default that of the twin's plane;
+    `fiducials_mm`: (F, 2) where they really are; by default where the layout has them.
+    """
     plane = twin.plane
     check_fiducials(plane)
     nominal = model or model_for(plane)
-    source = imaging_camera(TwinScene(twin), plane, seed, nominal)
+    source = imaging_camera(TwinScene(twin), plane, seed, nominal, fiducials_mm=fiducials_mm)
     return image_camera_of(source, plane, nominal.optics.geometry, nominal.optics.field_radius_mm)
 
 
 def imaging_camera(
-    scene: Scene, plane: FocalPlane, seed: int, nominal: CameraModel, threads: int | None = None
+    scene: Scene,
+    plane: FocalPlane,
+    seed: int,
+    nominal: CameraModel,
+    *,
+    threads: int | None = None,
+    fiducials_mm: Floats | None = None,
 ) -> ImagingCamera:
     """The true camera that looks at a scene of `plane`: `nominal`, but misaligned by the `seed`.
 
-    `scene`: the fibres; `threads` that paint, all cores when None.
+    `scene`: the fibres; `threads` that paint, all cores when None; `fiducials_mm`: as of `image_camera`.
     """
+    lit_mm = plane.fiducials if fiducials_mm is None else fiducials_mm
     return ImagingCamera(
-        scene, misaligned(nominal, seed), fiducials_mm=plane.fiducials, seed=seed,
+        scene, misaligned(nominal, seed), fiducials_mm=lit_mm, seed=seed,
         instrument=plane.instrument.name, threads=threads,
     )  # fmt: skip

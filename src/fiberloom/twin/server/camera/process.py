@@ -33,6 +33,7 @@ from fiberloom.twin.server.camera.exposing import Look, TwinShutter, Watched
 from fiberloom.twin.server.camera.folder import TRIGGER, FolderWriter
 from fiberloom.twin.server.camera.indi import NAME as INDI_NAME
 from fiberloom.twin.server.camera.indi import IndiServer
+from fiberloom.typing import Floats
 
 NICENESS = 10
 START_S = 60.0
@@ -74,10 +75,13 @@ class _CameraSetup:
     seed: int
     speed: float
     doors: CameraDoors
+    fiducials_mm: Floats | None = None
 
     def camera(self) -> ImagingCamera:
         nothing = StillScene(self.plane.centres_mm[:0])
-        return imaging_camera(nothing, self.plane, self.seed, self.model, threads=1)
+        return imaging_camera(
+            nothing, self.plane, self.seed, self.model, threads=1, fiducials_mm=self.fiducials_mm
+        )
 
 
 class CameraProcess:
@@ -88,11 +92,19 @@ class CameraProcess:
     """
 
     def __init__(
-        self, plane: FocalPlane, twin: Watched, *, seed: int, speed: float, doors: CameraDoors
+        self,
+        plane: FocalPlane,
+        twin: Watched,
+        *,
+        seed: int,
+        speed: float,
+        doors: CameraDoors,
+        fiducials_mm: Floats | None = None,
     ) -> None:
+        """`fiducials_mm`: (F, 2) where they really are; by default where the layout has them."""
         check_fiducials(plane)
         self._twin = twin
-        self._setup = _CameraSetup(plane, model_for(plane), seed, speed, doors)
+        self._setup = _CameraSetup(plane, model_for(plane), seed, speed, doors, fiducials_mm)
         self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self.doors = doors

@@ -1,0 +1,186 @@
+"""Sizes of what a real array has wrong against its tables; each can be switched off or made larger.
+
+`[twin.errors]` of an instrument says its own; without one they are those of SDSS-V, measured between two
+calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2024-04-01 and 2025-12-04,
+461 units: `python -m benchmarks.tables`):
+
+    [twin.errors]
+    arm_um = [10.9, 13.3]                              # alpha arm; metrology fibre on the beta arm
+    fibre_um = { BOSS = [9.0, 8.3], APOGEE = [16.1, 5.1] }  # science fibre against it: along, across the arm
+    fiducial_um = 8.0                                  # of the fiducials' table, per coordinate
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fiberloom.errors import InputError
+from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import MM_PER_UM
+
+Rng = np.random.Generator
+
+FREEDOM = 5.0
+"""Of Student's t that they are drawn from: half of the units are within 0.56 of the rms. In the tables it is
+0.51 to 0.63, and 0.29 for APOGEE across the arm; of a Gaussian half would be within 0.67."""
+_FARTHEST = 6.0
+"""In units of the rms: a fibre that is farther off was never glued so."""
+_STREAM = 0xE220
+
+
+@dataclass(frozen=True)
+class TableErrors:
+    """Rms in um; 0: none."""
+
+    arm_um: tuple[float, float] = (10.9, 13.3)
+    """Length of the alpha arm; distance of the beta arm's fibres, all alike, from its axis."""
+    fibre_um: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """By science fibre: along and across the beta arm, against the metrology fibre."""
+    other_fibre_um: tuple[float, float] = (9.0, 8.3)
+    """Of a science fibre that is not named."""
+    fiducial_um: float = 8.0
+    """Of the fiducials' table, per coordinate."""
+
+    @classmethod
+    def of(cls, instrument: Instrument, switches: str = "all") -> TableErrors:
+        """Those of an `instrument`, by the text `switches`: "all", "none", "fibre,arm=2,fiducial=0.5".
+
+        The numbers are factors on the sizes. InputError for a term or a key that there is not.
+        """
+        factors = factors_of(switches)
+        told = _told(instrument)
+        return cls(
+            arm_um=_times(told.arm_um, factors["arm"]),
+            fibre_um={name: _times(um, factors["fibre"]) for name, um in told.fibre_um.items()},
+            other_fibre_um=_times(told.other_fibre_um, factors["fibre"]),
+            fiducial_um=told.fiducial_um * factors["fiducial"],
+        )
+
+    def told(self, plane: FocalPlane) -> dict[str, str]:
+        """For `put_in`: each size and its source."""
+        measured = "SDSS-V's tables of 2024 and 2025"
+        alpha_um, beta_um = self.arm_um
+        off = [f"{name} {um[0]:g} along and {um[1]:g} um across" for name, um in self._named(plane)]
+        return {
+            "arms as built": f"{alpha_um:g} / {beta_um:g} um rms (alpha / beta), from {measured}",
+            "science fibres against the metrology fibre": f"rms, the beta arm's frame: {', '.join(off)}, "
+            f"from {measured}",
+            "fiducials against their table": f"{self.fiducial_um:g} um rms per coordinate, {measured}",
+        }
+
+    def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
+        names = [name for name in plane.points if name != METROLOGY]
+        return [(name, self.fibre_um.get(name, self.other_fibre_um)) for name in names]
+
+    def of_fibre(self, name: str) -> Floats:
+        """(2,) mm rms along and across the beta arm."""
+        rms_mm: Floats = MM_PER_UM * np.array(self.fibre_um.get(name, self.other_fibre_um))
+        return rms_mm
+
+    def drawn_of(self, number: int, seed: int, fibres: list[str]) -> UnitErrors:
+        """The errors of the unit `number` with these `fibres`, by the `seed` and its number alone."""
+        rng = np.random.default_rng([seed, number, _STREAM])
+        arm = np.array(self.arm_um) * MM_PER_UM * heavy(rng, 2)
+        # drawn in the order of the names, whatever else a plane has
+        fibre_mm = {name: self.of_fibre(name) * heavy(rng, 2) for name in sorted(fibres)}
+        return UnitErrors(float(arm[0]), float(arm[1]), fibre_mm)
+
+    def fiducials_mm(self, plane: FocalPlane, seed: int) -> Floats:
+        """(F, 2) mm: where the fiducials of a `plane` really are, by the `seed`."""
+        table_mm: Floats = plane.fiducials[:, :2]
+        off_mm = np.array([self._fiducial_mm(place, seed) for place in table_mm]).reshape(-1, 2)
+        true_mm: Floats = table_mm + off_mm
+        return true_mm
+
+    def _fiducial_mm(self, place_mm: Floats, seed: int) -> Floats:
+        """By its place: a part of a plane has the same fiducials."""
+        where: Ints = np.rint(np.asarray(place_mm) / MM_PER_UM).astype(np.int64) + 2**31
+        rng = np.random.default_rng([seed, _STREAM, *where.tolist()])
+        off_mm: Floats = self.fiducial_um * MM_PER_UM * rng.standard_normal(2)
+        return off_mm
+
+
+NO_ERRORS = TableErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0)
+"""A twin whose host has true tables."""
+
+TERMS = ("arm", "fibre", "fiducial")
+"""What can be switched."""
+
+
+@dataclass(frozen=True)
+class UnitErrors:
+    """Truth less table of one unit, mm."""
+
+    l_alpha_mm: float
+    beta_longer_mm: float
+    fibre_mm: dict[str, Floats]
+    """By science fibre, (2,) along and across the beta arm."""
+
+
+def heavy(rng: Rng, *shape: int) -> Floats:
+    """Numbers of this `shape` from `rng`: ratios to their rms, with the tails of real tables."""
+    t = rng.standard_t(FREEDOM, shape) / np.sqrt(FREEDOM / (FREEDOM - 2.0))
+    held: Floats = np.clip(t, -_FARTHEST, _FARTHEST)
+    return held
+
+
+def factors_of(switches: str) -> dict[str, float]:
+    """By term of `switches` the factor on its size (a ratio); 0 where the text does not name it."""
+    factors = dict.fromkeys(TERMS, 0.0)
+    for part in filter(None, (word.strip() for word in switches.split(","))):
+        name, given, text = part.partition("=")
+        if part in ("all", "none"):
+            factors = dict.fromkeys(TERMS, 1.0 if part == "all" else 0.0)
+        elif name in TERMS:
+            factors[name] = _factor(part, text if given else "1")
+        else:
+            raise InputError(f"--errors {part}: known are all, none, {', '.join(TERMS)}, each with =FACTOR")
+    return factors
+
+
+def _factor(part: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0.0 <= value <= 100.0:
+        raise InputError(f"--errors {part}: a factor on the size, 0 to 100")
+    return value
+
+
+def _told(instrument: Instrument) -> TableErrors:
+    """What `[twin.errors]` of an instrument says."""
+    where = f"{instrument.name}: twin.errors"
+    asked: dict[str, Any] = dict(instrument.twin.get("errors", {}))
+    usual = TableErrors()
+    fibres = asked.pop("fibre_um", {})
+    known = replace(
+        usual,
+        arm_um=_pair(asked.pop("arm_um", usual.arm_um), f"{where}.arm_um"),
+        fiducial_um=_size(asked.pop("fiducial_um", usual.fiducial_um), f"{where}.fiducial_um"),
+        fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
+    )
+    if asked:
+        raise InputError(f"{where}.{next(iter(asked))}: no such key; known are arm_um, fibre_um, fiducial_um")
+    return known
+
+
+def _pair(value: Any, where: str) -> tuple[float, float]:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise InputError(f"{where} = {value!r}: must be two numbers in um")
+    return _size(value[0], where), _size(value[1], where)
+
+
+def _size(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1000.0:
+        raise InputError(f"{where} = {value!r}: must be 0 to 1000 um")
+    return float(value)
+
+
+def _times(um: tuple[float, float], factor: float) -> tuple[float, float]:
+    return um[0] * factor, um[1] * factor

@@ -1,0 +1,133 @@
+"""What is off its tables: sizes as measured, each can be switched, and the same unit in any company."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.tables import sizes
+
+from fiberloom.errors import InputError
+from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
+from fiberloom.twin import draw_units
+from fiberloom.twin.draw import put_in
+from fiberloom.twin.errors.frame import WrongFrame
+from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TableErrors, factors_of, heavy
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "sdssv"
+SDSSV = FocalPlane.of("sdssv")
+ALL = TableErrors.of(SDSSV.instrument)
+
+
+def rms(values):
+    return np.sqrt(np.nanmean(np.square(values)))
+
+
+def off_um(errors, seed=0, plane=SDSSV):
+    """Truth less table: arms, and each fibre along and across."""
+    exact, built = draw_units(plane, seed), draw_units(plane, seed, errors=errors)
+    fibres = {name: 1e3 * mm for name, mm in built.fibre_offset_mm.items()}
+    return {
+        "alpha": 1e3 * (built.arms[:, 2] - exact.arms[:, 2]),
+        "beta": 1e3 * built.beta_longer_mm,
+        **fibres,
+    }
+
+
+def test_sizes_of_the_preset_are_those_of_two_real_tables():
+    if not DATA.is_dir():
+        pytest.skip(f"{DATA}: the tables of SDSS-V are not there")
+    found = sizes(DATA)
+    assert found["robots in both tables"]["number"] == 461
+    measured = [found[name]["rms"] for name in ("alpha arm", "metrology fibre, along")]
+    assert ALL.arm_um == pytest.approx(measured, rel=0.01)
+    for fibre in ("BOSS", "APOGEE"):
+        measured = [found[f"{fibre}, {way}"]["rms"] for way in ("along", "across")]
+        assert ALL.fibre_um[fibre] == pytest.approx(measured, rel=0.01)
+    assert ALL.fiducial_um == pytest.approx(found["fiducials, each coordinate"]["median"], rel=0.02)
+
+
+def test_units_are_off_by_these_sizes():
+    drawn = [off_um(ALL, seed) for seed in range(6)]
+    found = {name: rms(np.concatenate([one[name] for one in drawn])) for name in ("alpha", "beta")}
+    assert found == pytest.approx({"alpha": 10.9, "beta": 13.3}, rel=0.08)
+    for fibre, size in ALL.fibre_um.items():
+        per_axis = rms(np.concatenate([one[fibre] for one in drawn])[:, 0]), rms(
+            np.concatenate([one[fibre] for one in drawn])[:, 1])  # fmt: skip
+        assert per_axis == pytest.approx(size, rel=0.08)
+
+
+def test_tails_are_heavier_than_a_gaussian_s():
+    drawn = np.abs(heavy(np.random.default_rng(0), 200_000))
+    assert rms(drawn) == pytest.approx(1.0, abs=0.02)
+    assert np.median(drawn) == pytest.approx(0.727 / np.sqrt(FREEDOM / (FREEDOM - 2.0)), abs=0.01)
+
+
+def test_each_can_be_switched_and_scaled():
+    assert factors_of("all") == {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0}
+    assert factors_of("") == factors_of("none") == {"arm": 0.0, "fibre": 0.0, "fiducial": 0.0}
+    assert factors_of("all, fibre=2") == {"arm": 1.0, "fibre": 2.0, "fiducial": 1.0}
+    once, twice = off_um(ALL), off_um(TableErrors.of(SDSSV.instrument, "fibre=2"))
+    assert not twice["alpha"].any()
+    np.testing.assert_allclose(twice["BOSS"], 2.0 * once["BOSS"])
+    assert TableErrors.of(SDSSV.instrument, "none") == dataclasses.replace(
+        NO_ERRORS, fibre_um=dict.fromkeys(ALL.fibre_um, (0.0, 0.0))
+    )
+
+
+@pytest.mark.parametrize("text", ["fibres", "fibre=", "fibre=x", "fibre=-1", "arm=nan", "arm=1000"])
+def test_bad_switches_are_refused(text):
+    with pytest.raises(InputError, match="--errors"):
+        TableErrors.of(SDSSV.instrument, text)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"arm": 1.0}, "twin.errors.arm: no such key"),
+        ({"arm_um": 3.0}, "twin.errors.arm_um = 3.0: must be two numbers"),
+        ({"fibre_um": {"BOSS": [1.0, -1.0]}}, "must be 0 to 1000 um"),
+        ({"fiducial_um": True}, "must be 0 to 1000 um"),
+    ],
+)
+def test_bad_tables_of_an_instrument_are_refused(table, words):
+    instrument = Instrument.of("sdssv").model_copy(update={"twin": {"errors": table}})
+    with pytest.raises(InputError, match=words):
+        TableErrors.of(instrument)
+
+
+def test_a_unit_is_the_same_in_any_company():
+    few = FocalPlane.of("sdssv", n=7)
+    rows = SDSSV.index_of(few.positioner_id)
+    for name, values in off_um(ALL, plane=few).items():
+        np.testing.assert_array_equal(values, off_um(ALL)[name][rows], err_msg=name)
+    assert draw_units(few, 0, errors=ALL).digest() != draw_units(few, 0).digest()
+
+
+def test_what_is_put_in_is_told():
+    told = put_in(SDSSV, errors=ALL)
+    assert "APOGEE 16.1 along and 5.1 um across" in told["science fibres against the metrology fibre"]
+    assert "8 um rms per coordinate" in told["fiducials against their table"]
+
+
+# fiducials
+
+
+def test_wrong_fiducials_move_every_fibre_by_the_same_in_every_image():
+    fibres_mm = SDSSV.forward(np.full(len(SDSSV), 40.0), np.full(len(SDSSV), 90.0), METROLOGY)
+    off = []
+    for seed in range(20):
+        frame = WrongFrame(SDSSV, ALL.fiducials_mm(SDSSV, seed))
+        seen = frame.seen_mm(fibres_mm)
+        np.testing.assert_array_equal(seen, frame.seen_mm(fibres_mm))
+        off.append(1e3 * np.hypot(*(seen - fibres_mm).T))
+    assert len(SDSSV.fiducials) >= 60
+    # 3.7 um rms was found with the true array's 60 fiducials
+    assert rms(off) == pytest.approx(3.7, rel=0.2)
+
+
+def test_right_fiducials_change_nothing():
+    table = TableErrors.of(SDSSV.instrument, "none").fiducials_mm(SDSSV, 0)
+    np.testing.assert_array_equal(table, SDSSV.fiducials[:, :2])
+    xy = np.array([[3.0, 4.0]])
+    assert WrongFrame(SDSSV, table).seen_mm(xy) is xy
