@@ -40,9 +40,9 @@ def fitted_waves(theta_deg: Floats, backlash_deg: Floats) -> dict[str, float]:
     columns = [np.ones_like(theta)]
     for m in BACKLASH_WAVES.values():
         columns += [np.cos(m * theta), np.sin(m * theta)]
-    # half a turn (beta) leaves slow waves free to be large where nothing was measured: a thousandth of the
+    # half a turn (beta) leaves slow waves free to be large where nothing was measured: 1e-4 of the
     # points' weight holds them
-    held = 0.03 * np.sqrt(len(theta)) * np.diag([0.0] + [1.0] * (len(columns) - 1))
+    held = 0.01 * np.sqrt(len(theta)) * np.diag([0.0] + [1.0] * (len(columns) - 1))
     matrix = np.vstack([np.stack(columns, axis=1), held])
     found = np.linalg.lstsq(matrix, np.append(backlash_deg, np.zeros(len(held))), rcond=None)[0]
     return wave_parameters(found[0], found[1:].reshape(-1, 2))
