@@ -24,7 +24,7 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.operation.judge import ASTRAY_MM
 from fiberloom.operation.safety.looking import ALARM
 from fiberloom.store import Store
-from fiberloom.store.run import FINISHED, INTERRUPTED, START, STOPPED, RunInfo
+from fiberloom.store.run import FAILED, FINISHED, INTERRUPTED, START, STOPPED, RunInfo
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -301,9 +301,9 @@ class _Judge:
         return told or said or flagged
 
     def _kill_told(self, fault: Injected) -> bool | None:
-        """The run that was killed shows as interrupted; None: it had none yet."""
+        """The run that was killed shows as interrupted, or as failed; None: it had none yet."""
         killed = len(self.record.runs) > 1
-        return self.record.runs[0].status == INTERRUPTED if killed else None
+        return self.record.runs[0].status in (INTERRUPTED, FAILED) if killed else None
 
     def _disk_told(self, fault: Injected) -> bool | None:
         """A command that cannot write says so; None: it had room enough, or ended for another reason."""
@@ -333,12 +333,18 @@ class _Judge:
         return known, unknown, unreached
 
     def _was_out_of_reach(self, touch: Touch) -> bool:
-        """One was behind the cut cable, where nothing can stop it, and the other one had a fault."""
+        """Nothing can stop one behind the cut cable, and nobody is there to stop any between commands."""
         pair = (touch.positioner_id, touch.other)
+        if not any(e.begun_s <= touch.time_s <= e.ended_s for e in self.ended):
+            return any(f.positioner_id in pair and self._began_alone(f, touch.time_s) for f in self.shown)
         cut = [f for f in self.world.scene.of("cut") if f.at_s <= touch.time_s <= f.at_s + f.size]
         behind = {p for fault in cut for p in self.world.behind(fault)}
         ill = {f.positioner_id for f in self.shown if f.at_s <= touch.time_s}
         return any(one in behind and other in ill for one, other in (pair, pair[::-1]))
+
+    def _began_alone(self, fault: Injected, time_s: float) -> bool:
+        """After the last command before `time_s` had ended."""
+        return max(e.ended_s for e in self.ended if e.ended_s < time_s) < fault.at_s <= time_s
 
     def _was_hidden(self, fault: Injected, time_s: float) -> bool:
         if fault.kind not in HIDDEN or time_s < fault.at_s:

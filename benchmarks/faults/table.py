@@ -123,7 +123,7 @@ def _further(lines: list[Line]) -> list[str]:
         f"{len(lines)} seeds, {sum(cpu) / max(len(cpu), 1):.1f} CPU s each; "
         f"{count(lines, 'told_good')} fibres told on target",
         f"contacts with what nothing had shown yet: {count(lines, 'contacts_unknown')} in "
-        f"{seeds_with(lines, 'contacts_unknown')} seeds; of one behind the cut cable with a faulty one: "
+        f"{seeds_with(lines, 'contacts_unknown')} seeds; that no frame could prevent: "
         f"{count(lines, 'contacts_unreached')} in {seeds_with(lines, 'contacts_unreached')} seeds",
         f"arrays left locked by a collision: {count(lines, 'locked')}; no longer after `recover`: "
         f"{count(lines, 'recovered')}",

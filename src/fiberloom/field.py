@@ -46,6 +46,7 @@ class ObserveOptions(TypedDict, total=False):
     correction: str | None
     compare_linear: bool
     arms: Path | str | None
+    fibres: Path | str | None
     learnt: str | None
     adapt: bool
     pages: str
@@ -423,6 +424,8 @@ class Field:
             Measure a blind move by a linear gear ratio too, at the end.
         arms : str or Path, optional
             File of `survey`: arms in place of the layout's.
+        fibres : str, optional
+            File of `fiberloom calibrate fibres`: where the science fibres are on their arms.
         adapt : bool
             Learn the maps from every measured move.
         learnt : str, optional
@@ -549,9 +552,8 @@ def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple
         save_images=options.get("save_images", False),
         seed=seed,
     )
-    arms = options.get("arms")
-    adapt = options.get("adapt", False)
-    return settings, Learning(None if arms is None else Path(arms), options.get("learnt"), adapt, seed)
+    files = options.get("arms"), options.get("fibres"), options.get("learnt")
+    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
 
 
 class FieldRun:

@@ -24,6 +24,8 @@ from mutations import mutated, page_mutated, seed_of
 from valid_files import PLANE, WRITERS
 
 import fiberloom as fl
+from fiberloom.calibration.fibres.exposures_file import read_exposures
+from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
 from fiberloom.cli.array.site import load_site
 from fiberloom.errors import InputError
@@ -99,6 +101,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "trajectories.json": read_trajectories,
     "arms.ecsv": read_arms,
     "fibres.ecsv": read_table,
+    "offsets.ecsv": lambda path: FibreOffsets.load(path).applied(PLANE),
+    "exposures.ecsv": read_exposures,
     "spots.csv": read_spots,
     "image.fits": read_centroids,
     "float.fits": read_centroids,

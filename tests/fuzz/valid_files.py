@@ -8,6 +8,9 @@ from astropy.io import fits
 from astropy.table import Table
 
 import fiberloom as fl
+from fiberloom.calibration.fibres.dithered import DitheredField, hexagon
+from fiberloom.calibration.fibres.exposures_file import write_exposures
+from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import save_arms
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, FocalPlaneFit
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
@@ -154,6 +157,28 @@ def fibres(path: Path) -> None:
     write_ecsv(path, rows, MARKS)
 
 
+def offsets(path: Path) -> None:
+    n = len(IDS)
+    FibreOffsets(
+        positioner_id=IDS,
+        fibre=np.full(n, "BOSS"),
+        offset_mm=np.full((n, 2), 0.0125),
+        covariance_mm2=np.tile(1e-6 * np.eye(2), (n, 1, 1)),
+        lever_mm=PLANE.points["BOSS"] - PLANE.points["metrology"],
+    ).write(path, MARKS)
+
+
+def exposures(path: Path) -> None:
+    rng, n = np.random.default_rng(2), len(IDS)
+    xy = PLANE.centres_mm.round(3)
+    fluxes = rng.integers(100, 1000, (5, n)).astype(float)
+    arm = rng.uniform(0.0, 360.0, n).round(2)
+    field = DitheredField(
+        "a", IDS, np.full(n, "BOSS"), xy, xy, arm, hexagon(n=5).round(3), fluxes, np.sqrt(fluxes)
+    )
+    write_exposures(path, field, MARKS)
+
+
 def picture() -> np.ndarray:
     y, x = np.mgrid[:40, :60]
     noise = np.random.default_rng(3).normal(200.0, 3.0, (40, 60))
@@ -224,6 +249,8 @@ WRITERS = {
     "trajectories.json": trajectories,
     "arms.ecsv": arms,
     "fibres.ecsv": fibres,
+    "offsets.ecsv": offsets,
+    "exposures.ecsv": exposures,
     "spots.csv": spots,
     "image.fits": image,
     "float.fits": image,

@@ -20,8 +20,8 @@ from fiberloom.twin.noise import UnitNoise
 
 SMALL = LifetimeSettings(
     cycles=100,
-    cycle_step=33,
-    approaches=120,
+    cycle_step=25,  # wear goes on in between, so that targets have to be enough for it
+    approaches=240,
     batch=60,
     points=200,
     repeats=1,

@@ -1,14 +1,19 @@
 """Drawn units: what they leave in the focal plane, and that they are reproducible."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units, worn
+from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.units import ORDERS
 
 PLANE = generate(load_instrument("sdssv"), seed=2, n_positioners=30)
 UNITS = draw_units(PLANE, seed=7)
+SPECTRA = {gears: draw_units(PLANE, seed=7, gears=gears) for gears in get_args(GearSpectrum)}
 RANGE_DEG = ((0.0, 360.0), (0.0, 180.0))
 L_ALPHA, L_BETA = 7.4, 14.3
 
@@ -20,14 +25,14 @@ def targets(rng, n):
     return rng.uniform(0, 360, n), np.rad2deg(np.arccos(np.clip(bend, -1, 1)))
 
 
-def blind_errors_um(row, rng, points):
+def blind_errors_um(units, row, rng, points):
     """Square error in the focal plane with a linear ratio and with a map of so many points."""
     errors = {"linear": [], "map": []}
     angles = targets(rng, 300)
     for axis in (0, 1):
         knots = np.linspace(*RANGE_DEG[axis], points)
-        wire = UNITS.transmission(row, axis, knots)[0]
-        asked = UNITS.transmission(row, axis, angles[axis])[0]
+        wire = units.transmission(row, axis, knots)[0]
+        asked = units.transmission(row, axis, angles[axis])[0]
         offset = np.mean(wire - knots)  # the ratio itself is the gear's 1024
         errors["linear"].append(np.deg2rad(asked - offset - angles[axis]))
         errors["map"].append(np.deg2rad(np.interp(asked, wire, knots) - angles[axis]))
@@ -37,40 +42,83 @@ def blind_errors_um(row, rng, points):
     return {k: np.abs(lever_a * e[0] + lever_b * e[1]) ** 2 * 1e6 for k, e in errors.items()}
 
 
-def test_tuned_to_the_papers_blind_errors():
-    """TUNED: linear about 36 um, 200 points about 10 um (Kronig 2020, Fig. 19 and 26)."""
+@pytest.mark.parametrize("gears", SPECTRA)
+def test_tuned_to_the_papers_blind_errors(gears):
+    """TUNED: linear about 36 um, 200 points about 10 um (Kronig 2020, Fig. 19 and 26), whatever orders."""
     rng = np.random.default_rng(0)
-    rows = [blind_errors_um(i, rng, 200) for i in range(len(UNITS))]
+    rows = [blind_errors_um(SPECTRA[gears], i, rng, 200) for i in range(len(UNITS))]
     rms = {k: np.sqrt(np.mean([r[k] for r in rows])) for k in ("linear", "map")}
     assert rms["linear"] == pytest.approx(36.0, rel=0.15)
     assert rms["map"] == pytest.approx(9.5, rel=0.15)  # camera and repeatability add the rest
     assert rms["linear"] / rms["map"] == pytest.approx(3.5, rel=0.25)
 
 
-def test_gears_pass_acceptance():
+@pytest.mark.parametrize("gears", SPECTRA)
+def test_gears_pass_acceptance(gears):
     """SDSS-V bench at 183 steps: non-linearity 0.6 deg, derivative 0.15; hysteresis 0.3 deg."""
     for row in range(len(UNITS)):
         for axis in (0, 1):
             theta = np.linspace(0, 360, 184)
-            wire, backlash = UNITS.transmission(row, axis, theta)
+            wire, backlash = SPECTRA[gears].transmission(row, axis, theta)
             delta = wire - np.polyval(np.polyfit(theta, wire, 1), theta)
             assert np.abs(delta).max() < 0.6
             assert np.abs(np.diff(delta) / np.diff(theta)).max() < 0.15
             assert (backlash / 1024).max() < 0.3
 
 
-def test_backlash_of_figure_10():
+@pytest.mark.parametrize("gears", SPECTRA)
+def test_backlash_of_figure_10(gears):
+    units = SPECTRA[gears]
     theta = np.linspace(0, 360, 4097)
     low, high = np.array(
         [
             (b.min(), b.max())
             for i in range(len(UNITS))
-            for b in [UNITS.transmission(i, 0, theta)[1], UNITS.transmission(i, 1, theta)[1]]
+            for b in [units.transmission(i, 0, theta)[1], units.transmission(i, 1, theta)[1]]
         ]
     ).T
     assert low.min() >= 39.9
     assert high.max() <= 250.1
     assert (high - low).min() > 100
+
+
+def lines(units):
+    """(N, orders) whether alpha's delta has that order at all."""
+    return units.gear["delta_rad"][:, 0].any(axis=-1)
+
+
+def test_spectra_have_the_orders_of_their_name():
+    has = {gears: {int(m) for m in ORDERS[lines(units).any(axis=0)]} for gears, units in SPECTRA.items()}
+    assert has["stages"] == {1, 2, 3, 35, 36, 37, 72, 108, 204}
+    assert has["teeth"] == {1, 2, 3, 35, 36, 37, 71, 72, 73, 108}
+    assert has["family"] == set(map(int, ORDERS))
+
+
+def test_every_gear_of_the_family_has_its_own_orders():
+    """72, 108 and/or 204: each is missing somewhere, never all of them; amplitudes span a factor of four."""
+    some = lines(SPECTRA["family"])[:, np.isin(ORDERS, (72, 108, 204))]
+    assert some.any(axis=1).all()
+    assert (some.mean(axis=0) > 0.3).all()
+    assert (some.mean(axis=0) < 0.95).all()
+    assert len({tuple(row) for row in some}) >= 4
+    teeth = np.linalg.norm(SPECTRA["family"].gear["delta_rad"][:, :, ORDERS == 36], axis=-1)
+    assert teeth.max() / teeth.min() > 2.5
+
+
+@pytest.mark.parametrize("gears", ["teeth", "family"])
+def test_another_spectrum_is_the_same_unit_with_other_gears(gears):
+    other = SPECTRA[gears]
+    for name in ("plant", "arms"):
+        assert getattr(other, name).tobytes() == getattr(UNITS, name).tobytes()
+    # the firmware knows the backlash of its own gear
+    of_gear = [n for n in UNITS.firmware.dtype.names if n.startswith("backlash")]
+    for name in UNITS.firmware.dtype.names:
+        assert (name in of_gear) != np.array_equal(other.firmware[name], UNITS.firmware[name]), name
+    assert (other.gear["delta_rad"][..., 0, 0] != UNITS.gear["delta_rad"][..., 0, 0]).all()
+    alone = draw_units(PLANE.select([17]), seed=7, gears=gears)
+    assert alone.gear.tobytes() == other.gear[[17]].tobytes()
+    with pytest.raises(InputError, match="gears 'worm': must be one of stages, teeth, family"):
+        draw_units(PLANE.select([0]), seed=7, gears="worm")
 
 
 def test_36_teeth_show():

@@ -71,12 +71,14 @@ def statistical(units, wires, **options):
     return np.stack([twin.move(np.broadcast_to(w, (len(PLANE), 2)), precise=precise) for w in wires], axis=-1)
 
 
-def test_tables_are_the_gear():
-    gears = Gears(worn(UNITS, 100.0))
+@pytest.mark.parametrize("spectrum", ["stages", "family"])
+def test_tables_are_the_gear(spectrum):
+    units = worn(draw_units(PLANE, seed=UNITS.seed, gears=spectrum), 100.0)
+    gears = Gears(units)
     theta = np.linspace(-4.0, 364.0, 3001)
     for row, axis in ((0, 0), (3, 1)):
-        wire, backlash = worn(UNITS, 100.0).transmission(row, axis, theta)
-        at = np.zeros((len(UNITS), 2, len(theta)))
+        wire, backlash = units.transmission(row, axis, theta)
+        at = np.zeros((len(units), 2, len(theta)))
         at[row, axis] = np.deg2rad(theta)
         found = gears.gear_of(at)
         np.testing.assert_allclose(np.rad2deg(found[row, axis]), wire * GEAR, atol=1e-9)

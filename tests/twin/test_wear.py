@@ -20,11 +20,17 @@ def delta_deg(units):
 def test_delta_changes_locally_up_to_015_deg():
     change = delta_deg(WEAR.at(100.0)) - delta_deg(NEW)
     largest = np.abs(change).max(axis=2)
-    assert largest.max() <= 0.15
-    assert largest.max() > 0.12  # "up to" is reached among 48 axes
-    assert 0.04 < np.median(largest) < 0.12
+    assert largest.max() <= 0.147  # the limit of 0.16, as far as it is grown
+    assert largest.max() > 0.14  # "up to" is reached among 48 axes
+    assert 0.08 < np.median(largest) < 0.14
     # locally: half of alpha's way keeps what it had to a tenth of the change
     assert np.median(np.mean(np.abs(change[:, 0]) < 0.1 * largest[:, :1], axis=1)) > 0.4
+
+
+def test_tuned_to_the_papers_largest_change():
+    """TUNED: of beta, the most of four units; Kronig 2020, Fig. 22 shows 0.15 deg, with a camera's noise."""
+    most = np.abs(delta_deg(WEAR.at(100.0)) - delta_deg(WEAR.at(1.0)))[:, 1].max(axis=1)
+    assert most.reshape(-1, 4).max(axis=1).mean() == pytest.approx(0.14, abs=0.01)
 
 
 def test_marks_develop_and_never_jump():

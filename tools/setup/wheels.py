@@ -108,7 +108,8 @@ def main(arguments: Sequence[str]) -> int:
     """Tries each Python; see above."""
     out, *asked = arguments
     Path(out).mkdir(parents=True, exist_ok=True)
-    pythons = dict(zip(asked, asked, strict=True)) or {version: found(version) for version in promised()}
+    pythons: dict[str, str | None] = {python: python for python in asked}
+    pythons = pythons or {version: found(version) for version in promised()}
     failed = not any(pythons.values())
     for name, python in pythons.items():
         if python is None:

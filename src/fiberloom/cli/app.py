@@ -16,6 +16,7 @@ from fiberloom.cli.array.exclude import exclude_add, exclude_clear, exclude_list
 from fiberloom.cli.array.move import home, park, recover, stop
 from fiberloom.cli.array.status import status
 from fiberloom.cli.calibrate.acceptance import acceptance
+from fiberloom.cli.calibrate.fibres import fibres
 from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.identification import arms, friction, inertia, repeatability, stiffness
 from fiberloom.cli.calibrate.learnt import history, undo
@@ -81,6 +82,7 @@ add(exclude, exclude_clear, "clear")
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)
 add(calibrate, focal_plane, "focal-plane")
+add(calibrate, fibres)
 add(calibrate, history)
 add(calibrate, undo)
 add(calibrate, friction)

@@ -29,6 +29,9 @@ class LifetimeOptions(JsonOptions):
         1220
     )
     every: Annotated[int, typer.Option(min=1, help="Simulate one in this many cycles.")] = 1
+    gears: Annotated[
+        str, typer.Option(help="Orders that the gears' deviations have: stages, teeth or family.")
+    ] = "stages"
     faults: Annotated[
         str,
         typer.Option(help="Ailments of the first positioners, half-way, e.g. broken_tooth=1,loose_arm=1."),
@@ -53,6 +56,7 @@ def lifetime(options: LifetimeOptions) -> int:
     from fiberloom.studies import campaign
     from fiberloom.studies.lifetime import LifetimeSettings
     from fiberloom.studies.lifetime_results import lifetime_campaign, within_requirement, write_results
+    from fiberloom.twin.gears import gear_spectrum
 
     load_instrument(options.instrument)  # a broken file is refused before anything is started
     settings = LifetimeSettings(
@@ -61,6 +65,7 @@ def lifetime(options: LifetimeOptions) -> int:
         points=options.points,
         approaches=options.targets,
         cycle_step=options.every,
+        gears=gear_spectrum(options.gears),
         faults=options.faults,
     )
     study = lifetime_campaign(options.positioners, options.seed, settings)

@@ -104,6 +104,9 @@ class ObservationOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneO
         typer.Option(help="Folder for the results; default: runs/0001, by the number of the run."),
     ] = None
     calibration: MapsOption = None
+    fibres: Annotated[
+        Path | None, typer.Option(help="Offsets of `calibrate fibres`: science fibres on their arms.")
+    ] = None
     adapt: Annotated[
         bool, typer.Option("--adapt/--no-adapt", help="Learn the maps from every measured move.")
     ] = False
@@ -150,6 +153,7 @@ def observe(options: ObservationOptions) -> int:
             correction=None if options.correction is None else options.correction.value,
             compare_linear=options.compare_linear,
             arms=options.arms,
+            fibres=options.fibres,
             learnt=options.learnt,
             adapt=options.adapt,
             pages=options.pages.value,
@@ -166,6 +170,7 @@ def observe(options: ObservationOptions) -> int:
 _FILES = {
     "calibration": "make one with 'fiberloom calibrate transmission'",
     "arms": "make one with 'fiberloom calibrate focal-plane'",
+    "fibres": "make one with 'fiberloom calibrate fibres'",
     "measured": "name the store of an earlier run",
 }
 """Options that name files, and where the files come from."""

@@ -64,7 +64,14 @@ def _print(console: Console, part: Part) -> None:
         table.add_column(name, justify="right" if name in ("paper", "ours", "ratio") else "left")
     for q in part.quantities:
         style = "red" if q.misses else "green" if q.beyond else ""
-        row = (q.name, numbers.paper(q), numbers.ours(q), q.unit, numbers.ratio(q), numbers.verdict(q))
+        row = (
+            q.name,
+            numbers.paper(q),
+            numbers.ours(q),
+            numbers.unit(q),
+            numbers.ratio(q),
+            numbers.verdict(q),
+        )
         table.add_row(*row, style=style)
     console.print(table)
     if part.smaller:
@@ -72,9 +79,12 @@ def _print(console: Console, part: Part) -> None:
 
 
 def _closing(parts: list[Part], out: Path) -> str:
-    missed = sum(q.misses for part in parts for q in part.quantities)
+    from fiberloom.studies.paper import numbers
+
+    quantities = [q for part in parts for q in part.quantities]
     seconds, cpu_s = sum(part.seconds for part in parts), sum(part.cpu_s for part in parts)
     return (
-        f"{len(parts)} figures in {seconds:.0f} s (processor {cpu_s:.0f} s); {missed} predictions miss by "
-        f"more than 25 % or a bound\nresults in {out}/: report.html, results.json, results.md, figures/"
+        f"{len(parts)} figures in {seconds:.0f} s (processor {cpu_s:.0f} s): {numbers.headline(quantities)}\n"
+        f"no predictions: {numbers.others(quantities) or 'none'}\n"
+        f"results in {out}/: report.html, results.json, results.md, figures/"
     )

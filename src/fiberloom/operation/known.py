@@ -12,6 +12,7 @@ import numpy as np
 
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.calibration.adaptive.learnt import origin, pack, unpack
+from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.instruments import FocalPlane
@@ -110,8 +111,10 @@ class Keeper:
 class Learning:
     """Files that an observation uses beside layout and maps, and whether it learns itself."""
 
-    arms: Path | None = None
+    arms: Path | str | None = None
     """Arms of `calibrate focal-plane`, in place of the layout's."""
+    fibres: Path | str | None = None
+    """Offsets of `calibrate fibres`: where the science fibres are on their arms."""
     learnt: str | None = None
     """Store of what was learnt; default with `adapt`: beside the maps."""
     adapt: bool = False
@@ -128,7 +131,10 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     cannot be read, or holds no positioner of the layout.
     """
     host = plane if asked.arms is None else load_arms(asked.arms, plane)
-    files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": asked.arms})
+    files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": Path(asked.arms)})
+    if asked.fibres is not None:
+        host = FibreOffsets.load(asked.fibres).applied(host)
+        files["fibres"] = Path(asked.fibres)
     if not (asked.adapt or asked.learnt):
         return Known(host, maps, files=files)
     covariance = None if asked.arms is None else load_arms_covariance(asked.arms, plane)

@@ -39,6 +39,7 @@ from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.operation.safety.loop_first import LoopFirst
+from fiberloom.operation.safety.seen import where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
 from fiberloom.planning import Plan, Trajectory, plan, verify
@@ -70,8 +71,8 @@ LONGEST_MOTION_S = 60.0
 """So long after a host has gone, one that does not answer may still follow its trajectory: plans of 500
 positioners last 35 s."""
 
-HEAR_S = 1.0
-"""Between attempts to hear who does not answer."""
+HEAR_S = 0.2
+"""Between attempts to hear who does not answer, and who has collided."""
 
 RECOVERIES = 3
 """How often a blind move that was stopped is planned anew round the positioners that are in the way."""
@@ -189,12 +190,11 @@ class FieldState:
         return again
 
     def _trust_the_camera(self, image: Measurement) -> None:
-        """Where a report is not trusted, the position is that of the image."""
+        """Where a report is not trusted, the position is that of the image, or unknown."""
         doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
         rows = np.flatnonzero(doubted & image.seen)
-        found = self.plane.inverse(image.xy_mm[rows], METROLOGY, index=rows)
-        angles_deg = np.column_stack([found.alpha_deg, found.beta_deg])
-        self.here_deg[rows] = np.where(found.reachable[:, None], angles_deg, self.here_deg[rows])
+        self.here_deg[rows], known = where_seen(self.plane, rows, image.xy_mm[rows], self.here_deg[rows])
+        self.somewhere[rows] = ~known
 
     def begin(self, answered: Flags, image: Measurement, vouched: Flags) -> None:
         """Lets move only what is certain to be where it reports, and books the others.
@@ -320,19 +320,23 @@ class FieldMotion:
     async def _all_at_rest(self) -> None:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places.
 
-        Not while one does not answer: it may move, too, and those that are stopped would be in its way.
+        Not while one does not answer: it may move, too, and those that are stopped would be in its way. But
+        where one has collided, and the others go on by plans that nobody knows any more, all are stopped.
         """
-        moving = await self._on_the_way()
-        if (moving or self.left_moving) and self._unheard:
+        moving, collided = await self._on_the_way()
+        if (moving or self.left_moving) and self._unheard and not collided:
             await self._hear_all(len(moving))
-            moving = await self._on_the_way()
+            moving, collided = await self._on_the_way()
         if moving:
             self._alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
             await self.client.stop_all()
             await self.client.wait_until_done(moving, REST_TIMEOUT_S, stop_on_collision=False)
 
-    async def _on_the_way(self) -> list[int]:
-        return [i for i, answer in (await self.client.poll(self.client.ids)).items() if _moves(answer)]
+    async def _on_the_way(self) -> tuple[list[int], bool]:
+        """Those that move, and whether one has collided."""
+        answers = await self.client.poll(self.client.ids)
+        collided = any(answer.ok and answer.values[0] & Status.COLLISION for answer in answers.values())
+        return [i for i, answer in answers.items() if _moves(answer)], collided
 
     @property
     def _unheard(self) -> list[int]:
@@ -340,7 +344,7 @@ class FieldMotion:
         return sorted(set(self.plane.positioner_id[~self.plane.offline].tolist()) - set(self.client.ids))
 
     async def _hear_all(self, moving: int) -> None:
-        """Waits until all answer, or none can be on the way any more."""
+        """Waits until all answer, none can be on the way any more, or one has collided."""
         silent = ", ".join(map(str, self._unheard))
         self._alarm(
             f"{moving} positioners are still moving at the begin; no answer from {silent}, in whose way "
@@ -350,6 +354,8 @@ class FieldMotion:
         while self._unheard and self.client.time_s < until_s:
             await self.client.sleep(HEAR_S)
             await self.client.discover()
+            if (await self._on_the_way())[1]:
+                return
 
     def _alarm(self, text: str) -> None:
         self.recorder.event("alarm", text)

@@ -35,6 +35,7 @@ from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.operation.correction import plain_update
 from fiberloom.twin.bench import bench_units
 from fiberloom.twin.faults.ailments import chosen_ailments, loosened
+from fiberloom.twin.gears import GearSpectrum
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
 from fiberloom.twin.wear import Wear, WearModel
@@ -74,6 +75,8 @@ class LifetimeSettings:
     snapshots: tuple[int, ...] = (1, 10, 50, 100)
     """Cycles whose delta is kept."""
     wear: WearModel = field(default_factory=WearModel)
+    gears: GearSpectrum = "stages"
+    """Which orders the gears have: the ripple that a map of so many points cannot see depends on it."""
     faults: str = ""
     """Ailments of the first units, "kind=count,..."; a unit that no longer follows its commands drops out."""
     fault_cycle: int = 0
@@ -132,7 +135,7 @@ class _Test:
 
     def __init__(self, units: range, seed: int, settings: LifetimeSettings) -> None:
         self.settings = settings
-        self.layout, new = bench_units(settings.instrument, seed, units)
+        self.layout, new = bench_units(settings.instrument, seed, units, settings.gears)
         self.wear = Wear(new, seed, settings.wear)
         self.ailments = chosen_ailments(new, seed, settings.faults, settings.breaks)
         self.loose = UnitNoise(seed, 0x1005, new.number)

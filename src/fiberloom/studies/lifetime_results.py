@@ -113,8 +113,9 @@ def _result(study: Campaign, rows: Rows) -> dict[str, Any]:
         "settings": asdict(settings),
         "put_in": {
             "wear": asdict(settings.wear),
-            "note": "marks up to 0.15 deg and arms within 1 um given (Fig. 21, 22); their number, widths "
-            "and pace assumed",
+            "gears": settings.gears,
+            "note": "heights of the marks tuned to 0.15 deg (Fig. 22), arms within 1 um given (Fig. 21); "
+            "number, widths and pace assumed; the spectrum of the gears tuned to blind errors (Fig. 19, 26)",
         },
         "arms": {
             "columns": list(AXES),
@@ -125,7 +126,8 @@ def _result(study: Campaign, rows: Rows) -> dict[str, Any]:
 
 
 def _marks(study: Campaign) -> dict[str, Any]:
-    plane, units = bench_units(study.settings.instrument, study.seed, range(study.n_units))
+    settings = study.settings
+    plane, units = bench_units(settings.instrument, study.seed, range(study.n_units), settings.gears)
     return {
         "version": __version__,
         "seed": study.seed,

@@ -13,6 +13,7 @@ from fiberloom.calibration.bench.rig import BenchRig
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units
+from fiberloom.twin.gears import GearSpectrum
 from fiberloom.twin.hardware import faulty_transport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
@@ -46,9 +47,12 @@ def seed_of_serial(seed: int, serial: str) -> int:
     return int.from_bytes(hashlib.sha256(f"{seed}:{serial}".encode()).digest()[:6], "big")
 
 
-def bench_units(instrument: str, seed: int, units: range) -> tuple[FocalPlane, Units]:
-    """Layout and truth of units `units` of an instrument (preset or file), as many arrays as it takes.
+def bench_units(
+    instrument: str, seed: int, units: range, gears: GearSpectrum = "stages"
+) -> tuple[FocalPlane, Units]:
+    """Layout and truth of units `units` of an `instrument` (preset or file), as many arrays as it takes.
 
+    `seed` draws them, `gears` is the spectrum of their gears; InputError where it is not known.
     Unit i is the same in every range that holds it; its `positioner_id` is i + 1, which is a number on
     a bus up to 2047 only.
     """
@@ -67,7 +71,7 @@ def bench_units(instrument: str, seed: int, units: range) -> tuple[FocalPlane, U
         offline=np.zeros(len(index), dtype=bool),
         offline_position_deg=np.concatenate([p.offline_position_deg for p in parts]),
     )
-    return plane, draw_units(plane, seed)
+    return plane, draw_units(plane, seed, gears=gears)
 
 
 @lru_cache(maxsize=4)

@@ -23,6 +23,16 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.errors.sizes import NO_ERRORS, TableErrors
+from fiberloom.twin.gears import (
+    BACKLASH_HIGHEST_DEG,
+    BACKLASH_LOWEST_DEG,
+    STAGES,
+    GearSpectrum,
+    Rng,
+    draw_gear,
+    held,
+    other_gears,
+)
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR_DTYPE,
@@ -33,8 +43,6 @@ from fiberloom.twin.units import (
 )
 from fiberloom.typing import Records
 from fiberloom.units import GEAR, MM_PER_UM, RAD_PER_DEG
-
-Rng = np.random.Generator
 
 BETA_SHARE = 0.1
 """Torques and inertia of the beta axis over alpha's: the ratio of the stiffnesses is 25/337, of the
@@ -98,36 +106,9 @@ IDENTIFICATION_ABSOLUTE_SD: dict[str, float] = {
 ARM_SD = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5])
 """True arms against the layout: about 1 um in centre and length, 50 urad in the angles' zeros."""
 
-# Gear: amplitude of each order, alpha and beta, in output rad. TUNED, see above.
-DELTA_AMPLITUDE_RAD = {
-    1: (1.75e-3, 2.55e-3),
-    2: (1.05e-3, 1.25e-3),
-    3: (5.8e-4, 7.0e-4),
-    35: (9e-5, 9e-5),
-    36: (4.0e-4, 4.0e-4),
-    37: (9e-5, 9e-5),
-    72: (1.8e-4, 1.8e-4),
-    108: (1.3e-4, 1.3e-4),
-    204: (5.0e-4, 5.0e-4),
-}
-# Shape of the backlash, relative; scaled to the extremes drawn from Fig. 10's range.
-BACKLASH_SHAPE = {
-    1: 1.0,
-    2: 0.55,
-    3: 0.35,
-    35: 0.05,
-    36: 0.22,
-    37: 0.05,
-    72: 0.08,
-    108: 0.04,
-    204: 0.06,
-}
 BACKLASH_SD_DEG = 1.0
 """Motor degrees by which the firmware knows the mean and each wave of the backlash wrong, assumed: 0.67 um of
 camera noise at 22 mm of lever are 1.8 a point, and a map has 200."""
-BACKLASH_LOWEST_DEG = (40.0, 70.0)
-BACKLASH_HIGHEST_DEG = (190.0, 250.0)
-
 
 Knowledge = Literal["identified", "nominal", "true"]
 """What the firmware was told of its unit: with the errors of an identification, nothing but what is common
@@ -135,13 +116,18 @@ to all units (as from the factory), or the truth."""
 
 
 def draw_units(
-    plane: FocalPlane, seed: int, firmware: Knowledge = "identified", errors: TableErrors = NO_ERRORS
+    plane: FocalPlane,
+    seed: int,
+    firmware: Knowledge = "identified",
+    errors: TableErrors = NO_ERRORS,
+    gears: GearSpectrum = "stages",
 ) -> Units:
     """True units for every positioner of the `plane`, by the `seed`.
 
-    A unit depends on the seed and its number alone, so a part of a plane has the same units. The
+    A unit depends on the `seed` and its number alone, so a part of a plane has the same units. The
     instrument's `[twin.alpha]` and `[twin.beta]` tables override nominal plant parameters by name.
-    `firmware`: what it was told; `errors`: of arms and fibres against the layout, without them only `ARM_SD`.
+    `firmware`: what it was told; `errors`: of arms and fibres against the layout, without them only `ARM_SD`;
+    `gears`: the spectrum of their deviations (`fiberloom.twin.gears`), another one leaves the rest as it is.
     """
     n = len(plane)
     units = Units(
@@ -158,17 +144,26 @@ def draw_units(
         units.arms[row] += ARM_SD * rng.standard_normal(5)
         for axis in (0, 1):
             units.plant[row, axis] = _scatter(nominal[axis], rng)
-            units.gear[row, axis] = _gear(axis, rng)
+            units.gear[row, axis] = draw_gear(axis, rng)
             # drawn whatever is asked for: the units are the same
             units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
             if firmware == "true":
                 units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
-            # by a generator of its own: what is drawn after it stays as it was
-            of_maps = np.random.default_rng([seed, int(number), axis, 0xB]) if firmware != "true" else None
-            _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], of_maps))
+    if gears != "stages":
+        units.gear[:] = other_gears(units.number, seed, gears)
     if firmware == "nominal":
         units.firmware[:] = nominal_firmware(plane)
+    else:
+        _tell_backlash(units, exactly=firmware == "true")
     return _misbuilt(plane, units, errors)
+
+
+def _tell_backlash(units: Units, exactly: bool) -> None:
+    """By generators of its own: what else is drawn stays as it was."""
+    for row, number in enumerate(units.number):
+        for axis in (0, 1):
+            rng = None if exactly else np.random.default_rng([units.seed, int(number), axis, 0xB])
+            _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], rng))
 
 
 def _misbuilt(plane: FocalPlane, units: Units, errors: TableErrors) -> Units:
@@ -208,44 +203,12 @@ def _override(record: Records, overrides: Mapping[str, Any], where: str) -> Reco
 def _scatter(nominal: Records, rng: Rng) -> Records:
     record = nominal.copy()
     for name, sd in RELATIVE_SD.items():
-        record[name] *= 1.0 + sd * _held(rng)
+        record[name] *= 1.0 + sd * held(rng)
     for name, sd in ABSOLUTE_SD.items():
-        record[name] += sd * _held(rng)
+        record[name] += sd * held(rng)
     for name in PHASES:
         record[name] = rng.uniform(-np.pi, np.pi)
     return record
-
-
-def _held(rng: Rng) -> float:
-    """A standard normal cut at three: no unit that acceptance would not have refused."""
-    return float(np.clip(rng.standard_normal(), -3.0, 3.0))
-
-
-def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
-    phase = rng.uniform(0.0, 2.0 * np.pi)
-    size = amplitude * (1.0 + 0.2 * _held(rng))
-    return size * np.cos(phase), size * np.sin(phase)
-
-
-def _gear(axis: int, rng: Rng) -> Records:
-    record = np.zeros((), GEAR_DTYPE)
-    record["delta_rad"] = [_wave(DELTA_AMPLITUDE_RAD[m][axis], rng) for m in ORDERS]
-    record["backlash_rad"] = [_wave(BACKLASH_SHAPE[m], rng) for m in ORDERS]
-    lowest, highest = rng.uniform(*BACKLASH_LOWEST_DEG), rng.uniform(*BACKLASH_HIGHEST_DEG)
-    _scale_backlash(record, lowest * RAD_PER_DEG, highest * RAD_PER_DEG)
-    return record
-
-
-_WAVES = np.outer(ORDERS, np.arange(_core.NODES_PER_TURN) * (2.0 * np.pi / _core.NODES_PER_TURN))
-_WAVES = np.stack([np.cos(_WAVES), np.sin(_WAVES)], axis=1).reshape(2 * len(ORDERS), -1)
-
-
-def _scale_backlash(record: Records, lowest_rad: float, highest_rad: float) -> None:
-    """Stretches the drawn shape between two extremes: its mean was zero and its scale free."""
-    shape = record["backlash_rad"].ravel() @ _WAVES
-    stretch = (highest_rad - lowest_rad) / (shape.max() - shape.min())
-    record["backlash_rad"] *= stretch
-    record["backlash_mean_rad"] = lowest_rad - stretch * shape.min()
 
 
 def firmware_truth(plant: Records) -> dict[str, float]:
@@ -329,8 +292,8 @@ def _identified(plant: Records, plane: FocalPlane, axis: int, rng: Rng) -> Recor
     record = _told(plane, axis)
     truth = firmware_truth(plant)
     for name, value in truth.items():
-        error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * _held(rng)
-        record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * _held(rng)
+        error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * held(rng)
+        record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * held(rng)
     _tell(record, control_gains(known_motor(record)))
     return record
 
@@ -342,7 +305,7 @@ def known_motor(record: Records) -> dict[str, float]:
 
 def put_in(plane: FocalPlane, camera: str = "noise", errors: TableErrors = NO_ERRORS) -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
-    first, teeth = DELTA_AMPLITUDE_RAD[1], DELTA_AMPLITUDE_RAD[36]
+    first, teeth = STAGES[1], STAGES[36]
     seen = {
         "noise": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
         "image": "photons, pixels and optics of its images: [camera] and [twin.camera] of the instrument",

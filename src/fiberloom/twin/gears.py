@@ -1,4 +1,7 @@
-"""The true gears of many units as tables: motor, gear and output angles without the physics.
+"""The true gears of units: how they are drawn, and as tables without the physics.
+
+What a gear deviates by is a harmonic series over the output turn. No paper prints which orders a gear
+has, so the spectrum is a choice (`GearSpectrum`), and what depends on it must be shown for more than one.
 
 The truth lies between 4096 nodes a turn by straight lines (core/twin, transmission.hpp), so tables
 of the nodes are the same gears, not an approximation. All angles in rad, arrays (N, 2, M).
@@ -6,19 +9,168 @@ of the nodes are the same gears, not an approximation. All angles in rad, arrays
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom._core import twin as _core
-from fiberloom.twin.units import ORDERS, Units
-from fiberloom.typing import Floats, Ints
-from fiberloom.units import GEAR
+from fiberloom.errors import InputError
+from fiberloom.twin.units import GEAR_DTYPE, ORDERS, Units
+from fiberloom.typing import Floats, Ints, Records
+from fiberloom.units import GEAR, RAD_PER_DEG
+
+Rng = np.random.Generator
+
+GearSpectrum = Literal["stages", "teeth", "family"]
+"""Which orders the gears have: two stages (36 tooth pairings, and 204 a turn of an earlier stage), the
+teeth of the last stage alone with their overtones and sidebands, or each gear its own of all that."""
+
+STAGES: Mapping[int, tuple[float, float]] = {
+    1: (1.75e-3, 2.55e-3),
+    2: (1.05e-3, 1.25e-3),
+    3: (5.8e-4, 7.0e-4),
+    35: (9e-5, 9e-5),
+    36: (4.0e-4, 4.0e-4),
+    37: (9e-5, 9e-5),
+    72: (1.8e-4, 1.8e-4),
+    108: (1.3e-4, 1.3e-4),
+    204: (5.0e-4, 5.0e-4),
+}
+"""Amplitude of each order of delta, alpha and beta, output rad. TUNED: see `fiberloom.twin.draw`."""
+TEETH: Mapping[int, tuple[float, float]] = {
+    1: (1.60e-3, 2.35e-3),
+    2: (9.7e-4, 1.15e-3),
+    3: (5.4e-4, 6.50e-4),
+    35: (1.50e-4, 1.50e-4),
+    36: (6.0e-4, 6.0e-4),
+    37: (1.50e-4, 1.50e-4),
+    71: (1.50e-4, 1.50e-4),
+    72: (6.0e-4, 6.0e-4),
+    73: (1.50e-4, 1.50e-4),
+    108: (9.0e-4, 9.0e-4),
+}
+"""The same without an earlier stage. TUNED to the same blind errors."""
+BACKLASH_SHAPE: Mapping[int, float] = {
+    1: 1.0,
+    2: 0.55,
+    3: 0.35,
+    35: 0.05,
+    36: 0.22,
+    37: 0.05,
+    71: 0.02,
+    72: 0.08,
+    73: 0.02,
+    108: 0.04,
+    203: 0.02,
+    204: 0.06,
+    205: 0.02,
+}
+"""Backlash of each order that a gear has, relative; scaled to the extremes drawn from Fig. 10's range."""
+BACKLASH_LOWEST_DEG = (40.0, 70.0)
+BACKLASH_HIGHEST_DEG = (190.0, 250.0)
+
+_LINES = {36: (35, 37), 72: (71, 73), 108: (), 204: (203, 205)}
+"""Orders of teeth and their sidebands, of which a gear of the family has some."""
+_MAY_LACK = (72, 108, 204)
+_PRESENT = 0.6
+"""Probability of each of these; at least one is there. Assumed, as are the ranges below."""
+_STRENGTH = (0.5, 2.0)
+"""Amplitude of a line over its middle size, log-uniform."""
+_SIDEBAND = (0.1, 0.5)
+"""Sidebands over their line, uniform."""
+_FAMILY_RAD = {36: 5.0e-4, 72: 3.50e-4, 108: 3.50e-4, 204: 4.50e-4}
+"""Middle sizes, output rad. TUNED to the same blind errors, over many gears."""
 
 NODE_RAD = 2.0 * np.pi / _core.NODES_PER_TURN
 _SPAN = (-160, _core.NODES_PER_TURN + 280)
 """Nodes that the tables hold: -14 to 384 deg, beyond every hard stop. Straight on outside."""
+
+
+# drawing
+
+
+def gear_spectrum(name: str) -> GearSpectrum:
+    """The spectrum of this name; InputError where there is none."""
+    known: tuple[GearSpectrum, ...] = get_args(GearSpectrum)
+    for spectrum in known:
+        if spectrum == name:
+            return spectrum
+    raise InputError(f"gears '{name}': must be one of {', '.join(known)}")
+
+
+def draw_gear(axis: int, rng: Rng, spectrum: GearSpectrum = "stages") -> Records:
+    """A true transmission, one GEAR_DTYPE record without wear, of `axis` 0 or 1, drawn by `rng`.
+
+    `spectrum`: which orders it has.
+    """
+    record = np.zeros((), GEAR_DTYPE)
+    sizes = _sizes(axis, rng, spectrum)
+    rows = np.flatnonzero(np.isin(ORDERS, list(sizes)))
+    orders = ORDERS[rows]
+    record["delta_rad"][rows] = [_wave(sizes[m], rng) for m in orders]
+    shape = np.array([_wave(BACKLASH_SHAPE[m], rng) for m in orders])
+    lowest_rad = rng.uniform(*BACKLASH_LOWEST_DEG) * RAD_PER_DEG
+    highest_rad = rng.uniform(*BACKLASH_HIGHEST_DEG) * RAD_PER_DEG
+    # stretched between two extremes: its mean was zero and its scale free
+    curve = shape.ravel() @ _turn(tuple(orders))
+    stretch = (highest_rad - lowest_rad) / (curve.max() - curve.min())
+    record["backlash_rad"][rows] = stretch * shape
+    record["backlash_mean_rad"] = lowest_rad - stretch * curve.min()
+    return record
+
+
+def other_gears(numbers: Ints, seed: int, spectrum: GearSpectrum) -> Records:
+    """(N, 2) gears of the units of these `numbers` with another `spectrum`; by `seed` and number alone.
+
+    InputError for a spectrum that is not known.
+    """
+    spectrum = gear_spectrum(spectrum)
+    out = np.zeros((len(numbers), 2), GEAR_DTYPE)
+    for row, number in enumerate(numbers):
+        rng = np.random.default_rng([seed, int(number), 0x6EA2])
+        out[row] = [draw_gear(axis, rng, spectrum) for axis in (0, 1)]
+    return out
+
+
+def held(rng: Rng) -> float:
+    """A standard normal, a ratio of deviation to sd, cut at three: acceptance refuses units beyond."""
+    return float(np.clip(rng.standard_normal(), -3.0, 3.0))
+
+
+def _sizes(axis: int, rng: Rng, spectrum: GearSpectrum) -> dict[int, float]:
+    """Amplitude in output rad of every order that this gear has."""
+    if spectrum == "family":
+        return {m: STAGES[m][axis] for m in (1, 2, 3)} | _lines(rng)
+    return {m: both[axis] for m, both in (STAGES if spectrum == "stages" else TEETH).items()}
+
+
+def _lines(rng: Rng) -> dict[int, float]:
+    """The orders of teeth of one gear of the family, with their sidebands."""
+    there = [m for m in _MAY_LACK if rng.random() < _PRESENT] or [int(rng.choice(_MAY_LACK))]
+    out = {}
+    for line in (36, *there):
+        out[line] = _FAMILY_RAD[line] * float(np.exp(rng.uniform(*np.log(_STRENGTH))))
+        out |= {side: out[line] * rng.uniform(*_SIDEBAND) for side in _LINES[line]}
+    return out
+
+
+def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    size = amplitude * (1.0 + 0.2 * held(rng))
+    return size * np.cos(phase), size * np.sin(phase)
+
+
+@lru_cache(maxsize=64)
+def _turn(orders: tuple[int, ...]) -> Floats:
+    """(2 orders, nodes of a turn): cosines and sines of these orders."""
+    waves = np.outer(orders, np.arange(_core.NODES_PER_TURN) * NODE_RAD)
+    return np.stack([np.cos(waves), np.sin(waves)], axis=1).reshape(2 * len(orders), -1)
+
+
+# tables
 
 
 @lru_cache(maxsize=1)
@@ -26,6 +178,16 @@ def _waves() -> Floats:
     """(2 orders, nodes): cosines and sines of every order."""
     turn = np.outer(ORDERS, np.arange(*_SPAN)) % _core.NODES_PER_TURN * NODE_RAD
     return np.stack([np.cos(turn), np.sin(turn)], axis=1).reshape(2 * len(ORDERS), -1)
+
+
+def _series(amplitudes: Floats) -> Floats:
+    """(N, 2, K) sums of (N, 2, orders, 2) amplitudes at the nodes."""
+    waves = _waves()
+    total = np.zeros((*amplitudes.shape[:2], waves.shape[1]))
+    # one by one: what another unit has does not touch this one's last digit
+    for k in np.flatnonzero(amplitudes.any(axis=(0, 1, 3))):
+        total += amplitudes[:, :, k, :1] * waves[2 * k] + amplitudes[:, :, k, 1:] * waves[2 * k + 1]
+    return total
 
 
 def _worn_rad(wear: Floats, theta: Floats) -> Floats:
@@ -43,10 +205,10 @@ class Gears:
     """T- and backlash of N units, (N, 2, K) at the nodes; Kronig 2020, Eq. 6 and 7."""
 
     def __init__(self, units: Units) -> None:
-        n, gear = len(units), units.gear
+        gear = units.gear
         theta: Floats = np.asarray(NODE_RAD * np.arange(*_SPAN), dtype=np.float64)
-        delta: Floats = gear["delta_rad"].reshape(n, 2, -1) @ _waves() + _worn_rad(gear["wear"], theta)
-        backlash = gear["backlash_rad"].reshape(n, 2, -1) @ _waves()
+        delta: Floats = _series(gear["delta_rad"]) + _worn_rad(gear["wear"], theta)
+        backlash = _series(gear["backlash_rad"])
         self.output_rad = np.broadcast_to(theta, delta.shape).copy()
         self.gear_rad = GEAR * (theta + delta)
         self.motor_rad = self.gear_rad + gear["backlash_mean_rad"][..., None] + backlash

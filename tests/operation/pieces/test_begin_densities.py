@@ -9,7 +9,8 @@ from fiberloom.instruments import generate, load_instrument
 from fiberloom.instruments.arms import CENTRE
 from fiberloom.metrology import Measurement
 from fiberloom.operation.safety import begin
-from fiberloom.operation.safety.begin import SCATTER_MM, Report, begin_check
+from fiberloom.operation.safety.begin import Report, begin_check
+from fiberloom.operation.safety.seen import SCATTER_MM
 
 PLANE = generate(load_instrument("sdssv"), 0, n_positioners=7)
 DEPLOYED = np.column_stack([np.linspace(20.0, 320.0, 7), np.linspace(60.0, 120.0, 7)])

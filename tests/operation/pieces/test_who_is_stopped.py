@@ -304,11 +304,11 @@ def test_when_the_cable_is_back_all_are_stopped():
     assert then == "all 12 on the way are stopped"
 
 
-def killed_and_begun_again(back_s, seed=1, n=19):
+def killed_and_begun_again(back_s=500.0, cut_s=4.0, faults="", seed=1, n=19):
     """A host is killed in a move while a cable is cut; the next one moves on. Its events, true contacts."""
     plane, goal_deg, _ = field(n, seed)
-    hardware = field_hardware(plane, draw_units(plane, seed), seed)
-    bus = CutBus(hardware.truth, hardware.transport, 4.0, back_s)
+    hardware = field_hardware(plane, draw_units(plane, seed), seed, faults=faults)
+    bus = CutBus(hardware.truth, hardware.transport, cut_s, back_s)
     heard = Heard()
     first, second = (
         FieldMotion(plane, identity(plane.positioner_id), replace(hardware, transport=bus), recorder)
@@ -337,6 +337,31 @@ def test_a_host_that_is_killed_while_a_cable_is_cut_leaves_nobody_in_anybodys_wa
     assert later == (
         ["19 positioners were still moving at the begin; all are stopped"] if back_s < 20.0 else []
     )
+
+
+STALLS_ALONE = {"cut_s": 900.0, "back_s": 950.0, "faults": "mute=#251@6,stuck_hall=#204@13"}
+
+
+def test_one_that_collides_while_nobody_knows_the_plans_stops_all():
+    """One does not answer, so the others go on as the dead host had them; then an arm runs into another."""
+    events, touches = killed_and_begun_again(**STALLS_ALONE)
+    assert touches == []
+    waits, stops = [text for kind, text in events if kind == "alarm" and "still moving" in text]
+    assert waits.startswith("18 positioners are still moving at the begin; no answer from 251")
+    assert stops.endswith("positioners were still moving at the begin; all are stopped")
+
+
+@pytest.mark.slow
+def test_not_stopped_they_would_touch(monkeypatch):
+    """What it is for."""
+    on_the_way = FieldMotion._on_the_way
+
+    async def nobody_collides(motion):
+        return (await on_the_way(motion))[0], False
+
+    monkeypatch.setattr(FieldMotion, "_on_the_way", nobody_collides)
+    _, touches = killed_and_begun_again(**STALLS_ALONE)
+    assert touches
 
 
 @pytest.mark.slow

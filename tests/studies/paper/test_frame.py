@@ -22,9 +22,10 @@ from fiberloom.studies.paper import (
     reproduce,
 )
 from fiberloom.studies.paper.parts import read_parts
-from fiberloom.studies.paper.quantity import quantity
+from fiberloom.studies.paper.quantity import ordering, quantity
 from fiberloom.studies.paper.registry import FIGURES
 from fiberloom.studies.paper.report import report_html
+from fiberloom.studies.paper.spectra import SPECTRA, ordering_for_all
 
 PNG = b"\x89PNG\r\n\x1a\n" + b"not really a picture"
 
@@ -36,6 +37,13 @@ def quantities():
         quantity("fig19.blind", "blind", [9.0, 11.0], "um", Kind.TUNED, paper=10.36),
         quantity("fig19.better", "ours alone", 0.3, "um", beyond=True),
         quantity("fig19.unseen", "could not be measured", [1.0, float("nan")], "um", paper=1.0),
+        quantity("fig19.lost", "put in and lost", 0.5, "um", Kind.PUT_IN, paper=1.0),
+        quantity("fig19.most", "a limit", 3.0, "um", Kind.BOUND, paper=5.0, bound=Bound.AT_MOST),
+        quantity("fig19.asked", "asked for", 6.0, "um", Kind.REQUIREMENT, paper=5.0, bound=Bound.AT_MOST),
+        quantity("fig19.same", "by arithmetic", 1.01, "um", Kind.IDENTITY, paper=1.0),
+        quantity("fig19.curve", "no number printed", 7.0, "um"),
+        ordering("fig19.order.yes", "a statement that holds", [True, True]),
+        ordering("fig19.order.no", "a statement that fails on one seed", [True, False]),
     ]
 
 
@@ -85,18 +93,72 @@ def test_a_prediction_off_by_more_than_a_quarter_misses(paper, share):
     q = quantity("fig19.x", "x", paper * (1.0 + share), "1", paper=paper)
     if abs(abs(share) - 0.25) > 1e-9:
         assert q.misses == (abs(share) > 0.25)
-    for kind in (Kind.PUT_IN, Kind.TUNED):
-        assert not quantity("fig19.x", "x", paper * (1.0 + share), "1", kind, paper=paper).misses
 
 
-def test_bounds_have_one_side():
-    below = quantity("eq22.x", "x", 3.0, "ms", paper=16.0, bound=Bound.AT_MOST)
+@given(kind=st.sampled_from([Kind.PUT_IN, Kind.TUNED]), share=st.floats(-0.9, 3.0))
+def test_what_was_put_in_has_to_come_back_within_a_quarter(kind, share):
+    q = quantity("fig19.x", "x", 2.0 * (1.0 + share), "1", kind, paper=2.0)
+    if abs(abs(share) - 0.25) > 1e-9:
+        assert ("does not come back" in numbers.verdict(q)) == (abs(share) > 0.25)
+
+
+@given(share=st.floats(-0.2, 0.2))
+def test_an_identity_holds_but_for_the_papers_rounding(share):
+    q = quantity("fig17.x", "x", 7.7 * (1.0 + share), "deg", Kind.IDENTITY, paper=7.7)
+    if abs(abs(share) - 0.02) > 1e-9:
+        assert ("does not hold" in numbers.verdict(q)) == (abs(share) > 0.02)
+
+
+@pytest.mark.parametrize("kind", [Kind.BOUND, Kind.REQUIREMENT])
+def test_bounds_have_one_side(kind):
+    def limited(ours, paper, bound):
+        return quantity("eq22.x", "x", ours, "ms", kind, paper=paper, bound=bound)
+
+    below = limited(3.0, 16.0, Bound.AT_MOST)
     assert not below.misses
     assert below.ratio == pytest.approx(3.0 / 16.0)
-    assert quantity("eq22.x", "x", 16.1, "ms", paper=16.0, bound=Bound.AT_MOST).misses
-    assert quantity("eq22.x", "x", 0.9, "1", paper=1.0, bound=Bound.AT_LEAST).misses
-    assert quantity("eq22.false", "x", 1.0, "1", paper=0.0, bound=Bound.AT_MOST).misses
-    assert not quantity("eq22.false", "x", 0.0, "1", paper=0.0, bound=Bound.AT_MOST).misses
+    assert limited(16.1, 16.0, Bound.AT_MOST).misses
+    assert limited(0.9, 1.0, Bound.AT_LEAST).misses
+    assert limited(1.0, 0.0, Bound.AT_MOST).misses
+    assert not limited(0.0, 0.0, Bound.AT_MOST).misses
+    assert numbers.verdict(limited(16.1, 16.0, Bound.AT_MOST)) == f"{kind.value}, not met"
+    with pytest.raises(ValueError, match="at most or at least"):
+        limited(1.0, 1.0, Bound.EQUAL)
+
+
+def test_a_limit_is_no_prediction():
+    """Else a bound that nothing could miss would count as a hit."""
+    with pytest.raises(ValueError, match="not a prediction"):
+        quantity("eq22.x", "x", 3.0, "ms", paper=16.0, bound=Bound.AT_MOST)
+
+
+def test_an_ordering_holds_for_all_or_misses():
+    assert not ordering("fig16.order.x", "x", True).misses
+    assert not ordering("fig16.order.x", "x", [True] * 9).misses
+    almost = ordering("fig16.order.x", "x", [True] * 9 + [False])
+    assert almost.misses
+    assert almost.ours == pytest.approx(0.9)
+    told = [numbers.ours(ordering("fig16.order.x", "x", h)) for h in (True, False, [True, False])]
+    assert told == ["true", "false", "50 % of cases"]
+    assert (numbers.paper(almost), numbers.ratio(almost), numbers.unit(almost)) == ("true", "–", "")
+
+
+def test_an_ordering_is_shown_for_every_spectrum():
+    q = ordering_for_all("fig26.order.x", "x", {"stages": [True, True], "teeth": [True, False]}, note="why")
+    assert q.misses
+    assert q.note == "gears 'stages': true; gears 'teeth': true for 1 of 2 seeds. why"
+    assert ordering_for_all("fig26.order.x", "x", {g: [True] for g in SPECTRA}).ours == 1.0
+    assert len(SPECTRA) >= 2
+
+
+def test_the_headline_counts_real_predictions_alone():
+    """Of the twelve: third, far, unseen and both orderings came out and stand beside the paper."""
+    assert numbers.headline(quantities()) == "5 real predictions (3 numbers, 2 orderings), 2 hit"
+    assert numbers.others(quantities()) == (
+        "1 put in, 1 of them does not come back; 1 tuned; 1 identity; "
+        "1 requirement, 1 of them not met; 1 bound"
+    )
+    assert numbers.headline([]) == "0 real predictions (0 numbers, 0 orderings), 0 hit"
 
 
 def test_what_could_not_be_measured_is_a_miss():
@@ -132,7 +194,7 @@ def test_a_run_leaves_results_table_report_and_pictures(figures, tmp_path):
     assert [r["id"] for r in records] == [q.id for q in quantities()]
     wanted = {"id", "figure", "paper", "ours", "spread", "unit", "kind", "ratio", "note"}
     assert all(wanted <= r.keys() for r in records)
-    assert {r["kind"] for r in records} <= {"put in", "tuned", "predicted"}
+    assert {r["kind"] for r in records} == {kind.value for kind in Kind}
     assert records[1]["ratio"] == pytest.approx(2.0)
     assert (tmp_path / "figures" / "fig19_curve.png").read_bytes() == PNG
     assert len((tmp_path / "results.md").read_text().splitlines()) == 2 + len(records)
@@ -153,6 +215,11 @@ def test_the_report_hides_nothing(figures, tmp_path):
     assert "could not be measured" in opening
     assert "No reason found yet" in opening  # a miss without a note says so
     assert "third move" not in opening
+    assert "5 real predictions (3 numbers, 2 orderings), 2 hit" in opening
+    wrong = [opening.index(word) for word in ("far off", "fails on one seed", "put in and lost", "asked for")]
+    assert wrong[1] < wrong[2]  # predictions first
+    for sound in ("a statement that holds", "a limit", "by arithmetic", "no number printed"):
+        assert sound not in opening
     assert "half the size" in page
     assert "fiberloom reproduce 19 --seed 0 --seeds 3" in page
 

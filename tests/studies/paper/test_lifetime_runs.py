@@ -36,21 +36,23 @@ def study(monkeypatch):
     measured = np.zeros((UNITS, len(WAYS), len(CYCLES)))
     measured += 10.0 + np.arange(len(WAYS))[None, :, None]
     rows = {"delta_deg": delta, "arms_mm": true + 2e-4, "true_arms_mm": true, "measured_um": measured}
-    asked = []
+    asked, on_teeth = [], {}
 
     def made(seed, settings):
         asked.append((seed, settings))
-        return wearing.Study(wearing.DEFAULT, ANGLES, rows)
+        worse = on_teeth if settings.gears == "teeth" else {}
+        um = measured * np.array([worse.get(way, 1.0) for way in WAYS])[None, :, None]
+        return wearing.Study(wearing.DEFAULT, ANGLES, rows | {"measured_um": um})
 
     monkeypatch.setattr(wearing, "study", made)
-    return SimpleNamespace(asked=asked)
+    return SimpleNamespace(asked=asked, on_teeth=on_teeth)
 
 
 def made(figure, full=False):
     said = []
     outcome = figure.run(Settings(seed=2, n_seeds=2, full=full, say=said.append))
     number = int(figure.__name__.rpartition("fig")[2][:2])
-    assert said == [f"Figure {number}: lifetime test, seed {seed}" for seed in (2, 3)]
+    assert said[:2] == [f"Figure {number}: lifetime test, seed {seed}" for seed in (2, 3)]
     assert bool(outcome.smaller) != full
     return {q.id: q.ours for q in outcome.quantities}
 
@@ -101,6 +103,7 @@ def test_figure_25_tells_the_share_that_was_followed(study, written):
 def test_figure_26_shows_every_way_with_its_rms(study, written):
     found = made(fig26)
     expected = {way: 10.0 + k for k, way in enumerate(WAYS)}
+    assert [s.gears for _, s in study.asked] == ["stages", "stages", "teeth", "teeth"]
     ratio = expected["adaptive"] / expected["recalibrated_fine"]
     assert found["fig26.adaptive_over_fine"] == pytest.approx(ratio)
     (axes,) = written[0].axes
@@ -109,3 +112,18 @@ def test_figure_26_shows_every_way_with_its_rms(study, written):
         np.testing.assert_allclose(line.get_ydata(), expected[way])
         np.testing.assert_array_equal(line.get_xdata(), CYCLES)
     assert axes.get_ylabel() == "blind error, rms [µm]"
+
+
+@pytest.mark.parametrize(("factor", "share"), [(1.0, 0.0), (1.25, 0.5), (2.0, 0.0)])
+def test_figure_26_slightly_worse_is_neither_better_nor_much_worse(study, written, factor, share):
+    """Eq. 33 leaves 12 against 14 of recalibrating; with the second spectrum 12, 15 or 24."""
+    study.on_teeth["adaptive_paper"] = factor
+    assert made(fig26)["fig26.order.adaptive_paper_slightly_worse"] == share
+
+
+def test_figure_26_orders_the_others(study, written):
+    """As made up: linear 10, fixed 11, Eq. 33 12."""
+    study.on_teeth.update(linear=2.0, fixed=1.2)
+    found = made(fig26)
+    assert found["fig26.order.linear_worst"] == 0.5
+    assert found["fig26.order.adaptive_paper_better_than_fixed"] == 0.5

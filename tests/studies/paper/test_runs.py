@@ -56,14 +56,19 @@ def test_figure_10_gives_back_the_backlash_of_the_gear(monkeypatch, settings, wr
     gap = np.array([0.0, 100.0 / GEAR])[None, None, :, None]
     maps = TransmissionMaps(np.arange(2), theta + ripple + gap, theta)
     monkeypatch.setattr(fig10, "calibrated", lambda *a: SimpleNamespace(maps=maps))
-    curves = fig10.GearCurves(np.array([60.0, 200.0]), np.array([36.0, 36.0]), np.array([3.0, 4.0]))
+    gap, backlash, off = (np.array(pair) for pair in ([60.0, 200.0], [70.0, 180.0], [11.0, 2.0]))
+    curves = fig10.GearCurves(gap, backlash, off, np.array([36.0, 36.0]), np.array([3.0, 4.0]))
     monkeypatch.setattr(fig10, "measure", lambda seed, points: curves)
     _, found = made(fig10, settings)
     assert settings.said == ["Figure 10: seed 5", "Figure 10: seed 6"]
     assert found["fig10.backlash.min_motor_deg"].ours == 60.0
     assert found["fig10.backlash.max_motor_deg"].ours == 200.0
     assert found["fig10.peaks_per_turn"].ours == found["fig10.peaks_per_turn"].paper == 36.0
-    assert sum(q.beyond for q in found.values()) == 2
+    assert found["fig10.backlash.corrected.max_motor_deg"].ours == 180.0
+    assert found["fig10.backlash.corrected.max_motor_deg"].misses  # 28 % off: it does not come back
+    assert found["fig10.backlash.gap_200.off_motor_deg"].ours == 11.0
+    assert found["fig10.backlash.eq7_800.off_motor_deg"].ours == 2.0
+    assert sum(q.beyond for q in found.values()) == 8
     panels = written[0].axes
     assert [p.get_title() for p in panels[:2]] == ["alpha", "beta"]
     for panel in panels[2:]:
@@ -160,13 +165,21 @@ def test_figure_14_takes_the_rise_from_the_speeds(monkeypatch, settings, written
 def test_figure_16_compares_every_controller_with_the_full_law(monkeypatch, settings, written):
     level = {name: float(k + 1) for k, name in enumerate(fig16.CONTROLLERS)}
 
-    def track(seed, name):
+    asked = []
+
+    def track(seed, name, *, fitted=False, gears="stages"):
+        asked.append((fitted, gears))
+        # open loop is the worst with the second spectrum alone, nothing is worse without break-away there
+        size = level[name]
+        if gears == "teeth":
+            size = {fig16.OPEN_LOOP: 50.0, "no break-away term": 0.5}.get(name, size)
         wave = np.sin(np.linspace(0, 20 * np.pi, 2001))
-        return fig16.Tracking(np.linspace(0, 1, 2001), level[name] * np.stack([wave, wave, 2 * wave]), 3)
+        return fig16.Tracking(np.linspace(0, 1, 2001), size * np.stack([wave, wave, 2 * wave]), 3)
 
     monkeypatch.setattr(fig16, "track", track)
     _, by_id = made(fig16, settings)
-    assert len(settings.said) == 2 * len(fig16.CONTROLLERS)
+    assert len(settings.said) == 2 * len(fig16.CONTROLLERS) + 2
+    assert {(False, "stages"), (False, "teeth"), (True, "stages")} == set(asked)
     full = level[fig16.FULL]
     assert by_id["fig16.closed.max_deg"].ours == pytest.approx(full, rel=1e-4)
     assert by_id["fig16.closed.worst_unit_deg"].ours == pytest.approx(2.0 * full, rel=1e-4)
@@ -176,6 +189,16 @@ def test_figure_16_compares_every_controller_with_the_full_law(monkeypatch, sett
         {f"fig16.no_{k}.penalty": level[f"no {w} term"] / full for k, w in
          (("speed", "speed"), ("break_away", "break-away"), ("inertia", "inertia"))}
     )  # fmt: skip
+    # of five waves of 1 to 5 the open loop's is the largest
+    orders = {i.rpartition(".")[2]: q for i, q in by_id.items() if i.startswith("fig16.order.")}
+    assert {name: q.ours for name, q in orders.items()} == {
+        "open_loop_worst": 1.0, "no_speed_worse": 1.0, "no_break_away_worse": 0.5, "no_inertia_worse": 1.0,
+    }  # fmt: skip
+    assert orders["no_break_away_worse"].note.startswith("gears 'stages': true; gears 'teeth': false. ")
+    assert all(q.kind == "tuned" for i, q in by_id.items() if i.startswith("fig16.fitted."))
+    assert by_id["fig16.fitted.open_loop.max_deg"].paper == fig16.PAPER_OPEN_DEG
+    assert "FITTED" in by_id["fig16.fitted.open_loop.max_deg"].note
+    assert by_id["fig16.fitted.order.open_loop_worst"].ours == 1.0
     assert "6 false collisions" in by_id["fig16.shipped.max_deg"].note
     top, bottom = written[0].axes
     labels = [line.get_label() for line in bottom.lines if not line.get_label().startswith("_")]
@@ -287,7 +310,7 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
     monkeypatch.setattr(table01, "hexagonal", lambda instrument: [0])
     _, by_id = made(table01, SimpleNamespace(given=Settings(seed=1, n_seeds=2, full=full)))
     assert set(sizes) == {table01.MANY_UNITS if full else table01.UNITS}
-    assert by_id["table1.strictest_is_sdssv"].ours == 1.0
+    assert by_id["table1.order.strictest_is_sdssv"].ours == 1.0
     for row in table01.TABLE_1:
         worst = by_id[f"table1.{row.key}.max_um"]
         assert worst.ours == pytest.approx((1.5 if row.corrected else 4.0) * row.requirement_um)

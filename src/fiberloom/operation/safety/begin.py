@@ -25,8 +25,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
+from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
@@ -35,9 +35,6 @@ from fiberloom.units import rad_to_deg
 ALLOWED_MM = 0.5
 """How far an arm may be from where it reports, anywhere in its range. The collision buffer of two arms
 leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
-
-SCATTER_MM = 0.05
-"""Of healthy positioners about where they report, per coordinate: maps and image together."""
 
 TURNS = 5
 """Motor turns that are looked at on either side."""
@@ -293,12 +290,9 @@ def _overlaps(plane: FocalPlane, report: Report, standing: list[Standing], certa
 def _places(plane: FocalPlane, report: Report, certain: Flags) -> tuple[Floats, Flags]:
     """Angles (N, 2) of where each is, and of which of those that may not move the place is known."""
     where_deg = np.where(plane.offline[:, None], plane.offline_position_deg, report.angles_deg)
-    rows = np.flatnonzero(~certain & report.image.seen)
-    found = plane.inverse(report.image.xy_mm[rows], METROLOGY, index=rows)
-    reachable = rows[found.reachable]
-    where_deg[reachable] = np.column_stack([found.alpha_deg, found.beta_deg])[found.reachable]
-    placed = np.zeros(len(plane), dtype=bool)
-    placed[reachable] = True
+    placed = ~certain & report.image.seen
+    rows = np.flatnonzero(placed)
+    where_deg[rows], placed[rows] = where_seen(plane, rows, report.image.xy_mm[rows], report.angles_deg[rows])
     return where_deg, placed
 
 

@@ -13,11 +13,11 @@ from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.safety.begin import ALLOWED_MM, SCATTER_MM, Standing, allowed_miss_mm
+from fiberloom.operation.safety.begin import ALLOWED_MM, Standing, allowed_miss_mm
+from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
 from fiberloom.operation.session.states import SessionState, Step
@@ -129,14 +129,14 @@ class SessionMotion(FieldMotion):
         if image is None or not len(rows):
             return
         off_mm = np.hypot(*(image.xy_mm - state.metrology_mm(state.here_deg)).T)
-        for row in rows[image.seen[rows] & (off_mm[rows] > ALLOWED_MM)]:
-            found = self.plane.inverse(image.xy_mm[[row]], METROLOGY, index=[row])
+        moved = rows[image.seen[rows] & (off_mm[rows] > ALLOWED_MM)]
+        for row in moved:
             text = f"excluded, and seen {off_mm[row]:.2f} mm from where it was"
             state.recorder.event("alarm", text, int(self.plane.positioner_id[row]))
-            if found.reachable[0]:
-                state.here_deg[row] = found.alpha_deg[0], found.beta_deg[0]
-            else:
-                state.somewhere[row] = True
+        state.here_deg[moved], known = where_seen(
+            self.plane, moved, image.xy_mm[moved], state.here_deg[moved]
+        )
+        state.somewhere[moved] |= ~known
         unplaced = np.array((await self._places()).how) == UNKNOWN
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 

@@ -17,6 +17,7 @@ from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrum
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Camera
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
+from fiberloom.twin.gears import GearSpectrum
 from fiberloom.typing import Floats
 
 L_BETA_MM = 15.0
@@ -71,14 +72,15 @@ def make_bench(
     noise_um: float | None = None,
     change: Callable[[Units], None] | None = None,
     start_deg: ArrayLike | None = None,
+    gears: GearSpectrum = "stages",
 ) -> PaperBench:
     """A bench with `n` units of this `seed`; `change` may alter them before power-up.
 
     `noise_um`: of the camera, rms; the instrument's when None; `start_deg` (N, 2): where the arms are
-    at power-up.
+    at power-up; `gears`: the spectrum of the gears.
     """
     plane = paper_plane(seed, n)
-    units = draw_units(plane, seed)
+    units = draw_units(plane, seed, gears=gears)
     if change:
         change(units)
     twin = Twin(plane, units, seed=seed, neighbours=False, start_deg=start_deg)
@@ -90,9 +92,12 @@ def make_bench(
 
 
 @lru_cache(maxsize=16)
-def calibrated(seed: int, n: int, n_points: int = 200) -> Calibration:
-    """What `fiberloom calibrate transmission` finds on the bench of this seed."""
-    bench = make_bench(seed, n)
+def calibrated(seed: int, n: int, n_points: int = 200, gears: GearSpectrum = "stages") -> Calibration:
+    """What `fiberloom calibrate transmission` finds on the bench of this `seed`.
+
+    `n` units with this spectrum of `gears`; `n_points` per axis and direction.
+    """
+    bench = make_bench(seed, n, gears=gears)
     return finish(
         calibrate_transmission(bench.client, bench.camera, bench.plane, SweepSettings(n_points), seed=seed)
     )

@@ -55,43 +55,52 @@ def _opening(parts: Sequence[Part]) -> str:
 
 
 def _counts(quantities: Sequence[Quantity]) -> str:
-    compared = [q for q in quantities if q.paper is not None and not q.beyond]
-    parts = []
-    for kind in Kind:
-        some = [q for q in compared if q.kind is kind]
-        parts.append(f"{len(some)} {kind.value}")
-    predicted = [q for q in compared if q.kind is Kind.PREDICTED]
-    missed = sum(q.misses for q in predicted)
     return (
-        f"<p><strong>{len(compared)} numbers beside the paper's: {', '.join(parts)}.</strong> "
-        f"Of the {len(predicted)} predictions {len(predicted) - missed} are within 25 % (or on the right "
-        f"side of the paper's bound), {missed} miss.</p>"
+        f"<p><strong>{numbers.headline(quantities)}.</strong> A number hits within 25 %, an ordering where "
+        f"it holds for every seed. Beside them, no predictions: {numbers.others(quantities)}.</p>"
     )
 
 
 def _misses(parts: Sequence[Part]) -> str:
-    rows = [
-        f'<li><a href="#{p.name}">{escape(p.heading)}</a>, {escape(q.name)}: paper {numbers.paper(q)}, '
-        f"ours {numbers.ours(q)} {escape(q.unit)} (ratio {numbers.ratio(q)}). {_why(q)}</li>"
-        for p in parts
-        for q in p.quantities
-        if q.misses
-    ]
-    return f"<p>Predictions that miss:</p><ul>{''.join(rows)}</ul>" if rows else ""
+    """Everything that is not as in the paper: the real predictions first."""
+    wrong = [(p, q) for p in parts for q in p.quantities if q.misses]
+    rows = [_miss(p, q) for p, q in sorted(wrong, key=lambda found: not found[1].real_prediction)]
+    return f"<p>Not as in the paper:</p><ul>{''.join(rows)}</ul>" if rows else ""
+
+
+def _miss(part: Part, q: Quantity) -> str:
+    against = f" {escape(numbers.unit(q))} (ratio {numbers.ratio(q)})" if not q.is_ordering else ""
+    return (
+        f'<li><strong>{numbers.verdict(q)}</strong>: <a href="#{part.name}">{escape(part.heading)}</a>, '
+        f"{escape(q.name)}: paper {numbers.paper(q)}, ours {numbers.ours(q)}{against}. {_why(q)}</li>"
+    )
 
 
 def _why(q: Quantity) -> str:
     return escape(q.note) if q.note else "No reason found yet."
 
 
+_MEANING = {
+    Kind.PUT_IN: "a parameter taken from the paper, so it tests only that the measurement gives it back",
+    Kind.TUNED: "a parameter chosen or fitted so that this number agrees",
+    Kind.IDENTITY: "arithmetic or geometry of what was put in",
+    Kind.REQUIREMENT: "what an instrument asks for",
+    Kind.BOUND: "the paper prints one side only",
+    Kind.PREDICTED: "it came out; a real prediction where the paper prints a number or an ordering",
+}
+
+
 def _kinds() -> str:
+    words = "; ".join(f"{_badge(kind, kind.value)} {text}" for kind, text in _MEANING.items())
     return (
-        '<p class="small"><span class="kind">put in</span> a parameter taken from the paper, so it tests '
-        'only that the measurement gives it back; <span class="kind tuned">tuned</span> a parameter chosen '
-        'so that this number agrees; <span class="kind predicted">predicted</span> it came out. The spread '
-        "is the standard deviation over seeds; every seed draws its own units. Green rows are not in the "
+        f'<p class="small">{words}. The spread is the standard deviation over seeds; every seed draws its '
+        "own units. Where the paper prints no number, a dash stands beside ours. Green rows are not in the "
         "paper.</p>"
     )
+
+
+def _badge(kind: Kind, text: str) -> str:
+    return f'<span class="kind {kind.value.replace(" ", "-")}">{text}</span>'
 
 
 def _section(part: Part, out: Path) -> str:
@@ -117,12 +126,16 @@ def _table(quantities: Sequence[Quantity]) -> str:
 
 def _row(q: Quantity) -> str:
     mark = "miss" if q.misses else "beyond" if q.beyond else ""
-    colour = "missing" if q.misses else q.kind.value.replace(" ", "-")
+    badge = (
+        f'<span class="kind missing">{numbers.verdict(q)}</span>'
+        if q.misses
+        else _badge(q.kind, q.kind.value)
+    )
     note = _why(q) if q.misses else escape(q.note)
     return (
         f'<tr id="{q.id}" class="{mark}"><td>{escape(q.name)}</td><td class="n">{numbers.paper(q)}</td>'
-        f'<td class="n">{numbers.ours(q)}</td><td>{escape(q.unit)}</td><td class="n">{numbers.ratio(q)}</td>'
-        f'<td><span class="kind {colour}">{numbers.verdict(q)}</span></td><td class="note">{note}</td></tr>'
+        f'<td class="n">{numbers.ours(q)}</td><td>{escape(numbers.unit(q))}</td>'
+        f'<td class="n">{numbers.ratio(q)}</td><td>{badge}</td><td class="note">{note}</td></tr>'
     )
 
 

@@ -24,7 +24,7 @@ def table_markdown(parts: Sequence[Part]) -> str:
                 name,
                 numbers.paper(q),
                 numbers.ours(q),
-                q.unit,
+                numbers.unit(q),
                 numbers.ratio(q),
                 numbers.verdict(q),
                 q.note,

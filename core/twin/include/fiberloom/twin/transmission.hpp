@@ -18,8 +18,9 @@ namespace fl::twin {
 inline constexpr int nodes_per_turn = 4096;
 
 // Cycles per output turn: eccentricities (1 to 3), the 36 tooth pairings of the last stage with
-// sidebands (teeth differ) and overtones (peaks are sharp), and an earlier stage, 36 x 5.66.
-inline constexpr std::array<int, 9> harmonic_orders = {1, 2, 3, 35, 36, 37, 72, 108, 204};
+// sidebands (teeth differ) and overtones (peaks are sharp), and an earlier stage, 36 x 5.66, with its own.
+// A gear need not have them all (src/fiberloom/twin/gears.py).
+inline constexpr std::array<int, 13> harmonic_orders = {1, 2, 3, 35, 36, 37, 71, 72, 73, 108, 203, 204, 205};
 inline constexpr int harmonic_count = static_cast<int>(harmonic_orders.size());
 inline constexpr int wear_count = 8;
 

@@ -11,7 +11,7 @@ from fiberloom.blocking import finish
 from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import PaperBench, make_bench
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
+from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.twin import Fault, Units
 from fiberloom.typing import Floats
 from fiberloom.units import TICK_S
@@ -129,6 +129,7 @@ def _quantities(found: dict[tuple[str, str], list[StopsFound]]) -> list[Quantity
             "blocked rotors not found, by any law",
             float(trials - sum(len(f.delay_ms) for f in every)),
             "1",
+            Kind.BOUND,
             paper=0.0,
             bound=Bound.AT_MOST,
         ),
@@ -137,6 +138,7 @@ def _quantities(found: dict[tuple[str, str], list[StopsFound]]) -> list[Quantity
             "false collisions before the block",
             float(sum(f.false for f in every)),
             "1",
+            Kind.BOUND,
             paper=0.0,
             bound=Bound.AT_MOST,
             note=f"{trials} moves of both axes to {SPEED_RPM} rpm",
@@ -158,6 +160,7 @@ def _latest(key: str, axis: str, law: str, runs: list[StopsFound], beyond: bool)
         f"{axis}: {law}, latest of all trials",
         [float(f.delay_ms.max()) if len(f.delay_ms) else np.nan for f in runs],
         "ms",
+        Kind.BOUND,
         paper=PAPER_MS,
         bound=Bound.AT_MOST,
         beyond=beyond,

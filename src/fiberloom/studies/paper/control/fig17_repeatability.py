@@ -116,6 +116,7 @@ def _quantities(axis: int, found: list[Visits], exact: list[Visits]) -> list[Qua
             f"{name}: 1 um at the fibre, in motor degrees",
             float(rad_to_deg(1.0 / UM_PER_MM / LEVER_MM[axis])) * GEAR,
             "deg",
+            Kind.IDENTITY,
             paper=PAPER_STEP_DEG[axis],
             note=f"geometry: 1 um over the lever, times {GEAR:g}",
         ),
@@ -124,8 +125,9 @@ def _quantities(axis: int, found: list[Visits], exact: list[Visits]) -> list[Qua
             f"{name}: targets apart, as seen",
             [float(v.apart_um().mean()) for v in found],
             "um",
+            Kind.PUT_IN,
             paper=1.0,
-            note="moves by a linear ratio: the local slope of the gear stays in it",
+            note="what was sent, by a linear ratio: the local slope of the gear stays in it",
         ),
         quantity(
             f"fig17.{name}.control_nm",

@@ -12,7 +12,7 @@ from fiberloom.instruments import FocalPlane, Instrument, generate
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.studies.paper.bench import paper_instrument
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
+from fiberloom.studies.paper.quantity import Kind, Quantity, ordering, quantity
 from fiberloom.typing import Floats
 
 Counts = NDArray[np.int64]
@@ -106,40 +106,45 @@ def area_ratio(instrument: Instrument) -> float:
 def _quantities(instrument: Instrument, one: Coverage, half: Coverage) -> list[Quantity]:
     mean = area_ratio(instrument)
     return [
-        quantity(
-            "fig05.every.covered",
-            "share of the plane reached, every positioner",
-            one.covered,
-            "1",
-            paper=1.0,
-            note="the paper: full coverage if every positioner reaches the centre of its neighbours",
+        ordering(
+            "fig05.order.full_coverage",
+            "every point of the plane is reached if every positioner has a fibre",
+            one.covered == 1.0,
+            Kind.IDENTITY,
+            note="geometry: every positioner reaches the centre of its neighbours",
         ),
         quantity(
             "fig05.every.mean",
             "fibres per point, every positioner",
             one.mean,
             "1",
-            paper=mean,
-            note="the paper prints a map; beside ours stands the ratio of areas of its design",
+            Kind.IDENTITY,
+            note=f"the paper prints a map and no number; the ratio of areas of its design is {mean:.3f}",
         ),
         quantity(
             "fig05.every.min",
             "fewest fibres at any point, every positioner",
             float(one.count.min()),
             "1",
-            paper=1.0,
-            bound=Bound.AT_LEAST,
+            Kind.IDENTITY,
+            note="the paper prints a map and no number",
         ),
         quantity(
             "fig05.second.covered",
             "share of the plane reached, every second positioner",
             half.covered,
             "1",
+            Kind.IDENTITY,
             note="the paper: almost full coverage, no number; which ones carry a fibre is our choice (every "
             "second along rows that are shifted against each other)",
         ),
         quantity(
-            "fig05.second.mean", "fibres per point, every second positioner", half.mean, "1", paper=0.5 * mean
+            "fig05.second.mean",
+            "fibres per point, every second positioner",
+            half.mean,
+            "1",
+            Kind.IDENTITY,
+            note=f"half the ratio of areas is {0.5 * mean:.3f}; no number in the paper",
         ),
     ]
 

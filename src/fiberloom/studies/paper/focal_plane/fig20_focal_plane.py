@@ -16,7 +16,7 @@ from fiberloom.operation.survey import SurveySettings, survey
 from fiberloom.studies.paper.bench import Mover, PaperBench, calibrated, make_bench, paper_plane
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Bound, Quantity, quantity
+from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
 from fiberloom.twin import bench_hardware, draw_units, field_hardware
 from fiberloom.twin.draw import misplaced
 from fiberloom.typing import Floats
@@ -174,6 +174,7 @@ def _quantities(printed: list[Convergence], better: list[Convergence]) -> list[Q
                 f"error of the {name} after 80 configurations, rms",
                 _at(printed, 80, what),
                 "um",
+                Kind.BOUND,
                 paper=PAPER_UM,
                 bound=Bound.AT_MOST,
                 note="the paper: well below one micrometre with about 80. Ours averages the maps' error, 9 "
@@ -187,6 +188,7 @@ def _quantities(printed: list[Convergence], better: list[Convergence]) -> list[Q
             "configurations until both are below 1 um rms, survey of a field",
             [c.needed() for c in better],
             "1",
+            Kind.BOUND,
             paper=PAPER_CONFIGURATIONS,
             bound=Bound.AT_MOST,
             beyond=True,

@@ -20,7 +20,7 @@ from fiberloom.operation.move import Move
 from fiberloom.studies.paper.focal_plane.fig05_coverage import cover, hexagonal
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
+from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, quantity
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
 from fiberloom.typing import Floats, Ints
@@ -183,13 +183,14 @@ def run(settings: Settings) -> FigureOutcome:
 
 def _stringent() -> Quantity:
     strictest = min(TABLE_1, key=lambda row: row.tolerance_mdeg)
-    return quantity(
-        "table1.strictest_is_sdssv",
-        "SDSS-V asks for the most accurate alpha axis of the six (1: yes)",
-        float(strictest.key == "sdssv"),
-        "1",
-        paper=1.0,
-        note=", ".join(f"{row.name} {row.tolerance_mdeg:.1f}" for row in TABLE_1) + " mdeg",
+    return ordering(
+        "table1.order.strictest_is_sdssv",
+        "SDSS-V asks for the most accurate alpha axis of the six",
+        strictest.key == "sdssv",
+        Kind.IDENTITY,
+        note="requirement over reach: "
+        + ", ".join(f"{row.name} {row.tolerance_mdeg:.1f}" for row in TABLE_1)
+        + " mdeg",
     )
 
 
@@ -204,6 +205,7 @@ def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
             f"{row.name}: worst fibre after {word}, true",
             [float(r.error_um[-1].max()) for r in runs],
             "um",
+            Kind.REQUIREMENT,
             paper=row.requirement_um,
             bound=Bound.AT_MOST,
             note=_note(row, runs),
@@ -221,6 +223,7 @@ def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
             f"{row.name}: share of the plane that a fibre reaches",
             coverage.covered,
             "1",
+            Kind.IDENTITY,
             note=f"arms {row.l_alpha_mm:g} and {row.l_beta_mm:g} mm, pitch {row.pitch_mm:g} mm",
         ),
     ]

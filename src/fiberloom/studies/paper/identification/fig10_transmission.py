@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fiberloom.calibration import NEGATIVE, POSITIVE, TransmissionMaps
+from fiberloom.calibration.transmission.backlash import backlash_at_knots_deg, gap_motor_deg
 from fiberloom.instruments.model import AXES
 from fiberloom.studies.paper.bench import calibrated, make_bench
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
@@ -16,7 +17,7 @@ from fiberloom.twin import Units
 from fiberloom.typing import Floats
 
 UNITS = 8
-POINTS, MORE_POINTS = 200, 400
+POINTS, MORE_POINTS = 200, 800
 PAPER_PEAKS, PAPER_BACKLASH_DEG = 36.0, (40.0, 250.0)
 _TEETH = (12, 100)
 """Orders among which the tooth pairings are looked for: above eccentricities, below what 200 points see."""
@@ -26,8 +27,12 @@ _TEETH = (12, 100)
 class GearCurves:
     """What the calibration of one seed's units says."""
 
+    gap_deg: Floats
+    """(2,) smallest and largest gap between the contacts, of any unit and angle, motor deg."""
     backlash_deg: Floats
-    """(2,) smallest and largest backlash of any unit and angle, motor deg."""
+    """(2,) the same of the backlash by Eq. 7, T- between its knots by a spline."""
+    off_deg: Floats
+    """(2,) rms of gap and of backlash less the true backlash, motor deg."""
     peaks: Floats
     """(units,) strongest order of delta among those of tooth pairings, alpha, per turn."""
     error_mdeg: Floats
@@ -36,14 +41,28 @@ class GearCurves:
 
 def measure(seed: int, n_points: int, n_units: int = UNITS) -> GearCurves:
     """Calibrates `n_units` units with `n_points` points per axis and direction."""
-    maps = calibrated(seed, n_units, n_points).maps
-    return GearCurves(_backlash_range(maps), _peaks(maps), _errors(maps, make_bench(seed, n_units).units))
+    maps, units = calibrated(seed, n_units, n_points).maps, make_bench(seed, n_units).units
+    gap, backlash = gap_motor_deg(maps), backlash_at_knots_deg(maps)
+    true = _true_backlash_deg(maps, units)
+    return GearCurves(
+        _ends(gap),
+        _ends(backlash),
+        np.array([float(np.sqrt(np.nanmean((found - true) ** 2))) for found in (gap, backlash)]),
+        _peaks(maps),
+        _errors(maps, units),
+    )
 
 
-def _backlash_range(maps: TransmissionMaps) -> Floats:
-    """At the knots: in between the interpolation of both directions would come in."""
-    gap = maps.provenance.gear * (maps.output_deg[:, :, 0] - maps.output_deg[:, :, 1])
-    return np.array([gap.min(), gap.max()])
+def _ends(values: Floats) -> Floats:
+    return np.array([np.nanmin(values), np.nanmax(values)])
+
+
+def _true_backlash_deg(maps: TransmissionMaps, units: Units) -> Floats:
+    """(N, 2, K) motor deg at the knots of positive contact."""
+    true = np.empty_like(maps.output_deg[:, :, 1])
+    for row, axis in np.ndindex(true.shape[:2]):
+        true[row, axis] = units.transmission(row, axis, maps.output_deg[row, axis, 1])[1]
+    return true
 
 
 def _peaks(maps: TransmissionMaps) -> Floats:
@@ -75,6 +94,7 @@ def run(settings: Settings) -> FigureOutcome:
     return FigureOutcome(
         quantities=[
             *_paper_quantities(found),
+            *_corrected(found, more),
             *_errors_of(found, POINTS, False),
             *_errors_of(more, MORE_POINTS, True),
         ],
@@ -85,9 +105,13 @@ def run(settings: Settings) -> FigureOutcome:
             "largest backlash of all of them."
         ),
         beyond=[
-            "The map's own error is known, because the twin's gear is: twice the points halve the blind "
-            "error, since the gear's earlier stage ripples 204 times a turn, which 200 points cannot "
-            "follow. That ripple is an assumption of the twin (docs/twin.md)."
+            f"The map's own error is known, because the twin's gear is: {MORE_POINTS} points follow the "
+            f"ripple of the gear's earlier stage, 204 times a turn, which {POINTS} cannot. That ripple is an "
+            "assumption of the twin (docs/twin.md).",
+            "The gap between both contacts at one motor angle is the backlash over the local slope of the "
+            "gear, so that its largest value is too large by the ripple's slope. Eq. 7 with a spline "
+            "between the knots takes the slope out where the knots are close enough to see it; with "
+            f"{POINTS} points nothing does.",
         ],
     )
 
@@ -97,11 +121,12 @@ def _paper_quantities(found: list[GearCurves]) -> list[Quantity]:
         quantity(
             f"fig10.backlash.{word}_motor_deg",
             f"{name} backlash",
-            [g.backlash_deg[side] for g in found],
+            [g.gap_deg[side] for g in found],
             "motor deg",
             Kind.PUT_IN,
             paper=PAPER_BACKLASH_DEG[side],
-            note="the extremes of Fig. 10 were put into the units; the calibration gives them back",
+            note="the extremes of Fig. 10 were put into the units as true backlash; this is the gap between "
+            "the contacts, which is backlash over the slope of the gear: the ripple widens the range",
         )
         for side, (word, name) in enumerate((("min", "smallest"), ("max", "largest")))
     ]
@@ -115,6 +140,38 @@ def _paper_quantities(found: list[GearCurves]) -> list[Quantity]:
         note="strongest order between 12 and 100 of the calibrated map, mean over units",
     )
     return [*rows, peaks]
+
+
+def _corrected(found: list[GearCurves], more: list[GearCurves]) -> list[Quantity]:
+    """What the slope of the gear does to the estimate, and what is left of it."""
+    ends = [
+        quantity(
+            f"fig10.backlash.corrected.{word}_motor_deg",
+            f"{name} backlash by Eq. 7 and a spline, {MORE_POINTS} points",
+            [g.backlash_deg[side] for g in more],
+            "motor deg",
+            Kind.PUT_IN,
+            paper=PAPER_BACKLASH_DEG[side],
+            note="the slope of the gear taken out; the camera's noise stays",
+            beyond=True,
+        )
+        for side, (word, name) in enumerate((("min", "smallest"), ("max", "largest")))
+    ]
+    ways = (("gap", "gap between the contacts"), ("eq7", "backlash by Eq. 7 and a spline"))
+    return [
+        *ends,
+        *(
+            quantity(
+                f"fig10.backlash.{way}_{points}.off_motor_deg",
+                f"{name}, {points} points, less the true backlash, rms",
+                [g.off_deg[k] for g in runs],
+                "motor deg",
+                beyond=True,
+            )
+            for k, (way, name) in enumerate(ways)
+            for points, runs in ((POINTS, found), (MORE_POINTS, more))
+        ),
+    ]
 
 
 def _errors_of(found: list[GearCurves], points: int, beyond: bool) -> list[Quantity]:

@@ -8,7 +8,7 @@ import numpy as np
 from fiberloom.calibration import BreakAway, break_away
 from fiberloom.studies.paper.identification.identified import UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, quantity
+from fiberloom.studies.paper.quantity import Kind, Quantity, ordering, quantity
 
 ALPHA = 0
 PLACE = 2
@@ -76,9 +76,14 @@ def _quantities(found: list[Identified]) -> list[Quantity]:
             [float(np.mean([asymmetry(c) for c in some])) for some in each],
             "1",
             Kind.PUT_IN,
-            paper=1.0,
-            bound=Bound.AT_LEAST,
-            note="the paper shows that it is higher against the spring, and prints no number",
+            note="the paper prints no number",
+        ),
+        ordering(
+            "fig11.order.negative_needs_more",
+            "more torque is needed in the negative direction, against the spring",
+            [all(asymmetry(c) > 1.0 for c in some) for some in each],
+            Kind.PUT_IN,
+            note="of every unit; the spring is put in",
         ),
         quantity(
             "fig11.coulomb_uNm",

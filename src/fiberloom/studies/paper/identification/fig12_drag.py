@@ -9,7 +9,7 @@ import numpy as np
 
 from fiberloom.studies.paper.identification.identified import RUN_RPM, UNITS, Identified, each_seed
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
-from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
+from fiberloom.studies.paper.quantity import Kind, Quantity, ordering, quantity
 from fiberloom.typing import Floats
 from fiberloom.units import GEAR, motor_to_output_deg
 
@@ -102,8 +102,8 @@ def _quantities(found: list[Identified]) -> list[Quantity]:
             [_linear_in_angle(f) for f in found],
             "1",
             Kind.PUT_IN,
-            paper=1.0,
-            note="a linear spring is put in (Eq. 3a); noise of voltage and steps of the PWM are the rest",
+            note="a linear spring is put in (Eq. 3a); noise of voltage and steps of the PWM are the rest; no "
+            "number printed",
         ),
         quantity(
             "fig12.linear_in_speed",
@@ -111,8 +111,7 @@ def _quantities(found: list[Identified]) -> list[Quantity]:
             [_linear_in_speed(f) for f in found],
             "1",
             Kind.PUT_IN,
-            paper=1.0,
-            note="viscous friction and back-EMF are put in (Eq. 8, 19)",
+            note="viscous friction and back-EMF are put in (Eq. 8, 19); no number printed",
         ),
         quantity(
             "fig12.drag_uNms",
@@ -128,7 +127,14 @@ def _quantities(found: list[Identified]) -> list[Quantity]:
             [_steepest_at_zero(f) for f in found],
             "1",
             Kind.PUT_IN,
-            note="the paper: highest at 0; no number printed",
+            note="no number printed",
+        ),
+        ordering(
+            "fig12.order.highest_at_zero",
+            "the spring's torque is highest at 0 deg",
+            [_steepest_at_zero(f) > 1.0 for f in found],
+            Kind.PUT_IN,
+            note="the spring is put in",
         ),
     ]
 

@@ -30,9 +30,9 @@ def _quantities(found: list[Study]) -> list[Quantity]:
             "largest change of beta's delta, as recalibrated",
             [largest_change_deg(s) for s in found],
             "deg",
-            Kind.PUT_IN,
+            Kind.TUNED,
             paper=PAPER_CHANGE_DEG,
-            note="marks of wear were given the paper's size; the paper shows two units, here the most of "
+            note="the heights of the marks were chosen for it; the paper shows two units, here the most of "
             "four",
         )
     ]

@@ -71,7 +71,6 @@ def _quantities(found: list[Study]) -> list[Quantity]:
             "share of the gear's change that Eq. 33 as printed follows, whole range of beta",
             [followed(s, "adaptive_paper") for s in found],
             "1",
-            paper=1.0,
             note="the paper: good tracking, no number; ripple averaged out over 5.5 deg. Near 0 and 180 deg "
             "an image tells next to nothing of beta, and few targets lie there: a mark of wear at the ends "
             "stays unknown, and does little harm. At default size it also learns from every ninth cycle only",
@@ -81,7 +80,6 @@ def _quantities(found: list[Study]) -> list[Quantity]:
             "the same between 10 and 170 deg",
             [followed(s, "adaptive_paper", 10.0) for s in found],
             "1",
-            paper=1.0,
             note="the paper: good tracking, no number",
         ),
         quantity(

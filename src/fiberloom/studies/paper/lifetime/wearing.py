@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +11,9 @@ import numpy as np
 from fiberloom.studies.lifetime import DELTAS, WAYS, LifetimeSettings, delta_angles_deg, lifetime
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
 from fiberloom.studies.paper.quantity import Quantity
+from fiberloom.studies.paper.spectra import SPECTRA
 from fiberloom.twin.bench import bench_units
+from fiberloom.twin.gears import GearSpectrum
 from fiberloom.typing import Array, Floats, Ints
 
 UNITS, CYCLES = 4, 100
@@ -25,8 +27,8 @@ SMALLER = (
 HOW = (
     "The statistical twin (standstill positions of the same units, held against the full physics by its "
     f"tests) goes through {CYCLES} cycles of 15260 moves: a calibration, then 1220 random targets, blind "
-    "and nine corrections. How much wear there is was put in (Fig. 21 and 22); how many marks, how wide and "
-    "how fast is assumed (docs/twin.md). Arms are the preset's, 7.4 and 14.3 mm."
+    "and nine corrections. How much wear there is was put in (arms, Fig. 21) or tuned (gears, Fig. 22); how "
+    "many marks, how wide and how fast is assumed (docs/twin.md). Arms are the preset's, 7.4 and 14.3 mm."
 )
 
 
@@ -59,19 +61,19 @@ class Study:
         return np.asarray(self.rows["delta_deg"][:, :, DELTAS.index(name), BETA])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def study(seed: int, settings: LifetimeSettings, n_units: int = UNITS) -> Study:
     """Simulates the units of this seed."""
-    plane, _ = bench_units(settings.instrument, seed, range(n_units))
+    plane, _ = bench_units(settings.instrument, seed, range(n_units), settings.gears)
     return Study(settings, delta_angles_deg(plane)[BETA], lifetime(range(n_units), seed, settings))
 
 
-def studies(settings: Settings, figure: int) -> list[Study]:
-    """One for each seed."""
-    out = []
+def studies(settings: Settings, figure: int, gears: GearSpectrum = SPECTRA[0]) -> list[Study]:
+    """One for each seed, told to the user as work for this `figure`, with this spectrum of `gears`."""
+    out, known = [], "" if gears == SPECTRA[0] else f", gears '{gears}'"
     for seed in settings.seeds:
-        settings.say(f"Figure {figure}: lifetime test, seed {seed}")
-        out.append(study(seed, FULL if settings.full else DEFAULT))
+        settings.say(f"Figure {figure}: lifetime test, seed {seed}{known}")
+        out.append(study(seed, replace(FULL if settings.full else DEFAULT, gears=gears)))
     return out
 
 

@@ -1,0 +1,1 @@
+"""Where the science fibres are on their arms, which no metrology camera sees: found with stars."""

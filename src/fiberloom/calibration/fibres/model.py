@@ -1,0 +1,198 @@
+"""Fluxes of a dithered field as its unknowns give them, and one step of least squares.
+
+    flux_en = exp(a_n + t_e) T(|s_en|; fwhm_e)
+    s_en    = star_n - fibre_n + dither_e + guide_e + turn_e J x_n + scale_e x_n - v_n
+
+Unknown per star n: its flux a_n (logarithm) and v_n, the fibre's offset in the focal plane, um. Unknown per
+exposure e: transparency t_e and FWHM (logarithms), and how the guider was off: shift, rotation, scale, the
+last two in um at the rms radius of the field (x_n is the place in the field in that unit, J turns by 90 deg).
+
+Of these the mean shift, rotation and scale over all exposures cannot be told from a pattern of offsets
+that all fibres share, nor the mean transparency from the stars' fluxes: they are held at 0 here, and
+`estimate` then says what of the offsets is left open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiberloom.calibration.fibres.dithered import CORE_UM, DitheredField
+from fiberloom.calibration.fibres.throughput import StarProfile, light
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import UM_PER_MM
+
+OF_STAR, OF_EXPOSURE, MODES = 3, 6, 4
+"""Numbers of unknowns, and of patterns that the guider shares with the offsets."""
+_HELD = 1e-3
+"""A mean over exposures that is held at 0 is so within this."""
+_SEEING_MEAN = 0.5
+"""Rms of the logarithm of the mean FWHM about the first guess."""
+
+
+@dataclass(frozen=True)
+class FieldSettings:
+    """What is known of telescope and stars before the fit."""
+
+    core_um: float = CORE_UM
+    """Diameter of the fibres' cores."""
+    profile: StarProfile = field(default_factory=StarProfile)
+    """Of the stars; its width is fitted."""
+    guide_um: float = 10.0
+    """Rms per coordinate by which a dither may differ from what is told."""
+    turn_um: float = 2.0
+    """The same of rotation and scale, at the rms radius of the field."""
+    seeing_spread: float = 0.3
+    """Rms of the logarithm of the FWHM among the exposures of a field."""
+    transparency_spread: float = 0.2
+    """The same of the transparency, at first. The light that outer dithers lose tells the seeing, as far as
+    the transparency does not change; how much it does the fit finds."""
+    most_sigma_um: float = 10.0
+    """Of an offset that still counts as found, per coordinate."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Where the fit is."""
+
+    star: Floats
+    """(N, 3): logarithm of the flux, v_x and v_y in um."""
+    exposure: Floats
+    """(E, 6): logarithms of transparency and FWHM in um; shift x, y, rotation, scale in um."""
+
+    def moved(self, star: Floats, exposure: Floats) -> Unknowns:
+        """Further by a step: `star` (N, 3) and `exposure` (E, 6), logarithms and um."""
+        return Unknowns(self.star + star, self.exposure + exposure)
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations, with the stars' unknowns taken out (Schur)."""
+
+    star: Floats
+    """(N, 3, 3) inverse of each star's own block."""
+    felt: Floats
+    """(N, 3, 6 E) that inverse times what stars and exposures share."""
+    exposure: Floats
+    """(6 E, 6 E) covariance of the exposures' unknowns."""
+    step: tuple[Floats, Floats]
+    """Of stars (N, 3) and exposures (E, 6)."""
+
+
+class FieldModel:
+    """Fluxes, residuals and steps of one field."""
+
+    def __init__(self, field: DitheredField, settings: FieldSettings) -> None:
+        self.field, self.settings = field, settings
+        self.apart_um = UM_PER_MM * (field.star_mm - field.fibre_mm)
+        self.place = places_of(field.fibre_mm)
+        self.seen = field.measured
+        self.flux = np.where(self.seen, field.flux, 0.0)
+        self.error = np.where(self.seen, field.flux_error, 1.0)
+        self.fwhm_um = 0.7 * settings.core_um
+        """About which the seeing is expected; `start` finds a better one."""
+
+    def offsets_um(self, at: Unknowns) -> Floats:
+        """(E, N, 2) um from each fibre to its star."""
+        guide = at.exposure[:, 2:4, None] + np.einsum("nck,ek->ecn", self.place, at.exposure[:, 4:6])
+        moved = self.field.dither_um[:, :, None] + guide
+        shifted: Floats = np.swapaxes(moved, 1, 2) + self.apart_um - at.star[:, 1:]
+        return shifted
+
+    def fluxes(self, at: Unknowns) -> tuple[Floats, Floats, Floats]:
+        """Fluxes (E, N), and their derivatives by stars (E, N, 3) and exposures (E, N, 6), per um or none."""
+        s = self.offsets_um(at)
+        r = np.hypot(s[..., 0], s[..., 1])
+        fwhm = np.exp(at.exposure[:, 1, None])
+        found = light(self.settings.profile, r, fwhm, self.settings.core_um)
+        bright = np.exp(at.star[:, 0] + at.exposure[:, 0, None])
+        flux = bright * found.share
+        slope = (bright * found.per_um)[..., None] * s / np.maximum(r, 1e-9)[..., None]
+        turned = np.einsum("enc,nck->enk", slope, self.place)
+        by_star = np.concatenate([flux[..., None], -slope], axis=-1)
+        by_exposure = np.concatenate(
+            [flux[..., None], (bright * found.per_fwhm)[..., None], slope, turned], axis=-1
+        )
+        return flux, by_star, by_exposure
+
+    def residuals(self, at: Unknowns) -> Floats:
+        """(E, N) in sigmas; 0 where nothing was measured."""
+        return np.where(self.seen, (self.flux - self.fluxes(at)[0]) / self.error, 0.0)
+
+    def cost(self, at: Unknowns, weight: Floats) -> float:
+        """Half of it is minus the logarithm of the probability: a number of sigmas squared.
+
+        `at`: the unknowns; `weight` (E, N): of the fluxes.
+        """
+        value = (weight * self.residuals(at) ** 2).sum()
+        off = (at.exposure - self._expected(at)).ravel()
+        return float(value + off @ self._prior() @ off)
+
+    def normal(self, at: Unknowns, weight: Floats, damping: float = 0.0) -> Normal:
+        """Normal equations at a place; `weight` (E, N): of the fluxes; `damping`: a ratio, Marquardt's."""
+        flux, by_star, by_exposure = self.fluxes(at)
+        root = np.sqrt(weight) * self.seen / self.error
+        js, je = by_star * root[..., None], by_exposure * root[..., None]
+        left = (self.flux - flux) * root
+        n_e, n = left.shape
+        d = np.einsum("enp,enq->npq", js, js)
+        b = np.einsum("enp,enq->npeq", js, je).reshape(n, OF_STAR, n_e * OF_EXPOSURE)
+        a = self._prior()
+        pull = -a @ (at.exposure - self._expected(at)).ravel()
+        blocks = a.reshape(n_e, OF_EXPOSURE, n_e, OF_EXPOSURE)
+        blocks[np.arange(n_e), :, np.arange(n_e)] += np.einsum("enp,enq->epq", je, je)
+        right_star = np.einsum("enp,en->np", js, left)
+        right_exposure = np.einsum("enp,en->ep", je, left).ravel() + pull
+        d = _damped(d, damping) + 1e-9 * np.eye(OF_STAR)
+        a = _damped(a[None], damping)[0]
+        inverse = np.asarray(np.linalg.inv(d), dtype=np.float64)
+        felt: Floats = inverse @ b
+        schur: Floats = np.linalg.inv(a - np.einsum("npk,npl->kl", b, felt, optimize=True))
+        exposure = schur @ (right_exposure - np.einsum("npk,np->k", felt, right_star, optimize=True))
+        star = np.einsum("npq,nq->np", inverse, right_star) - felt @ exposure
+        return Normal(inverse, felt, schur, (star, exposure.reshape(n_e, OF_EXPOSURE)))
+
+    def _expected(self, at: Unknowns) -> Floats:
+        expected = np.zeros_like(at.exposure)
+        expected[:, 1] = np.log(self.fwhm_um)
+        return expected
+
+    def _prior(self) -> Floats:
+        """(6 E, 6 E) weights of the exposures' unknowns among themselves."""
+        n_e, s = self.field.n_exposures, self.settings
+        spread = np.array([s.transparency_spread, s.seeing_spread, *[s.guide_um] * 2, *[s.turn_um] * 2])
+        mean = np.array([_HELD, _SEEING_MEAN, *[_HELD] * MODES])
+        alike = np.full((n_e, n_e), 1.0 / n_e)
+        # apart from their mean by the spread, and the mean within its own
+        each = [
+            (np.eye(n_e) - alike) / u**2 + alike / (n_e * m**2) for u, m in zip(spread, mean, strict=True)
+        ]
+        blocks = np.zeros((n_e, OF_EXPOSURE, n_e, OF_EXPOSURE))
+        for k, weights in enumerate(each):
+            blocks[:, k, :, k] = weights
+        return blocks.reshape(n_e * OF_EXPOSURE, n_e * OF_EXPOSURE)
+
+    def select(self, rows: Ints) -> FieldModel:
+        """The model of some of the fibres; their places in the field stay."""
+        part = FieldModel(self.field.select(rows), self.settings)
+        part.place, part.fwhm_um = self.place[rows], self.fwhm_um
+        return part
+
+
+def places_of(xy_mm: Floats) -> Floats:
+    """(N, 2, 2) directions in which fibres (N, 2) move where the field turns, and where it grows.
+
+    A ratio: by how much against the rms radius of the field.
+    """
+    apart = xy_mm - xy_mm.mean(axis=0)
+    radius = np.sqrt((apart**2).sum(axis=1).mean()) if len(apart) else 1.0
+    x, y = (apart / max(float(radius), 1e-9)).T
+    return np.stack([np.stack([-y, x], axis=-1), np.stack([x, y], axis=-1)], axis=-1)
+
+
+def _damped(blocks: Floats, damping: float) -> Floats:
+    out = blocks.copy()
+    diagonal = np.einsum("nii->ni", out)
+    diagonal *= 1.0 + damping
+    return out

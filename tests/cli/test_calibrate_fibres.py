@@ -1,0 +1,78 @@
+"""`fiberloom calibrate fibres`: on the twin, from recorded exposures, and used by `observe`."""
+
+import json
+
+import numpy as np
+import pytest
+
+import fiberloom as fl
+from fiberloom.calibration.fibres.exposures_file import read_exposures
+from fiberloom.calibration.fibres.offsets import FibreOffsets
+from fiberloom.cli.app import app
+from fiberloom.targets import write_targets
+from fiberloom.targets.generate import random_targets
+
+N = 19
+
+
+def run(*words):
+    return app([*map(str, words)], standalone_mode=False)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fibres")
+    words = ["calibrate", "fibres", "--positioners", N, "--fibre", "BOSS", "--moves", 3, "--out", folder]
+    run(*words)
+    return folder
+
+
+def test_the_twin_calibrates_its_fibres(made):
+    report = json.loads((made / "fibres.json").read_text())
+    first, *_, together = report["fields"]
+    assert first["true_rms_um"] > 7.0
+    assert together["true_rms_um"] < 2.0
+    assert together["n_within_requirement"] == together["stars"]
+    assert report["calibrated"] >= N - 1
+    assert "seeing" in report["put_in"]
+
+
+def test_recorded_exposures_give_the_same(made, tmp_path, capsys):
+    files = sorted(made.glob("exposures-*.ecsv"))
+    assert len(files) == 3
+    names = [word for file in files for word in ("--exposures", file)]
+    run("calibrate", "fibres", "--positioners", N, *names, "--out", tmp_path, "--json")
+    capsys.readouterr()
+    here, there = (FibreOffsets.load(folder / "fibres.ecsv") for folder in (tmp_path, made))
+    assert here.offset_mm == pytest.approx(there.offset_mm, abs=1e-6)
+    assert read_exposures(files[0]).n_exposures == 13
+
+
+def test_observe_uses_the_offsets(made, tmp_path):
+    plane = fl.FocalPlane.of("sdssv", seed=0, n=N)
+    targets = random_targets(plane, 4 * N, 77)
+    write_targets(fl.TargetList(
+        targets.target_id, targets.x_mm, targets.y_mm, targets.priority,
+        np.full(4 * N, "BOSS"), targets.positioner_id,
+    ), tmp_path / "targets.csv")  # fmt: skip
+    words = ["observe", tmp_path / "targets.csv", "--positioners", N, "--camera", "noise", "--moves", 3]
+    errors = []
+    for name, more in (("without", []), ("with", ["--fibres", made / "fibres.ecsv"])):
+        out = tmp_path / name
+        run(*words, "--errors", "fibre", "--require", "0%", "--out", out, "--json", *more)
+        errors.append(json.loads((out / "summary.json").read_text())["moves"][-1]["true_rms_um"])
+    assert errors[0] > 7.0
+    assert errors[1] < 2.0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--fibre", "blue"], "--fibre blue: known are"),
+        (["--exposures", "nothing.ecsv"], "nothing.ecsv: no such file"),
+        (["--bus", "cannet://127.0.0.1"], "--exposures FILE"),
+    ],
+)
+def test_bad_input_is_one_line(words, said, tmp_path):
+    with pytest.raises(fl.InputError, match=said):
+        run("calibrate", "fibres", "--positioners", 7, *words, "--out", tmp_path)
