@@ -37,6 +37,7 @@ def main() -> int:
     parser.add_argument("--moves", type=int, default=20, help="of each unit")
     parser.add_argument("--rounds", type=int, default=2, help="of 52 pairs and kind of meeting")
     parser.add_argument("--no-touch", action="store_true", help="meet: without the touch watch")
+    parser.add_argument("--law", type=int, default=0, help="legal: the control law, 0 or 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
@@ -55,11 +56,13 @@ def study_legal(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """Legal moves, with the contact and touch watches on, and with Eq. 22 alone."""
     found = {}
     for name, watches in (("all watches", True), ("Eq. 22 alone", False)):
-        trial = legal_moves(plane_of(asked.units), moves=asked.moves, seed=asked.seed, touch=watches)
+        trial = legal_moves(
+            plane_of(asked.units), moves=asked.moves, seed=asked.seed, touch=watches, law=asked.law
+        )
         found[name] = vars(trial)
         kinds = ", ".join(f"{n} {kind}" for kind, n in trial.kinds.items())
         false = f"{len(trial.collisions)} false detections in {trial.moves} moves"
-        print(f"{name}: {false} ({kinds}), seed {asked.seed}", flush=True)
+        print(f"law {asked.law}, {name}: {false} ({kinds}), seed {asked.seed}", flush=True)
         for number, kind in trial.collisions:
             print(f"  positioner {number}: {kind}")
     return found, not any(trial["collisions"] for trial in found.values())

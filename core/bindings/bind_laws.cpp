@@ -118,6 +118,33 @@ Output<double, -1, 5> servo(Params params, Input2<double> rows, bool settling) {
     return out;
 }
 
+// Law 1 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2. Rows out: torque,
+// feedforward, watched feedback, voltage, load_Nm, the gap below the rotor in counts.
+Output<double, -1, 6> regulator(Params params, Input2<double> rows, int32_t zero_cnt) {
+    if (rows.shape(1) != 4) throw nb::value_error("rows: (n, 4)");
+    const auto axis = axis_of(params);
+    const fl_drive_config_t *cfg = &axis->law.drive;
+    fl_drive_state_t *st = &axis->drive;
+    auto out = new_array<double, -1, 6>({rows.shape(0), 6});
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        const double *r = rows.data() + 4 * i;
+        const auto command = static_cast<int32_t>(r[0]), measured = static_cast<int32_t>(r[1]);
+        const int32_t rotor = fl_sub_i32(measured, zero_cnt);
+        const fl_servo_in_t in = {fl_sub_i32(command, measured), command,
+                                  fl_sub_i32(command, zero_cnt), static_cast<float>(r[2]),
+                                  static_cast<float>(r[3]),      false};
+        const fl_drive_out_t o = fl_drive_contact(cfg, st, &in, fl_sincos_cnt(rotor));
+        const double row[6] = {o.torque.torque_Nm,
+                               o.torque.feedforward_Nm,
+                               o.torque.watched_Nm,
+                               o.voltage,
+                               st->regulator.seen.load_rad_s2 * cfg->regulator.inertia,
+                               double(fl_sub_i32(rotor, st->teeth.gear_cnt))};
+        std::copy_n(row, 6, out.data() + 6 * i);
+    }
+    return out;
+}
+
 // Rows in: error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt. Rows
 // out: rise_Nm, limit_Nm, touched (0 or 1).
 Output<double, -1, 3> touch(Params params, Input2<double> rows) {
@@ -268,6 +295,9 @@ void bind_laws(nb::module_ &m) {
     m.def("rotating_field", &rotating_field, nb::arg("u"), nb::arg("field_cnt"), "Duties (n, 3). Eq. 18.");
     m.def("servo", &servo, nb::arg("params"), nb::arg("rows"), nb::arg("settling") = false,
           "Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.");
+    m.def("regulator", &regulator, nb::arg("params"), nb::arg("rows"), nb::arg("zero_cnt") = 0,
+          "Law 1 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2: (torque_Nm, "
+          "feedforward_Nm, watched_Nm, voltage, load_Nm, gap below the rotor in counts).");
     m.def("touch", &touch, nb::arg("params"), nb::arg("rows"),
           "(rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, "
           "direction, acceleration_rad_s2, drag_doubt, from a leg's start.");

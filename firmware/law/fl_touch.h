@@ -23,7 +23,7 @@
 #ifndef FL_TOUCH_H
 #define FL_TOUCH_H
 
-#include "fl_math.h"
+#include "fl_observer.h"
 
 /* 1 - p^3, 1.5 (1 - p)^2 (1 + p)/dt, (1 - p)^3/dt^2 with p = exp(-450/2000) */
 #define FL_TOUCH_GAIN_E 0.490843f
@@ -81,15 +81,14 @@ typedef struct fl_touch_in {
  */
 static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_state_t *st,
                                      const fl_touch_in_t *in) {
-    const float news = in->error_rad - st->error_rad;
-    st->error_rad += FL_TOUCH_GAIN_E * news;
-    st->rate_rad_s += FL_TOUCH_GAIN_V * news;
-    st->load_rad_s2 += FL_TOUCH_GAIN_A * news;
-    const float drives =
-        (in->beyond_Nm + (cfg->drag + in->excess_Nms) * st->rate_rad_s) * cfg->inertia_inverse;
-    const float gains_rad_s = (st->load_rad_s2 - drives) * FL_TICK_S;
-    st->error_rad += (st->rate_rad_s + 0.5f * gains_rad_s) * FL_TICK_S;
-    st->rate_rad_s += gains_rad_s;
+    const fl_observer_gains_t gains = {FL_TOUCH_GAIN_E, FL_TOUCH_GAIN_V, FL_TOUCH_GAIN_A};
+    fl_observer_state_t seen = {st->error_rad, st->rate_rad_s, st->load_rad_s2};
+    fl_observer_correct(&gains, &seen, in->error_rad);
+    fl_observer_predict(&seen, (in->beyond_Nm + (cfg->drag + in->excess_Nms) * seen.rate_rad_s) *
+                                   cfg->inertia_inverse);
+    st->error_rad = seen.error_rad;
+    st->rate_rad_s = seen.rate_rad_s;
+    st->load_rad_s2 = seen.load_rad_s2;
     return st->load_rad_s2 * cfg->inertia * in->direction;
 }
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fiberloom.twin import Units
 from lab.unit import COUNTS_PER_DEG, NUMBER, PARAMETERS, Truth, Unit, drawn
 
 ACCEPTED, OUT_OF_RANGE, INVALID_TRAJECTORY, IN_MOTION, NOT_INITIALIZED = range(5)
@@ -101,7 +102,11 @@ def hall_calibration(unit: Unit) -> None:
 @scenario
 def datum_search(unit: Unit) -> None:
     """23 and 20 on a unit that does not know where it is: the stop is the datum, both times the same."""
-    units = drawn()
+    search_datum(unit, drawn())
+
+
+def search_datum(unit: Unit, units: Units) -> None:
+    """The search, by what these units' firmware is told."""
     units.firmware["datum_speed"] = 1200.0
     stops = tuple(float(np.rad2deg(units.plant[0, axis]["stop_min"])) for axis in (0, 1))
     unit.begin(units, (stops[0] + 1.2, stops[1] + 0.9), known=False)
@@ -123,7 +128,11 @@ def datum_search(unit: Unit) -> None:
 @scenario
 def cogging_calibration(unit: Unit) -> None:
     """47: the break-away torque of Section 2.4 of the paper, found by moving."""
-    units = drawn()
+    calibrate_cogging(unit, drawn())
+
+
+def calibrate_cogging(unit: Unit, units: Units) -> None:
+    """The calibration, with friction and cogging told wrong."""
     units.firmware["coulomb"] *= 0.8
     units.firmware["cogging_torque"] *= 1.3
     units.firmware["landing_speed"] = 100.0  # twice as fast as usual: it is eleven turns of the motor
@@ -163,7 +172,7 @@ def save_and_restore(unit: Unit) -> None:
     arrived(unit, (40.0, 90.0), 2 * MOTOR_DEG)
 
 
-RECORD_BYTES = 380
+RECORD_BYTES = 520
 """A little more than the calibration record."""
 
 
@@ -499,7 +508,41 @@ def open_loop(unit: Unit) -> None:
     arrived(unit, (41.0, 89.0), 30 * MOTOR_DEG)
 
 
-MORE: dict[str, Callable[[Unit], None]] = {"short_moves": short_moves, "open_loop": open_loop}
+def by_law_1() -> Units:
+    """The same units, told to drive by law 1 (fl_regulator.h)."""
+    units = drawn()
+    units.firmware["law"] = 1.0
+    return units
+
+
+@scenario
+def law_1(unit: Unit) -> None:
+    """Go-to and precise moves, short and long, by law 1."""
+    unit.begin(by_law_1(), (40.0, 90.0))
+    for k, (alpha, beta) in enumerate(((42.0, 88.5), (41.9, 88.6), (41.99, 88.59), (40.0, 90.0))):
+        for command in (128, 130) if k % 2 else (129, 131):
+            accepted(unit, command)
+        accepted(unit, 30, pair(alpha, beta))
+        unit.rest()
+        arrived(unit, (alpha, beta), (2 if k % 2 else 90) * MOTOR_DEG)
+
+
+def law_1_datum(unit: Unit) -> None:
+    """The datum search by law 1."""
+    search_datum(unit, by_law_1())
+
+
+def law_1_cogging(unit: Unit) -> None:
+    """The cogging calibration by law 1."""
+    calibrate_cogging(unit, by_law_1())
+
+
+MORE: dict[str, Callable[[Unit], None]] = {
+    "short_moves": short_moves,
+    "open_loop": open_loop,
+    "law_1_datum": law_1_datum,
+    "law_1_cogging": law_1_cogging,
+}
 
 
 def run(name: str, command: list[str]) -> list[str]:

@@ -43,7 +43,10 @@ def quantities(row, relative=0.003, **changes):
         value = float(values[row]) * factor
         error = 0.002 if key == "cogging phase" else relative * abs(value)
         out[name] = Measured(name, UNIT_OF.get(key, "uNm"), value, error, "", "a test")
-    for axis in ("alpha", "beta"):
+    for axis, parameters in zip(("alpha", "beta"), TRUE[row], strict=True):
+        for name in ("backlash", *(n for n in TRUE.dtype.names if n.startswith("backlash_"))):
+            key, unit = f"{axis} {name} of the maps", "rad" if name.endswith("phase") else "motor deg"
+            out[key] = Measured(key, unit, float(parameters[name]), None, "", "a test")
         drag = out[f"{axis} drag"]
         out[f"{axis} drag of the pushes"] = replace(drag, name=f"{axis} drag of the pushes")
     return out
@@ -95,6 +98,12 @@ def test_errors_and_origins_are_those_of_the_measurements():
         assert (inertia.origin, k_p.origin) == (MEASURED, DERIVED)
         assert k_p.standard_error / k_p.value == pytest.approx(0.003)
         assert k_p.value == 3.7e4 * inertia.value
+        # k_e hangs on both, nearly all on the inertia; the poles of the observer on nothing measured
+        k_e, pole = derivation.of(axis, "state_k_e"), derivation.of(axis, "observer_pole")
+        assert k_e.standard_error / k_e.value == pytest.approx(0.003, rel=0.1)
+        assert (pole.origin, pole.standard_error) == (DERIVED, None)
+        assert derivation.of(axis, "backlash_2").origin == MEASURED
+        assert derivation.of(axis, "gap_drag_share").origin == FACTORY
         assert "a test" in inertia.provenance
         assert "Eq. 12" in inertia.provenance
         assert "Eq. 21 to 23" in k_p.provenance
@@ -132,7 +141,9 @@ def test_scattered_estimates_give_parameters_within_their_errors():
     for row in range(30):
         known = quantities(row, relative=0.01)
         noisy = {
-            n: replace(q, value=q.value + q.standard_error * rng.standard_normal()) for n, q in known.items()
+            n: replace(q, value=q.value + q.standard_error * rng.standard_normal())
+            for n, q in known.items()
+            if q.standard_error is not None
         }
         derivation = derive(1, noisy, FACTORY_VALUES)
         for axis in (0, 1):
@@ -170,7 +181,7 @@ def test_a_value_out_of_its_range_is_refused_with_value_range_and_remedy(changes
 def test_a_refused_inertia_refuses_the_gains_that_follow_from_it():
     derivation = found(0, alpha_inertia=1e12)
     refused = {f.name for f in derivation.findings if f.reason and f.axis == 0}
-    assert refused == {"inertia", *control_gains({"inertia": 1.0})}
+    assert refused == {"inertia", *control_gains({"inertia": 1.0, "drag": 1.0})}
     assert all(f.value is None for f in derivation.findings if f.reason)
     with pytest.raises(ValueError, match="was refused"):
         derivation.values(FACTORY_VALUES)
@@ -235,12 +246,27 @@ def test_quantities_come_from_estimates_and_the_drag_of_the_pushes_is_told_apart
 
 
 def test_the_twins_units_have_the_same_bytes_as_before_the_gains_moved():
-    """Digests of the firmware parameters as drawn when control_gains was the simulator's own."""
-    # the host watch has come since, as the last parameter: off
-    assert not draw_units(PLANE, 0).firmware["host_timeout_ms"].any()
-    old = list(PARAMETERS_BY_NAME)[:-1]
+    """Digests of the firmware parameters as drawn when control_gains was the simulator's own; of all but the
+    gains, which followed from the true inertia then."""
+    # the host watch and law 1 have come since, as the last parameters: off
+    units = draw_units(PLANE, 0)
+    assert not units.firmware["host_timeout_ms"].any()
+    assert not units.firmware["law"].any()
+    names = list(PARAMETERS_BY_NAME)
+    gains = control_gains({"inertia": 1.0, "drag": 1.0})
+    old = [name for name in names[: names.index("host_timeout_ms")] if name not in gains]
     drawn = [repack_fields(draw_units(PLANE, seed).firmware[old]).tobytes() for seed in (0, 7)]
-    assert [hashlib.sha256(d).hexdigest()[:16] for d in drawn] == ["851b779994483fe5", "d655016de280e615"]
+    assert [hashlib.sha256(d).hexdigest()[:16] for d in drawn] == ["d63ead02f2fa075f", "55079e73733d72f1"]
+
+
+def test_the_twins_gains_follow_from_what_the_firmware_was_told_not_from_the_truth():
+    """Inertia and drag were identified within some percent: gains from the truth would not fit to them."""
+    for axis in (0, 1):
+        for record, truth in zip(UNITS.firmware[:, axis], TRUE[:, axis], strict=True):
+            told = {name: float(record[name]) for name in ("inertia", "drag")}
+            for name, value in control_gains(told).items():
+                assert record[name] == np.float32(value), name
+            assert record["k_p"] != truth["k_p"]
 
 
 def test_whatever_the_firmware_knows_the_units_are_the_same():

@@ -9,7 +9,7 @@ import pytest
 from fiberloom.bus import Client, Command
 from fiberloom.bus import parameters as bus_parameters
 from fiberloom.bus.identifier import decode
-from fiberloom.bus.parameters import PARAMETERS_DTYPE, read_parameters, write_parameters
+from fiberloom.bus.parameters import PARAMETERS, PARAMETERS_DTYPE, read_parameters, write_parameters
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, TwinTransport, draw_units
@@ -181,7 +181,8 @@ def test_a_lost_answer_to_the_commit_is_asked_after(bench):
 
 
 def test_what_is_read_back_differently_is_told_and_the_old_ones_restored(bench):
-    counted = Once(Command.GET_PARAMETER_ALPHA, IDS[0], nth=45, forever=True)  # 41 were read before
+    # all were read before; the fourth of the second reading
+    counted = Once(Command.GET_PARAMETER_ALPHA, IDS[0], nth=len(PARAMETERS) + 4, forever=True)
 
     def falsify(identifier, data):
         return data[:1] + b"\0\0\x80\x3f" if counted(identifier) else data

@@ -197,7 +197,7 @@ def test_a_power_cut_at_any_byte_of_a_save_loses_nothing():
     unit = calibrated()
     assert unit.code(53) == ACCEPTED
     old = unit.unit.storage
-    size = 400  # a record is shorter
+    size = 600  # a record is shorter
     for cut in range(0, size, 7):
         unit.unit.storage = old
         unit.unit.power_up()

@@ -15,10 +15,17 @@ IDS = [int(i) for i in PLANE.positioner_id]
 HOME, STOP, OPEN_LOOP_BETA = 20, 15, 125
 
 
-def everything(side_by_side, kernel=""):
+def by_laws(laws):
+    """The same units, their axes by these laws in turn."""
+    units = draw_units(PLANE, seed=11)
+    units.firmware["law"] = np.resize(laws, units.firmware.shape)
+    return units
+
+
+def everything(side_by_side, kernel="", units=UNITS):
     """Moves of all kinds, collisions, faults, a homing, a stop, open loop: all that came of it."""
     rng = np.random.default_rng(7)
-    twin = Twin(PLANE, UNITS, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
+    twin = Twin(PLANE, units, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
     scopes = [twin.scope(row, axis) for row in (0, 5, 17) for axis in (0, 1)]
     replies = []
     wire = [[UNITS.transmission(17, k, x)[0][0]] * 3 + np.arange(3) for k, x in enumerate((10, 170))]
@@ -44,3 +51,14 @@ def test_side_by_side_is_the_firmware_to_the_bit(kernel):
     together, _ = everything(True, kernel)
     assert COLLISION in {c[1] for c in seen}
     assert alone == together
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+@pytest.mark.parametrize("laws", [(1,), (0, 1, 1)])
+def test_so_is_law_1_alone_and_among_others(kernel, laws):
+    units = by_laws(laws)
+    alone, seen = everything(False, units=units)
+    together, _ = everything(True, kernel, units)
+    assert COLLISION in {c[1] for c in seen}
+    assert alone == together
+    assert alone != everything(False)[0]

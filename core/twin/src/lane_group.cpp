@@ -28,6 +28,13 @@ void load_law(LawBatch &b, int i, const fl_axis_law_t &law) {
 #define X(type, name) b.touch.name[i] = law.drive.touch.name;
     FL_LAW_TOUCH(X)
 #undef X
+#define X(type, name) b.teeth.name[i] = law.drive.teeth.name;
+    FL_LAW_TEETH(X)
+#undef X
+#define X(type, name) b.regulator.name[i] = law.drive.regulator.name;
+    FL_LAW_REGULATOR(X)
+#undef X
+    b.law[i] = law.drive.law;
     b.voltage_per_Nm[i] = law.drive.voltage_per_Nm;
     b.full_Nm[i] = law.drive.full_Nm;
 }
@@ -42,6 +49,13 @@ void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_drive_stat
 #define X(type, name) b.observer.name[i] = state.touch.name;
     FL_LAW_OBSERVER(X)
 #undef X
+#define X(type, name) b.gap.name[i] = state.teeth.name;
+    FL_LAW_GAP(X)
+#undef X
+#define X(type, name) b.seen.name[i] = state.regulator.seen.name;
+    FL_LAW_SEEN(X)
+#undef X
+    b.slack_Nm[i] = state.regulator.slack_Nm;
 }
 
 void take_output(const LawBatch &b, int i, fl_axis_t &a) {
@@ -51,9 +65,16 @@ void take_output(const LawBatch &b, int i, fl_axis_t &a) {
 #define X(type, name) a.drive.touch.name = b.observer.name[i];
     FL_LAW_OBSERVER(X)
 #undef X
+#define X(type, name) a.drive.teeth.name = b.gap.name[i];
+    FL_LAW_GAP(X)
+#undef X
+#define X(type, name) a.drive.regulator.seen.name = b.seen.name[i];
+    FL_LAW_SEEN(X)
+#undef X
 #define X(type, name) a.torque.name = b.torque.name[i];
     FL_LAW_TORQUE(X)
 #undef X
+    a.drive.regulator.slack_Nm = b.slack_Nm[i];
     a.voltage = b.voltage[i];
 }
 
@@ -97,8 +118,12 @@ void LaneGroup::tick_axis(int axis) {
             trackers_[count++] = {&positioners_[i], static_cast<int>(i), {}};
     if (count == 0) return;
     plant_->kernel().hall_law(batch);
-    for (size_t k = 0; k < count; ++k) advance(axis, trackers_[k], batch);
-    plant_->kernel().drive_law(batch);
+    unsigned laws = 0;
+    for (size_t k = 0; k < count; ++k) {
+        advance(axis, trackers_[k], batch);
+        laws |= 1U << batch.law[trackers_[k].lane];
+    }
+    plant_->kernel().drive_law(batch, laws);
     for (size_t k = 0; k < count; ++k) conclude(axis, trackers_[k], batch);
 }
 

@@ -19,6 +19,8 @@ static float drag_learning(const fl_axis_params_t *p) {
     return 1.0f / (p->drag_learning_time * drag * (FL_LEARNING_RAD_S * FL_LEARNING_RAD_S));
 }
 
+static int32_t phase_cnt(float phase_rad) { return fl_round_i32(phase_rad * FL_CNT_PER_RAD); }
+
 static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
     const float ba = p->use_break_away;
     const fl_servo_config_t cfg = {
@@ -34,7 +36,7 @@ static fl_servo_config_t servo_config(const fl_axis_params_t *p) {
         .spring_torque = ba * p->spring_torque,
         .spring_rate = ba * p->spring_rate,
         .cogging = ba * p->cogging_torque,
-        .cogging_phase_cnt = fl_round_i32(p->cogging_phase * FL_CNT_PER_RAD),
+        .cogging_phase_cnt = phase_cnt(p->cogging_phase),
     };
     return cfg;
 }
@@ -67,14 +69,50 @@ static fl_touch_config_t touch_config(const fl_axis_params_t *p, float margin_ra
     return cfg;
 }
 
+static fl_teeth_config_t teeth_config(const fl_axis_params_t *p) {
+    const fl_teeth_config_t cfg = {
+        .mean_cnt = p->backlash * FL_CNT_PER_MOTOR_DEG,
+        .once_cnt = p->backlash_1 * FL_CNT_PER_MOTOR_DEG,
+        .twice_cnt = p->backlash_2 * FL_CNT_PER_MOTOR_DEG,
+        .thrice_cnt = p->backlash_3 * FL_CNT_PER_MOTOR_DEG,
+        .pairing_cnt = p->backlash_teeth * FL_CNT_PER_MOTOR_DEG,
+        .once_phase_cnt = phase_cnt(p->backlash_1_phase),
+        .twice_phase_cnt = phase_cnt(p->backlash_2_phase),
+        .thrice_phase_cnt = phase_cnt(p->backlash_3_phase),
+        .pairing_phase_cnt = phase_cnt(p->backlash_teeth_phase),
+        .pairings = fl_round_i32(p->gear_teeth),
+    };
+    return cfg;
+}
+
+static fl_regulator_config_t regulator_config(const fl_axis_params_t *p) {
+    const fl_observer_gains_t gains = fl_observer_gains(p->observer_pole);
+    const fl_regulator_config_t cfg = {
+        .k_e = p->state_k_e,
+        .k_v = p->state_k_v,
+        .gain_e = gains.e,
+        .gain_v = gains.v,
+        .gain_a = gains.a,
+        .inertia = p->inertia,
+        .inertia_inverse = 1.0f / p->inertia,
+        .drag = p->drag,
+        .gap_coulomb = p->use_break_away * p->coulomb * p->gap_coulomb_share,
+        .gap_drag = p->use_speed * p->drag * p->gap_drag_share,
+    };
+    return cfg;
+}
+
 static fl_drive_config_t drive_config(const fl_axis_params_t *p, float margin_rad) {
     const float full_Nm = p->torque_per_volt * p->u_dc;
     const fl_drive_config_t cfg = {
         .servo = servo_config(p),
         .collision = collision_config(p, margin_rad),
         .touch = touch_config(p, margin_rad),
+        .teeth = teeth_config(p),
+        .regulator = regulator_config(p),
         .voltage_per_Nm = 1.0f / full_Nm,
         .full_Nm = full_Nm,
+        .law = p->law >= 0.5f ? FL_LAW_CONTACT : FL_LAW_PAPER,
     };
     return cfg;
 }
@@ -121,6 +159,8 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
 void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *p) {
     a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
     a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
+    a->drive.teeth = (fl_teeth_state_t){0, 0};
+    a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
 }
 
 void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {

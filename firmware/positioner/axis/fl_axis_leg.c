@@ -42,6 +42,7 @@ FL_COLD void fl_axis_begin(fl_axis_t *a) {
     a->raw_cnt = a->position_cnt;
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->drive.servo.integral_Nm = a->drive.servo.direction = 0.0f;
+    a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
     a->drive.touch = (fl_touch_state_t){.scatter_Nm = a->drive.touch.scatter_Nm};
     a->fresh = false;
     a->start_cnt = a->position_cnt;

@@ -61,7 +61,23 @@ extern "C" {
     X(use_speed, "1", 0, 1, 1, "share of the speed feedforward")                                             \
     X(use_inertia, "1", 0, 1, 1, "share of the inertia feedforward")                                         \
     X(host_timeout_ms, "ms", 0, 600000, 0,                                                                   \
-      "a trajectory slows to a stop so long after the host's last frame; 0: it runs to its end")
+      "a trajectory slows to a stop so long after the host's last frame; 0: it runs to its end")             \
+    X(law, "1", 0, 1, 0, "0: Eq. 21; 1: state feedback, feedforward of the gear while the teeth touch")      \
+    X(state_k_e, "Nm/rad", 0, 10, 9.9e-4, "law 1: feedback of the error")                                    \
+    X(state_k_v, "Nm s/rad", 0, 1, 2.8e-6, "law 1: feedback of its rate")                                    \
+    X(observer_pole, "1", 0, 0.99, 0.5, "law 1: three poles of the observer, a share per tick")              \
+    X(gap_coulomb_share, "1", 0, 1, 0.05, "of coulomb: the rotor's alone, between the teeth")                \
+    X(gap_drag_share, "1", 0, 1, 0.7, "of drag: back-EMF and the rotor's own friction")                      \
+    X(backlash, "deg", 0, 3600, 0, "mean over the output turn, motor degrees; 0: the teeth always touch")    \
+    X(backlash_1, "deg", 0, 3600, 0, "amplitude of sin(theta + phase) of the output angle")                  \
+    X(backlash_1_phase, "rad", -7, 7, 0, "")                                                                 \
+    X(backlash_2, "deg", 0, 3600, 0, "of sin(2 theta + phase)")                                              \
+    X(backlash_2_phase, "rad", -7, 7, 0, "")                                                                 \
+    X(backlash_3, "deg", 0, 3600, 0, "of sin(3 theta + phase)")                                              \
+    X(backlash_3_phase, "rad", -7, 7, 0, "")                                                                 \
+    X(backlash_teeth, "deg", 0, 3600, 0, "of sin(gear_teeth theta + phase)")                                 \
+    X(backlash_teeth_phase, "rad", -7, 7, 0, "")                                                             \
+    X(gear_teeth, "1", 0, 1000, 36, "tooth pairings of the last stage per output turn")
 
 typedef struct fl_axis_params {
 #define X(name, unit, min, max, def, doc) float name;

@@ -48,6 +48,11 @@ def servo(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C
     Eq. 21 and 22 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2.
     """
 
+def regulator(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], zero_cnt: int = 0) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 6))]:
+    """
+    Law 1 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2: (torque_Nm, feedforward_Nm, watched_Nm, voltage, load_Nm, gap below the rotor in counts).
+    """
+
 def touch(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]:
     """
     (rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt, from a leg's start.
@@ -92,7 +97,7 @@ CONDITIONS: dict[str, int]
 class Positioner:
     """One positioner on a bench, for tests: firmware, port, small plants."""
 
-    def __init__(self, id: int, params: Annotated[NDArray[numpy.float32], dict(shape=(2, 42), order='C', device='cpu', writable=False)]) -> None:
+    def __init__(self, id: int, params: Annotated[NDArray[numpy.float32], dict(shape=(2, 58), order='C', device='cpu', writable=False)]) -> None:
         """params: (2, len(AXIS_PARAMS)) float32, alpha and beta."""
 
     def power_up(self) -> None:
@@ -122,7 +127,7 @@ class Positioner:
 
     def params(self, axis: int) -> Annotated[NDArray[numpy.float32], dict(shape=(None,))]: ...
 
-    def set_params(self, axis: int, row: Annotated[NDArray[numpy.float32], dict(shape=(42), order='C', device='cpu', writable=False)]) -> bool:
+    def set_params(self, axis: int, row: Annotated[NDArray[numpy.float32], dict(shape=(58), order='C', device='cpu', writable=False)]) -> bool:
         """The firmware's parameters, not the bench's sensors."""
 
     def sync(self) -> None: ...

@@ -63,15 +63,16 @@ class LegalTrial:
 
 
 def legal_moves(
-    plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2
+    plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2, law: int = 0
 ) -> LegalTrial:
     """Random legal moves of a `plane` without neighbours, over unit scatter and temperature.
 
     `moves`: of each positioner, both axes at once; `seed` draws units and moves; `threads` of the twin.
-    Without `touch` Eq. 22 watches alone.
+    Without `touch` Eq. 22 watches alone. `law`: the control law of all axes (0 or 1, docs/firmware.md).
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
     units = greased(draw_units(plane, seed), rng)
+    units.firmware["law"] = law
     if not touch:
         units.firmware["contact_torque"] = units.firmware["touch_torque"] = 0.0
     start = np.column_stack([rng.uniform(*limits, len(plane)) for limits in _RANGE_DEG])

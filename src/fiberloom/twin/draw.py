@@ -16,6 +16,7 @@ import numpy as np
 
 from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
+from fiberloom.calibration.commissioning.backlash import BACKLASH_WAVES, wave_parameters
 from fiberloom.calibration.commissioning.gains import control_gains
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -35,6 +36,7 @@ from fiberloom.twin.gears import (
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR_DTYPE,
+    ORDERS,
     PLANT_DTYPE,
     Units,
     defaults,
@@ -104,6 +106,10 @@ IDENTIFICATION_ABSOLUTE_SD: dict[str, float] = {
 ARM_SD = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5])
 """True arms against the layout: about 1 um in centre and length, 50 urad in the angles' zeros."""
 
+BACKLASH_SD_DEG = 1.0
+"""Motor degrees by which the firmware knows the mean and each wave of the backlash wrong, assumed: 0.67 um of
+camera noise at 22 mm of lever are 1.8 a point, and a map has 200."""
+
 Knowledge = Literal["identified", "nominal", "true"]
 """What the firmware was told of its unit: with the errors of an identification, nothing but what is common
 to all units (as from the factory), or the truth."""
@@ -143,11 +149,21 @@ def draw_units(
             units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
             if firmware == "true":
                 units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
-    if firmware == "nominal":
-        units.firmware[:] = nominal_firmware(plane)
     if gears != "stages":
         units.gear[:] = other_gears(units.number, seed, gears)
+    if firmware == "nominal":
+        units.firmware[:] = nominal_firmware(plane)
+    else:
+        _tell_backlash(units, exactly=firmware == "true")
     return _misbuilt(plane, units, errors)
+
+
+def _tell_backlash(units: Units, exactly: bool) -> None:
+    """By generators of its own: what else is drawn stays as it was."""
+    for row, number in enumerate(units.number):
+        for axis in (0, 1):
+            rng = None if exactly else np.random.default_rng([units.seed, int(number), axis, 0xB])
+            _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], rng))
 
 
 def _misbuilt(plane: FocalPlane, units: Units, errors: TableErrors) -> Units:
@@ -221,6 +237,26 @@ def firmware_truth(plant: Records) -> dict[str, float]:
     }
 
 
+def known_backlash(gear: Records, rng: Rng | None) -> dict[str, float]:
+    """The firmware's parameters (motor deg, phases rad) of the backlash of a `gear`, as its maps tell them.
+
+    The mean and each wave are wrong by BACKLASH_SD_DEG, drawn from `rng`; None: they are right.
+    """
+    waves = dict(zip(ORDERS, gear["backlash_rad"] / RAD_PER_DEG, strict=True))
+    known = np.array([waves[order] for order in BACKLASH_WAVES.values()])
+    wrong = (
+        np.zeros((len(known) + 1, 2))
+        if rng is None
+        else rng.normal(0.0, BACKLASH_SD_DEG, (len(known) + 1, 2))
+    )
+    return wave_parameters(float(gear["backlash_mean_rad"]) / RAD_PER_DEG + wrong[0, 0], known + wrong[1:])
+
+
+def _tell(record: Records, known: Mapping[str, float]) -> None:
+    for name, value in known.items():
+        record[name] = value
+
+
 def nominal_firmware(plane: FocalPlane) -> Records:
     """(2,) what a maker flashes into every unit: the nominal unit's parameters, and no unit's own."""
     return np.array([_perfect(_nominal(plane, axis), plane, axis) for axis in (0, 1)], FIRMWARE_DTYPE)
@@ -232,14 +268,23 @@ def _told(plane: FocalPlane, axis: int) -> Records:
     record["position_min"], record["position_max"] = plane.hard_stops_deg[axis]
     record["datum_position"] = plane.hard_stops_deg[axis][0]
     record["host_timeout_ms"] = 1e3 * plane.instrument.care.host_timeout_s
+    _tell(record, _rotor_shares(_nominal(plane, axis)))
     return record
+
+
+def _rotor_shares(nominal: Records) -> dict[str, float]:
+    """The rotor's own part of friction and drag: the nominal unit's; no bench tells it from the gear's."""
+    truth = firmware_truth(nominal)
+    return {
+        "gap_coulomb_share": float(nominal["coulomb_motor"] / truth["coulomb"]),
+        "gap_drag_share": float(1.0 - nominal["viscous_gear"] / truth["drag"]),
+    }
 
 
 def _perfect(plant: Records, plane: FocalPlane, axis: int) -> Records:
     record = _told(plane, axis)
-    truth = firmware_truth(plant)
-    for name, value in (truth | control_gains(truth)).items():
-        record[name] = value
+    _tell(record, firmware_truth(plant))
+    _tell(record, control_gains(known_motor(record)))
     return record
 
 
@@ -249,9 +294,13 @@ def _identified(plant: Records, plane: FocalPlane, axis: int, rng: Rng) -> Recor
     for name, value in truth.items():
         error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * held(rng)
         record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * held(rng)
-    for name, value in control_gains(truth).items():
-        record[name] = value
+    _tell(record, control_gains(known_motor(record)))
     return record
+
+
+def known_motor(record: Records) -> dict[str, float]:
+    """Inertia (kg m^2) and drag (Nm s/rad), from which gains follow, as the firmware was told them."""
+    return {name: float(record[name]) for name in ("inertia", "drag")}
 
 
 def put_in(plane: FocalPlane, camera: str = "noise", errors: TableErrors = NO_ERRORS) -> dict[str, str]:

@@ -18,6 +18,12 @@ static_assert(4 * (0 FL_LAW_COLLISION(X)) == sizeof(fl_collision_config_t),
               "FL_LAW_COLLISION lists its fields");
 static_assert(4 * (0 FL_LAW_TOUCH(X)) == sizeof(fl_touch_config_t), "FL_LAW_TOUCH lists its fields");
 static_assert(4 * (0 FL_LAW_OBSERVER(X)) == sizeof(fl_touch_state_t), "FL_LAW_OBSERVER lists its fields");
+static_assert(4 * (0 FL_LAW_TEETH(X)) == sizeof(fl_teeth_config_t), "FL_LAW_TEETH lists its fields");
+static_assert(4 * (0 FL_LAW_REGULATOR(X)) == sizeof(fl_regulator_config_t),
+              "FL_LAW_REGULATOR lists its fields");
+static_assert(4 * (0 FL_LAW_GAP(X)) == sizeof(fl_teeth_state_t), "FL_LAW_GAP lists its fields");
+static_assert(4 * (0 FL_LAW_SEEN(X)) == sizeof(fl_observer_state_t), "FL_LAW_SEEN lists its fields");
+static_assert(sizeof(fl_regulator_state_t) == sizeof(fl_observer_state_t) + 4, "and the slack");
 static_assert(4 * (0 FL_LAW_STATE(X)) == sizeof(fl_servo_state_t), "FL_LAW_STATE lists its fields");
 static_assert(4 * (0 FL_LAW_INPUT(X)) == sizeof(fl_servo_in_t), "FL_LAW_INPUT lists its fields");
 static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE lists its fields");
@@ -39,43 +45,89 @@ void hall_law(LawBatch &b) {
     }
 }
 
-void drive_law(LawBatch &b) {
-    for (int i = 0; i < lane_group_size; ++i) {
+// The configuration of a lane's drive.
+inline fl_drive_config_t drive_config_of(const LawBatch &b, int i) {
 #define X(type, name) b.servo.name[i],
-        const fl_servo_config_t servo = {FL_LAW_SERVO(X)};
+    const fl_servo_config_t servo = {FL_LAW_SERVO(X)};
 #undef X
 #define X(type, name) b.collision.name[i],
-        const fl_collision_config_t collision = {FL_LAW_COLLISION(X)};
+    const fl_collision_config_t collision = {FL_LAW_COLLISION(X)};
 #undef X
 #define X(type, name) b.touch.name[i],
-        const fl_touch_config_t touch = {FL_LAW_TOUCH(X)};
+    const fl_touch_config_t touch = {FL_LAW_TOUCH(X)};
 #undef X
-        const fl_drive_config_t config = {servo, collision, touch, b.voltage_per_Nm[i], b.full_Nm[i]};
+#define X(type, name) b.teeth.name[i],
+    const fl_teeth_config_t teeth = {FL_LAW_TEETH(X)};
+#undef X
+#define X(type, name) b.regulator.name[i],
+    const fl_regulator_config_t regulator = {FL_LAW_REGULATOR(X)};
+#undef X
+    return {servo, collision, touch, teeth, regulator, b.voltage_per_Nm[i], b.full_Nm[i], b.law[i]};
+}
+
+inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
 #define X(type, name) b.state.name[i],
-        const fl_servo_state_t before = {FL_LAW_STATE(X)};
+    const fl_servo_state_t servo = {FL_LAW_STATE(X)};
 #undef X
 #define X(type, name) b.observer.name[i],
-        fl_drive_state_t state = {before, {FL_LAW_OBSERVER(X)}};
+    const fl_touch_state_t touch = {FL_LAW_OBSERVER(X)};
 #undef X
+#define X(type, name) b.gap.name[i],
+    const fl_teeth_state_t teeth = {FL_LAW_GAP(X)};
+#undef X
+#define X(type, name) b.seen.name[i],
+    const fl_observer_state_t seen = {FL_LAW_SEEN(X)};
+#undef X
+    return {servo, touch, teeth, {seen, b.slack_Nm[i]}};
+}
+
+// One law over all lanes; with `some`, only what those of this law have found is kept.
+template <fl_law_t Law, bool some> void drive_lanes(LawBatch &b) {
+    for (int i = 0; i < lane_group_size; ++i) {
+        const bool mine = !some || b.law[i] == Law;
+        const fl_drive_config_t config = drive_config_of(b, i);
+        fl_drive_state_t state = drive_state_of(b, i);
 #define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(b.input.name[i]),
         const fl_servo_in_t in = {FL_LAW_INPUT(X)};
 #undef X
-        const fl_drive_out_t out = fl_drive_step(&config, &state, &in, {b.rotor_sin[i], b.rotor_cos[i]});
-#define X(type, name) b.state.name[i] = state.servo.name;
+        const fl_sincos_t rotor = {b.rotor_sin[i], b.rotor_cos[i]};
+        const fl_drive_out_t out = Law == FL_LAW_CONTACT ? fl_drive_contact(&config, &state, &in, rotor)
+                                                         : fl_drive_paper(&config, &state, &in, rotor);
+#define X(type, name) b.state.name[i] = mine ? state.servo.name : b.state.name[i];
         FL_LAW_STATE(X)
 #undef X
-#define X(type, name) b.observer.name[i] = state.touch.name;
+#define X(type, name) b.observer.name[i] = mine ? state.touch.name : b.observer.name[i];
         FL_LAW_OBSERVER(X)
 #undef X
-#define X(type, name) b.torque.name[i] = out.torque.name;
+#define X(type, name) b.gap.name[i] = mine ? state.teeth.name : b.gap.name[i];
+        if (Law == FL_LAW_CONTACT) {
+            FL_LAW_GAP(X)
+        }
+#undef X
+#define X(type, name) b.seen.name[i] = mine ? state.regulator.seen.name : b.seen.name[i];
+        if (Law == FL_LAW_CONTACT) {
+            FL_LAW_SEEN(X)
+            b.slack_Nm[i] = mine ? state.regulator.slack_Nm : b.slack_Nm[i];
+        }
+#undef X
+#define X(type, name) b.torque.name[i] = mine ? out.torque.name : b.torque.name[i];
         FL_LAW_TORQUE(X)
 #undef X
-        b.voltage[i] = out.voltage;
-        b.duty_a[i] = out.duty.phase[0];
-        b.duty_b[i] = out.duty.phase[1];
-        b.duty_c[i] = out.duty.phase[2];
-        b.stuck[i] = out.stuck;
+        b.voltage[i] = mine ? out.voltage : b.voltage[i];
+        b.duty_a[i] = mine ? out.duty.phase[0] : b.duty_a[i];
+        b.duty_b[i] = mine ? out.duty.phase[1] : b.duty_b[i];
+        b.duty_c[i] = mine ? out.duty.phase[2] : b.duty_c[i];
+        b.stuck[i] = mine ? int32_t{out.stuck} : b.stuck[i];
     }
+}
+
+// laws: a bit of 1 << law for each that a lane wants.
+void drive_law(LawBatch &b, unsigned laws) {
+    constexpr unsigned paper = 1U << FL_LAW_PAPER, contact = 1U << FL_LAW_CONTACT;
+    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b);
+    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b);
+    drive_lanes<FL_LAW_PAPER, true>(b);
+    drive_lanes<FL_LAW_CONTACT, true>(b);
 }
 
 } // namespace

@@ -6,6 +6,7 @@ that is refused keeps the positioner from being written at all; see `Derivation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from fiberloom.bus.parameters import PARAMETERS, PARAMETERS_BY_NAME, AxisParameters
+from fiberloom.calibration.commissioning.backlash import BACKLASH_WAVES
 from fiberloom.calibration.commissioning.gains import control_gains
-from fiberloom.calibration.commissioning.measured import Quantities
+from fiberloom.calibration.commissioning.measured import BACKLASH_WAVE, Quantities
 from fiberloom.instruments.model import Care
 from fiberloom.units import AXES, GEAR, RAD_PER_DEG
 
@@ -60,7 +62,8 @@ _RULES: dict[str, _Rule] = {
     "cogging_torque": _Rule("cogging", 1e-6, 0.10, "Eq. 10, two cycles a motor turn"),
     "cogging_phase": _Rule("cogging phase", 1.0, 0.05, "of sin(2 theta + phase)", decades=False),
 }
-_GAINS = "Eq. 21 to 23 from the inertia (gains.py)"
+_GAINS = "Eq. 21 to 23 and the poles of law 1, from inertia and drag (gains.py)"
+_WAVES = "backlash", *(f"{name}{end}" for name in BACKLASH_WAVES for end in ("", "_phase"))
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,8 @@ def _chosen(finding: FoundParameter, care: Care) -> FoundParameter:
 def _of_axis(axis: int, found: Quantities, factory: np.void, now: np.void) -> Iterator[FoundParameter]:
     blanks = {p.name: _kept(axis, p.name, float(factory[p.name]), float(now[p.name])) for p in PARAMETERS}
     made = {name: _measured(blanks[name], found, float(now["u_dc"])) for name in _RULES}
-    made |= {f.name: f for f in _gains(blanks, made["inertia"])}
+    made |= {f.name: f for f in _gains(blanks, made["inertia"], made["drag"])}
+    made |= {f.name: f for f in _backlash(blanks, found)}
     yield from (blanks | made).values()
 
 
@@ -257,21 +261,49 @@ def _fault(finding: FoundParameter, value: float, error: float, rule: _Rule) -> 
     return ""
 
 
-def _gains(blanks: Mapping[str, FoundParameter], inertia: FoundParameter) -> Iterator[FoundParameter]:
-    """Derived from a measured inertia; else the factory's."""
+def _backlash(blanks: Mapping[str, FoundParameter], found: Quantities) -> Iterator[FoundParameter]:
+    """What the maps tell of it; nothing where there are none. A map states no errors."""
+    for name in _WAVES:
+        quantity = found.get(BACKLASH_WAVE.format(AXES[blanks[name].axis], name))
+        if quantity is None or quantity.value is None:
+            continue
+        finding = replace(
+            blanks[name],
+            origin=MEASURED,
+            provenance=f"transmission maps: {quantity.source}",
+            value=quantity.value,
+        )
+        yield _in_range(finding, quantity.value)
+
+
+def _gains(
+    blanks: Mapping[str, FoundParameter], inertia: FoundParameter, drag: FoundParameter
+) -> Iterator[FoundParameter]:
+    """Derived from a measured inertia and the drag; the factory's where the inertia was not measured."""
     if inertia.origin == FACTORY:
         return
-    known = inertia.factory if inertia.value is None else inertia.value
-    relative = (inertia.standard_error or 0.0) / known
-    for name, value in control_gains({"inertia": known}).items():
-        error = None if name == "settle_gain" else value * relative
+    known = {f.name: f.factory if f.value is None else f.value for f in (inertia, drag)}
+    errors = _gain_errors(known, {f.name: f.standard_error or 0.0 for f in (inertia, drag)})
+    for name, value in control_gains(known).items():
         finding = replace(
-            blanks[name], origin=DERIVED, provenance=_GAINS, value=value, standard_error=error
+            blanks[name], origin=DERIVED, provenance=_GAINS, value=value, standard_error=errors[name]
         )  # fmt: skip
         if inertia.value is None:
             yield _refused(finding, "the inertia that it follows from was refused")
-        elif not finding.low <= value <= finding.high:
-            limits = f"{finding.low:g} to {finding.high:g}"
-            yield _refused(finding, f"{value:.4g} {finding.unit} is outside of {limits}")
         else:
-            yield finding
+            yield _in_range(finding, value)
+
+
+def _gain_errors(known: Mapping[str, float], errors: Mapping[str, float]) -> dict[str, float | None]:
+    """Standard errors of the gains from those of inertia and drag; None for what follows from neither."""
+    at = control_gains(known)
+    moved = [control_gains({**known, name: known[name] + error}) for name, error in errors.items()]
+    found = {name: math.hypot(*(m[name] - value for m in moved)) for name, value in at.items()}
+    return {name: error or None for name, error in found.items()}
+
+
+def _in_range(finding: FoundParameter, value: float) -> FoundParameter:
+    if finding.low <= value <= finding.high:
+        return finding
+    limits = f"{finding.low:g} to {finding.high:g}"
+    return _refused(finding, f"{value:.4g} {finding.unit} is outside of {limits}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from fiberloom.calibration.bench.estimate import Estimate
 from fiberloom.calibration.bench.torque import data_sheet_scale
+from fiberloom.calibration.commissioning.backlash import fitted_waves
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import parse_json, read_text
@@ -40,6 +41,8 @@ PUSHED_DRAG = "{} drag of the pushes"
 """The drag that `inertia` finds beside the inertia: a second way to it."""
 BACKLASH = "{} largest backlash"
 """Of the transmission maps, motor degrees."""
+BACKLASH_WAVE = "{} {} of the maps"
+"""A number of `backlash.fitted_waves`, by its axis and its name: motor degrees or rad."""
 
 
 def merged(parts: Mapping[str, Quantities]) -> Quantities:
@@ -57,7 +60,7 @@ def _is_pushed(measurement: str, quantity: str) -> bool:
 
 
 def of_maps(maps: TransmissionMaps, row: int, source: str, reason: str = "") -> Quantities:
-    """The largest backlash of each axis of a positioner, motor deg.
+    """The backlash of each axis of a positioner: the largest, and its mean and waves.
 
     `maps`: of all positioners, `row` the one meant. `source`: where and when they were measured.
     `reason`: why its maps are none; empty where they are good.
@@ -68,9 +71,13 @@ def of_maps(maps: TransmissionMaps, row: int, source: str, reason: str = "") -> 
     for axis, name in enumerate(AXES):
         low, high = maps.output_deg[row, axis, :, [0, -1]].T
         theta = np.linspace(low.max(), high.min(), 1000)
-        largest = float(maps.select([row]).backlash_motor_deg(theta)[0, axis].max())
+        backlash = maps.select([row]).backlash_motor_deg(theta)[0, axis]
         key = BACKLASH.format(name)
-        out[key] = Measured(key, "motor deg", largest, None, "", source)
+        out[key] = Measured(key, "motor deg", float(backlash.max()), None, "", source)
+        for parameter, value in fitted_waves(theta, backlash).items():
+            key = BACKLASH_WAVE.format(name, parameter)
+            unit = "rad" if parameter.endswith("phase") else "motor deg"
+            out[key] = Measured(key, unit, value, None, "", source)
     return out
 
 

@@ -21,6 +21,15 @@
 #define FL_LAW_COLLISION(X) \
     X(float, threshold_Nm) X(float, contact_Nm) X(float, drag) X(float, drag_share) X(int32_t, error_min_cnt)
 #define FL_LAW_TOUCH(X) X(float, inertia) X(float, inertia_inverse) X(float, drag) X(float, threshold_Nm)
+#define FL_LAW_TEETH(X) \
+    X(float, mean_cnt) X(float, once_cnt) X(float, twice_cnt) X(float, thrice_cnt) X(float, pairing_cnt) \
+    X(int32_t, once_phase_cnt) X(int32_t, twice_phase_cnt) X(int32_t, thrice_phase_cnt) \
+    X(int32_t, pairing_phase_cnt) X(int32_t, pairings)
+#define FL_LAW_REGULATOR(X) \
+    X(float, k_e) X(float, k_v) X(float, gain_e) X(float, gain_v) X(float, gain_a) X(float, inertia) \
+    X(float, inertia_inverse) X(float, drag) X(float, gap_coulomb) X(float, gap_drag)
+#define FL_LAW_GAP(X) X(int32_t, gear_cnt) X(int32_t, known)
+#define FL_LAW_SEEN(X) X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2)
 #define FL_LAW_STATE(X) \
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
 #define FL_LAW_OBSERVER(X) \
@@ -54,13 +63,25 @@ struct alignas(64) LawBatch {
     struct {
         FL_LAW_TOUCH(X)
     } touch;
-    // states of servo and touch, in and out; the input; its output
+    struct {
+        FL_LAW_TEETH(X)
+    } teeth;
+    struct {
+        FL_LAW_REGULATOR(X)
+    } regulator;
+    // states of servo, touch, teeth and regulator, in and out; the input; its output
     struct {
         FL_LAW_STATE(X)
     } state;
     struct {
         FL_LAW_OBSERVER(X)
     } observer;
+    struct {
+        FL_LAW_GAP(X)
+    } gap;
+    struct {
+        FL_LAW_SEEN(X)
+    } seen;
     struct {
         FL_LAW_INPUT(X)
     } input;
@@ -69,6 +90,8 @@ struct alignas(64) LawBatch {
     } torque;
 #undef X
     Floats voltage_per_Nm, full_Nm;
+    Floats slack_Nm; // of the regulator's state, in and out
+    Ints law;
     Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
     Floats rotor_sin, rotor_cos;
     Floats voltage;

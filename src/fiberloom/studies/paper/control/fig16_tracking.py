@@ -130,16 +130,21 @@ def track(
 async def _track(bench: PaperBench, open_loop: bool) -> Tracking:
     if open_loop:
         await bench.client.set_loop(closed=False, collision_detection=False)
+    return await follow_ramps(bench, BETA)
+
+
+async def follow_ramps(bench: PaperBench, axis: int) -> Tracking:
+    """Sends the path of Fig. 16 to one `axis` (0 or 1) of every unit that rests at START_DEG."""
     home_deg = bench.rest_wire_deg(START_DEG)
     time_s, path_deg = ramps()
-    stay = np.zeros_like(path_deg)
+    ways = [path_deg * (k == axis) for k in (0, 1)]
     await bench.client.send_trajectories(
         {
-            number: WireTrajectory.from_deg(time_s, home[0] + stay, home[1] + path_deg)
+            number: WireTrajectory.from_deg(time_s, home[0] + ways[0], home[1] + ways[1])
             for number, home in zip(bench.ids, home_deg, strict=True)
         }
     )
-    scopes = [bench.twin.scope(row, BETA) for row in range(len(bench.plane))]
+    scopes = [bench.twin.scope(row, axis) for row in range(len(bench.plane))]
     await bench.client.start()
     await bench.client.sleep(time_s[-1] + 0.2)
     logs = [scope.take() for scope in scopes]

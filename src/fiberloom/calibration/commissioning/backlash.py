@@ -1,0 +1,48 @@
+"""The backlash as the firmware knows it: its mean over the output turn and a few waves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fiberloom.typing import Floats
+
+GEAR_TEETH = 36
+"""Tooth pairings of the last stage per output turn (Kronig 2020, Fig. 10)."""
+BACKLASH_WAVES: dict[str, int] = {
+    "backlash_1": 1,
+    "backlash_2": 2,
+    "backlash_3": 3,
+    "backlash_teeth": GEAR_TEETH,
+}
+"""Parameters of the firmware that hold an amplitude, and how often a turn it comes."""
+
+
+def wave_parameters(mean_deg: float, coefficients_deg: Floats) -> dict[str, float]:
+    """The firmware's parameters (motor deg, phases rad) of a backlash given by its waves.
+
+    `mean_deg`, and `coefficients_deg` (waves, 2) of cos m theta and sin m theta as in BACKLASH_WAVES.
+    A mean below zero, which noise makes of a gear without backlash, is 0.
+    """
+    out = {"backlash": max(float(mean_deg), 0.0)}
+    for name, (cosine, sine) in zip(BACKLASH_WAVES, coefficients_deg, strict=True):
+        out[name] = float(np.hypot(cosine, sine))
+        out[f"{name}_phase"] = float(np.arctan2(cosine, sine))
+    return out
+
+
+def fitted_waves(theta_deg: Floats, backlash_deg: Floats) -> dict[str, float]:
+    """The firmware's parameters (motor deg, phases rad) of a backlash measured over theta, by least squares.
+
+    `theta_deg` (K,) and `backlash_deg` (K,) motor degrees: K well above the nine numbers sought, over most of
+    a turn, closer than half a tooth pairing.
+    """
+    theta = np.deg2rad(theta_deg)
+    columns = [np.ones_like(theta)]
+    for m in BACKLASH_WAVES.values():
+        columns += [np.cos(m * theta), np.sin(m * theta)]
+    # half a turn (beta) leaves slow waves free to be large where nothing was measured: 1e-4 of the
+    # points' weight holds them
+    held = 0.01 * np.sqrt(len(theta)) * np.diag([0.0] + [1.0] * (len(columns) - 1))
+    matrix = np.vstack([np.stack(columns, axis=1), held])
+    found = np.linalg.lstsq(matrix, np.append(backlash_deg, np.zeros(len(held))), rcond=None)[0]
+    return wave_parameters(found[0], found[1:].reshape(-1, 2))
