@@ -1,4 +1,4 @@
-"""One whose grid at rest has a way that no motion can follow is refused; the search for it once had no end."""
+"""One whose grid at rest has a way that no motion can follow is refused; its search once had no end."""
 
 import numpy as np
 

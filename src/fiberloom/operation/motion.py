@@ -321,7 +321,7 @@ class FieldMotion:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places.
 
         Not while one does not answer: it may move, too, and those that are stopped would be in its way. But
-        where one has collided, and the others go on by plans that nobody knows any more, all are stopped.
+        where one has collided, and the others go on by plans that are not known any more, all are stopped.
         """
         moving, collided = await self._on_the_way()
         if (moving or self.left_moving) and self._unheard and not collided:
