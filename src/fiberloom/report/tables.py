@@ -78,10 +78,11 @@ def _text(value: Any) -> str:
 def observation_table(summary: Mapping[str, Any]) -> Table:
     """Return the table that closes an observation: one row per move."""
     table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left",
-                  caption=_caption(summary), caption_justify="left")  # fmt: skip
+                  caption=_caption(summary), caption_justify="left", collapse_padding=True)  # fmt: skip
     for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]", "95 %\n[µm]",
                  "worst\n[µm]", f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
-        table.add_column(name, justify="left" if name == "move" else "right")
+        first = name == "move"
+        table.add_column(name, justify="left" if first else "right", no_wrap=first)
     for move in summary["moves"]:
         if move["interrupted"]:
             table.add_row(f"{move['label']}: stopped", *6 * ["-"])
