@@ -266,6 +266,8 @@ class _Judge:
         """It is not where it reports."""
         image = self.record.images[k]
         wire = image.wire_deg[[row]]
+        if not wire.any():  # it has not been heard yet
+            return False
         reported = self.plane.forward(*self.maps.to_output(wire, index=[row]).T, METROLOGY, index=[row])
         return float(np.hypot(*(image.shot.fibres[METROLOGY][row] - reported[0]))) > ASTRAY_MM
 

@@ -6,16 +6,19 @@ import signal
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from benchmarks.faults.campaign import ARRAYS, LINES, Campaign, arrays_of
 from benchmarks.faults.disk import Ballast, mounted
 from benchmarks.faults.draw import KINDS, OF_POSITIONERS, Injected, Scene, draw
 from benchmarks.faults.host import Desk
-from benchmarks.faults.judge import Record, _Judge
+from benchmarks.faults.judge import Image, Record, _Judge
 from benchmarks.faults.one_seed import run_seed
 from benchmarks.faults.table import SEEDS, Goal, Verdict, exit_code, goals, interval, table
+from benchmarks.faults.world import Shot
 
 from fiberloom.errors import InputError
+from fiberloom.instruments.model import METROLOGY
 from fiberloom.operation import results
 from fiberloom.operation.motion import FieldState
 from fiberloom.operation.session.recover import Recovery
@@ -243,6 +246,17 @@ def test_a_contact_of_one_that_no_frame_reaches_is_counted_apart(array, tmp_path
     found = came_of(array, tmp_path, cut, ill)
     told = {name: found[name] for name in ("contacts", "contacts_unknown", "contacts_unreached")}
     assert {name for name, value in told.items() if value} == {kind}
+
+
+def test_one_that_was_not_heard_yet_has_reported_nothing(array):
+    """Seed 977: it was behind the cut cable at the begin."""
+    world = SimpleNamespace(contacts=[], scene=Scene(977, ()), plane=array.plane)
+    here = {METROLOGY: np.zeros((N, 2))}
+    heard = np.full((N, 2), 10.0)
+    for wire_deg, lies in ((np.zeros((N, 2)), False), (heard, True)):
+        image = Image(1, True, Shot(0.0, here), [""] * N, heard, wire_deg, heard)
+        judge = _Judge(world, array.maps, Record([], [image], []), [], [])
+        assert judge._shows_lying(0, 3) == lies
 
 
 def test_one_that_waits_where_it_reports_does_not_show_that_it_lies():
