@@ -101,8 +101,11 @@ def test_numbers_of_rows_that_differ(call, message):
         (lambda: twin.Twin(setup()).send(0, bytes(9)), "0 to 8 bytes"),
         (lambda: twin.Twin(setup()).set_params(0, 0, np.zeros(3)), "one row of PLANT_PARAMS"),
         (lambda: twin.Twin(setup()).set_transmission(0, 0, np.zeros(3)), "one row of TRANSMISSION_SIZE"),
-        (lambda: twin.Plant(np.zeros(3), np.zeros(61), np.zeros(1)), "plant: rows of"),
-        (lambda: twin.Plant(plain(nominal()), np.zeros(122), np.zeros(1)), "same number of axes"),
+        (lambda: twin.Plant(np.zeros(3), np.zeros(twin.TRANSMISSION_SIZE), np.zeros(1)), "plant: rows of"),
+        (
+            lambda: twin.Plant(plain(nominal()), np.zeros(2 * twin.TRANSMISSION_SIZE), np.zeros(1)),
+            "same number of axes",
+        ),
         (
             lambda: twin.Plant(plain(nominal()), plain(gear_of()), np.zeros(2)),
             "one output angle for every axis",

@@ -9,6 +9,8 @@ import fiberloom as fl
 from fiberloom.calibration.fibres.exposures_file import read_exposures
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.cli.app import app
+from fiberloom.store import Store
+from fiberloom.store.calibrations import STORE
 from fiberloom.targets import write_targets
 from fiberloom.targets.generate import random_targets
 
@@ -35,6 +37,13 @@ def test_the_twin_calibrates_its_fibres(made):
     assert together["n_within_requirement"] == together["stars"]
     assert report["calibrated"] >= N - 1
     assert "seeing" in report["put_in"]
+
+
+def test_it_leaves_a_row_of_each_positioner(made):
+    with Store.open(made / STORE, create=False) as store:
+        left = [store.calibrated(run.id) for run in store.runs()]
+    (found,) = [rows["fibres"] for rows in left if "fibres" in rows]
+    assert found == json.loads((made / "fibres.json").read_text())["calibrated"]
 
 
 def test_recorded_exposures_give_the_same(made, tmp_path, capsys):

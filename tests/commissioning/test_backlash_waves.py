@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from fiberloom.calibration.commissioning.backlash import BACKLASH_WAVES, fitted_waves, wave_parameters
+from fiberloom.calibration.commissioning.backlash import (
+    BACKLASH_WAVES,
+    fitted_waves,
+    tells_waves,
+    wave_parameters,
+)
 
 MEAN = 140.0
 WAVES = np.array([[30.0, -20.0], [5.0, 12.0], [-8.0, 3.0], [6.0, 2.0]])  # of cosine and sine, motor deg
@@ -46,6 +51,14 @@ def test_noise_of_a_map_is_averaged():
     found = fitted_waves(theta, backlash(theta) + rng.normal(0.0, 1.8, 200))
     off = told(found, theta) - backlash(theta)
     assert 0.1 < np.sqrt(np.mean(off**2)) < 0.8
+
+
+def test_a_coarse_map_tells_no_waves():
+    """Of 16 points over half a turn a wave of 347 motor degrees about a mean of 0 was made."""
+    assert not tells_waves(np.linspace(0.0, 180.0, 16))
+    assert not tells_waves(np.array([]))
+    assert tells_waves(np.linspace(0.0, 180.0, 100))
+    assert tells_waves(np.linspace(0.0, 360.0, 200))
 
 
 def test_a_gear_without_backlash_is_told_none():

@@ -70,9 +70,14 @@ def test_sdssv_positions_are_as_good_as_its_photons():
     assert rms(error) < 1.15 * photon
     assert exposed.seen.seen.sum() > 485
     assert not exposed.seen.seen[np.isnan(exposed.true[:, 0])].any()
-    stated = 1e3 * np.sqrt(np.trace(exposed.seen.covariance_mm2, axis1=1, axis2=2))
-    # 400 fibres share one transform: some per cent
-    assert rms(error) == pytest.approx(np.nanmean(stated), rel=0.15)
+    noise, stated = (
+        1e3 * np.sqrt(np.trace(mm2, axis1=1, axis2=2))
+        for mm2 in (exposed.seen.noise_mm2, exposed.seen.covariance_mm2)
+    )
+    # 400 fibres share one transform: some per cent. The table of fiducials is exact here
+    assert rms(error) == pytest.approx(np.nanmean(noise), rel=0.15)
+    # of which the host is told that it is not: 8 um per coordinate on 61 of them, by 17 terms
+    assert np.nanmean(stated) == pytest.approx(8.0 * np.sqrt(17 / 61), rel=0.2)
 
 
 @pytest.mark.slow

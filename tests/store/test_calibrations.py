@@ -13,8 +13,17 @@ from fiberloom.store.listing import runs_below
 
 STAMP = {"instrument": "sdssv", "config_hash": "abc", "seed": 7}
 
-TESTED = {"transmission", "focal-plane", "friction", "inertia", "stiffness", "arms", "repeatability"}
-"""Here, in tests/operation/test_learning.py and in tests/cli/test_bench_commands.py."""
+TESTED = {
+    "transmission",
+    "focal-plane",
+    "friction",
+    "inertia",
+    "stiffness",
+    "arms",
+    "repeatability",
+    "fibres",
+}
+"""Here, in tests/operation/test_learning.py and in tests/cli: test_bench_commands.py, test_calibrate_fibres.py."""
 LOOK_BACK = {"history", "undo"}
 
 

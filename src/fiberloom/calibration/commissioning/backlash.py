@@ -17,6 +17,15 @@ BACKLASH_WAVES: dict[str, int] = {
 """Parameters of the firmware that hold an amplitude, and how often a turn it comes."""
 
 
+def tells_waves(theta_deg: Floats) -> bool:
+    """Whether points of a map at `theta_deg` (K,) are near enough to tell the waves of `BACKLASH_WAVES`.
+
+    Closer than half a tooth pairing (5 deg); with fewer points what is between them is not measured.
+    """
+    widest_deg = float(np.diff(np.sort(theta_deg)).max(initial=0.0))
+    return len(theta_deg) > 2 * len(BACKLASH_WAVES) and widest_deg < 180.0 / GEAR_TEETH
+
+
 def wave_parameters(mean_deg: float, coefficients_deg: Floats) -> dict[str, float]:
     """The firmware's parameters (motor deg, phases rad) of a backlash given by its waves.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fiberloom.calibration.bench.estimate import Estimate
 from fiberloom.calibration.bench.torque import data_sheet_scale
-from fiberloom.calibration.commissioning.backlash import fitted_waves
+from fiberloom.calibration.commissioning.backlash import fitted_waves, tells_waves
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import parse_json, read_text
@@ -74,6 +74,8 @@ def of_maps(maps: TransmissionMaps, row: int, source: str, reason: str = "") -> 
         backlash = maps.select([row]).backlash_motor_deg(theta)[0, axis]
         key = BACKLASH.format(name)
         out[key] = Measured(key, "motor deg", float(backlash.max()), None, "", source)
+        if not all(tells_waves(branch) for branch in maps.output_deg[row, axis]):
+            continue  # the firmware keeps what it has
         for parameter, value in fitted_waves(theta, backlash).items():
             key = BACKLASH_WAVE.format(name, parameter)
             unit = "rad" if parameter.endswith("phase") else "motor deg"
