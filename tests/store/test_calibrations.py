@@ -23,7 +23,7 @@ TESTED = {
     "repeatability",
     "fibres",
 }
-"""Here, in tests/operation/test_learning.py and in tests/cli: test_bench_commands.py, test_calibrate_fibres.py."""
+"""Here, in tests/operation/test_learning.py and in test_bench_commands.py and test_calibrate_fibres.py."""
 LOOK_BACK = {"history", "undo"}
 
 
