@@ -69,6 +69,16 @@ def test_the_science_fibre_is_not_where_the_camera_s_fibre_says():
     assert "BOSS 9 along and 8.3 um across" in told
 
 
+@pytest.mark.slow
+def test_a_wrong_table_of_fiducials_does_not_slow_the_corrections():
+    """It is the same in every image: weighed as noise, it would keep them from their goals as measured."""
+    plane = fl.FocalPlane.of("sdssv", n=61)
+    field = fl.Field.twin(plane, seed=0, errors="fiducial=2")
+    last = field.run.observe(random_targets(plane, 500, 3), corrections=2).summary()["moves"][-1]
+    assert last["measured_rms_um"] < 2.0
+    assert last["true_metrology_rms_um"] > 2.0 * last["measured_rms_um"]
+
+
 def test_a_comparison_is_no_move_of_the_observation(seen):
     compared = replace(seen.moves[-1], number=3, comparison=True)
     observed = replace(seen, moves=[*seen.moves, compared])
