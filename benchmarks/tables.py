@@ -17,6 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from fiberloom.instruments import FocalPlane
+from fiberloom.twin.errors.frame import WrongFrame
+from fiberloom.twin.errors.sizes import TableErrors
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -34,7 +37,7 @@ def main() -> int:
     if not (data / OLD / "positionerTable.csv").is_file():
         print(f"{data}: no tables of {OLD} and {NEW} there; --data names their folder", file=sys.stderr)
         return 2
-    for name, values in sizes(data).items():
+    for name, values in (sizes(data) | of_fiducials()).items():
         print(f"{name:28s} " + "  ".join(f"{key} {value:.2f}" for key, value in values.items()))
     return 0
 
@@ -57,6 +60,16 @@ def sizes(data: Path) -> dict[str, dict[str, float]]:
         variance = [float(row["xyVar"]) for row in csv.DictReader(file)]
     out["fiducials, each coordinate"] = {"median": UM_PER_MM * float(np.median(np.sqrt(variance)))}
     return out
+
+
+def of_fiducials(seeds: int = 40) -> dict[str, dict[str, float]]:
+    """How far fibres of the twin are seen from where they are, um, by fiducials off their table."""
+    plane = FocalPlane.of("sdssv")
+    errors, fibres_mm = TableErrors.of(plane.instrument), plane.forward(40.0, 90.0)
+    seen = [WrongFrame(plane, errors.fiducials_mm(plane, seed)).seen_mm(fibres_mm) for seed in range(seeds)]
+    each = np.array([_rms(UM_PER_MM * np.hypot(*(xy - fibres_mm).T))["rms"] for xy in seen])
+    rms = float(np.sqrt(np.mean(each**2)))
+    return {"fibres, by fiducials": {"rms": rms, "least": float(each.min()), "most": float(each.max())}}
 
 
 def _rms(off_um: Floats) -> dict[str, float]:

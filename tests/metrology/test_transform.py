@@ -133,6 +133,14 @@ def test_the_noise_is_what_images_differ_by_though_the_table_is_wrong():
     assert np.mean(np.mean(stated, axis=0) / scatter) > 2.0  # what the table is off by is in it
 
 
+@pytest.mark.parametrize("errors", [None, PlaceErrors(sigma_mm=8e-3)])
+def test_where_nothing_is_known_of_the_spots_all_may_be_noise(errors):
+    t, mm = truth(), fiducials()
+    px = t.to_px(mm) + np.random.default_rng(5).normal(0, 0.02, mm.shape)
+    found = fit_transform(px, mm, Distortion(RADIUS), flipped=True, errors=errors).transform
+    np.testing.assert_array_equal(found.noise_mm2, found.covariance_mm2)
+
+
 def test_the_inverse_of_the_camera_s_distortion_is_among_the_terms():
     """Its forward map is a sum of terms; backwards the third order has a seventh, 0.6 um of it."""
     optics = camera_model("sdssv").optics

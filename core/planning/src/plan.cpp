@@ -69,6 +69,7 @@ bool Planner::find_paths() {
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {
+        statistics_.expansions += repair.expansions();
         goals_.settle();
         return false;
     }

@@ -17,7 +17,7 @@ are fiducials.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -253,7 +253,9 @@ def fit_transform(
     chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
     inflate = max(chi2, 1.0) if known else chi2
     inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    noise = inverse * chi2 if not known else _by_spots(a, inverse, used / variance, base, errors)
+    spots = _spot_variance(base, errors or PlaceErrors())
+    # where nothing is known of the spots, all may be new in every image
+    noise = inverse * inflate if spots is None or not known else _by_spots(a, inverse, used / variance, spots)
     transform = FieldTransform(base, radius_mm, terms, c, inverse * inflate, noise)
     return TransformFit(transform, residual, loo, used, chi2)
 
@@ -282,22 +284,26 @@ def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Array, 
 def _variance(base: Similarity, n: int, errors: PlaceErrors) -> tuple[Floats, bool]:
     """Variance per coordinate of each fiducial, and whether anything is known about it."""
     variance = np.broadcast_to(np.square(np.asarray(errors.sigma_mm, dtype=np.float64)), (n,)).copy()
-    if errors.covariance_px2 is not None:
-        trace = np.trace(np.asarray(errors.covariance_px2), axis1=1, axis2=2)
-        variance += 0.5 * trace * base.scale_mm_px**2
+    spots = _spot_variance(base, errors)
+    if spots is not None:
+        variance += spots
     if not (variance > 0).all():
         return np.ones(n), False
     return variance, True
 
 
-def _by_spots(
-    a: Floats, inverse: Floats, weight: Floats, base: Similarity, errors: PlaceErrors | None
-) -> Floats:
+def _spot_variance(base: Similarity, errors: PlaceErrors) -> Floats | None:
+    """(m,) mm^2 per coordinate by the noise of the spots; None where nothing is known of it."""
+    if errors.covariance_px2 is None:
+        return None
+    trace: Floats = np.trace(np.asarray(errors.covariance_px2), axis1=1, axis2=2)
+    return 0.5 * trace * base.scale_mm_px**2
+
+
+def _by_spots(a: Floats, inverse: Floats, weight: Floats, spots_mm2: Floats) -> Floats:
     """(K, K) mm^2 of the coefficients, by the noise of the spots and not by where the table has them."""
-    own, _ = _variance(base, len(weight), replace(errors or PlaceErrors(), sigma_mm=0.0))
-    w = np.repeat(weight, 2)
-    gain = inverse @ (a * w[:, None]).T
-    noise: Floats = (gain * np.repeat(own, 2)) @ gain.T
+    gain = inverse @ (a * np.repeat(weight, 2)[:, None]).T
+    noise: Floats = (gain * np.repeat(spots_mm2, 2)) @ gain.T
     return noise
 
 

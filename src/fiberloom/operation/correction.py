@@ -121,32 +121,32 @@ class CorrectionLoop:
         believed_deg: Floats,
         measured_mm: Floats,
         active: Flags,
-        covariance_mm2: Floats | None = None,
+        noise_mm2: Floats | None = None,
     ) -> Floats:
         """The angles (N, 2) in deg to command next, from the last image; within the hard stops.
 
         `believed_deg`: (N, 2) angles that the positioners report, or were commanded, by their maps;
         `measured_mm`: (N, 2) metrology fibres in the image, NaN where not seen; `active`: (N,) the
         positioners to correct. Those that are not active or not seen keep their estimate and get their
-        goal by it. `covariance_mm2`: (N, 2, 2) noise of each position, new in every image; None: the
-        camera's mean for all.
+        goal by it. `noise_mm2`: (N, 2, 2) of each position, new in every image; None: the camera's mean
+        for all.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
         wanted = self.goal_deg - self.offsets.mean_deg
         if self.filtered:
-            self._learn(rows, believed_deg, measured_mm, self._image_noise(rows, covariance_mm2))
+            self._learn(rows, believed_deg, measured_mm, self._image_noise(rows, noise_mm2))
             wanted[rows] = (self.goal_deg - self.offsets.mean_deg)[rows]
         else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
 
-    def _image_noise(self, rows: NDArray[np.intp], covariance_mm2: Floats | None) -> float | Floats:
-        """mm^2 of one image and one arrival, per coordinate; (n, 2, 2) where the image has covariances."""
+    def _image_noise(self, rows: NDArray[np.intp], noise_mm2: Floats | None) -> float | Floats:
+        """mm^2 of one image and one arrival, per coordinate; (n, 2, 2) where the image has its own."""
         # above zero, so that a camera without noise gives no division by zero
         arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
-        if covariance_mm2 is None:
+        if noise_mm2 is None:
             return (0.5 * self.noise.camera_um**2 + arrival_um2) * MM_PER_UM**2
-        return covariance_mm2[rows] + arrival_um2 * MM_PER_UM**2 * np.eye(2)
+        return noise_mm2[rows] + arrival_um2 * MM_PER_UM**2 * np.eye(2)
 
     def _learn(
         self,

@@ -298,10 +298,7 @@ class Observation:
         >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
         True
         """
-        if move.true_mm is None:
-            return None
-        error: Floats = UM_PER_MM * np.hypot(*(move.true_mm - self.target_mm()).T)
-        return error
+        return _apart_um(move.true_mm, self.target_mm())
 
     def true_metrology_error_um(self, move: Move) -> Floats | None:
         """True distance of the metrology fibres from where the camera is to see them.
@@ -324,10 +321,7 @@ class Observation:
         >>> len(seen.true_metrology_error_um(seen.final))
         7
         """
-        if move.true_metrology_mm is None:
-            return None
-        error: Floats = UM_PER_MM * np.hypot(*(move.true_metrology_mm - self.metrology_goal_mm()).T)
-        return error
+        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm())
 
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one.
@@ -402,6 +396,11 @@ class Observation:
         7
         """
         return self.counted(move) & (self.error_um(move) <= self.requirement_um)
+
+
+def _apart_um(true_mm: Floats | None, goal_mm: Floats) -> Floats | None:
+    """(N,) um between places (N, 2); None where the true ones are not known."""
+    return None if true_mm is None else np.asarray(UM_PER_MM * np.hypot(*(true_mm - goal_mm).T))
 
 
 def metrology_goals_mm(plane: FocalPlane, assignment: Assignment) -> Floats:
