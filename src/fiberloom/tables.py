@@ -6,7 +6,7 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ class TableFile:
     columns: Mapping[str, Sequence[Any]]
     places: Sequence[str]
     """For each row, how to find it: `line 12` of a text, `row 3` otherwise."""
+    head: Mapping[str, Any] = field(default_factory=dict)
+    """What the header says beside the columns; empty of CSV."""
 
     def __len__(self) -> int:
         return len(self.places)
@@ -180,7 +182,7 @@ def _read_astropy(path: Path, kind: str) -> TableFile:
     except Exception as error:  # astropy raises many kinds for a broken file
         raise InputError(f"{path}: cannot be read as {kind}: {one_line(error)}") from None
     columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
-    return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))])
+    return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))], dict(table.meta))
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:

@@ -21,6 +21,7 @@ from fiberloom.operation.move import Recorder
 from fiberloom.store import Run, Store
 from fiberloom.store.calibrations import note_calibration
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory
+from fiberloom.targets import TargetList
 from fiberloom.typing import Floats, Ints
 
 
@@ -39,6 +40,12 @@ class Known:
     """Of the observation, once it has begun; None: nothing is learnt."""
     files: dict[str, Path] = field(default_factory=dict)
     """Files that were read, by kind of calibration."""
+    fibres: FibreOffsets | None = None
+    """Of the science fibres, and of the frame of the camera; None: as the layout says."""
+
+    def aims(self, targets: TargetList) -> TargetList:
+        """The targets (N) as the frame of the camera has them, in mm: fibres are to be seen there."""
+        return targets if self.fibres is None else self.fibres.aims(targets)
 
     def record_used(self, run: Run) -> None:
         """Writes into the store which calibrations this run uses."""
@@ -132,11 +139,12 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     """
     host = plane if asked.arms is None else load_arms(asked.arms, plane)
     files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": Path(asked.arms)})
-    if asked.fibres is not None:
-        host = FibreOffsets.load(asked.fibres).applied(host)
+    fibres = None if asked.fibres is None else FibreOffsets.load(asked.fibres)
+    if fibres is not None and asked.fibres is not None:
+        host = fibres.applied(host)
         files["fibres"] = Path(asked.fibres)
     if not (asked.adapt or asked.learnt):
-        return Known(host, maps, files=files)
+        return Known(host, maps, files=files, fibres=fibres)
     covariance = None if asked.arms is None else load_arms_covariance(asked.arms, plane)
     learner = AdaptiveCalibration(host, maps, arms_covariance_mm2=covariance)
     store = Store.open(asked.learnt or maps_file.with_suffix(".learnt.sqlite"), create=asked.adapt)
@@ -147,4 +155,4 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     keeper = Keeper(store, history, learner, asked.seed) if asked.adapt else None
     # as it is now: what this observation teaches is not used in it
     begun = learner.copy()
-    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper, files=files)
+    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper, files=files, fibres=fibres)

@@ -141,7 +141,7 @@ class Observer:
         begun_s = time.monotonic() if self.begun_s is None else self.begun_s
         self.watcher.say("assigning targets")
         kept, assignment = await asyncio.to_thread(
-            assign_relaxed, self.known.plane, targets, seed=settings.seed
+            assign_relaxed, self.known.plane, self.known.aims(targets), seed=settings.seed
         )
         hardware = await connect()
         async with (

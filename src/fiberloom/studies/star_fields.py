@@ -15,6 +15,7 @@ import numpy as np
 from fiberloom.calibration.fibres.combine import combine
 from fiberloom.calibration.fibres.dithered import DitheredField, hexagon
 from fiberloom.calibration.fibres.estimate import FieldOffsets, estimate
+from fiberloom.calibration.fibres.frame import radius_of
 from fiberloom.calibration.fibres.model import FieldSettings
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.fibres.rows import combined_row, field_row
@@ -89,7 +90,7 @@ def calibrate_on_stars(
         seen = observe(stars(plane, fibre, asked.seed + number), offsets, name)
         recorded.append(dithered(seen, plane, fibre, number, asked))
         found.append(estimate(recorded[-1], asked.settings))
-        offsets = FibreOffsets.of(combine(found), plane)
+        offsets = FibreOffsets.of(combine(found, radius_mm=radius_of(plane)), plane)
         rows.append(field_row(name, found[-1]) | _errors(seen, fibre))
     assert offsets is not None
     for k, fibre in enumerate(fibres):

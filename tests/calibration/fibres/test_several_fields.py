@@ -7,15 +7,18 @@ import pytest
 from stars import GAUSSIAN, Conditions, drawn_field, drawn_offsets, formal, rms
 
 import fiberloom as fl
-from fiberloom.calibration.fibres.combine import combine
+from fiberloom.calibration.fibres.combine import FRAME_UM, combine
 from fiberloom.calibration.fibres.dithered import DitheredField, hexagon
 from fiberloom.calibration.fibres.estimate import estimate
 from fiberloom.calibration.fibres.exposures_file import read_all, read_exposures, write_exposures
+from fiberloom.calibration.fibres.frame import FrameOffset
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY
 from fiberloom.tables import read_table
 
+RADIUS_MM = 425.0
+"""Of a disc that holds the square in which fields are drawn."""
 MARKS = {"version": "0", "seed": 0, "instrument": "sdssv", "config_hash": "cafe", "utc": "2026-01-01"}
 
 
@@ -42,11 +45,17 @@ def test_three_fields_tell_what_one_cannot(night):
     assert (together.n_fields == 3).all()
 
 
-def test_one_field_keeps_its_patterns_in_the_covariance(night):
-    _, _, found = night
-    one = combine(found[:1], place_um=1e-3)
-    assert one.offset_um == pytest.approx(found[0].offset_um, abs=1e-4)
-    assert formal(one.covariance_um2) == pytest.approx(formal(found[0].covariance_with_modes_um2()), rel=1e-3)
+def test_one_field_keeps_in_the_covariance_what_it_cannot_tell(night):
+    """The guider's patterns, and a camera frame that is off."""
+    _, _, (found, *_) = night
+    one = combine([found], place_um=1e-3, radius_mm=RADIUS_MM)
+    assert one.offset_um == pytest.approx(found.offset_um, abs=1e-4)
+    frame = found.turned.swapaxes(-1, -2) @ FrameOffset.basis(found.fibre_mm, RADIUS_MM).transpose(1, 2, 0)
+    guider_um2 = found.mode_um**2 + FRAME_UM**2
+    expected = found.covariance_um2 + guider_um2 * found.modes @ found.modes.swapaxes(-1, -2)
+    expected += FRAME_UM**2 * frame @ frame.swapaxes(-1, -2)
+    assert formal(one.covariance_um2) == pytest.approx(formal(expected), rel=1e-3)
+    assert formal(one.covariance_um2) > 2.0 * formal(combine(night[2]).covariance_um2)
 
 
 def shifted(found, row, by_um):

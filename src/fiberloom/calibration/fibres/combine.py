@@ -1,10 +1,14 @@
 """Offsets from several fields (or nights): inverse covariance, the guider's patterns, fibres that changed.
 
-Of field f and fibre n a vector is known, d_fn = o_n + M_fn c_f + noise(C_fn + place^2), with o_n the offset
-in the frame of the arm and c_f the sizes of the four patterns that field f could not tell (`estimate`). Arms
-point elsewhere in each field, so that the differences between fields tell c_f: least squares over all o_n
-and c_f, the former taken out. What fields disagree by beyond the noise of their light (metrology of each
-field, the stars' places) is `place`, the same for all.
+Of field f and fibre n a vector is known,
+
+    d_fn = o_n + M_fn c_f + R_fn^T V(x_fn) q + noise(C_fn + place^2)
+
+with o_n the offset in the frame of the arm, c_f the sizes of the four patterns that field f could not tell
+(`estimate`), and q by how much the camera's frame is off (`frame`): fixed in the focal plane, R_fn turns it
+into the frame of the arm. Arms point elsewhere in each field, so that the differences between fields tell
+c_f and q: least squares over all, the o_n taken out. What fields disagree by beyond the noise of their light
+(metrology of each field, the stars' places) is `place`, the same for all.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2 as chi2_of
 
 from fiberloom.calibration.fibres.estimate import FieldOffsets
+from fiberloom.calibration.fibres.frame import TERMS, FrameOffset
 from fiberloom.calibration.fibres.model import MODES
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats, Ints
@@ -26,6 +31,8 @@ PLACE_UM = 0.5
 """Least error per coordinate of where a fibre is against its star in one field, beyond photons: SDSS-V's
 metrology camera alone has 0.669 um in two dimensions."""
 _MOST_PLACE_UM = 20.0
+FRAME_UM = 2.0
+"""Rms that a term of the camera's frame is expected to have; 61 fiducials of 8 um make 1 um of each."""
 _UNLIKELY = (1e-5, 1e-3)
 """Chance below which two fields, or three and more, disagree on a fibre. Of three one is left
 out, which costs little where it was right; of two both are."""
@@ -48,9 +55,12 @@ class Combined:
     reason: list[str]
     place_um: float
     """What the fields disagree by beyond the noise of their light, per coordinate."""
+    frame: FrameOffset
 
 
-def combine(fields: Sequence[FieldOffsets], place_um: float = PLACE_UM) -> Combined:
+def combine(
+    fields: Sequence[FieldOffsets], place_um: float = PLACE_UM, radius_mm: float | None = None
+) -> Combined:
     """The offsets that fit several fields best.
 
     Parameters
@@ -59,6 +69,8 @@ def combine(fields: Sequence[FieldOffsets], place_um: float = PLACE_UM) -> Combi
         In the order of time.
     place_um : float
         Least error of the place of a fibre against its star in a field, um per coordinate.
+    radius_mm : float, optional
+        Of the disc in which fibres are; that of the fibres themselves when left out.
 
     Returns
     -------
@@ -73,7 +85,9 @@ def combine(fields: Sequence[FieldOffsets], place_um: float = PLACE_UM) -> Combi
     """
     if not fields:
         raise InputError("fibres: no field of stars; give one or more")
-    all_of = _Entries.of(fields, place_um)
+    if radius_mm is None:
+        radius_mm = max(float(np.hypot(*f.fibre_mm.T).max(initial=1.0)) for f in fields)
+    all_of = _Entries.of(fields, place_um, radius_mm)
     for _ in range(len(fields) + 1):
         all_of.place_um = all_of.found_place_um(place_um)
         worst = all_of.disagreeing()
@@ -87,27 +101,26 @@ class _Entries:
     """One entry for each field and fibre that was found."""
 
     def __init__(
-        self, fibre_of: Ints, field_of: Ints, n: tuple[int, int], values: tuple[Floats, ...]
+        self, fibre_of: Ints, keys: list[tuple[int, str]], values: tuple[Floats, ...], radius_mm: float
     ) -> None:
-        self.fibre_of, self.field_of, (self.n_fibres, self.n_fields) = fibre_of, field_of, n
-        self.d, self.c, self.modes, self.mode_um = values
+        self.fibre_of, self.keys, self.n_fibres, self.radius_mm = fibre_of, keys, len(keys), radius_mm
+        self.d, self.c, self.patterns, self.expected_um = values
         self.used = np.ones(len(self.d), dtype=bool)
         self.changed = np.zeros(self.n_fibres, dtype=bool)
         self.place_um = 0.0
 
     @classmethod
-    def of(cls, fields: Sequence[FieldOffsets], place_um: float) -> _Entries:
+    def of(cls, fields: Sequence[FieldOffsets], place_um: float, radius_mm: float) -> _Entries:
         keys = sorted({key for f in fields for key in _keys(f)})
         number = {key: k for k, key in enumerate(keys)}
         fibre_of = [np.array([number[key] for key in _keys(f)], dtype=np.int64)[f.ok] for f in fields]
-        field_of = [np.full(len(rows), k) for k, rows in enumerate(fibre_of)]
         values = (
             np.concatenate([f.offset_um[f.ok] for f in fields]),
             np.concatenate([f.covariance_um2[f.ok] for f in fields]),
-            np.concatenate([f.modes[f.ok] for f in fields]),
-            np.array([f.mode_um for f in fields]),
+            np.concatenate([_patterns(f, k, len(fields), radius_mm) for k, f in enumerate(fields)]),
+            _expected_um(fields),
         )
-        made = cls(np.concatenate(fibre_of), np.concatenate(field_of), (len(keys), len(fields)), values)
+        made = cls(np.concatenate(fibre_of), keys, values, radius_mm)
         made.place_um = place_um
         return made
 
@@ -148,8 +161,7 @@ class _Entries:
         return np.array(out, dtype=np.int64)
 
     def result(self, fields: Sequence[FieldOffsets]) -> Combined:
-        keys = sorted({key for f in fields for key in _keys(f)})
-        solution = self.solved()
+        keys, solution = self.keys, self.solved()
         count = np.bincount(self.fibre_of[self.used], minlength=self.n_fibres)
         left_out = np.bincount(self.fibre_of[~self.used], minlength=self.n_fibres)
         why = _first_reasons(fields)
@@ -166,6 +178,7 @@ class _Entries:
             n_left_out=left_out,
             reason=reason,
             place_um=self.place_um,
+            frame=solution.frame(),
         )
 
 
@@ -180,34 +193,30 @@ class _Solution:
         np.add.at(own, e.fibre_of, self.weight)
         self.known = np.einsum("nii->n", own) > 0.0
         own[~self.known] = np.eye(2)
-        self.own = np.linalg.inv(own)
-        felt = self.weight @ e.modes  # (entries, 2, 4)
-        # a fibre has one entry of a field at most
-        shared = np.zeros((e.n_fibres, 2, e.n_fields, MODES))
-        shared[e.fibre_of, :, e.field_of] = felt
-        self.shared: Floats = shared.reshape(e.n_fibres, 2, -1)
+        self.own = np.asarray(np.linalg.inv(own), dtype=np.float64)
+        felt = self.weight @ e.patterns  # (entries, 2, patterns)
+        self.shared = np.zeros((e.n_fibres, *felt.shape[1:]))
+        np.add.at(self.shared, e.fibre_of, felt)
         pulled = np.zeros((e.n_fibres, 2))
         np.add.at(pulled, e.fibre_of, np.einsum("kij,kj->ki", self.weight, e.d))
-        right = np.zeros((e.n_fields, MODES))
-        np.add.at(right, e.field_of, np.einsum("kij,ki->kj", felt, e.d))
-        blocks = np.zeros((e.n_fields, MODES, e.n_fields, MODES))
-        squares = e.modes.swapaxes(-1, -2) @ felt
-        for k in range(e.n_fields):
-            blocks[k, :, k] = squares[e.field_of == k].sum(axis=0)
-        size = e.n_fields * MODES
-        weak = np.repeat(np.maximum(e.mode_um, 1e-6) ** -2.0, MODES)
-        matrix = blocks.reshape(size, size) + np.diag(weak)
+        matrix = np.einsum("kip,kiq->pq", e.patterns, felt, optimize=True) + np.diag(e.expected_um**-2.0)
         matrix -= np.einsum("nip,nij,njq->pq", self.shared, self.own, self.shared, optimize=True)
-        self.modes = np.linalg.inv(matrix)
-        taken = np.einsum("nip,nij,nj->p", self.shared, self.own, pulled, optimize=True)
-        self.size = self.modes @ (right.ravel() - taken)
+        self.wide: Floats = np.linalg.inv(matrix)
+        right = np.einsum("kip,ki->p", felt, e.d)
+        right -= np.einsum("nip,nij,nj->p", self.shared, self.own, pulled, optimize=True)
+        self.size = self.wide @ right
         self.offset = np.einsum("nij,nj->ni", self.own, pulled - self.shared @ self.size)
+
+    def frame(self) -> FrameOffset:
+        """By how much the camera's frame is off."""
+        last = slice(-len(TERMS), None)
+        wide = self.wide[last, last]
+        return FrameOffset(self.e.radius_mm, self.size[last], 0.5 * (wide + wide.T))
 
     def left(self) -> Floats:
         """(entries, 2) um: of each field from the common offset."""
         e = self.e
-        patterns = np.einsum("kij,kj->ki", e.modes, self.size.reshape(-1, MODES)[e.field_of])
-        left: Floats = e.d - patterns - self.offset[e.fibre_of]
+        left: Floats = e.d - e.patterns @ self.size - self.offset[e.fibre_of]
         return left
 
     def chi2(self) -> tuple[Floats, Ints]:
@@ -229,8 +238,23 @@ class _Solution:
     def covariance(self) -> Floats:
         """(K, 2, 2) um^2."""
         lever = self.own @ self.shared
-        covariance: Floats = self.own + lever @ self.modes @ lever.swapaxes(-1, -2)
-        return covariance
+        shared: Floats = lever @ self.wide @ lever.swapaxes(-1, -2)
+        return self.own + shared
+
+
+def _patterns(field: FieldOffsets, number: int, n_fields: int, radius_mm: float) -> Floats:
+    """(K, 2, 4 F + 9) what fibres have in common: the guider's of each field, and the camera's frame."""
+    frame = FrameOffset.basis(field.fibre_mm, radius_mm).transpose(1, 2, 0)
+    guider = np.zeros((len(frame), 2, n_fields, MODES))
+    guider[:, :, number] = field.modes
+    frame = field.turned.swapaxes(-1, -2) @ frame
+    return np.concatenate([guider.reshape(len(frame), 2, -1), frame], axis=-1)[field.ok]
+
+
+def _expected_um(fields: Sequence[FieldOffsets]) -> Floats:
+    """(4 F + 9,) rms that each may have. What the guider takes of the frame's terms adds to its own."""
+    guider = [max(np.hypot(f.mode_um, FRAME_UM), 1e-6) for f in fields]
+    return np.concatenate([np.repeat(guider, MODES), np.full(len(TERMS), FRAME_UM)])
 
 
 def _keys(field: FieldOffsets) -> list[tuple[int, str]]:

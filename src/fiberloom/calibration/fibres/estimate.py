@@ -18,6 +18,7 @@ from scipy.stats import chi2 as chi2_of
 
 from fiberloom.calibration.fibres.descent import fitted
 from fiberloom.calibration.fibres.dithered import DitheredField
+from fiberloom.calibration.fibres.guider import patterns_of, places_of, size_of
 from fiberloom.calibration.fibres.model import (
     MODES,
     OF_EXPOSURE,
@@ -64,6 +65,10 @@ class FieldOffsets:
     """(N, 2, 2) without what is common to all (`modes`); NaN for a fibre with a reason."""
     reason: list[str]
     """Why nothing was found of a fibre; empty where it was."""
+    fibre_mm: Floats
+    """(N, 2) where the host believed the fibre."""
+    turned: Floats
+    """(N, 2, 2) from the frame of the arm to the focal plane: a ratio."""
     modes: Floats
     """(N, 2, 4) patterns that a field cannot tell, each of rms 1: um per um."""
     mode_um: float
@@ -237,8 +242,7 @@ class _Result:
         """(N, 2, 2) covariance of v with everything common in it but the four patterns."""
         own = self.normal.star[:, 1:, 1:]
         felt = self.normal.felt[:, 1:]
-        lever = self.model.place
-        modes = np.concatenate([np.broadcast_to(np.eye(2), (len(own), 2, 2)), lever], axis=-1)
+        modes = patterns_of(self.model.place)
         gram = np.linalg.pinv(np.einsum("ncj,nck->jk", modes, modes))
         back = modes @ gram  # (N, 2, 4)
         common = np.einsum("ncj,nck->jk", modes, felt)
@@ -273,13 +277,12 @@ class _Result:
     def offsets(self, field: DitheredField, lit: Ints, reason: list[str]) -> FieldOffsets:
         """For all fibres of the `field`; `lit`: rows of it in this fit; `reason`: of all."""
         n, turned = len(field.positioner_id), field.turned()
-        place = FieldModel(field, self.model.settings).place
-        modes = np.concatenate([np.broadcast_to(np.eye(2), (n, 2, 2)), place], axis=-1)
+        modes = patterns_of(places_of(field.fibre_mm))
         good = np.array([not r for r in reason], dtype=bool)
         v, wide = np.zeros((n, 2)), np.full((n, 2, 2), np.nan)
         v[lit], wide[lit] = self.at.star[:, 1:], self.spread_um2()
         v[~good], wide[~good] = 0.0, np.nan
-        v[good] -= _common(v[good], modes[good])
+        v[good] -= modes[good] @ size_of(v[good], modes[good])
         back = turned.swapaxes(-1, -2)
         chi2, outliers = np.full(n, np.nan), np.zeros(n, dtype=np.int64)
         chi2[lit] = self.chi2 / self.dof
@@ -291,17 +294,11 @@ class _Result:
             offset_um=np.einsum("nij,nj->ni", back, v),
             covariance_um2=back @ wide @ turned,
             reason=reason,
+            fibre_mm=field.fibre_mm,
+            turned=turned,
             modes=back @ modes,
             mode_um=float(np.sqrt((v[good] ** 2).mean() / good.sum())),
             chi2_dof=np.where(good, chi2, np.nan),
             n_outliers=outliers,
             exposures=self.at.exposure,
         )
-
-
-def _common(v: Floats, modes: Floats) -> Floats:
-    """The part (N, 2) of vectors that the patterns make."""
-    flat = modes.reshape(-1, MODES)
-    size = np.linalg.lstsq(flat, v.ravel(), rcond=None)[0]
-    part: Floats = (flat @ size).reshape(-1, 2)
-    return part

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fiberloom.calibration.fibres.dithered import CORE_UM, DitheredField
+from fiberloom.calibration.fibres.guider import places_of
 from fiberloom.calibration.fibres.throughput import StarProfile, light
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import UM_PER_MM
@@ -178,17 +179,6 @@ class FieldModel:
         part = FieldModel(self.field.select(rows), self.settings)
         part.place, part.fwhm_um = self.place[rows], self.fwhm_um
         return part
-
-
-def places_of(xy_mm: Floats) -> Floats:
-    """(N, 2, 2) directions in which fibres (N, 2) move where the field turns, and where it grows.
-
-    A ratio: by how much against the rms radius of the field.
-    """
-    apart = xy_mm - xy_mm.mean(axis=0)
-    radius = np.sqrt((apart**2).sum(axis=1).mean()) if len(apart) else 1.0
-    x, y = (apart / max(float(radius), 1e-9)).T
-    return np.stack([np.stack([-y, x], axis=-1), np.stack([x, y], axis=-1)], axis=-1)
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from fiberloom.calibration.fibres.combine import Combined, combine
 from fiberloom.calibration.fibres.estimate import FieldOffsets
+from fiberloom.calibration.fibres.frame import FrameOffset
 from fiberloom.calibration.fibres.model import MODES
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.tables import TableFile, read_table, write_summed
+from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, UM_PER_MM
 
@@ -70,6 +72,8 @@ class FibreOffsets:
     """(N,) fields of stars behind it."""
     reason: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
     """(N,) why nothing is known; empty where it is."""
+    frame: FrameOffset | None = None
+    """By how much the camera's frame is off, to which the offsets belong; None: not at all."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -134,6 +138,7 @@ class FibreOffsets:
             lever_mm=lever.reshape(-1, 2),
             n_fields=found.n_fields,
             reason=np.array(found.reason, dtype=np.str_),
+            frame=found.frame,
         )
 
     @classmethod
@@ -159,6 +164,7 @@ class FibreOffsets:
         levers = _common_levers(nights)
         found = combine([night._as_field(k) for k, night in enumerate(nights)], place_um=0.0)
         keys = list(zip(found.positioner_id.tolist(), found.fibre.tolist(), strict=True))
+        frames = [night.frame for night in nights if night.frame is not None]
         reason = [
             "" if not r else r.replace("its fields disagree", "its nights disagree") for r in found.reason
         ]
@@ -174,6 +180,7 @@ class FibreOffsets:
             lever_mm=np.array([levers[key] for key in keys]).reshape(-1, 2),
             n_fields=np.array([fields[key] for key in keys], dtype=np.int64),
             reason=np.array(reason, dtype=np.str_),
+            frame=FrameOffset.mean(frames) if frames else None,
         )
 
     def _as_field(self, number: int) -> FieldOffsets:
@@ -185,12 +192,23 @@ class FibreOffsets:
             offset_um=self.offset_mm * UM_PER_MM,
             covariance_um2=self.covariance_mm2 * UM_PER_MM**2,
             reason=self.reason.tolist(),
+            # what the fields of a night have in common is taken out already
+            fibre_mm=np.zeros((n, 2)),
+            turned=np.zeros((n, 2, 2)),
             modes=np.zeros((n, 2, MODES)),
             mode_um=1.0,
             chi2_dof=np.full(n, np.nan),
             n_outliers=np.zeros(n, np.int64),
             exposures=np.empty((0, 0)),
         )
+
+    def aims(self, targets: TargetList) -> TargetList:
+        """The targets (N) where the camera, whose frame is off, will see fibres that are on them, in mm."""
+        if self.frame is None:
+            return targets
+        xy_mm = np.column_stack([targets.x_mm, targets.y_mm])
+        x_mm, y_mm = (xy_mm - self.frame.at_mm(xy_mm)).T
+        return replace(targets, x_mm=x_mm, y_mm=y_mm)
 
     def applied(self, plane: FocalPlane) -> FocalPlane:
         """The layout with its science fibres where they are.
@@ -234,7 +252,8 @@ class FibreOffsets:
             *(self.positioner_id, self.fibre, *self.offset_mm.T),
             *(wide[:, 0, 0], wide[:, 0, 1], wide[:, 1, 1], *self.lever_mm.T, self.n_fields, self.reason),
         )
-        head = {"format": FORMAT, "format_version": FORMAT_VERSION, **marks}
+        frame = {} if self.frame is None else {"camera_frame": self.frame.to_meta()}
+        head = {"format": FORMAT, "format_version": FORMAT_VERSION, **frame, **marks}
         write_summed(Path(path), Table(dict(zip(_COLUMNS, columns, strict=True)), meta=head))
 
     @classmethod
@@ -271,7 +290,16 @@ def _read(cls: type[FibreOffsets], table: TableFile) -> FibreOffsets:
         lever_mm=np.column_stack([numbers["lever_x_mm"], numbers["lever_y_mm"]]),
         n_fields=table.integers("n_fields"),
         reason=table.strings("reason"),
+        frame=_frame(table.head.get("camera_frame")),
     )
+
+
+def _frame(meta: Any) -> FrameOffset | None:
+    if meta is None:
+        return None
+    if not isinstance(meta, dict):
+        raise InputError("camera frame: no table of its numbers")
+    return FrameOffset.of_meta(meta)
 
 
 def _numbers(table: TableFile, name: str) -> Floats:

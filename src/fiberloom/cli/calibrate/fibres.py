@@ -86,11 +86,12 @@ def _recorded(options: FibreOptions, plane: FocalPlane) -> Result:
     from fiberloom.calibration.fibres.combine import combine
     from fiberloom.calibration.fibres.estimate import estimate
     from fiberloom.calibration.fibres.exposures_file import read_all
+    from fiberloom.calibration.fibres.frame import radius_of
     from fiberloom.calibration.fibres.offsets import FibreOffsets
     from fiberloom.calibration.fibres.rows import combined_row, field_row
 
     found = [estimate(one, _settings(options)) for one in read_all(options.exposures or [])]
-    together = combine(found)
+    together = combine(found, radius_mm=radius_of(plane))
     offsets = FibreOffsets.of(together, plane)
     rows = [field_row(one.name, one) for one in found] + [combined_row("combined", offsets)]
     return offsets, rows, {"place_um": together.place_um}

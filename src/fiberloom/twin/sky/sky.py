@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fiberloom.calibration.fibres.dithered import CORE_UM, DitheredField, hexagon
-from fiberloom.calibration.fibres.model import places_of
+from fiberloom.calibration.fibres.guider import places_of
 from fiberloom.calibration.fibres.throughput import StarProfile, light
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM

@@ -1,51 +1,35 @@
-"""The results of an observation: summary.json, fibres.ecsv, trajectories.json, figures."""
+"""An observed field: its moves and the errors of its fibres."""
 
 from __future__ import annotations
 
-import json
-from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from astropy import units as u
-from astropy.table import QTable, Table, vstack
-from numpy.typing import NDArray
+from astropy.table import QTable
 
 from fiberloom.assignment import Assignment
+from fiberloom.calibration.fibres.guider import guided
 from fiberloom.errors import InputError
-from fiberloom.health.status import FAULTS, FibreFlag, FibreStatus, grade
+from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.operation.move import Move
+from fiberloom.operation.results.files import MARKS, fibres_table, picture, write_results
+from fiberloom.operation.results.summary import summarise
 from fiberloom.report.figures import new_axes
-from fiberloom.report.focal_plane import (
-    FieldPicture,
-    draw_focal_plane,
-    errors_title,
-    frame_positioners,
-    plot_errors,
-    plot_focal_plane,
-)
+from fiberloom.report.focal_plane import draw_focal_plane, frame_positioners
 from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
-from fiberloom.tables import write_summed
 from fiberloom.targets import TargetList
-from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
-from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MARKS = ("version", "seed", "instrument", "config_hash", "utc")
-"""Entries that every result file has."""
-
 _UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
-
-TRULY_OFF = "truly_off_target"
-"""On target as measured, not in truth: the twin knows."""
 
 NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
 """Status of a positioner whose error does not count."""
@@ -200,7 +184,7 @@ class Observation:
         if not self.moves:
             raise InputError("nothing to plot: no move was made")
         axes = new_axes((7.0, 6.4)) if ax is None else ax
-        draw_focal_plane(axes, self.plane, _picture(self))
+        draw_focal_plane(axes, self.plane, picture(self))
         frame_positioners(axes, self.plane)
         return axes
 
@@ -300,8 +284,39 @@ class Observation:
         """
         return _apart_um(move.true_mm, self.target_mm())
 
+    def guided_error_um(self, move: Move) -> Floats | None:
+        """True distance of the science fibres from their stars, on a telescope that guides by them.
+
+        Shift, rotation and scale of the whole field are the guider's: they are taken out of the true errors
+        of the healthy fibres.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.guided_error_um(seen.final))
+        7
+        """
+        if move.true_mm is None:
+            return None
+        star_mm = self.target_mm()
+        place_mm = np.where(np.isfinite(star_mm), star_mm, self.plane.centres_mm)
+        left_mm = guided(move.true_mm - star_mm, place_mm, self.counted(move))
+        return np.asarray(UM_PER_MM * np.hypot(*left_mm.T))
+
     def true_metrology_error_um(self, move: Move) -> Floats | None:
-        """True distance of the metrology fibres from where the camera is to see them.
+        """True distance of the metrology fibres from their places with the science fibres on target.
 
         Parameters
         ----------
@@ -321,7 +336,17 @@ class Observation:
         >>> len(seen.true_metrology_error_um(seen.final))
         7
         """
-        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm())
+        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm() + self._frame_mm())
+
+    def _frame_mm(self) -> Floats:
+        """(N, 2) mm from where the camera is to see a fibre to where that is: its frame, as far as known."""
+        angles = self.assignment
+        aimed = np.full((len(self.plane), 2), np.nan)
+        for fibre in np.unique(angles.fibre[angles.target >= 0]).tolist():
+            rows = (angles.target >= 0) & (np.asarray(angles.fibre) == fibre)
+            aimed[rows] = self.plane.forward(angles.alpha_deg, angles.beta_deg, fibre)[rows]
+        known_mm: Floats = self.target_mm() - aimed
+        return known_mm
 
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one.
@@ -407,181 +432,3 @@ def metrology_goals_mm(plane: FocalPlane, assignment: Assignment) -> Floats:
     """(N, 2) mm: where each metrology fibre is when the science fibre is on its target; NaN without one."""
     at = plane.forward(assignment.alpha_deg, assignment.beta_deg, METROLOGY)
     return np.where((assignment.target >= 0)[:, None], at, np.nan)
-
-
-def summarise(observed: Observation) -> dict[str, Any]:
-    """The figures of summary.json that come from the moves."""
-    final = observed.final
-    assigned = observed.assignment.n_assigned
-    within = int(observed.on_target(final).sum())
-    return {
-        "n_positioners": len(observed.plane),
-        "n_targets": len(observed.targets),
-        "n_assigned": assigned,
-        "n_valid": int(observed.counted(final).sum()),
-        "n_within_requirement": within,
-        "share_within_requirement": within / assigned if assigned else 0.0,
-        "requirement_um": observed.requirement_um,
-        "collisions_verified": observed.collisions_verified,
-        "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
-        "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
-        "stopped": observed.stopped,
-        "moves": [_summarise_move(observed, move) for move in observed.moves],
-        "faults": _faults(observed, final),
-        "not_on_target": _not_on_target(observed, final),
-    }
-
-
-def _not_on_target(observed: Observation, move: Move) -> dict[str, int]:
-    """How many of the assigned fibres are not on target, by their status; the most frequent first."""
-    missed = (observed.assignment.target >= 0) & ~observed.on_target(move)
-    why = [TRULY_OFF if status is FibreStatus.ON_TARGET else status.value for status in move.status]
-    return dict(Counter(np.array(why, dtype=object)[missed].tolist()).most_common())
-
-
-def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
-    counted = observed.counted(move)
-    measured = move.measured_error_um[counted]
-    true, metrology = observed.true_error_um(move), observed.true_metrology_error_um(move)
-    error = observed.error_um(move)[counted]
-    return {
-        "move": move.number,
-        "label": move.label,
-        "interrupted": move.interrupted,
-        "comparison": move.comparison,
-        "motion_s": move.motion_s,
-        "n_fibres": int(counted.sum()),
-        "n_within_requirement": int((error <= observed.requirement_um).sum()),
-        "measured_rms_um": _rms(measured),
-        "true_metrology_rms_um": None if metrology is None else _rms(metrology[counted]),
-        "true_rms_um": None if true is None else _rms(true[counted]),
-        "p95_um": _percentile(error, 95),
-        "max_um": _percentile(error, 100),
-    }
-
-
-def _rms(values: Floats) -> float | None:
-    good = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(good**2))) if len(good) else None
-
-
-def _percentile(values: Floats, share: float) -> float | None:
-    good = values[np.isfinite(values)]
-    return float(np.percentile(good, share)) if len(good) else None
-
-
-def _faults(observed: Observation, move: Move) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for positioner, status in zip(observed.plane.positioner_id, move.status, strict=True):
-        if status in FAULTS or status is FibreStatus.BLOCKED:
-            found.setdefault(status.value, []).append(int(positioner))
-    return found
-
-
-def fibres_table(observed: Observation) -> Table:
-    """One row for every positioner and move, with the columns of docs/files.md."""
-    return vstack([_fibres_of(observed, move) for move in observed.moves])
-
-
-def _fibres_of(observed: Observation, move: Move) -> Table:
-    plane, assignment = observed.plane, observed.assignment
-    target, goal = observed.target_mm(), observed.metrology_goal_mm()
-    names = np.append(observed.targets.target_id, "")  # index -1: no target
-    nothing = np.full((len(plane), 2), np.nan)
-    true, true_um = move.true_mm, observed.true_error_um(move)
-    seen = move.measurement.seen
-    return Table(
-        {
-            "positioner_id": plane.positioner_id,
-            "fibre": assignment.fibre,
-            "target_id": names[assignment.target],
-            "move": np.full(len(plane), move.number),
-            **_pair("target", target),
-            "alpha_deg": assignment.alpha_deg,
-            "beta_deg": assignment.beta_deg,
-            **_pair("metrology_goal", goal),
-            **_pair("measured", np.where(seen[:, None], move.measurement.xy_mm, np.nan)),
-            **_pair("true", nothing if true is None else true),
-            "measured_error_um": move.measured_error_um,
-            "true_error_um": nothing[:, 0] if true_um is None else true_um,
-            "error_um": observed.error_um(move),
-            "status": np.array([status.value for status in move.status]),
-            "grade": _grades(observed, move),
-            "flags": _flags(observed, move),
-        }
-    )
-
-
-def _pair(name: str, xy_mm: Floats) -> dict[str, Floats]:
-    return {f"x_{name}_mm": xy_mm[:, 0], f"y_{name}_mm": xy_mm[:, 1]}
-
-
-def _grades(observed: Observation, move: Move) -> NDArray[np.str_]:
-    has = (observed.assignment.target >= 0).tolist()
-    errors = observed.error_um(move).tolist()
-    return np.array([grade(e, observed.requirement_um, h) for e, h in zip(errors, has, strict=True)])
-
-
-def _flags(observed: Observation, move: Move) -> Ints:
-    """(N,) bits of `FibreFlag`."""
-    flags = np.array([_OF_STATUS.get(status, 0) for status in move.status], dtype=np.int64)
-    ambiguous = move.measurement.ambiguous
-    for flag, where in (
-        (FibreFlag.NO_TARGET, observed.assignment.target < 0),
-        (FibreFlag.NOT_SEEN, ~move.measurement.seen),
-        (FibreFlag.AMBIGUOUS, np.zeros(len(flags), dtype=bool) if ambiguous is None else ambiguous),
-        (FibreFlag.OFF_TARGET, observed.error_um(move) > observed.requirement_um),
-        (FibreFlag.INTERRUPTED, np.full(len(flags), move.interrupted)),
-        (FibreFlag.COMPARISON, np.full(len(flags), move.comparison)),
-    ):
-        flags |= np.where(where, int(flag), 0)
-    return flags
-
-
-_OF_STATUS = {
-    status: int(FibreFlag[status.name]) for status in FibreStatus if status.name in FibreFlag.__members__
-}
-
-
-def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
-    """Writes every result file into the folder `out`, which exists."""
-    table = fibres_table(observed)
-    table.meta = {k: summary[k] for k in MARKS}
-    table.meta["flags"] = {flag.name: int(flag) for flag in FibreFlag}
-    write_summed(out / "fibres.ecsv", table)
-    plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
-    plans |= {k: summary[k] for k in MARKS}
-    write_whole(out / "trajectories.json", json.dumps(plans) + "\n")
-    _plot(observed, out)
-    # last: where it is, all are
-    write_whole(out / "summary.json", json.dumps(summary, indent=2) + "\n")
-
-
-def _plot(observed: Observation, out: Path) -> None:
-    plot_focal_plane(out / "focal_plane.png", observed.plane, _picture(observed))
-    ended = [move for move in observed.moves if not move.interrupted]
-    errors = [observed.error_um(m)[observed.counted(m)] for m in ended]
-    own = [error for error, m in zip(errors, ended, strict=True) if not m.comparison]
-    plot_errors(
-        out / "errors.png",
-        errors,
-        [f"move {m.number} ({m.label})" for m in ended],
-        observed.requirement_um,
-        errors_title(own, observed.assignment.n_assigned, observed.requirement_um),
-    )
-
-
-def _picture(observed: Observation) -> FieldPicture:
-    final = observed.final
-    error = observed.error_um(final)
-    counted = observed.counted(final)
-    flagged = np.array([s in FAULTS or s is FibreStatus.BLOCKED for s in final.status])
-    within = int(observed.on_target(final).sum())
-    title = (
-        f"{within} of {observed.assignment.n_assigned} assigned fibres within {observed.requirement_um:g} µm "
-        f"after move {final.number}"
-        + (f"; {int(flagged.sum())} positioners flagged" if flagged.any() else "")
-    )
-    return FieldPicture(
-        final.commanded_deg, np.where(counted, error, np.nan), flagged, observed.requirement_um, title
-    )

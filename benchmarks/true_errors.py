@@ -1,0 +1,135 @@
+"""What errors of the tables do to the science fibres, and what calibrations leave of it.
+
+    python -m benchmarks.true_errors [--positioners 500] [--seeds 0:3] [--size 1] [--out DIR]
+
+On the twin, by the camera without images. Each error alone, all of them, and all of them after the
+calibrations that an observatory can do: arms by `calibrate focal-plane`, science fibres and camera frame by
+`calibrate fibres`. Every row is one more field, with two corrections. `--size` makes every error larger:
+a calibration that looked at the twin's sizes would be shown by it. Exit code 1 where the last row misses
+its goal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fiberloom as fl
+from fiberloom.calibration.fibres.offsets import FibreOffsets
+from fiberloom.operation.results import Observation
+from fiberloom.operation.survey import SurveySettings
+from fiberloom.report.outputs import marks
+from fiberloom.studies.star_fields import StarFields, calibrate_on_stars, stars
+from fiberloom.targets import TargetList
+from fiberloom.twin.errors.switches import TERMS
+
+FIBRE = "BOSS"
+GOAL_UM = 1.5
+CORRECTIONS = 2
+CHECK = 5000
+"""Added to the seed of the field that is judged: no calibration has seen it."""
+
+
+def main() -> int:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.true_errors", description=str(__doc__))
+    parser.add_argument("--positioners", type=int, default=500)
+    parser.add_argument("--seeds", default="0:3")
+    parser.add_argument("--size", type=float, default=1.0)
+    parser.add_argument("--out", type=Path, default=Path("build/bench/true_errors.json"))
+    given = parser.parse_args()
+    first, last = (int(part) for part in given.seeds.split(":"))
+    rows = [row for seed in range(first, last) for row in of_seed(seed, given.positioners, given.size)]
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(json.dumps(rows, indent=2) + "\n")
+    print(f"{given.positioners} positioners, fibre {FIBRE}, {CORRECTIONS} corrections, seeds {given.seeds}")
+    for name in dict.fromkeys(row["row"] for row in rows):
+        print(said(name, [row for row in rows if row["row"] == name]))
+    last_rows = [row for row in rows if row["row"] == rows[-1]["row"]]
+    met = all(row["rms_um"] <= GOAL_UM and row["within"] == row["fibres"] for row in last_rows)
+    print(f"goal: at most {GOAL_UM} um rms and every healthy fibre within 5 um: {'met' if met else 'missed'}")
+    return 0 if met else 1
+
+
+def of_seed(seed: int, n: int, size: float) -> list[dict[str, Any]]:
+    """The rows of one seed; `n`: positioners; `size`: a factor on every error."""
+    plane = fl.FocalPlane.of("sdssv", n=n)
+    cases = {"none": "none"} | {f"{term} on": f"{term}={size}" for term in TERMS}
+    cases["all on"] = everything = ",".join(f"{term}={size}" for term in TERMS)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, errors in cases.items():
+            field = fl.Field.twin(plane, seed, camera="noise", errors=errors)
+            rows.append(judged(name, seed, observed(field, Path(folder))))
+            print(said(name, rows[-1:]), file=sys.stderr, flush=True)
+        field = fl.Field.twin(plane, seed, camera="noise", errors=everything)
+        known = calibrated(field, Path(folder))
+        rows.append(judged("all on, calibrated", seed, observed(field, Path(folder), **known)))
+        print(said("all on, calibrated", rows[-1:]), file=sys.stderr, flush=True)
+    return rows
+
+
+def observed(field: fl.Field, folder: Path, **known: Any) -> Observation:
+    """A field of stars that no calibration has seen; `known`: files."""
+    targets = stars(field.plane, FIBRE, field.seed + CHECK)
+    return field.run.observe(targets, CORRECTIONS, out=folder, **known)
+
+
+def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
+    """Files of arms and fibres."""
+    field.run.survey(SurveySettings(seed=field.seed), out=folder).save(folder)
+    files = {"arms": folder / "arms.ecsv"}
+    stamp = marks(field.plane, field.seed)
+
+    def observe(targets: TargetList, offsets: FibreOffsets | None, _: str) -> Observation:
+        if offsets is not None:
+            offsets.write(folder / "fibres.ecsv", stamp)
+            files["fibres"] = folder / "fibres.ecsv"
+        return field.run.observe(targets, CORRECTIONS, out=folder, **files)
+
+    made = calibrate_on_stars(field.plane, [FIBRE], observe, StarFields(seed=field.seed))
+    for row in made.rows:
+        print(f"    {row}", file=sys.stderr, flush=True)
+    return files
+
+
+def judged(name: str, seed: int, seen: Observation) -> dict[str, Any]:
+    """Errors of the science fibres that are healthy and have a star, on a telescope that guides by them."""
+    error_um, absolute_um = seen.guided_error_um(seen.final), seen.true_error_um(seen.final)
+    assert error_um is not None
+    assert absolute_um is not None
+    rows = seen.counted(seen.final) & (seen.assignment.target >= 0)
+    error_um, absolute_um = error_um[rows], absolute_um[rows]
+    return {
+        "row": name,
+        "seed": seed,
+        "fibres": int(rows.sum()),
+        "rms_um": float(np.sqrt((error_um**2).mean())),
+        "p95_um": float(np.percentile(error_um, 95)),
+        "worst_um": float(error_um.max()),
+        "within": int((error_um <= seen.requirement_um).sum()),
+        "absolute_rms_um": float(np.sqrt((absolute_um**2).mean())),
+    }
+
+
+def said(name: str, rows: list[dict[str, Any]]) -> str:
+    """One line of the table."""
+
+    def over(key: str) -> str:
+        return " ".join(f"{row[key]:6.2f}" for row in rows)
+
+    within = " ".join(f"{row['within']}/{row['fibres']}" for row in rows)
+    return (
+        f"{name:20s} rms {over('rms_um')}  95 % {over('p95_um')}  worst {over('worst_um')} um, "
+        f"within 5 um {within}; absolute rms {over('absolute_rms_um')} um"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,199 @@
+"""What is off for all fibres alike: the camera's frame, found from several fields; what a guider takes."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stars import GAUSSIAN, Conditions, drawn_field, drawn_offsets, rms
+
+import fiberloom as fl
+from fiberloom.calibration.fibres.combine import combine
+from fiberloom.calibration.fibres.estimate import estimate
+from fiberloom.calibration.fibres.frame import TERMS, FrameOffset, radius_of
+from fiberloom.calibration.fibres.guider import guided
+from fiberloom.calibration.fibres.offsets import FibreOffsets
+from fiberloom.errors import InputError
+
+MARKS = {"version": "0", "seed": 0, "instrument": "sdssv", "config_hash": "cafe", "utc": "2026-01-01"}
+RADIUS_MM = 425.0
+"""All of the square in which fields are drawn."""
+N = 120
+
+
+def drawn_frame(seed, each_um):
+    rng = np.random.default_rng(seed)
+    return FrameOffset(RADIUS_MM, each_um * rng.standard_normal(len(TERMS)), np.eye(len(TERMS)))
+
+
+def drawn_night(frame, seed=5, n=3):
+    """Fields whose fibres are believed where the camera has them: off by the frame."""
+    rng = np.random.default_rng(seed)
+    offset = drawn_offsets(rng, N, rms_um=10.0)
+    fields = []
+    for k in range(n):
+        true = drawn_field(rng, offset, Conditions(guide_um=2.0), name=f"field {k}")
+        seen_mm = true.fibre_mm - frame.at_mm(true.fibre_mm)
+        # the loop has put the fibre, as the camera has it, on the star; so the star is off from the truth
+        fields.append(replace(true, fibre_mm=seen_mm))
+    return offset, [estimate(f, GAUSSIAN) for f in fields]
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return drawn_frame(1, 2.0)
+
+
+@pytest.fixture(scope="module")
+def night(frame):
+    return drawn_night(frame)
+
+
+def test_the_frame_of_the_camera_is_found_with_its_error(frame, night):
+    found = combine(night[1], radius_mm=RADIUS_MM).frame
+    sigma = np.sqrt(np.diag(found.covariance_um2))
+    assert sigma.max() < 0.5
+    assert np.abs((found.size_um - frame.size_um) / sigma).max() < 4.0
+    assert rms(found.size_um - frame.size_um) < 0.15 * frame.rms_um
+
+
+def test_offsets_are_as_good_as_with_a_right_frame(night):
+    """And not at all so where the frame is taken for right."""
+    offset, fields = night
+    none = drawn_frame(1, 0.0)
+    right, right_fields = drawn_night(none)
+    error = rms(combine(fields, radius_mm=RADIUS_MM).offset_um - offset)
+    assert error < 1.2 * rms(combine(right_fields, radius_mm=RADIUS_MM).offset_um - right)
+    blind = [replace(f, turned=np.zeros_like(f.turned)) for f in fields]
+    assert rms(combine(blind, radius_mm=RADIUS_MM).offset_um - offset) > 2.0 * error
+
+
+def test_fields_together_do_not_scatter_by_a_wrong_frame(night):
+    assert combine(night[1], radius_mm=RADIUS_MM).place_um < 0.8
+
+
+def test_a_right_frame_is_not_made_wrong():
+    found = combine(drawn_night(drawn_frame(1, 0.0))[1], radius_mm=RADIUS_MM).frame
+    assert found.rms_um < 0.6
+
+
+def test_one_field_tells_no_frame_and_says_so(night):
+    """Offsets fixed to the arms and a field fixed in the plane are one vector per fibre there."""
+    found = combine(night[1][:1], radius_mm=RADIUS_MM).frame
+    assert np.sqrt(np.diag(found.covariance_um2)).min() > 1.0
+
+
+# file and use
+
+
+@pytest.fixture(scope="module")
+def plane():
+    return fl.FocalPlane.of("sdssv", seed=0, n=19)
+
+
+def offsets_with(plane, frame):
+    n = len(plane)
+    fibre, wide = np.full(n, "BOSS"), np.tile(1e-6 * np.eye(2), (n, 1, 1))
+    return FibreOffsets(plane.positioner_id, fibre, np.zeros((n, 2)), wide, frame=frame)
+
+
+def test_fibres_that_are_seen_at_the_aims_are_on_their_targets(plane, frame):
+    targets = fl.TargetList(
+        target_id=np.array(["a", "b"]),
+        x_mm=np.array([200.0, -30.0]),
+        y_mm=np.array([-100.0, 60.0]),
+        priority=np.ones(2),
+        fibre=np.array(["BOSS", ""]),
+        positioner_id=np.full(2, -1),
+    )
+    aims = offsets_with(plane, frame).aims(targets)
+    seen_mm = np.column_stack([aims.x_mm, aims.y_mm])
+    true_mm = seen_mm + frame.at_mm(seen_mm)
+    assert true_mm == pytest.approx(np.column_stack([targets.x_mm, targets.y_mm]), abs=1e-6)
+    assert np.abs(aims.x_mm - targets.x_mm).max() > 1e-4
+    assert offsets_with(plane, None).aims(targets) is targets
+
+
+def test_the_frame_comes_back_from_the_file(plane, frame, tmp_path):
+    offsets_with(plane, frame).write(tmp_path / "a.ecsv", MARKS)
+    read = FibreOffsets.load(tmp_path / "a.ecsv").frame
+    assert read.size_um == pytest.approx(frame.size_um, abs=0.0)
+    assert (read.radius_mm, read.covariance_um2.tolist()) == (RADIUS_MM, frame.covariance_um2.tolist())
+
+
+def test_a_frame_that_was_changed_in_the_file_is_refused(plane, frame, tmp_path):
+    path = tmp_path / "a.ecsv"
+    offsets_with(plane, frame).write(path, MARKS)
+    path.write_text(re.sub(r"radius_mm: 425\.0", "radius_mm: 525.0", path.read_text()))
+    with pytest.raises(InputError, match=r"a.ecsv: camera frame: its numbers are not as they were written"):
+        FibreOffsets.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"radius_mm": 0.0}, "radius"),
+        ({"size_um": np.full(9, np.nan)}, "9 sizes"),
+        ({"size_um": np.zeros(8)}, "9 sizes"),
+        ({"covariance_um2": -np.eye(9)}, "covariance"),
+        ({"covariance_um2": np.full((9, 9), np.nan)}, "covariance"),
+    ],
+)
+def test_a_frame_that_cannot_be_is_refused(frame, change, said):
+    with pytest.raises(InputError, match=said):
+        replace(frame, **change)
+
+
+def test_nights_are_weighed_by_what_they_know(frame):
+    other = replace(frame, size_um=frame.size_um + 1.0, covariance_um2=3.0 * np.eye(9))
+    both = FrameOffset.mean([frame, other])
+    assert both.size_um == pytest.approx(frame.size_um + 0.25)
+    assert both.covariance_um2 == pytest.approx(0.75 * np.eye(9))
+    with pytest.raises(InputError, match="different layouts"):
+        FrameOffset.mean([frame, replace(frame, radius_mm=400.0)])
+
+
+def test_the_disc_holds_all_fibres(plane):
+    reach_mm = max(np.hypot(*plane.forward(alpha, 0.0).T).max() for alpha in range(0, 360, 10))
+    assert radius_of(plane) >= reach_mm
+
+
+# the guider
+
+
+def field_of_errors(seed=0, n=80):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-300.0, 300.0, (n, 2)), rng.normal(0.0, 1.0, (n, 2))
+
+
+def test_shift_rotation_and_scale_are_the_guiders():
+    xy_mm, error = field_of_errors()
+    turned = xy_mm @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    off = error + [3.0, -5.0] + 0.02 * turned + 0.01 * xy_mm
+    everyone = np.ones(len(xy_mm), dtype=bool)
+    assert guided(off, xy_mm, everyone) == pytest.approx(guided(error, xy_mm, everyone), abs=1e-9)
+    assert rms(guided(off, xy_mm, everyone)) < rms(error)
+
+
+def test_other_fields_are_not_the_guiders(frame):
+    xy_mm, _ = field_of_errors()
+    off = 1e3 * frame.at_mm(xy_mm)
+    assert rms(guided(off, xy_mm, np.ones(len(xy_mm), dtype=bool))) > 0.7 * rms(off)
+
+
+def test_a_lone_fibre_that_is_far_off_does_not_move_the_telescope():
+    xy_mm, error = field_of_errors()
+    everyone = np.ones(len(xy_mm), dtype=bool)
+    far = error.copy()
+    far[5] += [300.0, 0.0]
+    others = np.arange(len(xy_mm)) != 5
+    assert guided(far, xy_mm, everyone)[others] == pytest.approx(
+        guided(error, xy_mm, everyone & others)[others], abs=1e-9
+    )
+    assert guided(far, xy_mm, everyone)[5, 0] > 290.0
+
+
+def test_two_fibres_guide_nothing():
+    xy_mm, error = field_of_errors()
+    counted = np.arange(len(xy_mm)) < 2
+    assert np.array_equal(guided(error, xy_mm, counted), error)
