@@ -17,6 +17,7 @@ MOVE = {
     "interrupted": False,
     "measured_rms_um": 41.237,
     "true_metrology_rms_um": None,
+    "guided_rms_um": None,
     "true_rms_um": None,
     "p95_um": 80.0,
     "max_um": 99.999,
@@ -46,13 +47,14 @@ def test_an_observation_ends_in_one_row_a_move_with_units_in_the_heads():
         "measured\n[µm]",
         "metrology,\ntrue [µm]",
         "science,\ntrue [µm]",
+        "guided\n[µm]",
         "95 %\n[µm]",
         "worst\n[µm]",
         "within\n5 µm",
     ]
     assert cells(table) == [
-        ("blind", "41.24", "-", "-", "80.00", "100.00", "3 of 37"),
-        ("correction 1: stopped", "-", "-", "-", "-", "-", "-"),
+        ("blind", "41.24", "-", "-", "-", "80.00", "100.00", "3 of 37"),
+        ("correction 1: stopped", "-", "-", "-", "-", "-", "-", "-"),
     ]
     assert table.title == "36 of 37 assigned fibres within 5 µm of their targets"
     assert "41.24" in printed(table)

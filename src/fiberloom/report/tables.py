@@ -79,19 +79,20 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     """Return the table that closes an observation: one row per move."""
     table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left",
                   caption=_caption(summary), caption_justify="left", collapse_padding=True)  # fmt: skip
-    for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]", "95 %\n[µm]",
-                 "worst\n[µm]", f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
+    for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]",
+                 "guided\n[µm]", "95 %\n[µm]", "worst\n[µm]", f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
         first = name == "move"
         table.add_column(name, justify="left" if first else "right", no_wrap=first)
     for move in summary["moves"]:
         if move["interrupted"]:
-            table.add_row(f"{move['label']}: stopped", *6 * ["-"])
+            table.add_row(f"{move['label']}: stopped", *7 * ["-"])
             continue
         table.add_row(
             move["label"],
             _um(move["measured_rms_um"]),
             _um(move["true_metrology_rms_um"]),
             _um(move["true_rms_um"]),
+            _um(move["guided_rms_um"]),
             _um(move["p95_um"]),
             _um(move["max_um"]),
             f"{move['n_within_requirement']} of {summary['n_assigned']}",
@@ -131,8 +132,12 @@ def _headline(summary: Mapping[str, Any]) -> str:
 
 def _caption(summary: Mapping[str, Any]) -> str:
     known = any(move["true_rms_um"] is not None for move in summary["moves"])
-    of = "of the science fibre, true" if known else "as measured"
-    return f"Errors: rms; 95 %, worst and within {of}."
+    if not known:
+        return "Errors: rms; 95 %, worst and within as measured."
+    return (
+        "Errors: rms; 95 %, worst and within of the science fibre, true. "
+        "Guided: it, less shift, rotation and scale of the field."
+    )
 
 
 def _um(value: float | None) -> str:

@@ -96,6 +96,7 @@ class Observation:
                 "measured rms [um]": move["measured_rms_um"],
                 "metrology fibre true rms [um]": move["true_metrology_rms_um"],
                 "science fibre true rms [um]": move["true_rms_um"],
+                "guided rms [um]": move["guided_rms_um"],
                 "95 % below [um]": move["p95_um"],
                 "worst [um]": move["max_um"],
                 f"within {self.requirement_um:g} um": f"{move['n_within_requirement']} of {move['n_fibres']}",
