@@ -142,6 +142,20 @@ def test_arms_that_overlap_as_reported_are_an_alarm_and_the_one_that_is_seen_the
     assert not found.certain[b]
 
 
+def test_those_that_have_not_answered_report_nothing_that_overlaps():
+    a, b = 7, 8
+    towards = PLANE.centres_mm[a] - PLANE.centres_mm[b]
+    alpha_deg = np.rad2deg(np.arctan2(towards[1], towards[0]) - PLANE.alpha_off_rad[b])
+    unread = PLANE.park_deg.copy()
+    unread[b] = (alpha_deg % 360.0, 0.0)  # of nobody
+    answered = ~NOBODY
+    answered[b] = False
+    found = checked(unread, PLANE.park_deg, answered=answered)
+    assert found.alarms == []
+    assert found.standing[b] is Standing.SILENT
+    assert found.certain[a]
+
+
 def test_what_is_allowed_shrinks_with_the_radius_of_the_fibre():
     stretched = PLANE.forward(np.full(37, 10.0), np.zeros(37))
     folded = PLANE.forward(*PLANE.park_deg.T)

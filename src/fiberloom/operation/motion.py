@@ -321,12 +321,41 @@ class FieldMotion:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places.
 
         Not while one does not answer: it may move, too, and those that are stopped would be in its way. But
-        where one has collided, and the others go on by plans that are not known any more, all are stopped.
+        where one has collided, and the others go on by plans that are not known any more, all are stopped
+        that can be reached; then none moves again before the others have answered, or have had their time.
         """
         moving, collided = await self._on_the_way()
-        if (moving or self.left_moving) and self._unheard and not collided:
-            await self._hear_all(len(moving))
-            moving, collided = await self._on_the_way()
+        until_s = self.client.time_s + LONGEST_MOTION_S
+        if not (moving or self.left_moving):
+            return
+        if self._unheard and not collided:
+            self._waits(
+                f"{len(moving)} positioners are still moving at the begin; ", "none is stopped", until_s
+            )
+            while not collided and await self._not_all_heard(until_s):
+                collided = (await self._on_the_way())[1]
+        await self._stop_the_moving()
+        if self._unheard and self.client.time_s < until_s:
+            self._waits("", "nobody may come", until_s)
+            while await self._not_all_heard(until_s):
+                await self._stop_the_moving()
+            await self._stop_the_moving()
+
+    def _waits(self, before: str, so: str, until_s: float) -> None:
+        silent = ", ".join(map(str, self._unheard))
+        left_s = until_s - self.client.time_s
+        self._alarm(f"{before}no answer from {silent}, in whose way {so}: waiting up to {left_s:.0f} s")
+
+    async def _not_all_heard(self, until_s: float) -> bool:
+        """After another try: whether one has not answered yet that may still be on its way."""
+        if not self._unheard or self.client.time_s >= until_s:
+            return False
+        await self.client.sleep(HEAR_S)
+        await self.client.discover()
+        return bool(self._unheard)
+
+    async def _stop_the_moving(self) -> None:
+        moving, _ = await self._on_the_way()
         if moving:
             self._alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
             await self.client.stop_all()
@@ -342,20 +371,6 @@ class FieldMotion:
     def _unheard(self) -> list[int]:
         """Positioners of the layout that the bus does not have now."""
         return sorted(set(self.plane.positioner_id[~self.plane.offline].tolist()) - set(self.client.ids))
-
-    async def _hear_all(self, moving: int) -> None:
-        """Waits until all answer, none can be on the way any more, or one has collided."""
-        silent = ", ".join(map(str, self._unheard))
-        self._alarm(
-            f"{moving} positioners are still moving at the begin; no answer from {silent}, in whose way "
-            f"none is stopped: waiting up to {LONGEST_MOTION_S:.0f} s"
-        )
-        until_s = self.client.time_s + LONGEST_MOTION_S
-        while self._unheard and self.client.time_s < until_s:
-            await self.client.sleep(HEAR_S)
-            await self.client.discover()
-            if (await self._on_the_way())[1]:
-                return
 
     def _alarm(self, text: str) -> None:
         self.recorder.event("alarm", text)

@@ -79,8 +79,9 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     """Return the table that closes an observation: one row per move."""
     table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left",
                   caption=_caption(summary), caption_justify="left", collapse_padding=True)  # fmt: skip
+    within = f"within\n{summary['requirement_um']:g} µm"
     for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]",
-                 "guided\n[µm]", "95 %\n[µm]", "worst\n[µm]", f"within\n{summary['requirement_um']:g} µm"):  # fmt: skip
+                 "guided\n[µm]", "95 %\n[µm]", "worst\n[µm]", within):  # fmt: skip
         first = name == "move"
         table.add_column(name, justify="left" if first else "right", no_wrap=first)
     for move in summary["moves"]:

@@ -364,6 +364,29 @@ def test_not_stopped_they_would_touch(monkeypatch):
     assert touches
 
 
+STALLS_WHILE_CUT = {"cut_s": 4.0, "back_s": 40.0, "seed": 2, "faults": "stuck_hall=#275@5"}
+
+
+def test_after_a_collision_nobody_moves_before_the_silent_ones_have_come_to_rest():
+    """All that can be reached are stopped; nine behind the cut cable are still on their way."""
+    events, touches = killed_and_begun_again(**STALLS_WHILE_CUT)
+    assert touches == []
+    *_, waits = [text for kind, text in events if kind == "alarm" and "waiting" in text]
+    assert "no answer from 204, 206, 228" in waits
+    assert "in whose way nobody may come" in waits
+
+
+@pytest.mark.slow
+def test_planned_by_where_they_are_on_their_way_arms_touch(monkeypatch):
+    """What that wait is for."""
+
+    async def stopped_only(motion):
+        await motion._stop_the_moving()
+
+    monkeypatch.setattr(FieldMotion, "_all_at_rest", stopped_only)
+    assert killed_and_begun_again(**STALLS_WHILE_CUT)[1]
+
+
 @pytest.mark.slow
 def test_stopped_at_once_they_would_be(monkeypatch):
     """What the wait is for."""

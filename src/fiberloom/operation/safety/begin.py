@@ -281,7 +281,10 @@ def _overlaps(plane: FocalPlane, report: Report, standing: list[Standing], certa
     as_reported = Plan(plane.instrument.name, deep_mm, robots)
     for contact in verify(plane, as_reported, limits=MotionLimits(collision_buffer_mm=deep_mm)).contacts:
         pair = [contact.positioner_id] + ([int(contact.other)] if contact.other.isdigit() else [])
-        for row in plane.index_of(pair):
+        rows = plane.index_of(pair)
+        if not (report.answered | plane.offline)[rows].all():
+            continue  # nobody reports to be there
+        for row in rows:
             # the one that is seen where it reports is there; the other one is not
             if standing[row] is not Standing.RIGHT and not plane.offline[row]:
                 standing[row], certain[row] = Standing.OVERLAPS, False
