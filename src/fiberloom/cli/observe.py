@@ -224,10 +224,11 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     """
     from rich.console import Console
 
-    from fiberloom.report.tables import observation_table, shortfall
+    from fiberloom.report.tables import budget_line, observation_table, shortfall
 
     console = Console()
     console.print(observation_table(summary))
+    say(console, budget_line(summary["budget"]))
     console.print(
         f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, "
         f"{summary['collisions_verified']} collisions in verified trajectories; "

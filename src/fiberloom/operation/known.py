@@ -66,10 +66,14 @@ class Known:
         return self.recorder
 
     def summary(self) -> dict[str, Any]:
-        """The entry of summary.json; empty where nothing is learnt."""
+        """The entries of summary.json of what was calibrated and learnt."""
+        known: dict[str, Any] = {}
+        if self.fibres is not None:
+            frame_um = None if self.fibres.frame is None else self.fibres.frame.rms_um
+            known["fibre_calibration"] = {"formal_um": self.fibres.formal_um, "frame_um": frame_um}
         if self.keeper is None or self.recorder is None:
-            return {}
-        return {
+            return known
+        return known | {
             "learnt": {
                 "store": self.keeper.store.name,
                 "generation": self.keeper.generation,

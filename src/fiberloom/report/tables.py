@@ -101,6 +101,21 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
+def budget_line(budget: Mapping[str, Any]) -> str:
+    """Of what the errors of the last move are made, in words; um rms."""
+    names = {"loop_um": "loop", "camera_um": "camera", "fibre_um": "fibre on its arm"}
+    parts = [
+        f"{name} {'not known' if budget[key] is None else _um(budget[key])}" for key, name in names.items()
+    ]
+    takes = budget["guider_takes_um"]
+    guider = (
+        ""
+        if takes is None
+        else f"; shift, rotation and scale of the field, which a guider takes: {_um(takes)}"
+    )
+    return f"of what, {budget['known']}, in µm rms: {', '.join(parts)}{guider}"
+
+
 def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
     """What keeps an observation below the `required` share (0 to 1), in lines; none where it is not.
 

@@ -337,10 +337,25 @@ class Observation:
         >>> len(seen.true_metrology_error_um(seen.final))
         7
         """
-        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm() + self._frame_mm())
+        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm() + self.frame_mm())
 
-    def _frame_mm(self) -> Floats:
-        """(N, 2) mm from where the camera is to see a fibre to where that is: its frame, as far as known."""
+    def frame_mm(self) -> Floats:
+        """From where the camera is to see a fibre to where that is: how far its frame is known to be off.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target; 0 without `fibres` of a calibration.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.abs(seen.frame_mm()).max() < 1e-9)
+        True
+        """
         angles = self.assignment
         aimed = np.full((len(self.plane), 2), np.nan)
         for fibre in np.unique(angles.fibre[angles.target >= 0]).tolist():

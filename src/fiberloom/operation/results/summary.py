@@ -9,6 +9,7 @@ import numpy as np
 
 from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.operation.move import Move
+from fiberloom.operation.results.budget import budget
 from fiberloom.typing import Floats
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def summarise(observed: Observation) -> dict[str, Any]:
         "moves": [_summarise_move(observed, move) for move in observed.moves],
         "faults": _faults(observed, final),
         "not_on_target": _not_on_target(observed, final),
+        "budget": budget(observed),
     }
 
 
