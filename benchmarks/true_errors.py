@@ -89,8 +89,8 @@ def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
 
     def observe(targets: TargetList, offsets: FibreOffsets | None, _: str) -> Observation:
         if offsets is not None:
-            offsets.write(folder / "fibres.ecsv", stamp)
-            files["fibres"] = folder / "fibres.ecsv"
+            offsets.write(folder / "offsets.ecsv", stamp)
+            files["fibres"] = folder / "offsets.ecsv"
         return field.run.observe(targets, CORRECTIONS, out=folder, **files)
 
     made = calibrate_on_stars(field.plane, [FIBRE], observe, StarFields(seed=field.seed))

@@ -1,12 +1,13 @@
 """`fiberloom calibrate fibres`: on the twin, from recorded exposures, and used by `observe`."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fiberloom as fl
-from fiberloom.calibration.fibres.exposures_file import read_exposures
+from fiberloom.calibration.fibres.exposures_file import read_exposures, write_exposures
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.cli.app import app
 from fiberloom.store import Store
@@ -15,6 +16,7 @@ from fiberloom.targets import write_targets
 from fiberloom.targets.generate import random_targets
 
 N = 19
+ERRORS = "fibre,fiducial"
 
 
 def run(*words):
@@ -25,16 +27,17 @@ def run(*words):
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fibres")
     words = ["calibrate", "fibres", "--positioners", N, "--fibre", "BOSS", "--moves", 3, "--out", folder]
-    run(*words)
+    run(*words, "--errors", ERRORS)
     return folder
 
 
 def test_the_twin_calibrates_its_fibres(made):
     report = json.loads((made / "fibres.json").read_text())
     first, *_, together = report["fields"]
-    assert first["true_rms_um"] > 7.0
-    assert together["true_rms_um"] < 2.0
+    assert first["guided_rms_um"] > 7.0
+    assert together["guided_rms_um"] < 2.0
     assert together["n_within_requirement"] == together["stars"]
+    assert 1.0 < report["camera_frame_um"] < 12.0
     assert report["calibrated"] >= N - 1
     assert "seeing" in report["put_in"]
 
@@ -57,6 +60,20 @@ def test_recorded_exposures_give_the_same(made, tmp_path, capsys):
     assert read_exposures(files[0]).n_exposures == 13
 
 
+@pytest.mark.parametrize(("require", "code"), [("100%", 1), ("50%", 0)])
+def test_the_exit_code_is_that_of_the_required_share(made, tmp_path, require, code):
+    """A fibre that is dark in all fields gets no offset."""
+    names = []
+    for file in sorted(made.glob("exposures-*.ecsv")):
+        field = read_exposures(file)
+        flux = field.flux.copy()
+        flux[:, 3] = np.random.default_rng(1).normal(0.0, 1.0, len(flux))
+        write_exposures(tmp_path / file.name, replace(field, flux=flux), {"version": "0"})
+        names += ["--exposures", tmp_path / file.name]
+    words = ["calibrate", "fibres", "--positioners", N, *names, "--require", require]
+    assert (run(*words, "--out", tmp_path / "out", "--json") or 0) == code
+
+
 def test_observe_uses_the_offsets(made, tmp_path):
     plane = fl.FocalPlane.of("sdssv", seed=0, n=N)
     targets = random_targets(plane, 4 * N, 77)
@@ -68,8 +85,11 @@ def test_observe_uses_the_offsets(made, tmp_path):
     errors = []
     for name, more in (("without", []), ("with", ["--fibres", made / "fibres.ecsv"])):
         out = tmp_path / name
-        run(*words, "--errors", "fibre", "--require", "0%", "--out", out, "--json", *more)
-        errors.append(json.loads((out / "summary.json").read_text())["moves"][-1]["true_rms_um"])
+        run(*words, "--errors", ERRORS, "--require", "0%", "--out", out, "--json", *more)
+        summary = json.loads((out / "summary.json").read_text())
+        errors.append(summary["moves"][-1]["guided_rms_um"])
+    assert summary["fibre_calibration"]["formal_um"] < 2.0
+    assert summary["budget"]["fibre_um"] < 2.5
     assert errors[0] > 7.0
     assert errors[1] < 2.0
 
@@ -77,6 +97,7 @@ def test_observe_uses_the_offsets(made, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["--require", "all"], "--require all: give a share"),
         (["--fibre", "blue"], "--fibre blue: known are"),
         (["--exposures", "nothing.ecsv"], "nothing.ecsv: no such file"),
         (["--bus", "cannet://127.0.0.1"], "--exposures FILE"),

@@ -205,6 +205,56 @@ def test_a_camera_that_knows_its_covariance_is_believed_fibre_by_fibre():
     np.testing.assert_allclose(wanted[1::2], goal[1::2] - 0.03, atol=9e-3)
 
 
+def settled(told_um, monkeypatch, camera_um=CAMERA_UM):
+    """True rms after five corrections with a camera that tells `told_um`, and what is found of its noise."""
+    monkeypatch.setitem(globals(), "CAMERA_UM", camera_um)
+    goal = goals()
+    loop = CorrectionLoop(PLANE, goal, noise=CorrectionNoise(camera_um=told_um, slope=0.0))
+    true, _, _ = observe(goal, 6, True, 5, loop)
+    return rms(true)[5], np.sqrt(loop.camera_factor)
+
+
+@pytest.mark.parametrize(("told_um", "is_um"), [(0.669, 2.0), (0.223, 0.669), (2.0, 0.669), (0.05, 0.669)])
+def test_what_the_camera_tells_of_its_noise_does_not_matter(told_um, is_um, monkeypatch):
+    """Hundreds of predictions tell it: three times worse, or better, than told."""
+    error_um, factor = settled(told_um, monkeypatch, is_um)
+    assert factor == pytest.approx(is_um / told_um, rel=0.06)
+    expected_um = np.sqrt((is_um**2 + REPEAT_UM**2) / 5 + REPEAT_UM**2)
+    assert error_um == pytest.approx(expected_um, rel=0.08)
+
+
+def test_a_camera_that_tells_the_truth_is_believed(monkeypatch):
+    assert settled(CAMERA_UM, monkeypatch)[1] == pytest.approx(1.0, abs=0.06)
+
+
+def test_with_what_it_tells_alone_a_noisy_camera_is_trusted_too_much(monkeypatch):
+    """What it is for: 1.70 in place of 0.90 um."""
+    right_um, _ = settled(0.669, monkeypatch, 2.0)
+    monkeypatch.setattr(CorrectionLoop, "_found_factor", lambda loop: 1.0)
+    assert settled(0.669, monkeypatch, 2.0)[0] > 1.7 * right_um
+
+
+def test_few_predictions_tell_nothing_of_the_noise():
+    goal = goals()
+    loop = CorrectionLoop(PLANE, goal)
+    few = np.arange(PLANE.n) < 9
+    for k in range(3):
+        loop.update(goal, PLANE.forward(*(goal + 0.01 * k).T), few)
+    assert loop.camera_factor == 1.0
+
+
+def test_gears_that_ripple_are_not_taken_for_a_noisy_camera():
+    """What a long way changes is no noise: those predictions do not count for it."""
+    goal, rng = goals(7), np.random.default_rng(7)
+    phase = rng.uniform(0, 2 * np.pi, (PLANE.n, 2))
+    loop, command = CorrectionLoop(PLANE, goal), goal
+    for _ in range(3):
+        xy = PLANE.forward(*(command + 0.06 * np.sin(np.deg2rad(100 * command) + phase)).T)
+        seen = xy + isotropic(rng, CAMERA_UM, PLANE.n)
+        command = loop.update(command, seen, np.ones(PLANE.n, dtype=bool))
+    assert np.sqrt(loop.camera_factor) < 1.5
+
+
 @pytest.mark.parametrize("stretched", [True, False])
 def test_a_correction_beyond_the_arms_goes_as_far_as_they_reach(stretched):
     goal = goals()

@@ -13,6 +13,10 @@ change the direction that the image does not measure.
 The filter's noise is that of the camera and that of one arrival, both 2-D rms. An arrival's scatter
 is new after every move: it adds to the image's noise, not to the offset. After k images the fibre
 is then off by sqrt((s^2 + q^2)/k + q^2): 0.37 um for k = 5, s = 0.669 um, q = 0.2 um.
+
+How noisy the camera is, its images tell themselves: from the second one on each fibre's place is predicted,
+and hundreds of predictions miss by as much as the noise is. The filter goes through all images again with
+the noise with which half of its predictions miss by less than they should.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.noise import CorrectionNoise
@@ -30,6 +35,12 @@ from fiberloom.units import MM_PER_UM, rad_to_deg
 # An innovation whose square, in units of its covariance, is above this is no noise: it occurs once in
 # 2e5 of two Gaussian numbers. The offset has changed (a slip, a collision): the filter begins anew.
 _SURPRISE = 25.0
+# The median of such a square: of a chi square with two degrees of freedom.
+_MEDIAN = 2.0 * np.log(2.0)
+# The camera's variance, over what is said of it: at least and at most. Fewer predictions than this tell none.
+_FACTORS, _FEWEST = (0.05, 400.0), 20
+# Predictions count for it where the noise of the image is at least this share of what is expected of the way.
+_MOSTLY_NOISE = 4.0
 # A command for the plain update keeps this far inside the reach of the arms.
 _INSIDE_MM = 1e-6
 
@@ -48,6 +59,22 @@ def whole_steps(here_deg: Floats, wanted_deg: Floats, step_deg: Floats) -> Float
     size_deg = np.where(step_deg > 0.0, step_deg, 1.0)
     stepped = here_deg + size_deg * np.rint((wanted_deg - here_deg) / size_deg)
     return np.where(step_deg > 0.0, stepped, wanted_deg)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One image of n positioners."""
+
+    rows: NDArray[np.intp]
+    """(n,) which."""
+    believed_deg: Floats
+    """(n, 2) angles as reported."""
+    measured_mm: Floats
+    """(n, 2)."""
+    noise_mm2: Floats
+    """(n, 2, 2) as the camera tells it."""
+    way_deg: Floats
+    """(n, 2) from the image before; 0 of the first one."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +139,13 @@ class CorrectionLoop:
         spread = self._spread(self.noise.blind_um)
         if sigma_deg is not None:
             spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
-        self.offsets = Offsets(np.zeros((plane.n, 2)), spread)
+        self._begun = Offsets(np.zeros((plane.n, 2)), spread)
+        self._images: list[Seen] = []
         self._last_deg = np.full((plane.n, 2), np.nan)
         """(N, 2) angles that each positioner reported at its last image; NaN before the first."""
+        self.offsets = self._begun
+        self.camera_factor = 1.0
+        """By how much the variance of the camera is larger than it tells, as its images show; a ratio."""
 
     def update(
         self,
@@ -134,61 +165,87 @@ class CorrectionLoop:
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
         wanted = self.goal_deg - self.offsets.mean_deg
         if self.filtered:
-            self._learn(rows, believed_deg, measured_mm, self._image_noise(rows, noise_mm2))
+            self._learn(rows, believed_deg, measured_mm, noise_mm2)
             wanted[rows] = (self.goal_deg - self.offsets.mean_deg)[rows]
         else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
 
-    def _image_noise(self, rows: NDArray[np.intp], noise_mm2: Floats | None) -> float | Floats:
-        """mm^2 of one image and one arrival, per coordinate; (n, 2, 2) where the image has its own."""
+    def _learn(
+        self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats, noise_mm2: Floats | None
+    ) -> None:
+        told = np.broadcast_to(0.5 * (self.noise.camera_um * MM_PER_UM) ** 2 * np.eye(2), (len(rows), 2, 2))
+        way_deg = np.nan_to_num(believed_deg[rows] - self._last_deg[rows])
+        noise = told if noise_mm2 is None else noise_mm2[rows]
+        self._images.append(Seen(rows, believed_deg[rows], measured_mm[rows], noise, way_deg))
+        self._last_deg[rows] = believed_deg[rows]
+        self.camera_factor = self._found_factor()
+        self.offsets = self._filtered(self.camera_factor)[0]
+
+    def _found_factor(self) -> float:
+        """With which the median prediction misses by what it should; 1 where too few predictions tell."""
+
+        def too_far(log_factor: float) -> float:
+            square = self._filtered(float(np.exp(log_factor)))[1]
+            return float(np.median(square)) - _MEDIAN if len(square) >= _FEWEST else 0.0
+
+        low, high = np.log(_FACTORS)
+        if too_far(0.0) == 0.0:
+            return 1.0
+        if too_far(low) <= 0.0:
+            return _FACTORS[0]
+        if too_far(high) >= 0.0:
+            return _FACTORS[1]
+        return float(np.exp(brentq(too_far, low, high, xtol=0.02)))
+
+    def _filtered(self, factor: float) -> tuple[Offsets, Floats]:
+        """The offsets after all images, and the squared misses of predictions that tell of the noise."""
+        offsets = Offsets(self._begun.mean_deg.copy(), self._begun.covariance_deg2.copy())
+        told: list[Floats] = [np.empty(0)]
+        before = np.zeros(self.plane.n, dtype=bool)
+        for seen in self._images:
+            square = self._take(offsets, seen, factor)
+            told.append(square[before[seen.rows] & self._tells(seen)])
+            before[seen.rows] = True
+        return offsets, np.concatenate(told)
+
+    def _tells(self, seen: Seen) -> Flags:
+        """(n,) whether what a prediction misses by is the camera's noise, not the slope of a gear."""
+        lever_mm = self._lever_mm()[seen.rows] * np.deg2rad(1.0)
+        by_way = ((self.noise.slope * seen.way_deg * lever_mm) ** 2).sum(axis=1)
+        drift = (self.noise.drift_um * MM_PER_UM) ** 2
+        tells: Flags = np.einsum("nii->n", seen.noise_mm2) > _MOSTLY_NOISE * (by_way + drift)
+        return tells
+
+    def _take(self, offsets: Offsets, seen: Seen, factor: float) -> Floats:
+        """Weighs an image into the `offsets`; (n,) squares of what it is off the prediction."""
+        rows = seen.rows
         # above zero, so that a camera without noise gives no division by zero
         arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
-        if noise_mm2 is None:
-            return (0.5 * self.noise.camera_um**2 + arrival_um2) * MM_PER_UM**2
-        return noise_mm2[rows] + arrival_um2 * MM_PER_UM**2 * np.eye(2)
-
-    def _learn(
-        self,
-        rows: NDArray[np.intp],
-        believed_deg: Floats,
-        measured_mm: Floats,
-        noise_mm2: float | Floats,
-    ) -> None:
-        before = predict(self._rows(rows), self._drift(rows, believed_deg))
-        after, surprise = self._weigh(rows, before, believed_deg, measured_mm, noise_mm2)
+        noise_mm2 = factor * seen.noise_mm2 + arrival_um2 * MM_PER_UM**2 * np.eye(2)
+        kept = Offsets(offsets.mean_deg[rows], offsets.covariance_deg2[rows])
+        before = predict(kept, self._drift(seen))
+        after, surprise = self._weigh(before, seen, noise_mm2)
         shaken = surprise > _SURPRISE
         if shaken.any():
             fresh = before.covariance_deg2.copy()
             fresh[shaken] = self._spread(self.noise.blind_um)[rows][shaken]
-            before = Offsets(before.mean_deg, fresh)
-            after, _ = self._weigh(rows, before, believed_deg, measured_mm, noise_mm2)
-        self._last_deg[rows] = believed_deg[rows]
-        self.offsets.mean_deg[rows] = after.mean_deg
-        self.offsets.covariance_deg2[rows] = after.covariance_deg2
+            after, _ = self._weigh(Offsets(before.mean_deg, fresh), seen, noise_mm2)
+        offsets.mean_deg[rows] = after.mean_deg
+        offsets.covariance_deg2[rows] = after.covariance_deg2
+        return surprise
 
-    def _drift(self, rows: NDArray[np.intp], believed_deg: Floats) -> Floats:
-        """(n, 2, 2) deg^2 by which the offsets have changed since the last image."""
-        way_deg = np.nan_to_num(believed_deg[rows] - self._last_deg[rows])  # none before the first
-        along = (self.noise.slope * way_deg)[:, :, None] ** 2 * np.eye(2)
-        drift: Floats = self._spread(self.noise.drift_um)[rows] + along
+    def _drift(self, seen: Seen) -> Floats:
+        """(n, 2, 2) deg^2 by which the offsets have changed since the image before."""
+        along = (self.noise.slope * seen.way_deg)[:, :, None] ** 2 * np.eye(2)
+        drift: Floats = self._spread(self.noise.drift_um)[seen.rows] + along
         return drift
 
-    def _rows(self, rows: NDArray[np.intp]) -> Offsets:
-        return Offsets(self.offsets.mean_deg[rows], self.offsets.covariance_deg2[rows])
-
-    def _weigh(
-        self,
-        rows: NDArray[np.intp],
-        before: Offsets,
-        believed_deg: Floats,
-        measured_mm: Floats,
-        noise_mm2: float | Floats,
-    ) -> tuple[Offsets, Floats]:
-        at = believed_deg[rows] + before.mean_deg
-        expected = self.plane.forward(at[:, 0], at[:, 1], index=rows)
-        jacobian = self.plane.jacobian(at[:, 0], at[:, 1], index=rows)
-        return weigh(before, measured_mm[rows] - expected, jacobian, noise_mm2)
+    def _weigh(self, before: Offsets, seen: Seen, noise_mm2: Floats) -> tuple[Offsets, Floats]:
+        at = seen.believed_deg + before.mean_deg
+        expected = self.plane.forward(at[:, 0], at[:, 1], index=seen.rows)
+        jacobian = self.plane.jacobian(at[:, 0], at[:, 1], index=seen.rows)
+        return weigh(before, seen.measured_mm - expected, jacobian, noise_mm2)
 
     def _plain(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> Floats:
         alpha_deg, beta_deg = believed_deg[rows].T
@@ -215,10 +272,13 @@ class CorrectionLoop:
 
     def _spread(self, rms_um: float) -> Floats:
         """(N, 2, 2) deg^2 of angles that scatter the fibre by this rms, half by each axis."""
-        l_alpha, l_beta = self._levers()
-        lever_mm = np.stack([np.hypot(l_alpha, l_beta), l_beta], axis=1)
-        sigma_deg = rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / lever_mm)
+        sigma_deg = rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / self._lever_mm())
         return sigma_deg[:, :, None] ** 2 * np.eye(2)
+
+    def _lever_mm(self) -> Floats:
+        """(N, 2) by which the fibre moves with each axis, mm a radian."""
+        l_alpha, l_beta = self._levers()
+        return np.stack([np.hypot(l_alpha, l_beta), l_beta], axis=1)
 
     def _inside(self, angles_deg: Floats) -> Floats:
         """Short of the hard stops, with room for the approach from above."""

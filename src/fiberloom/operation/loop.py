@@ -17,6 +17,9 @@ from fiberloom.operation.stopping import StopRule
 from fiberloom.planning import plan_corrections
 from fiberloom.typing import Flags, Floats
 
+NOISIER = 1.5
+"""Times the noise that the camera tells, beyond which the record says so."""
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -63,6 +66,7 @@ class Loop:
         self.stopped = ""
         """Why the loop made no further correction."""
         self._arrived = np.zeros(len(self.plane), dtype=bool)
+        self._noise_told = False
 
     @property
     def moves(self) -> list[Move]:
@@ -129,10 +133,19 @@ class Loop:
         """
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(here_deg, image.xy_mm, self.correctable & image.seen, image.noise_mm2)
+        self._tell_noise(corrections)
         step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
         goal_deg = np.where(self._arrived[:, None], here_deg, goal_deg)
         await self._small_move(number, f"correction {number - 1}", goal_deg)
+
+    def _tell_noise(self, corrections: CorrectionLoop) -> None:
+        """Once, where images scatter much more than the camera tells."""
+        times = np.sqrt(corrections.camera_factor)
+        if times > NOISIER and not self._noise_told:
+            self._noise_told = True
+            text = f"images scatter {times:.1f} times as much as the camera tells; corrections weigh them so"
+            self.motion.recorder.event("camera_noise", text)
 
     async def linear_move(self) -> None:
         """Makes a blind move by a linear gear ratio, for comparison (Fig. 26).

@@ -155,11 +155,13 @@ def _on_star(seen: Observation, fibre: str) -> Flags:
 def _errors(seen: Observation, fibre: str) -> dict[str, Any]:
     """Of the science fibres as they stood, um."""
     on_star = _on_star(seen, fibre)
-    true_um = seen.true_error_um(seen.final)
-    error = np.full(len(on_star), np.nan) if true_um is None else true_um
-    error = error[on_star]
+    true_um, guided_um = seen.true_error_um(seen.final), seen.guided_error_um(seen.final)
+    unknown = np.full(len(on_star), np.nan)
+    error = (unknown if true_um is None else true_um)[on_star]
+    guided = (unknown if guided_um is None else guided_um)[on_star]
     return {
         "true_rms_um": float(np.sqrt((error**2).mean())),
+        "guided_rms_um": float(np.sqrt((guided**2).mean())),
         "true_p95_um": float(np.percentile(error, 95)),
         "n_within_requirement": int((error <= seen.requirement_um).sum()),
     }

@@ -12,7 +12,7 @@ import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions
 from fiberloom.cli.observe import TWIN, FaultsOption, MapsOption, check, field_of
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_file, require_folder
+from fiberloom.cli.options import JsonOptions, PlaneOptions, RequireOptions, require_file, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FibreOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
+class FibreOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneOptions, JsonOptions):
     """Of `calibrate fibres`."""
 
     exposures: Annotated[
@@ -47,7 +47,7 @@ class FibreOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
     faults: FaultsOption = ""
     errors: Annotated[
         str, typer.Option(help="What is off its tables in the twin: all, none, or some, with factors.")
-    ] = "fibre"
+    ] = "all"
     calibration: MapsOption = None
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/fibres")
 
@@ -55,7 +55,8 @@ class FibreOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions, JsonOptions):
 def fibres(options: FibreOptions) -> int:
     """Find where the science fibres are on their arms, by stars that are moved across them.
 
-    Exit code 1 where a fibre with a star gets no offset.
+    With the offsets comes by how much the camera's frame is off. Exit code 1 where fewer of the fibres with a
+    star than `--require` says get an offset.
     """
     for path in options.exposures or []:
         require_file(path)
@@ -64,6 +65,7 @@ def fibres(options: FibreOptions) -> int:
             "--bus: an array has no sky here; record the exposures and name them: --exposures FILE"
         )
     check(options)
+    options.met(0, 0)  # a share that is none is told before anything moves
     require_folder(options.out)
     plane = options.plane()
     if options.fibre is not None and options.fibre not in plane.science_fibres:
@@ -140,6 +142,7 @@ def _keep(options: FibreOptions, plane: FocalPlane, found: FibreOffsets, about: 
     summary = stamp | {
         "fibres": len(found),
         "calibrated": int(found.ok.sum()),
+        "camera_frame_um": None if found.frame is None else found.frame.rms_um,
         "refused": {reason: refused.count(reason) for reason in sorted(set(refused))},
         "offsets": str(file),
         **about,
@@ -151,6 +154,8 @@ def _keep(options: FibreOptions, plane: FocalPlane, found: FibreOffsets, about: 
     else:
         options.show(summary["fields"])
         typer.echo(f"{summary['calibrated']} of {summary['fibres']} fibres calibrated: {file}")
+        if found.frame is not None:
+            typer.echo(f"camera frame: off by {found.frame.rms_um:.1f} um rms (shift, rotation, scale apart)")
         for reason, n in summary["refused"].items():
             typer.echo(f"refused {n}: {reason}")
-    return 1 if refused else 0
+    return 0 if options.met(summary["calibrated"], summary["fibres"]) else 1
