@@ -19,7 +19,7 @@ export FIBERLOOM_CACHE := $(CURDIR)/.cache
 .PHONY: reproduce firmware-report wheels docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
-	@echo "make run      set up, then observe a field of 500 positioners on the twin"
+	@echo "make run      set up, calibrate arms and fibres of 500 positioners of the twin (kept), observe a field"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, 100 000 damaged files for the readers,"
 	@echo "              20 000 images of any bytes, allocation guard, 10 000 legal"
@@ -51,20 +51,34 @@ NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
           $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
-	@echo "1 of 4: an environment in $(VENV)"
+	@echo "1 of 6: an environment in $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PROGRESS) "2 of 4: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
+	@$(PROGRESS) "2 of 6: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
 	    $(BIN)/pip install -r constraints.txt
 	@touch $@
 
 $(STAMP): $(VENV)/.dependencies $(NATIVE)
-	@$(PROGRESS) "3 of 4: firmware, core and bindings" build/setup.log -- \
+	@$(PROGRESS) "3 of 6: firmware, core and bindings" build/setup.log -- \
 	    $(BIN)/pip install --verbose --no-build-isolation --no-deps --editable .
 	@touch $@
 
-run: setup
-	@echo "4 of 4: a field of 500 positioners; the first time their transmissions are calibrated"
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv --seed 0 --moves 3 --compare-linear --out runs/first
+# As at an observatory: first where arms and fibres are, once, then every field by that.
+ARMS   := runs/focal-plane/arms.ecsv
+FIBRES := runs/fibres/fibres.ecsv
+TWIN   := --seed 0 --errors all
+
+run: setup $(FIBRES)
+	@echo "6 of 6: a field of 500 positioners"
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv $(TWIN) --arms $(ARMS) --fibres $(FIBRES) \
+	    --moves 3 --compare-linear --out runs/first
+
+$(ARMS): $(STAMP)
+	@echo "4 of 6: where the arms of 500 positioners are; the first time their transmissions are calibrated"
+	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --out $(@D)
+
+$(FIBRES): $(ARMS)
+	@echo "5 of 6: where their science fibres are, by three fields of stars for each kind of fibre"
+	$(BIN)/fiberloom calibrate fibres $(TWIN) --arms $(ARMS) --out $(@D)
 
 # a file to a worker: what its tests share is prepared once
 test: setup

@@ -1,5 +1,7 @@
 """Corrections settle where the arithmetic of their noise says, also where beta is singular."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.correction import CorrectionLoop, CorrectionNoise, Offsets, weigh
+from fiberloom.operation.loop import Loop
 
 CAMERA_UM, REPEAT_UM, BLIND_UM = 0.669, 0.2, 10.0
 PLANE = generate(load_instrument("sdssv"), seed=0)
@@ -232,6 +235,16 @@ def test_with_what_it_tells_alone_a_noisy_camera_is_trusted_too_much(monkeypatch
     right_um, _ = settled(0.669, monkeypatch, 2.0)
     monkeypatch.setattr(CorrectionLoop, "_found_factor", lambda loop: 1.0)
     assert settled(0.669, monkeypatch, 2.0)[0] > 1.7 * right_um
+
+
+def test_a_noisy_camera_is_told_once():
+    told = []
+    recorder = SimpleNamespace(event=lambda kind, text: told.append((kind, text)))
+    loop = SimpleNamespace(motion=SimpleNamespace(recorder=recorder), _noise_told=False)
+    for factor in (1.5, 9.0, 9.5):
+        Loop._tell_noise(loop, SimpleNamespace(camera_factor=factor))
+    assert [kind for kind, _ in told] == ["camera_noise"]
+    assert told[0][1].startswith("images scatter 3.0 times as much as the camera tells")
 
 
 def test_few_predictions_tell_nothing_of_the_noise():
