@@ -358,7 +358,8 @@ class FieldMotion:
         moving, _ = await self._on_the_way()
         if moving:
             self._alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
-            await self.client.stop_all()
+            # one that gives no answer may hear nevertheless
+            await self.client.stop_all(ids=sorted({*self.client.ids, *self._unheard}))
             await self.client.wait_until_done(moving, REST_TIMEOUT_S, stop_on_collision=False)
 
     async def _on_the_way(self) -> tuple[list[int], bool]:

@@ -376,6 +376,14 @@ def test_after_a_collision_nobody_moves_before_the_silent_ones_have_come_to_rest
     assert "in whose way nobody may come" in waits
 
 
+def test_one_that_gives_no_answer_is_stopped_too():
+    """It may hear: nobody runs into it, nor it into anybody."""
+    _, touches = killed_and_begun_again(
+        cut_s=900.0, back_s=950.0, seed=3, faults="mute=#251@6,stuck_hall=#275@11"
+    )
+    assert touches == []
+
+
 @pytest.mark.slow
 def test_planned_by_where_they_are_on_their_way_arms_touch(monkeypatch):
     """What that wait is for."""
