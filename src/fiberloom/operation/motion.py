@@ -336,7 +336,7 @@ class FieldMotion:
                 collided = (await self._on_the_way())[1]
         await self._stop_the_moving()
         if self._unheard and self.client.time_s < until_s:
-            self._waits("", "nobody may come", until_s)
+            self._waits("", "none may come", until_s)
             while await self._not_all_heard(until_s):
                 await self._stop_the_moving()
             await self._stop_the_moving()

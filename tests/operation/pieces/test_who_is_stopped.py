@@ -373,7 +373,7 @@ def test_after_a_collision_nobody_moves_before_the_silent_ones_have_come_to_rest
     assert touches == []
     *_, waits = [text for kind, text in events if kind == "alarm" and "waiting" in text]
     assert "no answer from 204, 206, 228" in waits
-    assert "in whose way nobody may come" in waits
+    assert "in whose way none may come" in waits
 
 
 def test_one_that_gives_no_answer_is_stopped_too():

@@ -28,8 +28,8 @@ OF_STAR, OF_EXPOSURE, MODES = 3, 6, 4
 """Numbers of unknowns, and of patterns that the guider shares with the offsets."""
 _HELD = 1e-3
 """A mean over exposures that is held at 0 is so within this."""
-_SEEING_MEAN = 0.5
-"""Rms of the logarithm of the mean FWHM about the first guess."""
+_SEEING, _SEEING_MEAN = 0.7, 0.5
+"""FWHM over the core that is expected before the fit, and the rms of the logarithm of the mean about it."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,17 @@ class FieldSettings:
     """Diameter of the fibres' cores."""
     profile: StarProfile = field(default_factory=StarProfile)
     """Of the stars; its width is fitted."""
-    guide_um: float = 10.0
-    """Rms per coordinate by which a dither may differ from what is told."""
-    turn_um: float = 2.0
+    guide_um: float = 3.0
+    """Rms per coordinate by which a dither may differ from what is told, at first. How much guider, seeing
+    and transparency really scatter the fit finds, and begins with little: where all fibres are near their
+    stars, any seeing fits with exposures that differ enough (and offsets that are larger in proportion)."""
+    turn_um: float = 1.0
     """The same of rotation and scale, at the rms radius of the field."""
-    seeing_spread: float = 0.3
-    """Rms of the logarithm of the FWHM among the exposures of a field."""
-    transparency_spread: float = 0.2
-    """The same of the transparency, at first. The light that outer dithers lose tells the seeing, as far as
-    the transparency does not change; how much it does the fit finds."""
+    seeing_spread: float = 0.05
+    """Rms of the logarithm of the FWHM among the exposures of a field, at first."""
+    transparency_spread: float = 0.05
+    """The same of the transparency. The light that outer dithers lose tells the seeing, as far as the
+    transparency does not change."""
     most_sigma_um: float = 10.0
     """Of an offset that still counts as found, per coordinate."""
 
@@ -91,8 +93,6 @@ class FieldModel:
         self.seen = field.measured
         self.flux = np.where(self.seen, field.flux, 0.0)
         self.error = np.where(self.seen, field.flux_error, 1.0)
-        self.fwhm_um = 0.7 * settings.core_um
-        """About which the seeing is expected; `start` finds a better one."""
 
     def offsets_um(self, at: Unknowns) -> Floats:
         """(E, N, 2) um from each fibre to its star."""
@@ -156,7 +156,7 @@ class FieldModel:
 
     def _expected(self, at: Unknowns) -> Floats:
         expected = np.zeros_like(at.exposure)
-        expected[:, 1] = np.log(self.fwhm_um)
+        expected[:, 1] = np.log(_SEEING * self.settings.core_um)
         return expected
 
     def _prior(self) -> Floats:
@@ -177,7 +177,7 @@ class FieldModel:
     def select(self, rows: Ints) -> FieldModel:
         """The model of some of the fibres; their places in the field stay."""
         part = FieldModel(self.field.select(rows), self.settings)
-        part.place, part.fwhm_um = self.place[rows], self.fwhm_um
+        part.place = self.place[rows]
         return part
 
 

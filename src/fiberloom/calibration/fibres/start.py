@@ -24,11 +24,9 @@ _LEAST_SHARE = 0.02
 
 
 def begin(model: FieldModel) -> Unknowns:
-    """Unknowns near enough to the best ones; also sets the seeing that the `model` expects."""
+    """Unknowns near enough to the best ones."""
     tried = [_tried(model, share * model.settings.core_um) for share in _SEEING]
-    best = min(range(len(tried)), key=lambda k: tried[k][0])
-    model.fwhm_um = _SEEING[best] * model.settings.core_um
-    return tried[best][1]
+    return min(tried, key=lambda one: one[0])[1]
 
 
 def _tried(model: FieldModel, fwhm_um: float) -> tuple[float, Unknowns]:

@@ -21,12 +21,12 @@ from fiberloom.units import UM_PER_MM
 
 if TYPE_CHECKING:
     from fiberloom.operation.move import Move
-    from fiberloom.operation.results.observation import Observation
+    from fiberloom.operation.results.observed import ObservedField
 
 IN_TRUTH, EXPECTED = "in truth", "measured, and as calibrations tell"
 
 
-def budget(observed: Observation) -> dict[str, Any]:
+def budget(observed: ObservedField) -> dict[str, Any]:
     """Of `observed`: rms in um by part, two-dimensional, of healthy fibres; None where nothing tells it."""
     move = observed.final
     rows = observed.counted(move) & move.measurement.seen & (observed.assignment.target >= 0)
@@ -36,7 +36,7 @@ def budget(observed: Observation) -> dict[str, Any]:
     return _in_truth(observed, rows, metrology, move.true_mm - observed.target_mm())
 
 
-def _in_truth(observed: Observation, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
+def _in_truth(observed: ObservedField, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
     """By true errors (N, 2) of both fibres, mm."""
     star_mm = observed.target_mm()
     loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm()
@@ -51,7 +51,7 @@ def _in_truth(observed: Observation, rows: Flags, metrology: Floats, science: Fl
     }
 
 
-def _expected(observed: Observation, move: Move, rows: Flags) -> dict[str, Any]:
+def _expected(observed: ObservedField, move: Move, rows: Flags) -> dict[str, Any]:
     noise = move.measurement.noise_mm2
     camera = None if noise is None else _rms_um(np.sqrt(np.einsum("nii->ni", noise[rows])))
     return {

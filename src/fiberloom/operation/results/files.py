@@ -19,7 +19,7 @@ from fiberloom.typing import Floats, Ints
 from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
-    from fiberloom.operation.results.observation import Observation
+    from fiberloom.operation.results.observed import ObservedField
 
 MARKS = ("version", "seed", "instrument", "config_hash", "utc")
 """Entries that every result file has."""
@@ -29,12 +29,12 @@ _OF_STATUS = {
 }
 
 
-def fibres_table(observed: Observation) -> Table:
+def fibres_table(observed: ObservedField) -> Table:
     """One row for every positioner and move, with the columns of docs/files.md."""
     return vstack([_fibres_of(observed, move) for move in observed.moves])
 
 
-def _fibres_of(observed: Observation, move: Move) -> Table:
+def _fibres_of(observed: ObservedField, move: Move) -> Table:
     plane, assignment = observed.plane, observed.assignment
     target, goal = observed.target_mm(), observed.metrology_goal_mm()
     names = np.append(observed.targets.target_id, "")  # index -1: no target
@@ -67,13 +67,13 @@ def _pair(name: str, xy_mm: Floats) -> dict[str, Floats]:
     return {f"x_{name}_mm": xy_mm[:, 0], f"y_{name}_mm": xy_mm[:, 1]}
 
 
-def _grades(observed: Observation, move: Move) -> NDArray[np.str_]:
+def _grades(observed: ObservedField, move: Move) -> NDArray[np.str_]:
     has = (observed.assignment.target >= 0).tolist()
     errors = observed.error_um(move).tolist()
     return np.array([grade(e, observed.requirement_um, h) for e, h in zip(errors, has, strict=True)])
 
 
-def _flags(observed: Observation, move: Move) -> Ints:
+def _flags(observed: ObservedField, move: Move) -> Ints:
     """(N,) bits of `FibreFlag`."""
     flags = np.array([_OF_STATUS.get(status, 0) for status in move.status], dtype=np.int64)
     ambiguous = move.measurement.ambiguous
@@ -89,7 +89,7 @@ def _flags(observed: Observation, move: Move) -> Ints:
     return flags
 
 
-def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) -> None:
+def write_results(observed: ObservedField, summary: Mapping[str, Any], out: Path) -> None:
     """Writes every result file into the folder `out`, which exists."""
     table = fibres_table(observed)
     table.meta = {k: summary[k] for k in MARKS}
@@ -103,7 +103,7 @@ def write_results(observed: Observation, summary: Mapping[str, Any], out: Path) 
     write_whole(out / "summary.json", json.dumps(summary, indent=2) + "\n")
 
 
-def _plot(observed: Observation, out: Path) -> None:
+def _plot(observed: ObservedField, out: Path) -> None:
     plot_focal_plane(out / "focal_plane.png", observed.plane, picture(observed))
     ended = [move for move in observed.moves if not move.interrupted]
     errors = [observed.error_um(m)[observed.counted(m)] for m in ended]
@@ -117,7 +117,7 @@ def _plot(observed: Observation, out: Path) -> None:
     )
 
 
-def picture(observed: Observation) -> FieldPicture:
+def picture(observed: ObservedField) -> FieldPicture:
     """Of `observed`: errors in um by colour."""
     final = observed.final
     error = observed.error_um(final)

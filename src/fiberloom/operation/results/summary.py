@@ -13,13 +13,13 @@ from fiberloom.operation.results.budget import budget
 from fiberloom.typing import Floats
 
 if TYPE_CHECKING:
-    from fiberloom.operation.results.observation import Observation
+    from fiberloom.operation.results.observed import ObservedField
 
 TRULY_OFF = "truly_off_target"
 """On target as measured, not in truth: the twin knows."""
 
 
-def summarise(observed: Observation) -> dict[str, Any]:
+def summarise(observed: ObservedField) -> dict[str, Any]:
     """The figures of summary.json that come from the moves."""
     final = observed.final
     assigned = observed.assignment.n_assigned
@@ -43,14 +43,14 @@ def summarise(observed: Observation) -> dict[str, Any]:
     }
 
 
-def _not_on_target(observed: Observation, move: Move) -> dict[str, int]:
+def _not_on_target(observed: ObservedField, move: Move) -> dict[str, int]:
     """How many of the assigned fibres are not on target, by their status; the most frequent first."""
     missed = (observed.assignment.target >= 0) & ~observed.on_target(move)
     why = [TRULY_OFF if status is FibreStatus.ON_TARGET else status.value for status in move.status]
     return dict(Counter(np.array(why, dtype=object)[missed].tolist()).most_common())
 
 
-def _summarise_move(observed: Observation, move: Move) -> dict[str, Any]:
+def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
     counted = observed.counted(move)
     measured = move.measured_error_um[counted]
     true, metrology = observed.true_error_um(move), observed.true_metrology_error_um(move)
@@ -82,7 +82,7 @@ def _percentile(values: Floats, share: float) -> float | None:
     return float(np.percentile(good, share)) if len(good) else None
 
 
-def _faults(observed: Observation, move: Move) -> dict[str, list[int]]:
+def _faults(observed: ObservedField, move: Move) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for positioner, status in zip(observed.plane.positioner_id, move.status, strict=True):
         if status in FAULTS or status is FibreStatus.BLOCKED:

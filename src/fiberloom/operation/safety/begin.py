@@ -283,7 +283,7 @@ def _overlaps(plane: FocalPlane, report: Report, standing: list[Standing], certa
         pair = [contact.positioner_id] + ([int(contact.other)] if contact.other.isdigit() else [])
         rows = plane.index_of(pair)
         if not (report.answered | plane.offline)[rows].all():
-            continue  # nobody reports to be there
+            continue  # a place that was not reported
         for row in rows:
             # the one that is seen where it reports is there; the other one is not
             if standing[row] is not Standing.RIGHT and not plane.offline[row]:

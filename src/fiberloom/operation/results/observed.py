@@ -1,0 +1,267 @@
+"""What an observed field is, and how far its fibres are from where they should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fiberloom.assignment import Assignment
+from fiberloom.calibration.fibres.guider import guided
+from fiberloom.health.status import FAULTS, FibreStatus
+from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.operation.move import Move
+from fiberloom.targets import TargetList
+from fiberloom.typing import Flags, Floats
+from fiberloom.units import UM_PER_MM
+
+NOT_COUNTED = FAULTS | {FibreStatus.PARKED, FibreStatus.OFFLINE, FibreStatus.BLOCKED}
+"""Status of a positioner whose error does not count."""
+
+
+@dataclass(frozen=True)
+class ObservedField:
+    """The moves of an observed field, and the errors of its fibres: what `Observation` tells of."""
+
+    plane: FocalPlane
+    targets: TargetList
+    assignment: Assignment
+    moves: list[Move]
+    collisions_verified: int = 0
+    stopped: str = ""
+    about: dict[str, Any] = field(default_factory=dict)
+    wall_s: float = 0.0
+
+    @property
+    def requirement_um(self) -> float:
+        """Largest error that the instrument accepts."""
+        return self.plane.instrument.operation.requirement_um
+
+    def target_mm(self) -> Floats:
+        """Where the science fibre of each positioner should be.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.target_mm().shape
+        (7, 2)
+        """
+        xy = np.full((len(self.plane), 2), np.nan)
+        has = self.assignment.target >= 0
+        chosen = self.assignment.target[has]
+        xy[has] = np.stack([self.targets.x_mm[chosen], self.targets.y_mm[chosen]], axis=1)
+        return xy
+
+    def metrology_goal_mm(self) -> Floats:
+        """Where the metrology fibre of each positioner is when the science fibre is on its target.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target. The measured error is the distance of the measured place from it.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.metrology_goal_mm().shape
+        (7, 2)
+        """
+        return metrology_goals_mm(self.plane, self.assignment)
+
+    def true_error_um(self, move: Move) -> Floats | None:
+        """True distance of the science fibres from their targets.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
+        True
+        """
+        return _apart_um(move.true_mm, self.target_mm())
+
+    def guided_error_um(self, move: Move) -> Floats | None:
+        """True distance of the science fibres from their stars, on a telescope that guides by them.
+
+        Shift, rotation and scale of the whole field are the guider's: they are taken out of the true errors
+        of the healthy fibres.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.guided_error_um(seen.final))
+        7
+        """
+        if move.true_mm is None:
+            return None
+        star_mm = self.target_mm()
+        place_mm = np.where(np.isfinite(star_mm), star_mm, self.plane.centres_mm)
+        left_mm = guided(move.true_mm - star_mm, place_mm, self.counted(move))
+        return np.asarray(UM_PER_MM * np.hypot(*left_mm.T))
+
+    def true_metrology_error_um(self, move: Move) -> Floats | None:
+        """True distance of the metrology fibres from their places with the science fibres on target.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um; NaN without a target; None where the truth is not known: on hardware.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.true_metrology_error_um(seen.final))
+        7
+        """
+        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm() + self.frame_mm())
+
+    def frame_mm(self) -> Floats:
+        """From where the camera is to see a fibre to where that is: how far its frame is known to be off.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target; 0 without `fibres` of a calibration.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> import numpy as np
+        >>> bool(np.abs(seen.frame_mm()).max() < 1e-9)
+        True
+        """
+        angles = self.assignment
+        aimed = np.full((len(self.plane), 2), np.nan)
+        for fibre in np.unique(angles.fibre[angles.target >= 0]).tolist():
+            rows = (angles.target >= 0) & (np.asarray(angles.fibre) == fibre)
+            aimed[rows] = self.plane.forward(angles.alpha_deg, angles.beta_deg, fibre)[rows]
+        known_mm: Floats = self.target_mm() - aimed
+        return known_mm
+
+    def error_um(self, move: Move) -> Floats:
+        """True error where it is known, else the measured one.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float
+            um; NaN without a target, or where nothing was seen.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> len(seen.error_um(seen.final))
+        7
+        """
+        true = self.true_error_um(move)
+        return move.measured_error_um if true is None else true
+
+    @property
+    def final(self) -> Move:
+        """The last move of the observation itself."""
+        return next(m for m in reversed(self.moves) if not m.comparison)
+
+    def counted(self, move: Move) -> Flags:
+        """Positioners with a target that are healthy.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.counted(seen.final).sum())
+        7
+        """
+        return np.array([status not in NOT_COUNTED for status in move.status])
+
+    def on_target(self, move: Move) -> Flags:
+        """Positioners that are healthy and whose fibre is within the requirement of its target.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) bool
+            By the true error where it is known, else by the measured one.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> int(seen.on_target(seen.final).sum())
+        7
+        """
+        return self.counted(move) & (self.error_um(move) <= self.requirement_um)
+
+
+def _apart_um(true_mm: Floats | None, goal_mm: Floats) -> Floats | None:
+    """(N,) um between places (N, 2); None where the true ones are not known."""
+    return None if true_mm is None else np.asarray(UM_PER_MM * np.hypot(*(true_mm - goal_mm).T))
+
+
+def metrology_goals_mm(plane: FocalPlane, assignment: Assignment) -> Floats:
+    """(N, 2) mm: where each metrology fibre is when the science fibre is on its target; NaN without one."""
+    at = plane.forward(assignment.alpha_deg, assignment.beta_deg, METROLOGY)
+    return np.where((assignment.target >= 0)[:, None], at, np.nan)
