@@ -65,7 +65,7 @@ $(STAMP): $(VENV)/.dependencies $(NATIVE)
 # As at an observatory: first where arms and fibres are, once, then every field by that.
 ARMS   := runs/focal-plane/arms.ecsv
 FIBRES := runs/fibres/fibres.ecsv
-TWIN   := --seed 0 --errors all
+TWIN   := --seed 0 --errors all --camera image
 
 run: setup $(FIBRES)
 	@echo "6 of 6: a field of 500 positioners"
@@ -74,7 +74,7 @@ run: setup $(FIBRES)
 
 $(ARMS): $(STAMP)
 	@echo "4 of 6: where the arms of 500 positioners are; the first time their transmissions are calibrated"
-	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --out $(@D)
+	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --out $(@D)
 
 $(FIBRES): $(ARMS)
 	@echo "5 of 6: where their science fibres are, by three fields of stars for each kind of fibre"

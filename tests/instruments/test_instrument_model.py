@@ -75,6 +75,7 @@ def set_key(data, key, value):
         ("bodies.beta_segment_mm", [5.0, 5.0], ["beta_segment_mm", "from must be below to"]),
         ("layout.rings", 3, ["n_positioners 500", "3 rings have only 37 holes"]),
         ("layout.fiducial_lattice", [0, 0], ["fiducial_lattice [0, 0] is no step"]),
+        ("layout.fiducial_lattice", [3, -(10**18)], ["fiducial_lattice: a step of more than 1000 holes"]),
         ("layout.outer_fiducial_directions_deg", [], ["outer_fiducial_radius_mm", "or neither"]),
         ("scatter.l_alpha_mm.min", 7.5, ["mean 7.3886 must lie between min 7.5"]),
         ("name", "SDSS V", ["name = 'SDSS V'", "match pattern"]),

@@ -301,6 +301,8 @@ class GuideCameras(Table):
 
 MOST_POSITIONERS = 20_000
 """Of one focal plane: four times as many as any that is built. Memory grows with them."""
+FARTHEST_STEP = 1000
+"""Holes from one fiducial to the next: farther than any field is wide."""
 MOST_RINGS = 120
 """Enough holes for them, and for as many fiducials."""
 
@@ -344,6 +346,8 @@ class Layout(Table):
             raise ValueError("fiducial_pinholes_mm: a fiducial needs at least one light")
         if self.fiducial_lattice == (0, 0):
             raise ValueError("fiducial_lattice [0, 0] is no step")
+        if self.fiducial_lattice is not None and max(map(abs, self.fiducial_lattice)) > FARTHEST_STEP:
+            raise ValueError(f"fiducial_lattice: a step of more than {FARTHEST_STEP} holes")
         if bool(self.outer_fiducial_directions_deg) != (self.outer_fiducial_radius_mm is not None):
             raise ValueError("give outer_fiducial_radius_mm and outer_fiducial_directions_deg, or neither")
         return self

@@ -78,5 +78,6 @@ class TwinSource:
 
     @property
     def true_plane(self) -> FocalPlane | None:
-        """The layout with the true arms."""
-        return replace(self.plane, arms=self.units.arms)
+        """The layout with the true arms and fibres."""
+        points = {name: self.units.points_mm(mm, name) for name, mm in self.plane.points.items()}
+        return replace(self.plane, arms=self.units.arms, points=points)

@@ -133,10 +133,10 @@ def test_a_frame_that_was_changed_in_the_file_is_refused(plane, frame, tmp_path)
     ("change", "said"),
     [
         ({"radius_mm": 0.0}, "radius"),
-        ({"size_um": np.full(9, np.nan)}, "9 sizes"),
-        ({"size_um": np.zeros(8)}, "9 sizes"),
-        ({"covariance_um2": -np.eye(9)}, "covariance"),
-        ({"covariance_um2": np.full((9, 9), np.nan)}, "covariance"),
+        ({"size_um": np.full(len(TERMS), np.nan)}, "30 sizes"),
+        ({"size_um": np.zeros(9)}, "30 sizes"),
+        ({"covariance_um2": -np.eye(len(TERMS))}, "covariance"),
+        ({"covariance_um2": np.full((30, 30), np.nan)}, "covariance"),
     ],
 )
 def test_a_frame_that_cannot_be_is_refused(frame, change, said):
@@ -145,10 +145,10 @@ def test_a_frame_that_cannot_be_is_refused(frame, change, said):
 
 
 def test_nights_are_weighed_by_what_they_know(frame):
-    other = replace(frame, size_um=frame.size_um + 1.0, covariance_um2=3.0 * np.eye(9))
+    other = replace(frame, size_um=frame.size_um + 1.0, covariance_um2=3.0 * np.eye(30))
     both = FrameOffset.mean([frame, other])
     assert both.size_um == pytest.approx(frame.size_um + 0.25)
-    assert both.covariance_um2 == pytest.approx(0.75 * np.eye(9))
+    assert both.covariance_um2 == pytest.approx(0.75 * np.eye(30))
     with pytest.raises(InputError, match="different layouts"):
         FrameOffset.mean([frame, replace(frame, radius_mm=400.0)])
 

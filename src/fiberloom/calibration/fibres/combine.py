@@ -31,7 +31,7 @@ PLACE_UM = 0.5
 """Least error per coordinate of where a fibre is against its star in one field, beyond photons: SDSS-V's
 metrology camera alone has 0.669 um in two dimensions."""
 _MOST_PLACE_UM = 20.0
-FRAME_UM = 2.0
+FRAME_UM = 1.5
 """Rms that a term of the camera's frame is expected to have; 61 fiducials of 8 um make 1 um of each."""
 _UNLIKELY = (1e-5, 1e-3)
 """Chance below which two fields, or three and more, disagree on a fibre. Of three one is left
@@ -243,7 +243,7 @@ class _Solution:
 
 
 def _patterns(field: FieldOffsets, number: int, n_fields: int, radius_mm: float) -> Floats:
-    """(K, 2, 4 F + 9) what fibres have in common: the guider's of each field, and the camera's frame."""
+    """(K, 2, 4 F + 30) what fibres have in common: the guider's of each field, and the camera's frame."""
     frame = FrameOffset.basis(field.fibre_mm, radius_mm).transpose(1, 2, 0)
     guider = np.zeros((len(frame), 2, n_fields, MODES))
     guider[:, :, number] = field.modes
@@ -252,7 +252,7 @@ def _patterns(field: FieldOffsets, number: int, n_fields: int, radius_mm: float)
 
 
 def _expected_um(fields: Sequence[FieldOffsets]) -> Floats:
-    """(4 F + 9,) rms that each may have. What the guider takes of the frame's terms adds to its own."""
+    """(4 F + 30,) rms that each may have. What the guider takes of the frame's terms adds to its own."""
     guider = [max(np.hypot(f.mode_um, FRAME_UM), 1e-6) for f in fields]
     return np.concatenate([np.repeat(guider, MODES), np.full(len(TERMS), FRAME_UM)])
 

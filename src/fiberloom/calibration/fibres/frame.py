@@ -1,8 +1,9 @@
 """By how much the camera's frame is off, place by place: its fiducials are not where their table says.
 
 The transformation goes through the fiducials as nearly as its Zhao-Burge terms allow, so that what is wrong
-with their table shows at the fibres as a field of these very terms, the same in every image. Shift,
-rotation and scale of it are the guider's, which puts the stars there: they are left out.
+with their table shows at the fibres as a field of these very terms, the same in every image. So does what
+the lens bends beyond the terms that so few fiducials can tell. Shift, rotation and scale of it are the
+guider's, which puts the stars there: they are left out.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from fiberloom.metrology import zhao_burge
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM
 
-TERMS = tuple(t for t in zhao_burge.DEFAULT_TERMS if t not in zhao_burge.SIMILARITY_TERMS)
+TERMS = tuple(t for t in range(zhao_burge.N_TERMS) if t not in zhao_burge.SIMILARITY_TERMS)
 _MOST_UM = 1000.0
 """Of a term: beyond it no image would have been matched."""
 _MOST_RADIUS_MM = 1e4
@@ -40,9 +41,9 @@ class FrameOffset:
     radius_mm: float
     """R: it scales the terms."""
     size_um: Floats
-    """(9,) c: rms over the disc of radius R of each of the `TERMS`."""
+    """(30,) c: rms over the disc of radius R of each of the `TERMS`."""
     covariance_um2: Floats
-    """(9, 9) of it."""
+    """(30, 30) of it."""
 
     def __post_init__(self) -> None:
         n = len(TERMS)
@@ -63,7 +64,7 @@ class FrameOffset:
 
     @staticmethod
     def basis(xy_mm: Floats, radius_mm: float) -> Floats:
-        """(9, N, 2) the terms at places (N, 2), of no unit: um per um."""
+        """(30, N, 2) the terms at places (N, 2), of no unit: um per um."""
         return zhao_burge.basis(xy_mm / radius_mm, TERMS)
 
     @property
