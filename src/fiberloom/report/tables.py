@@ -79,9 +79,8 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     """Return the table that closes an observation: one row per move."""
     table = Table(box=box.SIMPLE, title=_headline(summary), title_justify="left",
                   caption=_caption(summary), caption_justify="left", collapse_padding=True)  # fmt: skip
-    within = f"within\n{summary['requirement_um']:g} µm"
-    for name in ("move", "measured\n[µm]", "metrology,\ntrue [µm]", "science,\ntrue [µm]",
-                 "guided\n[µm]", "95 %\n[µm]", "worst\n[µm]", within):  # fmt: skip
+    of_fibres = [f"{name}\n[µm]" for name in ("measured", "metrology", "science", "guided", "95 %", "worst")]
+    for name in ("move", *of_fibres, f"within\n{summary['requirement_um']:g} µm"):
         first = name == "move"
         table.add_column(name, justify="left" if first else "right", no_wrap=first)
     for move in summary["moves"]:
@@ -96,7 +95,7 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
             _um(move["guided_rms_um"]),
             _um(move["p95_um"]),
             _um(move["max_um"]),
-            f"{move['n_within_requirement']} of {summary['n_assigned']}",
+            f"{move['n_within_requirement']}/{summary['n_assigned']}",
         )
     return table
 
@@ -108,12 +107,8 @@ def budget_line(budget: Mapping[str, Any]) -> str:
         f"{name} {'not known' if budget[key] is None else _um(budget[key])}" for key, name in names.items()
     ]
     takes = budget["guider_takes_um"]
-    guider = (
-        ""
-        if takes is None
-        else f"; shift, rotation and scale of the field, which a guider takes: {_um(takes)}"
-    )
-    return f"of what, {budget['known']}, in µm rms: {', '.join(parts)}{guider}"
+    guider = "" if takes is None else f"; a guider takes {_um(takes)}"
+    return f"parts, {budget['known']} [µm rms]: {', '.join(parts)}{guider}"
 
 
 def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
@@ -151,8 +146,8 @@ def _caption(summary: Mapping[str, Any]) -> str:
     if not known:
         return "Errors: rms; 95 %, worst and within as measured."
     return (
-        "Errors: rms; 95 %, worst and within of the science fibre, true. "
-        "Guided: it, less shift, rotation and scale of the field."
+        "Errors: rms; measured, then true: of the metrology fibre, of the science fibre, and guided: less "
+        "shift, rotation and scale of the field. 95 %, worst and within: of the science fibre, true."
     )
 
 

@@ -63,4 +63,4 @@ def test_the_line_names_what_is_not_known(seen):
     assert f"fibre on its arm {found['fibre_um']:.2f}" in budget_line(found)
     unknown = found | {"known": EXPECTED, "fibre_um": None, "guider_takes_um": None}
     assert "fibre on its arm not known" in budget_line(unknown)
-    assert "shift" not in budget_line(unknown)
+    assert "guider" not in budget_line(unknown)
