@@ -37,7 +37,7 @@ def patterns_of(place: Floats) -> Floats:
 
 
 def size_of(vectors: Floats, patterns: Floats) -> Floats:
-    """(4,) of each pattern in vectors (N, 2), by least squares, in their unit; `patterns`: (N, 2, 4)."""
+    """(4,) um of each pattern in vectors (N, 2), um, by least squares; `patterns`: (N, 2, 4), ratios."""
     flat = patterns.reshape(-1, patterns.shape[-1])
     return np.asarray(np.linalg.lstsq(flat, vectors.ravel(), rcond=None)[0], dtype=np.float64)
 
