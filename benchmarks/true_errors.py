@@ -1,8 +1,8 @@
 """What errors of the tables do to the science fibres, and what calibrations leave of it.
 
-    python -m benchmarks.true_errors [--positioners 500] [--seeds 0:3] [--size 1] [--out DIR]
+    python -m benchmarks.true_errors [--positioners 500] [--seeds 0:3] [--size 1] [--camera image]
 
-On the twin, by the camera without images. Each error alone, all of them, and all of them after the
+On the twin. Each error alone, all of them, and all of them after the
 calibrations that an observatory can do: arms by `calibrate focal-plane`, science fibres and camera frame by
 `calibrate fibres`. Every row is one more field, with two corrections. `--size` makes every error larger:
 a calibration that looked at the twin's sizes would be shown by it. Exit code 1 where the last row misses
@@ -31,7 +31,7 @@ from fiberloom.twin.errors.switches import TERMS
 
 FIBRE = "BOSS"
 GOAL_UM = 1.5
-CORRECTIONS = 2
+CORRECTIONS, CONFIGURATIONS = 2, 12
 CHECK = 5000
 """Added to the seed of the field that is judged: no calibration has seen it."""
 
@@ -42,10 +42,11 @@ def main() -> int:
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seeds", default="0:3")
     parser.add_argument("--size", type=float, default=1.0)
+    parser.add_argument("--camera", default="image", help="image or noise")
     parser.add_argument("--out", type=Path, default=Path("build/bench/true_errors.json"))
     given = parser.parse_args()
     first, last = (int(part) for part in given.seeds.split(":"))
-    rows = [row for seed in range(first, last) for row in of_seed(seed, given.positioners, given.size)]
+    rows = [row for seed in range(first, last) for row in of_seed(seed, given)]
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(rows, indent=2) + "\n")
     print(f"{given.positioners} positioners, fibre {FIBRE}, {CORRECTIONS} corrections, seeds {given.seeds}")
@@ -63,9 +64,9 @@ def met(rows: list[dict[str, Any]]) -> bool:
     return all(0 < row["fibres"] == row["within"] and row["rms_um"] <= GOAL_UM for row in rows)
 
 
-def of_seed(seed: int, n: int, size: float) -> list[dict[str, Any]]:
-    """The rows of one seed; `n`: positioners; `size`: a factor on every error."""
-    plane = fl.FocalPlane.of("sdssv", n=n)
+def of_seed(seed: int, given: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of one seed; `given`: positioners, size (a factor on every error), camera."""
+    plane, size = fl.FocalPlane.of("sdssv", n=given.positioners), given.size
     cases = {"none": "none"} | {f"{term} on": f"{term}={size}" for term in TERMS}
     cases["all on"] = everything = ",".join(f"{term}={size}" for term in TERMS)
     rows: list[dict[str, Any]] = []
@@ -80,9 +81,9 @@ def of_seed(seed: int, n: int, size: float) -> list[dict[str, Any]]:
         maps = folder / "maps.npz"
         fl.Field.twin(plane, seed, camera="noise").run.calibrate().save(maps)
         for name, errors in cases.items():
-            field = fl.Field.twin(plane, seed, camera="noise", errors=errors, calibration=maps)
+            field = fl.Field.twin(plane, seed, camera=given.camera, errors=errors, calibration=maps)
             keep(name, observed(field, folder))
-        field = fl.Field.twin(plane, seed, camera="noise", errors=everything, calibration=maps)
+        field = fl.Field.twin(plane, seed, camera=given.camera, errors=everything, calibration=maps)
         keep("all on, calibrated", observed(field, folder, **calibrated(field, folder)))
     return rows
 
@@ -95,7 +96,7 @@ def observed(field: fl.Field, folder: Path, **known: Any) -> Observation:
 
 def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
     """Files of arms and fibres."""
-    field.run.survey(SurveySettings(seed=field.seed), out=folder).save(folder)
+    field.run.survey(SurveySettings(CONFIGURATIONS, seed=field.seed), out=folder).save(folder)
     files = {"arms": folder / "arms.ecsv"}
     stamp = marks(field.plane, field.seed)
 

@@ -1,5 +1,7 @@
 """The benchmark of what errors of the tables do, and what calibrations leave of it: small, but in full."""
 
+from argparse import Namespace
+
 import pytest
 from benchmarks.true_errors import GOAL_UM, met, of_seed, said
 
@@ -8,7 +10,7 @@ ROW = {"fibres": 19, "rms_um": 1.2, "p95_um": 2.0, "worst_um": 4.9, "within": 19
 
 @pytest.mark.slow
 def test_calibrations_remove_what_each_error_does():
-    rows = {row["row"]: row for row in of_seed(0, 19, 1.0)}
+    rows = {row["row"]: row for row in of_seed(0, Namespace(positioners=19, size=1.0, camera="noise"))}
     none, everything, calibrated = rows["none"], rows["all on"], rows["all on, calibrated"]
     assert none["rms_um"] < 1.0
     assert rows["fibre on"]["rms_um"] > 7.0
