@@ -11,7 +11,7 @@ import typer
 
 from fiberloom.cli.array.options import ExcludeOptions
 from fiberloom.cli.observe import FaultsOption, MapsOption, check, field_of
-from fiberloom.cli.options import ErrorsOptions, JsonOptions, PlaneOptions, require_folder
+from fiberloom.cli.options import ErrorsOptions, JsonOptions, PlaneOptions, RequireOptions, require_folder
 from fiberloom.cli.terminal import waiting
 
 SurveyCameraOption = Annotated[
@@ -26,7 +26,7 @@ MOUNTED_DEG = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, PlaneOptions, JsonOptions):
+class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, RequireOptions, PlaneOptions, JsonOptions):
     """Of `calibrate focal-plane`."""
 
     configurations: Annotated[int, typer.Option(min=4, help="Configurations of all positioners.")] = 40
@@ -51,9 +51,10 @@ class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, PlaneOptions, JsonOptions
 def focal_plane(options: FocalPlaneOptions) -> int:
     """Find centre, arms and zeros of all positioners where they are mounted (Kronig 2020, Eq. 26).
 
-    Exit code 1 where a positioner is refused.
+    Exit code 1 where fewer positioners than `--require` says are calibrated; others keep the layout's arms.
     """
     check(options)
+    options.met(0, 0)  # a share that is none is told before anything moves
     require_folder(options.out)
     from fiberloom.calibration.focal_plane.fit import FitSettings
     from fiberloom.operation.survey import SurveySettings
@@ -77,7 +78,7 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     made, same_run, arms = found.fit.positioner_id[found.fit.ok], options.measured is None, out / "arms.ecsv"
     record_calibration(arms, "focal-plane", made, found.marks, field.command_line, same_run=same_run)
     _show(options, found.summary() | {"arms": str(arms), "layout": str(out / "layout")})
-    return 1 if found.summary()["refused"] else 0
+    return 0 if options.met(len(made), len(made) + len(found.summary()["refused"])) else 1
 
 
 def _show(options: FocalPlaneOptions, report: dict[str, Any]) -> None:
