@@ -174,6 +174,16 @@ def test_focal_plane_measures_then_fits_the_record_again(fl, maps, tmp_path):
     assert json.loads(out)["calibrated"] == report["calibrated"]
 
 
+@pytest.mark.parametrize(("require", "expected"), [("95%", 1), ("80%", 0)])
+def test_a_focal_plane_is_calibrated_by_the_required_share(fl, maps, tmp_path, require, expected):
+    """One of seven is dead and keeps the arms of the layout."""
+    words = ("calibrate", "focal-plane", *PLANE, "--configurations", 6, "--calibration", maps)
+    code, _, _ = fl(*words, "--faults", "dead=1", "--require", require, "--out", tmp_path)
+    report = json.loads((tmp_path / "focal_plane.json").read_text())
+    assert (report["calibrated"], len(report["refused"])) == (6, 1)
+    assert code == expected
+
+
 def test_instruments(fl):
     rows = json.loads(fl("instruments", "--json")[1])
     assert {row["name"] for row in rows} >= {"sdssv", "desi", "pfs"}
