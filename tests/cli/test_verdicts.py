@@ -53,7 +53,7 @@ def test_what_is_dead_counts_against_what_was_assigned(fl, folder, tmp_path):
     assert sum(summary["not_on_target"].values()) == N - on
     assert f"below what is required: {on} of {N} (" in out
     assert "not on target: 3 dead" in out
-    assert f"{on} of {N}" in out.split("correction 2")[1].splitlines()[0]
+    assert f"{on}/{N}" in out.split("correction 2")[1].splitlines()[0]
     # who asks for less gets by, nobody by nothing
     less = ("--faults", "dead=3", "--require", f"{on / N:.3f}"[:-1])
     assert observe(fl, folder / "targets.csv", tmp_path / "less", *less)[0] == 0

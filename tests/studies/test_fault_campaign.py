@@ -19,8 +19,8 @@ from benchmarks.faults.world import Shot
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import METROLOGY
-from fiberloom.operation import results
 from fiberloom.operation.motion import FieldState
+from fiberloom.operation.results import files
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.twin.twin import Touch, Twin
 
@@ -177,7 +177,7 @@ N = 7
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch):
     """Commands draw nothing here: that is most of their time."""
-    monkeypatch.setattr(results, "_plot", lambda *_: None)
+    monkeypatch.setattr(files, "_plot", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

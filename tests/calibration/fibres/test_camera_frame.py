@@ -197,3 +197,8 @@ def test_two_fibres_guide_nothing():
     xy_mm, error = field_of_errors()
     counted = np.arange(len(xy_mm)) < 2
     assert np.array_equal(guided(error, xy_mm, counted), error)
+
+
+def test_an_empty_field_is_guided_by_nothing():
+    nothing = np.empty((0, 2))
+    assert guided(nothing, nothing, np.empty(0, dtype=bool)).shape == (0, 2)

@@ -24,8 +24,10 @@ def places_of(xy_mm: Floats) -> Floats:
 
     A ratio: by how much against the rms radius of the field.
     """
+    if not len(xy_mm):
+        return np.empty((0, 2, 2))
     apart = xy_mm - xy_mm.mean(axis=0)
-    radius = np.sqrt((apart**2).sum(axis=1).mean()) if len(apart) else 1.0
+    radius = np.sqrt((apart**2).sum(axis=1).mean())
     x, y = (apart / max(float(radius), 1e-9)).T
     return np.stack([np.stack([-y, x], axis=-1), np.stack([x, y], axis=-1)], axis=-1)
 
