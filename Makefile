@@ -123,7 +123,7 @@ PRELOAD = $$(gcc -print-file-name=lib$(1).so)
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
              tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
-             tests/metrology/test_centroids.py tests/metrology/test_images.py \
+             tests/metrology/test_centroids.py tests/metrology/images/test_images.py \
              tests/fuzz/test_fuzz_images.py
 sanitized: setup
 	$(call SPECIAL_BUILD,sanitized,FIBERLOOM_SANITIZE)
@@ -132,7 +132,7 @@ sanitized: setup
 
 # What runs in threads, under the thread sanitizer. setarch: addresses where the sanitizer expects them.
 RACED := tests/twin/server/test_threads.py tests/twin/server/test_cannet_device.py tests/twin/test_twin.py \
-         tests/metrology/test_images.py
+         tests/metrology/images/test_images.py
 races: setup
 	$(call SPECIAL_BUILD,races,FIBERLOOM_RACES)
 	FIBERLOOM_THREAD_ROUNDS=2000 TSAN_OPTIONS=halt_on_error=1:exitcode=66 LD_PRELOAD=$(call PRELOAD,tsan):$(call PRELOAD,stdc++) \

@@ -19,7 +19,7 @@ import numpy as np
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.errors.frame import WrongFrame
-from fiberloom.twin.errors.sizes import TableErrors
+from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -65,7 +65,7 @@ def sizes(data: Path) -> dict[str, dict[str, float]]:
 def of_fiducials(seeds: int = 40) -> dict[str, dict[str, float]]:
     """How far fibres of the twin are seen from where they are, um, by fiducials off their table."""
     plane = FocalPlane.of("sdssv")
-    errors, fibres_mm = TableErrors.of(plane.instrument), plane.forward(40.0, 90.0)
+    errors, fibres_mm = TwinErrors.of(plane.instrument), plane.forward(40.0, 90.0)
     seen = [WrongFrame(plane, errors.fiducials_mm(plane, seed)).seen_mm(fibres_mm) for seed in range(seeds)]
     each = np.array([_rms(UM_PER_MM * np.hypot(*(xy - fibres_mm).T))["rms"] for xy in seen])
     rms = float(np.sqrt(np.mean(each**2)))

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack, cast
 
 from fiberloom.blocking import finish
 from fiberloom.bus.transport import Transport
@@ -44,6 +44,7 @@ class ObserveOptions(TypedDict, total=False):
     """What `Field.observe` takes beside targets, corrections and a folder."""
 
     correction: str | None
+    images: int | None
     compare_linear: bool
     arms: Path | str | None
     fibres: Path | str | None
@@ -420,6 +421,8 @@ class Field:
         ----------------
         correction : str, optional
             ``"filtered"`` (Kalman) or ``"plain"`` (Kronig 2020, Eq. 25); default: the instrument's.
+        images : int, optional
+            After each move, at most; default: the instrument's.
         compare_linear : bool
             Measure a blind move by a linear gear ratio too, at the end.
         arms : str or Path, optional
@@ -544,14 +547,8 @@ def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple
         raise TypeError(
             f"observe() has no option '{unknown[0]}': {', '.join(ObserveOptions.__annotations__)}"
         )
-    settings = ObserveSettings(
-        corrections=corrections,
-        correction=options.get("correction"),
-        compare_linear=options.get("compare_linear", False),
-        pages=options.get("pages", "none"),
-        save_images=options.get("save_images", False),
-        seed=seed,
-    )
+    how = {name: value for name, value in options.items() if name in ObserveSettings.__annotations__}
+    settings = ObserveSettings(corrections=corrections, seed=seed, **cast("dict[str, Any]", how))
     files = options.get("arms"), options.get("fibres"), options.get("learnt")
     return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
 

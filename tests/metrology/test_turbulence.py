@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from fiberloom.errors import InputError
-from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.turbulence import remove_turbulence, rms_um
-from fiberloom.twin.camera.imaging import Optics
-
-AIR = Optics(CameraGeometry(10, 10, 1.0), 1.0, turbulence_um=5.0, turbulence_length_mm=50.0)
+from fiberloom.twin.camera.air import air_shift_mm
 
 
 def disc(rng, n, radius=400.0):
@@ -19,7 +16,7 @@ def disc(rng, n, radius=400.0):
 def scene(seed, n_standing=700, n=1500, noise_um=1.0):
     rng = np.random.default_rng([seed, 1])
     at = disc(rng, n_standing + n)
-    true = AIR.turbulence_mm(at, rng)
+    true = air_shift_mm(at, 5.0, 50.0, rng)
     seen = true[:n_standing] + rng.normal(0, noise_um * 1e-3, (n_standing, 2))
     return at[:n_standing], seen, at[n_standing:], true[n_standing:]
 
@@ -27,7 +24,7 @@ def scene(seed, n_standing=700, n=1500, noise_um=1.0):
 def test_the_field_of_the_twin_is_what_it_says():
     rng = np.random.default_rng(0)
     at = np.array([[0.0, 0.0], [50.0, 0.0], [200.0, 100.0]])
-    draws = np.array([AIR.turbulence_mm(at, rng) for _ in range(3000)]) * 1e3
+    draws = np.array([air_shift_mm(at, 5.0, 50.0, rng) for _ in range(3000)]) * 1e3
     # 3000 draws: 2 % on a variance
     np.testing.assert_allclose(draws.var(axis=0), 25.0, rtol=0.1)
     np.testing.assert_allclose((draws[:, 0] * draws[:, 1]).mean(axis=0), 25 * np.exp(-0.5), rtol=0.12)

@@ -53,7 +53,7 @@ def patient(camera, retries=5):
     async def sleep(s):
         waits.append(s)
 
-    operation = SimpleNamespace(camera_retries=retries, camera_wait_s=7.0)
+    operation = SimpleNamespace(camera_retries=retries, camera_wait_s=7.0, requirement_um=5.0)
     return PatientCamera(camera, operation, lambda *e: events.append(e), sleep), events, waits
 
 
@@ -146,7 +146,7 @@ def events_of(out, name="store.sqlite"):
 
 def test_an_observation_goes_on_when_the_camera_comes_back(tmp_path):
     field, log = observing(FAILURES, tmp_path)
-    seen = field.run.observe(TARGETS, corrections=1, out=tmp_path)
+    seen = field.run.observe(TARGETS, corrections=1, images=1, out=tmp_path)
     summary = seen.summary()
     assert summary["n_within_requirement"] == summary["n_assigned"] > 0
     # no motion begins but after an image
@@ -163,7 +163,7 @@ def test_a_camera_that_stays_away_ends_the_command_with_all_at_rest_and_their_pl
     field, log = observing([CameraSilent("alpaca://a/0: no answer")] * 99, tmp_path, book=True)
     twin = field.source.hardware.truth
     with pytest.raises(CameraError, match=r"no answer; that was image 6 in a row .*`fiberloom doctor`"):
-        field.run.observe(TARGETS, corrections=1, out=tmp_path)
+        field.run.observe(TARGETS, corrections=1, images=1, out=tmp_path)
     assert log == ["image", "START", *["failure"] * 6]
     events, run = events_of(tmp_path)
     assert run.status != "running"
@@ -182,7 +182,7 @@ def test_before_anything_has_moved_a_camera_that_fails_is_told_at_once(tmp_path)
     field, log = observing((), tmp_path)
     field.source.hardware.camera._left = [CameraSilent("no camera there")]
     with pytest.raises(CameraSilent, match="no camera there"):
-        field.run.observe(TARGETS, corrections=1, out=tmp_path)
+        field.run.observe(TARGETS, corrections=1, images=1, out=tmp_path)
     assert log == ["failure"]
 
 

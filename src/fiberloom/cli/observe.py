@@ -86,6 +86,14 @@ class ObservationOptions(
         Correction | None,
         typer.Option(help="Kalman filter, or Eq. 25 as printed; default: the instrument's."),
     ] = None
+    images: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="After each move, at most: as many as the camera's noise asks for; default: the "
+            "instrument's.",
+        ),
+    ] = None
     camera: FieldCameraOption = None
     pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
         Pages.last
@@ -147,6 +155,7 @@ def observe(options: ObservationOptions) -> int:
             None if options.moves is None else options.moves - 1,
             out=options.out,
             correction=None if options.correction is None else options.correction.value,
+            images=options.images,
             compare_linear=options.compare_linear,
             arms=options.arms,
             fibres=options.fibres,

@@ -77,11 +77,13 @@ class JsonOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorsOptions:
-    """What is off its tables in the twin."""
+    """What a real array has wrong, in the twin."""
 
     errors: Annotated[
         str,
-        typer.Option(help="What is off its tables in the twin: none (default), all, or some: fibre=2,arm."),
+        typer.Option(
+            help="What a real array has wrong, in the twin: none (default), all, or some: fibre=2,air."
+        ),
     ] = ""
 
 

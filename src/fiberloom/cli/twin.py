@@ -134,7 +134,7 @@ def _warn_of_the_network(options: TwinOptions, addresses: list[Address]) -> None
 
 def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinServer:
     from fiberloom.twin import Twin, draw_units
-    from fiberloom.twin.errors.sizes import TableErrors
+    from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
     from fiberloom.twin.server.device import PORTS
@@ -143,7 +143,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
     schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)
-    units = draw_units(plane, options.seed, errors=TableErrors.of(plane.instrument, options.errors))
+    units = draw_units(plane, options.seed, errors=TwinErrors.of(plane.instrument, options.errors))
     # one thread: ticks are short, and the other core is left to the host
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
     settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
@@ -151,7 +151,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
 
 
 def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProcess:
-    from fiberloom.twin.errors.sizes import TableErrors
+    from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.server.address import address_of
     from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
 
@@ -160,10 +160,8 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProce
     )
     folder = options.camera_folder and options.camera_folder.resolve()
     doors = CameraDoors(alpaca, folder, options.camera_every_s, indi, options.camera_discovery)
-    fiducials_mm = TableErrors.of(plane.instrument, options.errors).fiducials_mm(plane, options.seed)
-    return CameraProcess(
-        plane, server, seed=options.seed, speed=options.speed, doors=doors, fiducials_mm=fiducials_mm
-    )
+    errors = TwinErrors.of(plane.instrument, options.errors)
+    return CameraProcess(plane, server, seed=options.seed, speed=options.speed, doors=doors, errors=errors)
 
 
 async def _serve(

@@ -199,6 +199,8 @@ class Operation(Table):
     """Largest distance of a fibre from its target that the instrument accepts."""
     corrections_max: Annotated[int, Field(ge=0)]
     """Correction moves after the blind move, at most; 0 without a camera."""
+    images_max: Annotated[int, Field(ge=1, le=100)] = 1
+    """Images after each move, at most: as many as the noise of the camera asks for."""
     stop_rule: Literal["fixed", "percentile", "positioner"] = "fixed"
     """fixed: always corrections_max. percentile: end once the measured percentile is within the
     limit. positioner: one within the limit is not moved again; end when none is outside."""

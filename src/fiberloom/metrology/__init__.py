@@ -6,7 +6,7 @@ from fiberloom.lazy import on_use
 
 if TYPE_CHECKING:
     from fiberloom.metrology.acquisition import CameraGeometry
-    from fiberloom.metrology.camera import Camera, Measurement
+    from fiberloom.metrology.camera import Camera, Measurement, SeveralImages
     from fiberloom.metrology.images import CameraImage, read_image, write_image
     from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
     from fiberloom.metrology.science import science_positions
@@ -45,6 +45,7 @@ __all__ = [
     "Measurement",
     "PlaceErrors",
     "Profile",
+    "SeveralImages",
     "Similarity",
     "SpotSettings",
     "Spots",

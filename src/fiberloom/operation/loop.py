@@ -36,6 +36,8 @@ class LoopSettings:
     """Of the planner."""
     recoveries: int = RECOVERIES
     """How often a blind move that was stopped is planned anew."""
+    images: int = 1
+    """After each move, at most: as many as the noise of the camera asks for."""
 
     @classmethod
     def of(cls, operation: Operation, moves: int | None = None, **others: Any) -> LoopSettings:
@@ -88,6 +90,7 @@ class Loop:
 
         Raises UnsafePlanError where the verifier refuses a plan.
         """
+        self.motion.images = self.settings.images
         await self.blind_move()
         corrections = CorrectionLoop(
             self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()

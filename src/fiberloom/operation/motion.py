@@ -289,6 +289,8 @@ class FieldMotion:
         """Arms may be elsewhere than at the begin of the command."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
+        self.images = 1
+        """After a move, at most."""
         self.underway = 0
         """Number of the move under way or just made; 0 before the first one."""
 
@@ -385,14 +387,16 @@ class FieldMotion:
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
-        Taken and reduced beside the event loop, which goes on listening to the bus. Raises CameraError
-        where no image comes: at once before anything has moved, else after as many tries as the instrument
-        says.
+        Taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
+        up to `images`. Raises CameraError where none comes: at once before anything has moved, else after as
+        many tries as the instrument says.
         """
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        return await (self.eye.patiently if self.has_moved else self.eye.once)(expected_mm)
+        if not self.has_moved:
+            return await self.eye.once(expected_mm)
+        return await self.eye.several(expected_mm, self.images)
 
     def _camera_event(self, kind: str, text: str) -> None:
         self.recorder.event(kind, text)

@@ -65,6 +65,8 @@ class ObserveSettings:
     """Moves after the blind one, exactly so many; None: the instrument's stop rule."""
     correction: str | None = None
     """filtered (a Kalman filter) or plain (Eq. 25)."""
+    images: int | None = None
+    """After each move, at most; as many are taken as the noise of the camera asks for."""
     compare_linear: bool = False
     """Measure a blind move by a linear gear ratio too, at the end."""
     pages: str = "none"
@@ -77,6 +79,8 @@ class ObserveSettings:
     def __post_init__(self) -> None:
         if self.corrections is not None and self.corrections < 0:
             raise InputError(f"corrections = {self.corrections}: must be 0 or more")
+        if self.images is not None and self.images < 1:
+            raise InputError(f"images = {self.images}: must be 1 or more")
         for name, value, known in (
             ("correction", self.correction, (None, *CORRECTIONS)),
             ("pages", self.pages, PAGES),
@@ -92,6 +96,7 @@ class ObserveSettings:
             None if self.corrections is None else 1 + self.corrections,
             filtered=(self.correction or operation.correction) == "filtered",
             compare_linear=self.compare_linear,
+            images=self.images or operation.images_max,
             seed=self.seed,
         )
 

@@ -22,7 +22,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.model import AXES, METROLOGY
-from fiberloom.twin.errors.sizes import NO_ERRORS, TableErrors
+from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.gears import (
     BACKLASH_HIGHEST_DEG,
     BACKLASH_LOWEST_DEG,
@@ -119,7 +119,7 @@ def draw_units(
     plane: FocalPlane,
     seed: int,
     firmware: Knowledge = "identified",
-    errors: TableErrors = NO_ERRORS,
+    errors: TwinErrors = NO_ERRORS,
     gears: GearSpectrum = "stages",
 ) -> Units:
     """True units for every positioner of the `plane`, by the `seed`.
@@ -166,7 +166,7 @@ def _tell_backlash(units: Units, exactly: bool) -> None:
             _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], rng))
 
 
-def _misbuilt(plane: FocalPlane, units: Units, errors: TableErrors) -> Units:
+def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
     """The same units with arms and fibres off their tables."""
     fibres = [name for name in plane.points if name != METROLOGY]
     each = [errors.drawn_of(int(number), units.seed, fibres) for number in plane.positioner_id]
@@ -303,7 +303,7 @@ def known_motor(record: Records) -> dict[str, float]:
     return {name: float(record[name]) for name in ("inertia", "drag")}
 
 
-def put_in(plane: FocalPlane, camera: str = "noise", errors: TableErrors = NO_ERRORS) -> dict[str, str]:
+def put_in(plane: FocalPlane, camera: str = "noise", errors: TwinErrors = NO_ERRORS) -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
     first, teeth = STAGES[1], STAGES[36]
     seen = {

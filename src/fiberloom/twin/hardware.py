@@ -11,8 +11,7 @@ from fiberloom.instruments.model import AXES, Axis
 from fiberloom.metrology import Camera
 from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.camera.noise_camera import NoiseCamera
-from fiberloom.twin.errors.frame import WrongFrame
-from fiberloom.twin.errors.sizes import NO_ERRORS, TableErrors
+from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.kinds import OBSERVED
@@ -20,7 +19,6 @@ from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
-from fiberloom.typing import Floats
 from fiberloom.units import GEAR
 
 CAMERAS = ("noise", "image")
@@ -39,18 +37,17 @@ def field_hardware(
     seed: int,
     faults: str = "",
     camera: str = "noise",
-    errors: TableErrors = NO_ERRORS,
+    errors: TwinErrors = NO_ERRORS,
 ) -> Hardware:
     """The focal plane, folded, with the `faults` asked for ("dark=3,dead=1,lying=1").
 
-    `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image; `errors`: of the
-    fiducials' table.
+    `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image; `errors`: of what the
+    camera sees.
     """
     check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
-    fiducials_mm = errors.fiducials_mm(plane, seed)
-    return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera, fiducials_mm)
+    return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera, errors)
 
 
 def faulty_transport(twin: Twin, faults: str, seed: int) -> TwinTransport:
@@ -87,15 +84,13 @@ def check_motors(instrument: Instrument) -> None:
 
 
 def _hardware(
-    bus: TwinTransport, twin: Twin, seed: int, camera: str = "noise", fiducials_mm: Floats | None = None
+    bus: TwinTransport, twin: Twin, seed: int, camera: str = "noise", errors: TwinErrors = NO_ERRORS
 ) -> Hardware:
-    noise_um = twin.plane.instrument.metrology.noise_rms_um
     camera_of: Camera
     if camera == "image":
-        camera_of = image_camera(twin, seed, fiducials_mm=fiducials_mm)
+        camera_of = image_camera(twin, seed, errors=errors)
     else:
-        frame = None if fiducials_mm is None else WrongFrame(twin.plane, fiducials_mm)
-        camera_of = NoiseCamera(twin, noise_um, seed, frame)
+        camera_of = NoiseCamera(twin, twin.plane.instrument.metrology.noise_rms_um, seed, errors)
     # told at power-up where they are, as after a search of the datum
     return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool))
 

@@ -18,7 +18,7 @@ from fiberloom.calibration.transmission.sweep import (
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units, put_in
-from fiberloom.twin.errors.sizes import TableErrors
+from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
 from fiberloom.twin.units import Units
 
@@ -40,7 +40,7 @@ class TwinSource:
         check_camera(camera)
         draw_faults(plane, faults, seed)
         self.plane, self.seed, self.camera, self.faults = plane, seed, camera, faults
-        self.errors = TableErrors.of(plane.instrument, errors)
+        self.errors = TwinErrors.of(plane.instrument, errors)
 
     @cached_property
     def units(self) -> Units:

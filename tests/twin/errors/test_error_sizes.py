@@ -11,11 +11,11 @@ from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.twin import draw_units
 from fiberloom.twin.draw import put_in
 from fiberloom.twin.errors.frame import WrongFrame
-from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TableErrors, heavy
+from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TwinErrors, heavy
 from fiberloom.twin.errors.switches import factors_of
 
 SDSSV = FocalPlane.of("sdssv")
-ALL = TableErrors.of(SDSSV.instrument)
+ALL = TwinErrors.of(SDSSV.instrument)
 
 
 def rms(values):
@@ -61,13 +61,17 @@ def test_tails_are_heavier_than_a_gaussian_s():
 
 
 def test_each_can_be_switched_and_scaled():
-    assert factors_of("all") == {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0}
-    assert factors_of("") == factors_of("none") == {"arm": 0.0, "fibre": 0.0, "fiducial": 0.0}
-    assert factors_of("all, fibre=2") == {"arm": 1.0, "fibre": 2.0, "fiducial": 1.0}
-    once, twice = off_um(ALL), off_um(TableErrors.of(SDSSV.instrument, "fibre=2"))
+    every = {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0, "air": 1.0}
+    assert factors_of("all") == every
+    assert factors_of("") == factors_of("none") == dict.fromkeys(every, 0.0)
+    assert factors_of("all, fibre=2") == every | {"fibre": 2.0}
+    assert TwinErrors.of(SDSSV.instrument, "air=2") == dataclasses.replace(
+        TwinErrors.of(SDSSV.instrument, "none"), air_um=2.0 * ALL.air_um
+    )
+    once, twice = off_um(ALL), off_um(TwinErrors.of(SDSSV.instrument, "fibre=2"))
     assert not twice["alpha"].any()
     np.testing.assert_allclose(twice["BOSS"], 2.0 * once["BOSS"])
-    assert TableErrors.of(SDSSV.instrument, "none") == dataclasses.replace(
+    assert TwinErrors.of(SDSSV.instrument, "none") == dataclasses.replace(
         NO_ERRORS, fibre_um=dict.fromkeys(ALL.fibre_um, (0.0, 0.0))
     )
 
@@ -75,7 +79,7 @@ def test_each_can_be_switched_and_scaled():
 @pytest.mark.parametrize("text", ["fibres", "fibre=", "fibre=x", "fibre=-1", "arm=nan", "arm=1000"])
 def test_bad_switches_are_refused(text):
     with pytest.raises(InputError, match="--errors"):
-        TableErrors.of(SDSSV.instrument, text)
+        TwinErrors.of(SDSSV.instrument, text)
 
 
 @pytest.mark.parametrize(
@@ -85,12 +89,13 @@ def test_bad_switches_are_refused(text):
         ({"arm_um": 3.0}, "twin.errors.arm_um = 3.0: must be two numbers"),
         ({"fibre_um": {"BOSS": [1.0, -1.0]}}, "must be 0 to 1000 um"),
         ({"fiducial_um": True}, "must be 0 to 1000 um"),
+        ({"air_um": -1.0}, "twin.errors.air_um = -1.0: must be 0 to 1000 um"),
     ],
 )
 def test_bad_tables_of_an_instrument_are_refused(table, words):
     instrument = Instrument.of("sdssv").model_copy(update={"twin": {"errors": table}})
     with pytest.raises(InputError, match=words):
-        TableErrors.of(instrument)
+        TwinErrors.of(instrument)
 
 
 def test_a_unit_is_the_same_in_any_company():
@@ -105,6 +110,7 @@ def test_what_is_put_in_is_told():
     told = put_in(SDSSV, errors=ALL)
     assert "APOGEE 16.1 along and 5.1 um across" in told["science fibres against the metrology fibre"]
     assert "8 um rms per coordinate" in told["fiducials against their table"]
+    assert "1.5 um rms per coordinate" in told["air before the camera"]
 
 
 # fiducials
@@ -121,7 +127,7 @@ def test_wrong_fiducials_move_every_fibre_by_the_same_in_every_image():
 
 
 def test_right_fiducials_change_nothing():
-    table = TableErrors.of(SDSSV.instrument, "none").fiducials_mm(SDSSV, 0)
+    table = TwinErrors.of(SDSSV.instrument, "none").fiducials_mm(SDSSV, 0)
     np.testing.assert_array_equal(table, SDSSV.fiducials[:, :2])
     xy = np.array([[3.0, 4.0]])
     assert WrongFrame(SDSSV, table).seen_mm(xy) is xy

@@ -1,18 +1,27 @@
-"""Looking while arms are out: no image is an alarm, and another one is asked for; nothing moves meanwhile."""
+"""Looking while arms are out: no image is an alarm, and another one is asked for; nothing moves meanwhile.
+
+Where more than one image of a place is allowed, as many are taken as the camera's noise asks for: air before
+it shifts fibres by micrometres, another way in every image, and no camera tells that of one image.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
 
+import numpy as np
+
 from fiberloom.instruments.model import Operation
-from fiberloom.metrology import Camera, Measurement
+from fiberloom.metrology import Camera, Measurement, SeveralImages
 from fiberloom.metrology.acquisition import AcquisitionError
 from fiberloom.metrology.sources.errors import CameraAborted, CameraError, CameraGone
 from fiberloom.typing import Floats
 
 ALARM, BACK = "alarm", "camera"
 """Kinds of events: no image came; images come again."""
+
+CALM = 0.2
+"""Of the requirement: noise of a place, 2-D rms, below which no further image of it is taken."""
 
 
 class PatientCamera:
@@ -29,6 +38,7 @@ class PatientCamera:
         and text; `sleep`: lets seconds pass, still listening to the bus."""
         self._camera, self._event, self._sleep = camera, event, sleep
         self.retries, self.wait_s = operation.camera_retries, operation.camera_wait_s
+        self._enough_um, self._noise_um = CALM * operation.requirement_um, float("nan")
 
     async def once(self, expected_mm: Floats | None) -> Measurement:
         """An image, taken and reduced beside the event loop. `expected_mm` (N, 2): of the fibres.
@@ -60,6 +70,31 @@ class PatientCamera:
                 self._event(BACK, f"images again, after {failed} that could not be used")
             return image
         raise AssertionError("the last failure is raised")
+
+    async def several(self, expected_mm: Floats | None, most: int) -> Measurement:
+        """The mean of `most` images or fewer: as many as make its noise small against the requirement.
+
+        `expected_mm` (N, 2). The first one as `patiently`; where a further one does not come, those that came
+        are used. How noisy images are, those of the last place have told; of the first place two are taken.
+        """
+        taken = [await self.patiently(expected_mm)]
+        while len(taken) < self._wanted(most):
+            try:
+                taken.append(await self.once(expected_mm))
+            except CameraAborted:
+                raise
+            except (CameraError, AcquisitionError) as error:
+                self._event(ALARM, f"no image: {error}; goes on with {len(taken)} of this place")
+                break
+            if np.isfinite(noise_um := SeveralImages(taken).noise_um()):
+                self._noise_um = noise_um
+        return SeveralImages(taken).mean()
+
+    def _wanted(self, most: int) -> int:
+        """Images of one place."""
+        if np.isnan(self._noise_um):
+            return min(most, 2)
+        return int(np.clip(np.ceil((self._noise_um / self._enough_um) ** 2), 1, most))
 
     async def _alarm(self, error: Exception, failed: int) -> None:
         """Records a failure and waits; after the last one raises CameraGone."""

@@ -25,6 +25,7 @@ from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import CameraImage
+from fiberloom.twin.camera.air import air_shift_mm
 from fiberloom.twin.twin import Twin
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
@@ -152,15 +153,6 @@ class Optics:
         r2 = np.sum(place**2, axis=1, keepdims=True)
         k3, k5 = self.radial
         return self.geometry.similarity().to_px(p + bent + p * (k3 * r2 + k5 * r2**2))
-
-    def turbulence_mm(self, xy_mm: Floats, rng: np.random.Generator) -> Floats:
-        """A Gaussian field with squared-exponential correlation, by 500 random waves per axis."""
-        waves = rng.normal(0.0, 1.0 / self.turbulence_length_mm, (2, 500, 2))
-        phase = rng.uniform(0.0, 2 * np.pi, (2, 500))
-        size = self.turbulence_um * MM_PER_UM * np.sqrt(2.0 / 500)
-        angle = np.einsum("nc,awc->naw", xy_mm, waves) + phase
-        spots: Floats = size * np.cos(angle).sum(axis=2)
-        return spots
 
 
 @dataclass(frozen=True)
@@ -328,7 +320,9 @@ class ImagingCamera:
             [len(fibres), len(self.fiducials_mm), len(self._strays_px)],
         ) * self._scatter(len(xy_mm) + len(self._strays_px))  # fmt: skip
         shift = rng.normal(0.0, model.optics.vibration_um * MM_PER_UM, 2)
-        moved = xy_mm + shift + self._turbulence(xy_mm, rng)
+        optics = model.optics
+        moved = xy_mm + shift
+        moved += air_shift_mm(xy_mm, optics.turbulence_um, optics.turbulence_length_mm, rng)
         xy_px = np.vstack([model.optics.to_px(moved), self._strays_px])
         centre = model.optics.geometry.similarity().to_px(np.zeros((1, 2)))
         scale = model.optics.geometry.scale_mm_px / model.optics.field_radius_mm
@@ -336,12 +330,6 @@ class ImagingCamera:
         parameter = np.full(len(xy_px), model.psf.parameter)
         table = np.column_stack([xy_px, flux, shape, parameter])
         return np.ascontiguousarray(table[np.isfinite(table).all(axis=1)])
-
-    def _turbulence(self, xy_mm: Floats, rng: np.random.Generator) -> Floats:
-        if self.model.optics.turbulence_um == 0 or not len(xy_mm):
-            return np.zeros_like(xy_mm)
-        lit = np.nan_to_num(xy_mm)
-        return self.model.optics.turbulence_mm(lit, rng)
 
     def _scatter(self, n: int) -> Floats:
         """Factors on the fluxes: the same spot is always as bright."""

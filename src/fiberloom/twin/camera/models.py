@@ -44,7 +44,7 @@ from fiberloom.twin.camera.imaging import (
     Scene,
     TwinScene,
 )
-from fiberloom.typing import Floats
+from fiberloom.twin.errors.sizes import AIR_LENGTH_MM, NO_ERRORS, TwinErrors
 
 FIBRE_DIAMETER_UM = 120.0
 """Core of the back-lit fibre of the bench (SDSS-V)."""
@@ -160,17 +160,17 @@ def misaligned(model: CameraModel, seed: int) -> CameraModel:
 
 
 def image_camera(
-    twin: Any, seed: int, model: CameraModel | None = None, fiducials_mm: Floats | None = None
+    twin: Any, seed: int, model: CameraModel | None = None, errors: TwinErrors = NO_ERRORS
 ) -> ImageCamera:
     """A camera with images on a `twin`; the host knows its geometry but not how it is misaligned.
 
-    `seed`: of the misalignment and all noise; `model`: by default that of the twin's plane;
-    `fiducials_mm`: (F, 2) where they really are; by default where the layout has them.
+    `seed`: of the misalignment and all noise; `model`: by default that of the twin's plane; `errors`: of the
+    fiducials' table and the air, um rms.
     """
     plane = twin.plane
     check_fiducials(plane)
     nominal = model or model_for(plane)
-    source = imaging_camera(TwinScene(twin), plane, seed, nominal, fiducials_mm=fiducials_mm)
+    source = imaging_camera(TwinScene(twin), plane, seed, nominal, errors=errors)
     return image_camera_of(source, plane, nominal.optics.geometry, nominal.optics.field_radius_mm)
 
 
@@ -181,14 +181,21 @@ def imaging_camera(
     nominal: CameraModel,
     *,
     threads: int | None = None,
-    fiducials_mm: Floats | None = None,
+    errors: TwinErrors = NO_ERRORS,
 ) -> ImagingCamera:
     """The true camera that looks at a scene of `plane`: `nominal`, but misaligned by the `seed`.
 
-    `scene`: the fibres; `threads` that paint, all cores when None; `fiducials_mm`: as of `image_camera`.
+    `scene`: the fibres; `threads` that paint, all cores when None; `errors`: as of `image_camera`.
     """
-    lit_mm = plane.fiducials if fiducials_mm is None else fiducials_mm
     return ImagingCamera(
-        scene, misaligned(nominal, seed), fiducials_mm=lit_mm, seed=seed,
-        instrument=plane.instrument.name, threads=threads,
+        scene, misaligned(_in_air(nominal, errors), seed), fiducials_mm=errors.fiducials_mm(plane, seed),
+        seed=seed, instrument=plane.instrument.name, threads=threads,
     )  # fmt: skip
+
+
+def _in_air(model: CameraModel, errors: TwinErrors) -> CameraModel:
+    """With the air of `errors`, unless the instrument says its own."""
+    if model.optics.turbulence_um > 0.0:
+        return model
+    air = replace(model.optics, turbulence_um=errors.air_um, turbulence_length_mm=AIR_LENGTH_MM)
+    return replace(model, optics=air)

@@ -6,7 +6,9 @@ import numpy as np
 
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
+from fiberloom.twin.camera.air import air_shift_mm
 from fiberloom.twin.errors.frame import WrongFrame
+from fiberloom.twin.errors.sizes import AIR_LENGTH_MM, NO_ERRORS, TwinErrors
 from fiberloom.twin.twin import Twin
 from fiberloom.typing import Floats
 
@@ -18,17 +20,28 @@ class NoiseCamera:
     seen. Implements `fiberloom.metrology.Camera`.
     """
 
-    def __init__(self, twin: Twin, rms_um: float, seed: int = 0, frame: WrongFrame | None = None) -> None:
-        """`twin`: whose fibres; `frame`: what wrong fiducials make of positions; none: they are right."""
-        self._twin, self._frame = twin, frame
+    def __init__(self, twin: Twin, rms_um: float, seed: int = 0, errors: TwinErrors = NO_ERRORS) -> None:
+        """`twin`: whose fibres; `errors`, um rms: of the fiducials' table and the air."""
+        self._twin, self._air_um = twin, errors.air_um
+        self._fiducials_mm = errors.fiducials_mm(twin.plane, seed)
+        self._frame = WrongFrame(twin.plane, self._fiducials_mm)
         self._sigma_mm = rms_um * 1e-3 / np.sqrt(2.0)
         self._rng = np.random.default_rng([seed, 0xCA3E])
 
     def measure(self, expected_mm: Floats | None = None) -> Measurement:
         """Takes an image now; it knows without a match which spot belongs to which positioner."""
         true_mm = self._twin.fibre_xy(METROLOGY)
-        at_mm = true_mm if self._frame is None else self._frame.seen_mm(true_mm)
+        at_mm = self._through_the_air(true_mm)
         noisy_mm = at_mm + self._rng.normal(0.0, self._sigma_mm, true_mm.shape)
         seen = ~(self._twin.dark | np.isnan(true_mm[:, 0]))
         x, y = np.where(seen[:, None], noisy_mm, np.nan).T
         return Measurement(x, y, seen, self._twin.time_s)
+
+    def _through_the_air(self, true_mm: Floats) -> Floats:
+        """(N, 2) mm as a host has them that fits its frame on fiducials in the same air."""
+        if self._air_um == 0.0:
+            return self._frame.seen_mm(true_mm)
+        at_mm = np.vstack([true_mm, self._fiducials_mm])
+        at_mm = at_mm + air_shift_mm(at_mm, self._air_um, AIR_LENGTH_MM, self._rng)
+        fibres_mm, fiducials_mm = np.split(at_mm, [len(true_mm)])
+        return WrongFrame(self._twin.plane, fiducials_mm).seen_mm(fibres_mm)

@@ -1,4 +1,4 @@
-"""Sizes of what a real array has wrong against its tables; each can be switched off or made larger.
+"""Sizes of what a real array has wrong that a twin need not have; each can be switched off or made larger.
 
 `[twin.errors]` of an instrument says its own; without one they are those of SDSS-V, measured between two
 calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2024-04-01 and 2025-12-04,
@@ -8,6 +8,10 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
     arm_um = [10.9, 13.3]                              # alpha arm; metrology fibre on the beta arm
     fibre_um = { BOSS = [9.0, 8.3], APOGEE = [16.1, 5.1] }  # science fibre against it: along, across the arm
     fiducial_um = 8.0                                  # of the fiducials' table, per coordinate
+    air_um = 1.5                                       # turbulence before the camera, per coordinate
+
+The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
+SDSS-V's, which is nearer, nothing is published.
 """
 
 from __future__ import annotations
@@ -29,13 +33,15 @@ Rng = np.random.Generator
 FREEDOM = 5.0
 """Of Student's t that they are drawn from: half of the units are within 0.56 of the rms. In the tables it is
 0.51 to 0.63, and 0.29 for APOGEE across the arm; of a Gaussian half would be within 0.67."""
+AIR_LENGTH_MM = 50.0
+"""Of the correlation of what air shifts: DESI's kernel."""
 _FARTHEST = 6.0
 """In units of the rms: a fibre that is farther off was never glued so."""
 _STREAM = 0xE220
 
 
 @dataclass(frozen=True)
-class TableErrors:
+class TwinErrors:
     """Rms in um; 0: none."""
 
     arm_um: tuple[float, float] = (10.9, 13.3)
@@ -46,9 +52,11 @@ class TableErrors:
     """Of a science fibre that is not named."""
     fiducial_um: float = 8.0
     """Of the fiducials' table, per coordinate."""
+    air_um: float = 1.5
+    """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
 
     @classmethod
-    def of(cls, instrument: Instrument, switches: str = "all") -> TableErrors:
+    def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
         """Those of an `instrument`, by the text `switches`: "all", "none", "fibre,arm=2,fiducial=0.5".
 
         The numbers are factors on the sizes. InputError for a term or a key that there is not.
@@ -60,6 +68,7 @@ class TableErrors:
             fibre_um={name: _times(um, factors["fibre"]) for name, um in told.fibre_um.items()},
             other_fibre_um=_times(told.other_fibre_um, factors["fibre"]),
             fiducial_um=told.fiducial_um * factors["fiducial"],
+            air_um=told.air_um * factors["air"],
         )
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
@@ -72,6 +81,8 @@ class TableErrors:
             "science fibres against the metrology fibre": f"rms, the beta arm's frame: {', '.join(off)}, "
             f"from {measured}",
             "fiducials against their table": f"{self.fiducial_um:g} um rms per coordinate, {measured}",
+            "air before the camera": f"{self.air_um:g} um rms per coordinate in each image, the same over "
+            f"{AIR_LENGTH_MM:g} mm (assumed)",
         }
 
     def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
@@ -106,8 +117,8 @@ class TableErrors:
         return off_mm
 
 
-NO_ERRORS = TableErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0)
-"""A twin whose host has true tables."""
+NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0)
+"""A twin whose host has true tables, in still air."""
 
 
 @dataclass(frozen=True)
@@ -127,20 +138,22 @@ def heavy(rng: Rng, *shape: int) -> Floats:
     return held
 
 
-def _told(instrument: Instrument) -> TableErrors:
+def _told(instrument: Instrument) -> TwinErrors:
     """What `[twin.errors]` of an instrument says."""
     where = f"{instrument.name}: twin.errors"
     asked: dict[str, Any] = dict(instrument.twin.get("errors", {}))
-    usual = TableErrors()
+    usual = TwinErrors()
     fibres = asked.pop("fibre_um", {})
     known = replace(
         usual,
         arm_um=_pair(asked.pop("arm_um", usual.arm_um), f"{where}.arm_um"),
         fiducial_um=_size(asked.pop("fiducial_um", usual.fiducial_um), f"{where}.fiducial_um"),
+        air_um=_size(asked.pop("air_um", usual.air_um), f"{where}.air_um"),
         fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
     )
     if asked:
-        raise InputError(f"{where}.{next(iter(asked))}: no such key; known are arm_um, fibre_um, fiducial_um")
+        known_keys = "arm_um, fibre_um, fiducial_um, air_um"
+        raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")
     return known
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fiberloom.errors import InputError
 
-TERMS = ("arm", "fibre", "fiducial")
+TERMS = ("arm", "fibre", "fiducial", "air")
 """What can be switched."""
 
 

@@ -26,6 +26,7 @@ from fiberloom.metrology.cameras import check_fiducials
 from fiberloom.metrology.sources.child import begin_child, end_child
 from fiberloom.twin.camera.imaging import CameraModel, ImagingCamera, StillScene
 from fiberloom.twin.camera.models import imaging_camera, model_for
+from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.alpaca import AlpacaServer
 from fiberloom.twin.server.camera.discovery import DiscoveryAnswer
@@ -33,7 +34,6 @@ from fiberloom.twin.server.camera.exposing import Look, TwinShutter, Watched
 from fiberloom.twin.server.camera.folder import TRIGGER, FolderWriter
 from fiberloom.twin.server.camera.indi import NAME as INDI_NAME
 from fiberloom.twin.server.camera.indi import IndiServer
-from fiberloom.typing import Floats
 
 NICENESS = 10
 START_S = 60.0
@@ -75,13 +75,11 @@ class _CameraSetup:
     seed: int
     speed: float
     doors: CameraDoors
-    fiducials_mm: Floats | None = None
+    errors: TwinErrors = NO_ERRORS
 
     def camera(self) -> ImagingCamera:
         nothing = StillScene(self.plane.centres_mm[:0])
-        return imaging_camera(
-            nothing, self.plane, self.seed, self.model, threads=1, fiducials_mm=self.fiducials_mm
-        )
+        return imaging_camera(nothing, self.plane, self.seed, self.model, threads=1, errors=self.errors)
 
 
 class CameraProcess:
@@ -99,12 +97,12 @@ class CameraProcess:
         seed: int,
         speed: float,
         doors: CameraDoors,
-        fiducials_mm: Floats | None = None,
+        errors: TwinErrors = NO_ERRORS,
     ) -> None:
-        """`fiducials_mm`: (F, 2) where they really are; by default where the layout has them."""
+        """`errors`: of the fiducials' table and the air, um rms."""
         check_fiducials(plane)
         self._twin = twin
-        self._setup = _CameraSetup(plane, model_for(plane), seed, speed, doors, fiducials_mm)
+        self._setup = _CameraSetup(plane, model_for(plane), seed, speed, doors, errors)
         self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self.doors = doors
