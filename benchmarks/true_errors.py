@@ -1,12 +1,13 @@
 """What errors of the tables do to the science fibres, and what calibrations leave of it.
 
-    python -m benchmarks.true_errors [--positioners 500] [--seeds 0:3] [--size 1] [--camera image]
+    python -m benchmarks.true_errors [--positioners 500] [--seeds 0:3] [--size 1] [--gears stages]
+                                     [--camera image] [--only-calibrated]
 
-On the twin. Each error alone, all of them, and all of them after the
-calibrations that an observatory can do: arms by `calibrate focal-plane`, science fibres and camera frame by
-`calibrate fibres`. Every row is one more field, with two corrections. `--size` makes every error larger:
-a calibration that looked at the twin's sizes would be shown by it. Exit code 1 where the last row misses
-its goal.
+On the twin. Each error alone, all of them, and all of them after the calibrations that an observatory can
+do: arms by `calibrate focal-plane`, science fibres and camera frame by `calibrate fibres`. Every row is one
+more field, with two corrections. `--size` makes every error of a table larger, `--gears` takes gears of
+another spectrum: a calibration that looked at the twin's would be shown by it. Exit code 1 where the last
+row misses its goal.
 """
 
 from __future__ import annotations
@@ -42,14 +43,19 @@ def main() -> int:
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seeds", default="0:3")
     parser.add_argument("--size", type=float, default=1.0)
+    parser.add_argument("--gears", default="stages", help="stages, teeth or family")
     parser.add_argument("--camera", default="image", help="image or noise")
+    parser.add_argument("--only-calibrated", action="store_true", help="the last two rows")
     parser.add_argument("--out", type=Path, default=Path("build/bench/true_errors.json"))
     given = parser.parse_args()
     first, last = (int(part) for part in given.seeds.split(":"))
     rows = [row for seed in range(first, last) for row in of_seed(seed, given)]
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(rows, indent=2) + "\n")
-    print(f"{given.positioners} positioners, fibre {FIBRE}, {CORRECTIONS} corrections, seeds {given.seeds}")
+    print(
+        f"{given.positioners} positioners, fibre {FIBRE}, {CORRECTIONS} corrections, seeds {given.seeds}, "
+        f"sizes times {given.size:g}, gears {given.gears}, camera {given.camera}"
+    )
     for name in dict.fromkeys(row["row"] for row in rows):
         print(said(name, [row for row in rows if row["row"] == name]))
     last_rows = [row for row in rows if row["row"] == rows[-1]["row"]]
@@ -65,10 +71,13 @@ def met(rows: list[dict[str, Any]]) -> bool:
 
 
 def of_seed(seed: int, given: argparse.Namespace) -> list[dict[str, Any]]:
-    """The rows of one seed; `given`: positioners, size (a factor on every error), camera."""
-    plane, size = fl.FocalPlane.of("sdssv", n=given.positioners), given.size
-    cases = {"none": "none"} | {f"{term} on": f"{term}={size}" for term in TERMS}
-    cases["all on"] = everything = ",".join(f"{term}={size}" for term in TERMS)
+    """The rows of one seed; `given`: positioners, size (a factor on every error), gears, camera."""
+    plane, gears = fl.FocalPlane.of("sdssv", n=given.positioners), f"gears={given.gears}"
+    # no calibration removes the air
+    sizes = {term: 1.0 if term == "air" else given.size for term in TERMS}
+    cases = {"none": gears} | {f"{term} on": f"{term}={size},{gears}" for term, size in sizes.items()}
+    everything = ",".join([*(f"{term}={size}" for term, size in sizes.items()), gears])
+    cases = ({} if given.only_calibrated else cases) | {"all on": everything}
     rows: list[dict[str, Any]] = []
 
     def keep(name: str, seen: Observation) -> None:
@@ -79,7 +88,7 @@ def of_seed(seed: int, given: argparse.Namespace) -> list[dict[str, Any]]:
         folder = Path(kept)
         # gears are the same whatever is off: one sweep is enough
         maps = folder / "maps.npz"
-        fl.Field.twin(plane, seed, camera="noise").run.calibrate().save(maps)
+        fl.Field.twin(plane, seed, camera="noise", errors=gears).run.calibrate().save(maps)
         for name, errors in cases.items():
             field = fl.Field.twin(plane, seed, camera=given.camera, errors=errors, calibration=maps)
             keep(name, observed(field, folder))

@@ -26,12 +26,13 @@ from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.gears import (
     BACKLASH_HIGHEST_DEG,
     BACKLASH_LOWEST_DEG,
-    STAGES,
     GearSpectrum,
     Rng,
     draw_gear,
+    gear_spectrum,
     held,
     other_gears,
+    told_of,
 )
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
@@ -120,15 +121,17 @@ def draw_units(
     seed: int,
     firmware: Knowledge = "identified",
     errors: TwinErrors = NO_ERRORS,
-    gears: GearSpectrum = "stages",
+    gears: GearSpectrum | None = None,
 ) -> Units:
     """True units for every positioner of the `plane`, by the `seed`.
 
     A unit depends on the `seed` and its number alone, so a part of a plane has the same units. The
     instrument's `[twin.alpha]` and `[twin.beta]` tables override nominal plant parameters by name.
     `firmware`: what it was told; `errors`: of arms and fibres against the layout, without them only `ARM_SD`;
-    `gears`: the spectrum of their deviations (`fiberloom.twin.gears`), another one leaves the rest as it is.
+    `gears`: the spectrum of their deviations (`fiberloom.twin.gears`), by default that of `errors`; another
+    one leaves the rest as it is.
     """
+    spectrum = gear_spectrum(gears or errors.gears)
     n = len(plane)
     units = Units(
         plant=np.zeros((n, 2), PLANT_DTYPE),
@@ -149,8 +152,8 @@ def draw_units(
             units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
             if firmware == "true":
                 units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
-    if gears != "stages":
-        units.gear[:] = other_gears(units.number, seed, gears)
+    if spectrum != "stages":
+        units.gear[:] = other_gears(units.number, seed, spectrum)
     if firmware == "nominal":
         units.firmware[:] = nominal_firmware(plane)
     else:
@@ -305,16 +308,13 @@ def known_motor(record: Records) -> dict[str, float]:
 
 def put_in(plane: FocalPlane, camera: str = "noise", errors: TwinErrors = NO_ERRORS) -> dict[str, str]:
     """What was put into the twin, for reports: everything else came out."""
-    first, teeth = STAGES[1], STAGES[36]
     seen = {
         "noise": f"{plane.instrument.metrology.noise_rms_um:g} um rms, given (Kronig 2020, Fig. 18)",
         "image": "photons, pixels and optics of its images: [camera] and [twin.camera] of the instrument",
     }
     return {
         "camera": seen[camera],
-        "gear non-linearity": "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26: "
-        f"{first[0] / RAD_PER_DEG:.3f} / {first[1] / RAD_PER_DEG:.3f} deg once a turn (alpha / beta), "
-        f"{teeth[0] / RAD_PER_DEG:.3f} deg at the 36 tooth pairings",
+        "gear non-linearity": told_of(gear_spectrum(errors.gears)),
         "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, given (Fig. 10)",
         "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
         "rms (alpha / beta), tuned to Fig. 17",

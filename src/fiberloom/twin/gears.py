@@ -101,6 +101,17 @@ def gear_spectrum(name: str) -> GearSpectrum:
     raise InputError(f"gears '{name}': must be one of {', '.join(known)}")
 
 
+def told_of(spectrum: GearSpectrum) -> str:
+    """For `put_in`: the amplitudes of a `spectrum`, in deg, and where they come from."""
+    source = "harmonic amplitudes, tuned to the blind errors of Fig. 19 and 26"
+    if spectrum == "family":
+        return f"{source}: each gear has lines of its own at 36, 72, 108 and 204 a turn, some of them"
+    sizes = {"stages": STAGES, "teeth": TEETH}[spectrum]
+    (alpha, beta), (teeth, _) = np.divide(sizes[1], RAD_PER_DEG), np.divide(sizes[36], RAD_PER_DEG)
+    once = f"{alpha:.3f} / {beta:.3f} deg once a turn (alpha / beta)"
+    return f"{source}: {once}, {teeth:.3f} deg at the 36 tooth pairings"
+
+
 def draw_gear(axis: int, rng: Rng, spectrum: GearSpectrum = "stages") -> Records:
     """A true transmission, one GEAR_DTYPE record without wear, of `axis` 0 or 1, drawn by `rng`.
 

@@ -22,6 +22,8 @@ from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
 from fiberloom.twin.units import Units
 
+KIND = "this twin's tables are true and its air is still; --errors all makes it as a real array is"
+
 
 @dataclass(frozen=True)
 class _Key:
@@ -73,8 +75,9 @@ class TwinSource:
         return cache_path(self.plane.config_hash(), self.seed, key)
 
     def about(self) -> dict[str, Any]:
-        """What was put in."""
-        return {"put_in": put_in(self.plane, self.camera, self.errors)}
+        """What was put in; and a note where what spoils a real array was not."""
+        about: dict[str, Any] = {"put_in": put_in(self.plane, self.camera, self.errors)}
+        return about if self.errors.any() else about | {"notes": [KIND]}
 
     @property
     def true_plane(self) -> FocalPlane | None:

@@ -76,7 +76,22 @@ def test_each_can_be_switched_and_scaled():
     )
 
 
-@pytest.mark.parametrize("text", ["fibres", "fibre=", "fibre=x", "fibre=-1", "arm=nan", "arm=1000"])
+def test_gears_can_be_of_another_spectrum():
+    plane = FocalPlane.of("sdssv", n=7)
+    errors = TwinErrors.of(plane.instrument, "all, gears=family")
+    assert errors == dataclasses.replace(ALL, gears="family")
+    drawn = draw_units(plane, 0, errors=errors)
+    assert drawn.gear.tobytes() == draw_units(plane, 0, errors=ALL, gears="family").gear.tobytes()
+    assert drawn.gear.tobytes() != draw_units(plane, 0, errors=ALL).gear.tobytes()
+    assert "lines of its own" in put_in(plane, errors=errors)["gear non-linearity"]
+    assert "0.100 / 0.146 deg once a turn" in put_in(plane, errors=ALL)["gear non-linearity"]
+    teeth = TwinErrors.of(plane.instrument, "gears=teeth")
+    assert "0.034 deg at the 36" in put_in(plane, errors=teeth)["gear non-linearity"]
+
+
+@pytest.mark.parametrize(
+    "text", ["fibres", "fibre=", "fibre=x", "fibre=-1", "arm=nan", "arm=1000", "gears", "gears=worm"]
+)
 def test_bad_switches_are_refused(text):
     with pytest.raises(InputError, match="--errors"):
         TwinErrors.of(SDSSV.instrument, text)

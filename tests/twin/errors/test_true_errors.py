@@ -10,7 +10,8 @@ ROW = {"fibres": 19, "rms_um": 1.2, "p95_um": 2.0, "worst_um": 4.9, "within": 19
 
 @pytest.mark.slow
 def test_calibrations_remove_what_each_error_does():
-    rows = {row["row"]: row for row in of_seed(0, Namespace(positioners=19, size=1.0, camera="noise"))}
+    given = Namespace(positioners=19, size=1.0, camera="noise", gears="stages", only_calibrated=False)
+    rows = {row["row"]: row for row in of_seed(0, given)}
     none, everything, calibrated = rows["none"], rows["all on"], rows["all on, calibrated"]
     assert none["rms_um"] < 1.0
     assert rows["fibre on"]["rms_um"] > 7.0

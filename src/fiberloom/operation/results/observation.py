@@ -107,8 +107,9 @@ class Observation(ObservedField):
         about = dict(self.about)
         learnt = {"learnt": about.pop("learnt")} if "learnt" in about else {}
         put_in = {"put_in": about.pop("put_in")} if "put_in" in about else {}
+        notes = [*self.assignment.notes, *about.pop("notes", [])]
         summary = summarise(self) | about | {"wall_s": self.wall_s, "not_assigned": self.assignment.reasons()}
-        return summary | {"notes": self.assignment.notes} | put_in | learnt
+        return summary | {"notes": notes} | put_in | learnt
 
     def table(self) -> QTable:
         """One row for every positioner and move, with units.

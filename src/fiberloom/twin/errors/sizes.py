@@ -24,7 +24,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
-from fiberloom.twin.errors.switches import factors_of
+from fiberloom.twin.errors.switches import GEARS, factors_of, gears_of
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -54,10 +54,12 @@ class TwinErrors:
     """Of the fiducials' table, per coordinate."""
     air_um: float = 1.5
     """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
+    gears: str = GEARS[0]
+    """Spectrum of the gears' deviations, of `GEARS`."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
-        """Those of an `instrument`, by the text `switches`: "all", "none", "fibre,arm=2,fiducial=0.5".
+        """Those of an `instrument`, by the text `switches`: "all", "none", "fibre,arm=2,gears=family".
 
         The numbers are factors on the sizes. InputError for a term or a key that there is not.
         """
@@ -69,7 +71,13 @@ class TwinErrors:
             other_fibre_um=_times(told.other_fibre_um, factors["fibre"]),
             fiducial_um=told.fiducial_um * factors["fiducial"],
             air_um=told.air_um * factors["air"],
+            gears=gears_of(switches),
         )
+
+    def any(self) -> bool:
+        """Whether a twin has one of them."""
+        of_fibres = [um for pair in (*self.fibre_um.values(), self.other_fibre_um) for um in pair]
+        return any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
         """For `put_in`: each size and its source."""
