@@ -27,8 +27,8 @@ MOVE = {
 SUMMARY = {"n_within_requirement": 36, "n_assigned": 37, "requirement_um": 5.0, "moves": [MOVE]}
 
 
-def printed(table):
-    console = Console(width=160, color_system=None)
+def printed(table, width=160):
+    console = Console(width=width, color_system=None)
     with console.capture() as capture:
         console.print(table)
     return capture.get()
@@ -58,6 +58,16 @@ def test_an_observation_ends_in_one_row_a_move_with_units_in_the_heads():
     ]
     assert table.title == "36 of 37 assigned fibres within 5 µm of their targets"
     assert "41.24" in printed(table)
+
+
+def test_no_figure_is_cut_at_80_columns():
+    label = {"label": "blind, round faults 2"}
+    wide = MOVE | label | {"n_within_requirement": 496, "true_rms_um": 1234.5, "guided_rms_um": 1234.5}
+    text = printed(observation_table(SUMMARY | {"moves": [wide, wide | {"interrupted": True}]}), 80)
+    assert "…" not in text
+    assert text.count("1234.50") == 2
+    assert "stopped" in text
+    assert "496/37" in text
 
 
 def test_what_falls_short_is_told_by_count():

@@ -82,7 +82,8 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     of_fibres = [f"{name}\n[µm]" for name in ("measured", "metrology", "science", "guided", "95 %", "worst")]
     for name in ("move", *of_fibres, f"within\n{summary['requirement_um']:g} µm"):
         first = name == "move"
-        table.add_column(name, justify="left" if first else "right", no_wrap=first)
+        # where 80 columns are too few the label of a move takes two lines; no figure is cut
+        table.add_column(name, justify="left" if first else "right", no_wrap=not first)
     for move in summary["moves"]:
         if move["interrupted"]:
             table.add_row(f"{move['label']}: stopped", *7 * ["-"])
