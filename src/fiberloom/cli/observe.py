@@ -239,8 +239,9 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     console = Console()
     console.print(observation_table(summary))
     say(console, budget_line(summary["budget"]))
+    images = sum(move["images"] for move in summary["moves"] if not move["comparison"])
     console.print(
-        f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, "
+        f"planning {summary['plan_cpu_s']:.1f} CPU s, motion {summary['motion_s']:.1f} s, {images} images, "
         f"{summary['collisions_verified']} collisions in verified trajectories; "
         f"everything took {summary['wall_s']:.0f} s"
     )

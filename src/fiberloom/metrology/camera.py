@@ -37,6 +37,8 @@ class Measurement:
     noise_mm2: Floats | None = None
     """(N, 2, 2) by which positions differ from image to image, where the camera knows it: a part of the
     covariance. The rest is the same in every image, and no average takes it away."""
+    images: int = 1
+    """Of which it is the mean."""
 
     @property
     def xy_mm(self) -> Floats:
@@ -73,6 +75,7 @@ class SeveralImages:
         return Measurement(
             mean_mm[:, 0], mean_mm[:, 1], seen, last.time_s, covariance,
             ~seen & np.any(unclear, axis=0) if unclear else None, last.loose_mm, noise,
+            len(self.images),
         )  # fmt: skip
 
     def noise_um(self) -> float:

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 import fiberloom as fl
+from fiberloom.cli.observe import print_observation
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.sources.errors import CameraAborted, CameraSilent
+from fiberloom.operation.past.rebuild import observation_of
 from fiberloom.operation.results.summary import summarise
 from fiberloom.operation.safety.looking import PatientCamera
+from fiberloom.store import Store
 from fiberloom.targets import random_targets
 
 N = 2000
@@ -111,6 +114,19 @@ def test_several_images_bring_fibres_nearer_in_moving_air(maps, tmp_path):
     print(f"air=2: one image {one:.2f}, up to eight {several:.2f} um guided")
     # corrections average over two places: sqrt(8) is what there is to gain
     assert several < 0.6 * one
+
+
+def test_how_many_were_taken_is_on_record_and_comes_back_from_it(maps, tmp_path, capsys):
+    field = fl.Field.twin(PLANE, 0, camera="noise", errors="air=2", calibration=maps)
+    seen = field.run.observe(random_targets(PLANE, 400, 3), 1, out=tmp_path)
+    taken = [move["images"] for move in seen.summary()["moves"]]
+    assert taken == [4, 4]
+    with Store.open(tmp_path / "store.sqlite") as store:
+        (run,) = store.runs()
+        again, _ = observation_of(store, run)
+    assert [move["images"] for move in again.summary()["moves"]] == taken
+    print_observation(seen.summary() | {"folder": "runs/1"})
+    assert f"{sum(taken)} images" in capsys.readouterr().out
 
 
 def test_the_number_must_be_one_or_more(maps, tmp_path):

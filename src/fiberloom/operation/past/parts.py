@@ -88,6 +88,7 @@ def packed_move(move: Move) -> bytes:
         "cpu_s": plan.cpu_s,
         "interrupted": move.interrupted,
         "comparison": move.comparison,
+        "images": move.measurement.images,
     }
     points = {key: np.concatenate([getattr(r, key) for r in plan.robots]) for key in KEYS}
     points["positioner_id"] = np.array([r.positioner_id for r in plan.robots], dtype=np.int64)

@@ -182,6 +182,7 @@ def _move(part: RunPart, row: Mapping[str, Any], measured: Columns) -> Move:
         measured["seen"].astype(bool),
         float(row["time_s"]),
         ambiguous=part.arrays.get("ambiguous"),
+        images=part.head.get("images", 1),
     )
     return Move(
         number=int(row["number"]),

@@ -61,6 +61,7 @@ def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
         "interrupted": move.interrupted,
         "comparison": move.comparison,
         "motion_s": move.motion_s,
+        "images": move.measurement.images,
         "n_fibres": int(counted.sum()),
         "n_within_requirement": int((error <= observed.requirement_um).sum()),
         "measured_rms_um": _rms(measured),
