@@ -187,6 +187,8 @@ class CameraTable(Table):
     """How far distortion bends the image across a part of the field, at most."""
     fiducial_sigma_um: NotNegative = 0.0
     """How well the fiducials' places are known, per coordinate; 0: better than the camera."""
+    terms: Literal["all", "found"] = "found"
+    """Zhao-Burge terms of its distortion: all 34, or those that predict fiducials of the first image best."""
     turbulence: bool = False
     """Is there air to be taken off by a Gaussian process?"""
     exposure_s: Positive = 1.0

@@ -9,6 +9,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.model import CameraTable
+from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import AcquisitionSettings, CameraGeometry
 from fiberloom.metrology.pipeline import ImageCamera, ImageSource, ReductionSettings
 
@@ -49,6 +50,7 @@ def reduction_settings(camera: CameraTable | None, geometry: CameraGeometry) -> 
         return ReductionSettings(loose)
     return ReductionSettings(
         loose,
+        terms=range(zhao_burge.N_TERMS) if camera.terms == "all" else None,
         radius_mm=camera.field_radius_mm,
         fiducial_sigma_um=camera.fiducial_sigma_um,
         turbulence=camera.turbulence,

@@ -228,7 +228,9 @@ class ImageCamera:
     """Measures the metrology fibres in images. Implements `fiberloom.metrology.Camera`.
 
     Remembers from image to image the profile of the spots, the transform and where each fibre was
-    seen; `last` is the latest reduction, for plots and reports.
+    seen; `last` is the latest reduction, for plots and reports. Where the settings name no terms of the
+    distortion, those of the first image are kept: what is wrong with the table of the fiducials shows by
+    the terms, and the fibres of a field would jump by micrometres with them.
     """
 
     def __init__(self, source: ImageSource, plane: FocalPlane, settings: ReductionSettings) -> None:
@@ -272,7 +274,8 @@ class ImageCamera:
             raise InputError("the camera delivered something that is no image")
         start = self.last.transform if self.last else None
         hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm, self.profile, start)
-        return reduce_image(image, self.plane, self.settings, hints)
+        terms = start.terms if start and self.settings.terms is None else self.settings.terms
+        return reduce_image(image, self.plane, replace(self.settings, terms=terms), hints)
 
     def _remember(self, reduction: Reduction) -> None:
         self.last = reduction
