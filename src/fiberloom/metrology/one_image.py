@@ -27,7 +27,7 @@ from fiberloom.metrology.spots import (
 )
 from fiberloom.metrology.transform import PlaceErrors
 from fiberloom.typing import Floats
-from fiberloom.units import UM_PER_MM
+from fiberloom.units import MM_PER_UM, UM_PER_MM
 from fiberloom.version import __version__
 from fiberloom.wholefile import whole
 
@@ -153,8 +153,8 @@ def identify(plane: FocalPlane, spots: Spots, geometry: CameraGeometry, expected
         plane.fiducials[:, :2],
         geometry,
         expected_mm=expected_mm,
-        errors=PlaceErrors(spots.covariance_px2),
-        settings=replace(known.search, terms=None),
+        errors=PlaceErrors(spots.covariance_px2, known.fiducial_sigma_um * MM_PER_UM),
+        settings=known.search,
     )
     others = spots.select(np.setdiff1d(np.arange(len(spots)), found.spot))
     matched = match_spots(
