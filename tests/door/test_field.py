@@ -188,18 +188,22 @@ class StopAfter:
         return self.camera.measure(expected_mm)
 
 
-def test_an_interruption_loses_nothing(plane, twin, desk):
+@pytest.mark.parametrize(
+    ("images", "labels"), [(2, ["blind"]), (3, ["blind"]), (4, ["blind", "correction 1"])]
+)
+def test_an_interruption_loses_nothing(plane, twin, desk, images, labels):
+    """Also between the first and the second image of the blind move."""
     twin.run.calibrate().save(desk / "maps.npz")
     field = opened(plane, desk / "maps.npz")
-    field.source = type(field.source)(field.source.bus, StopAfter(field.source.camera, 3))
+    field.source = type(field.source)(field.source.bus, StopAfter(field.source.camera, images))
     with pytest.raises(KeyboardInterrupt):
         field.run.observe(targets(), corrections=5)
-    assert [move.label for move in field.last.moves] == ["blind", "correction 1"]
-    assert len(field.last.table()) == 2 * N
+    assert [move.label for move in field.last.moves] == labels
+    assert len(field.last.table()) == len(labels) * N
     with Store.open(desk / "runs" / "store.sqlite") as store:
         (run,) = store.runs()
-        # before, after the two moves, and where each was left
-        assert (run.status, run.n_measurements) == ("interrupted", 4 * N)
+        # before, after the moves, and where each was left
+        assert (run.status, run.n_measurements) == ("interrupted", (2 + len(labels)) * N)
 
 
 SCRIPT = """

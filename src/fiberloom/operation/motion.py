@@ -25,7 +25,7 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
-from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.move import Goals, MadeMove, Move, Recorder
 from fiberloom.operation.safety.begin import (
     ALLOWED_MM,
     NAMED,
@@ -439,37 +439,48 @@ class FieldMotion:
         self.underway = number
         before_deg = self.state.here_deg.copy()
         results = await self._execute(planned)
-        image = await self._look_after()
-        interrupted = self.state.judge(results, image, before_deg, planned.end_deg)
-        error_um = self._measured_error_um(image, goals)
-        move = Move(
-            number=number,
-            label=label,
-            plan=planned,
-            commanded_deg=planned.end_deg,
-            wire_deg=self.state.wire_deg.copy(),
-            measurement=image,
-            measured_error_um=error_um,
-            true_mm=self._truth(goals),
-            true_metrology_mm=None
-            if self.hardware.truth is None
-            else self.hardware.truth.fibre_xy(METROLOGY),
-            status=self.state.status(goals.has_target, error_um),
-            interrupted=bool(interrupted.any()),
-            comparison=comparison,
-        )
-        self.moves.append(move)
-        self.recorder.move(move)
-        if move.interrupted:
+        made = MadeMove(number, label, planned, goals, comparison, before_deg, results)
+        interrupted = self._book(made, await self._look_after(made))
+        if interrupted.any():
             self.recorder.event(CUT_SHORT, f"{int(interrupted.sum())} positioners are not at their goals")
         await self.writer.written()
         return interrupted
 
-    async def _look_after(self) -> Measurement:
-        """The image after a move; where none comes all stay at rest, and where each was left is recorded."""
+    def _book(self, made: MadeMove, image: Measurement) -> Flags:
+        """Judges and records a move by its image; (N,) mobile positioners not at their goal."""
+        end_deg = made.plan.end_deg
+        interrupted = self.state.judge(made.results, image, made.before_deg, end_deg)
+        error_um = self._measured_error_um(image, made.goals)
+        move = Move(
+            number=made.number,
+            label=made.label,
+            plan=made.plan,
+            commanded_deg=end_deg,
+            wire_deg=self.state.wire_deg.copy(),
+            measurement=image,
+            measured_error_um=error_um,
+            true_mm=self._truth(made.goals),
+            true_metrology_mm=None
+            if self.hardware.truth is None
+            else self.hardware.truth.fibre_xy(METROLOGY),
+            status=self.state.status(made.goals.has_target, error_um),
+            interrupted=bool(interrupted.any()),
+            comparison=made.comparison,
+        )
+        self.moves.append(move)
+        self.recorder.move(move)
+        return interrupted
+
+    async def _look_after(self, made: MadeMove) -> Measurement:
+        """The images after a move; where none comes all stay at rest, and where each was left is recorded.
+
+        So is the move, by the images that came, where it ends between two of them.
+        """
         try:
             return await self.look()
         except BaseException as error:
+            if (image := self.eye.before_the_end()) is not None:
+                self._book(made, image)
             await to_its_end(self.stop(reason(error)))
             raise
 

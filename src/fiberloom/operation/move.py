@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.assignment import Assignment
+from fiberloom.bus.outcome import Results
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
@@ -71,6 +72,21 @@ class Move:
     def motion_s(self) -> float:
         """Duration of the motion."""
         return self.plan.duration_s
+
+
+@dataclass(frozen=True)
+class MadeMove:
+    """A move that was made, before its image; as in `Move`."""
+
+    number: int
+    label: str
+    plan: Plan
+    goals: Goals
+    comparison: bool
+    before_deg: Floats
+    """(N, 2) as reported before it."""
+    results: Results
+    """How it ended on the bus."""
 
 
 class Recorder(Protocol):

@@ -39,6 +39,7 @@ class PatientCamera:
         self._camera, self._event, self._sleep = camera, event, sleep
         self.retries, self.wait_s = operation.camera_retries, operation.camera_wait_s
         self._enough_um, self._noise_um = CALM * operation.requirement_um, float("nan")
+        self._taken: list[Measurement] = []
 
     async def once(self, expected_mm: Floats | None) -> Measurement:
         """An image, taken and reduced beside the event loop. `expected_mm` (N, 2): of the fibres.
@@ -77,7 +78,8 @@ class PatientCamera:
         `expected_mm` (N, 2). The first one as `patiently`; where a further one does not come, those that came
         are used. How noisy images are, those of the last place have told; of the first place two are taken.
         """
-        taken = [await self.patiently(expected_mm)]
+        self._taken = taken = []
+        taken.append(await self.patiently(expected_mm))
         while len(taken) < self._wanted(most):
             try:
                 taken.append(await self.once(expected_mm))
@@ -89,6 +91,10 @@ class PatientCamera:
             if np.isfinite(noise_um := SeveralImages(taken).noise_um()):
                 self._noise_um = noise_um
         return SeveralImages(taken).mean()
+
+    def before_the_end(self) -> Measurement | None:
+        """Of the last place, by the images that came before `several` was ended; None: there was none."""
+        return SeveralImages(self._taken).mean() if self._taken else None
 
     def _wanted(self, most: int) -> int:
         """Images of one place."""
