@@ -9,6 +9,7 @@ import fiberloom as fl
 from fiberloom.metrology.acquisition import acquire
 from fiberloom.metrology.cameras import image_camera_of, reduction_settings
 from fiberloom.metrology.transform import PlaceErrors
+from fiberloom.metrology.zhao_burge import DEFAULT_TERMS
 from fiberloom.twin.camera.imaging import StillScene
 from fiberloom.twin.camera.models import imaging_camera, misaligned, model_for
 from fiberloom.twin.errors.sizes import TwinErrors
@@ -30,7 +31,7 @@ def guided_um(off_um):
     return off_um - (patterns @ size).reshape(-1, 2)
 
 
-def frame_um(fiducials_mm, turned_deg, seed=0):
+def frame_um(fiducials_mm, turned_deg, seed=0, terms="all"):
     """(N, 2) um by which fibres are seen beside where they are, spots taken as found."""
     rng = np.random.default_rng(seed)
     optics = misaligned(MODEL, 0).optics
@@ -39,11 +40,12 @@ def frame_um(fiducials_mm, turned_deg, seed=0):
     spots = optics.to_px(np.vstack([fiducials_mm, FIBRES_MM]))
     spots += rng.normal(0.0, NOISE_PX, spots.shape)
     settings = reduction_settings(PLANE.instrument.camera, MODEL.optics.geometry)
+    search = settings.search if terms == "all" else replace(settings.search, terms=terms)
     nominal = replace(settings.geometry, rotation_deg=turned_deg)
     wide = np.broadcast_to(NOISE_PX**2 * np.eye(2), (len(spots), 2, 2))
     found = acquire(
         spots, PLANE.fiducials[:, :2], nominal, expected_mm=FIBRES_MM,
-        errors=PlaceErrors(wide, 8e-3), settings=settings.search,
+        errors=PlaceErrors(wide, 8e-3), settings=search,
     )  # fmt: skip
     return guided_um(1e3 * (found.transform.to_mm(spots[len(fiducials_mm) :]) - FIBRES_MM))
 
@@ -61,6 +63,14 @@ def test_it_belongs_to_the_focal_plane_and_not_to_the_camera(seed):
         there = frame_um(fiducials_mm, turned_deg, number)
         # what is left is the lens: 34 terms of camera px for terms of the focal plane
         assert rms(there - here) < 0.25 * rms(here), turned_deg
+
+
+def test_fewer_terms_leave_micrometres_of_the_lens():
+    table_mm = PLANE.fiducials[:, :2]
+    few, every = (rms(frame_um(table_mm, 0.0, terms=terms)) for terms in (DEFAULT_TERMS, "all"))
+    print(f"right fiducials: 13 terms {few:.2f} um, all 34 {every:.2f} um")
+    assert few > 3.0
+    assert every < 0.6
 
 
 def test_terms_that_were_found_are_kept():

@@ -8,7 +8,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units, worn
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.units import ORDERS
 
 PLANE = generate(load_instrument("sdssv"), seed=2, n_positioners=30)

@@ -56,7 +56,7 @@ def lifetime(options: LifetimeOptions) -> int:
     from fiberloom.studies import campaign
     from fiberloom.studies.lifetime import LifetimeSettings
     from fiberloom.studies.lifetime_results import lifetime_campaign, within_requirement, write_results
-    from fiberloom.twin.gears import gear_spectrum
+    from fiberloom.twin.errors.switches import gear_spectrum
 
     load_instrument(options.instrument)  # a broken file is refused before anything is started
     settings = LifetimeSettings(

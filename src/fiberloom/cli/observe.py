@@ -183,13 +183,12 @@ _FILES = {
 
 def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
-    from fiberloom.twin.errors.switches import factors_of, gears_of
+    from fiberloom.twin.errors.switches import check_switches
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import OBSERVED
 
     parse_faults(options.faults, OBSERVED)
-    factors_of(options.errors)
-    gears_of(options.errors)
+    check_switches(options.errors)
     options.check_plane()
     check_camera(options)
     for name, hint in _FILES.items():

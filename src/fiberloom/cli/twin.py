@@ -84,13 +84,13 @@ class TwinOptions(ErrorsOptions, PlaneOptions, JsonOptions):
 
 def twin(options: TwinOptions) -> None:
     """Serve positioners on CAN@net TCP ports in real time, for jaeger or any other host."""
-    from fiberloom.twin.errors.switches import factors_of
+    from fiberloom.twin.errors.switches import check_switches
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import SEEN, SERVED
     from fiberloom.twin.server.address import address_of, addresses_of
 
     parse_faults(options.faults, SEEN if options.has_camera else SERVED)
-    factors_of(options.errors)
+    check_switches(options.errors)
     addresses_of(options.listen, 1)
     if options.camera_listen is not None:
         address_of(options.camera_listen, "--camera-listen")

@@ -479,9 +479,11 @@ class FieldMotion:
         try:
             return await self.look()
         except BaseException as error:
-            if (image := self.eye.before_the_end()) is not None:
-                self._book(made, image)
-            await to_its_end(self.stop(reason(error)))
+            try:
+                if (image := self.eye.before_the_end()) is not None:
+                    self._book(made, image)
+            finally:
+                await to_its_end(self.stop(reason(error)))
             raise
 
     async def stop(self, why: str) -> None:

@@ -34,8 +34,8 @@ from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.operation.correction import plain_update
 from fiberloom.twin.bench import bench_units
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.faults.ailments import chosen_ailments, loosened
-from fiberloom.twin.gears import GearSpectrum
 from fiberloom.twin.noise import UnitNoise
 from fiberloom.twin.statistical import StatisticalTwin
 from fiberloom.twin.wear import Wear, WearModel

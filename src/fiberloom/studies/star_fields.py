@@ -163,5 +163,6 @@ def _errors(seen: Observation, fibre: str) -> dict[str, Any]:
         "true_rms_um": float(np.sqrt((error**2).mean())),
         "guided_rms_um": float(np.sqrt((guided**2).mean())),
         "true_p95_um": float(np.percentile(error, 95)),
-        "n_within_requirement": int((error <= seen.requirement_um).sum()),
+        "n_within": int((error <= seen.requirement_um).sum()),
+        "n_guided_within": int((guided <= seen.requirement_um).sum()),
     }

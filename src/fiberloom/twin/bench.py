@@ -13,7 +13,7 @@ from fiberloom.calibration.bench.rig import BenchRig
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.hardware import faulty_transport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units

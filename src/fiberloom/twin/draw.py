@@ -23,13 +23,12 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.model import AXES, METROLOGY
 from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.gears import (
     BACKLASH_HIGHEST_DEG,
     BACKLASH_LOWEST_DEG,
-    GearSpectrum,
     Rng,
     draw_gear,
-    gear_spectrum,
     held,
     other_gears,
     told_of,
@@ -131,7 +130,6 @@ def draw_units(
     `gears`: the spectrum of their deviations (`fiberloom.twin.gears`), by default that of `errors`; another
     one leaves the rest as it is.
     """
-    spectrum = gear_spectrum(gears or errors.gears)
     n = len(plane)
     units = Units(
         plant=np.zeros((n, 2), PLANT_DTYPE),
@@ -152,7 +150,7 @@ def draw_units(
             units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
             if firmware == "true":
                 units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
-    if spectrum != "stages":
+    if (spectrum := gears or errors.gears) != "stages":
         units.gear[:] = other_gears(units.number, seed, spectrum)
     if firmware == "nominal":
         units.firmware[:] = nominal_firmware(plane)
@@ -314,7 +312,7 @@ def put_in(plane: FocalPlane, camera: str = "noise", errors: TwinErrors = NO_ERR
     }
     return {
         "camera": seen[camera],
-        "gear non-linearity": told_of(gear_spectrum(errors.gears)),
+        "gear non-linearity": told_of(errors.gears),
         "backlash": f"{BACKLASH_LOWEST_DEG[0]:g} to {BACKLASH_HIGHEST_DEG[1]:g} motor deg, given (Fig. 10)",
         "non-repeatability of the gear": f"{1e6 * SEAT_RMS_RAD[0]:g} / {1e6 * SEAT_RMS_RAD[1]:g} urad "
         "rms (alpha / beta), tuned to Fig. 17",

@@ -11,22 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom._core import twin as _core
-from fiberloom.errors import InputError
+from fiberloom.twin.errors.switches import GearSpectrum, gear_spectrum
 from fiberloom.twin.units import GEAR_DTYPE, ORDERS, Units
 from fiberloom.typing import Floats, Ints, Records
 from fiberloom.units import GEAR, RAD_PER_DEG
 
 Rng = np.random.Generator
-
-GearSpectrum = Literal["stages", "teeth", "family"]
-"""Which orders the gears have: two stages (36 tooth pairings, and 204 a turn of an earlier stage), the
-teeth of the last stage alone with their overtones and sidebands, or each gear its own of all that."""
 
 STAGES: Mapping[int, tuple[float, float]] = {
     1: (1.75e-3, 2.55e-3),
@@ -90,15 +85,6 @@ _SPAN = (-160, _core.NODES_PER_TURN + 280)
 
 
 # drawing
-
-
-def gear_spectrum(name: str) -> GearSpectrum:
-    """The spectrum of this name; InputError where there is none."""
-    known: tuple[GearSpectrum, ...] = get_args(GearSpectrum)
-    for spectrum in known:
-        if spectrum == name:
-            return spectrum
-    raise InputError(f"gears '{name}': must be one of {', '.join(known)}")
 
 
 def told_of(spectrum: GearSpectrum) -> str:

@@ -23,6 +23,7 @@ from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, 
 from fiberloom.twin.units import Units
 
 KIND = "this twin's tables are true and its air is still; --errors all makes it as a real array is"
+"""Note of an observation on a twin without errors."""
 
 
 @dataclass(frozen=True)

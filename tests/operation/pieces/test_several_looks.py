@@ -10,6 +10,7 @@ import fiberloom as fl
 from fiberloom.cli.observe import print_observation
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.sources.errors import CameraAborted, CameraSilent
+from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.past.rebuild import observation_of
 from fiberloom.operation.results.summary import summarise
 from fiberloom.operation.safety.looking import PatientCamera
@@ -86,6 +87,25 @@ def test_the_first_of_a_place_is_waited_for():
 def test_one_that_was_given_up_ends_it():
     with pytest.raises(CameraAborted):
         looks(1.8, 8, places=1, fails=(2,), error=CameraAborted)
+
+
+def test_all_are_stopped_also_where_the_record_of_what_was_seen_fails():
+    stopped = []
+
+    async def look():
+        raise CameraAborted("by hand")
+
+    async def stop(why):
+        stopped.append(why)
+
+    def book(made, image):
+        raise OSError("disk full")
+
+    eye = SimpleNamespace(before_the_end=lambda: "image")
+    motion = SimpleNamespace(look=look, stop=stop, eye=eye, _book=book)
+    with pytest.raises(OSError, match="disk full"):
+        asyncio.run(FieldMotion._look_after(motion, None))
+    assert len(stopped) == 1
 
 
 # on the twin

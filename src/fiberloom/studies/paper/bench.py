@@ -17,7 +17,7 @@ from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrum
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Camera
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.typing import Floats
 
 L_BETA_MM = 15.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from fiberloom.studies.paper.quantity import Kind, Quantity, ordering
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 
 SPECTRA: tuple[GearSpectrum, ...] = ("stages", "teeth")
 """Those that an ordering is shown for; the first one is what all other numbers are measured with."""

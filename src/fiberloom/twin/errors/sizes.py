@@ -24,7 +24,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
-from fiberloom.twin.errors.switches import GEARS, factors_of, gears_of
+from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -54,8 +54,8 @@ class TwinErrors:
     """Of the fiducials' table, per coordinate."""
     air_um: float = 1.5
     """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
-    gears: str = GEARS[0]
-    """Spectrum of the gears' deviations, of `GEARS`."""
+    gears: GearSpectrum = "stages"
+    """Spectrum of the gears' deviations."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:

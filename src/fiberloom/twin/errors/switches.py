@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from fiberloom.errors import InputError
 
 TERMS = ("arm", "fibre", "fiducial", "air")
 """What can be switched."""
 
-GEARS = ("stages", "teeth", "family")
-"""Spectra of the gears' deviations: as tuned, of the teeth alone, each gear its own."""
+GearSpectrum = Literal["stages", "teeth", "family"]
+"""Which orders the gears have: two stages (36 tooth pairings, and 204 a turn of an earlier stage), the
+teeth of the last stage alone with their overtones and sidebands, or each gear its own of all that."""
+
+
+def check_switches(switches: str) -> None:
+    """Raises InputError for a text that names what there is not."""
+    factors_of(switches)
+    gears_of(switches)
 
 
 def factors_of(switches: str) -> dict[str, float]:
@@ -26,16 +35,22 @@ def factors_of(switches: str) -> dict[str, float]:
     return factors
 
 
-def gears_of(switches: str) -> str:
-    """The spectrum of the gears that `switches` names last, of `GEARS`; stages where it names none."""
-    spectrum = GEARS[0]
-    for part in _parts(switches):
-        name, _, text = part.partition("=")
-        if name == "gears":
-            if text not in GEARS:
-                raise InputError(f"--errors {part}: gears={', gears='.join(GEARS)}")
-            spectrum = text
-    return spectrum
+def gears_of(switches: str) -> GearSpectrum:
+    """The spectrum of the gears that `switches` names last; stages where it names none."""
+    named = [text for name, _, text in (part.partition("=") for part in _parts(switches)) if name == "gears"]
+    try:
+        return [gear_spectrum(text) for text in ["stages", *named]][-1]
+    except InputError as error:
+        raise InputError(f"--errors: {error}") from None
+
+
+def gear_spectrum(name: str) -> GearSpectrum:
+    """The spectrum of this name; InputError where there is none."""
+    known: tuple[GearSpectrum, ...] = get_args(GearSpectrum)
+    for spectrum in known:
+        if spectrum == name:
+            return spectrum
+    raise InputError(f"gears '{name}': must be one of {', '.join(known)}")
 
 
 def _parts(switches: str) -> list[str]:

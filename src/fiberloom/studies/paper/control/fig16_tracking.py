@@ -16,7 +16,7 @@ from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, dr
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, quantity
 from fiberloom.studies.paper.spectra import SPECTRA, ordering_for_all
 from fiberloom.twin import Units
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.typing import Floats
 from fiberloom.units import GEAR
 

@@ -9,7 +9,7 @@ from fiberloom.studies.paper.lifetime.wearing import HOW, Study, smaller, studie
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, quantity
 from fiberloom.studies.paper.spectra import SPECTRA, ordering_for_all
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 
 PAPER_GAIN = 3.5
 SLIGHTLY = 1.25

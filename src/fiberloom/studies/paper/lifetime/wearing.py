@@ -13,7 +13,7 @@ from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings
 from fiberloom.studies.paper.quantity import Quantity
 from fiberloom.studies.paper.spectra import SPECTRA
 from fiberloom.twin.bench import bench_units
-from fiberloom.twin.gears import GearSpectrum
+from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.typing import Array, Floats, Ints
 
 UNITS, CYCLES = 4, 100
