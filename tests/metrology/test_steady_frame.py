@@ -65,6 +65,18 @@ def test_it_belongs_to_the_focal_plane_and_not_to_the_camera(seed):
         assert rms(there - here) < 0.25 * rms(here), turned_deg
 
 
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_no_fiducial_is_in_one_image_and_out_of_the_next(size):
+    """A limit to the residuals over what the table says left rim fiducials out of some images, not of all."""
+    errors = TwinErrors.of(PLANE.instrument, f"fiducial={size}")
+    for seed in range(4):
+        fiducials_mm = errors.fiducials_mm(PLANE, seed)
+        images = np.array([frame_um(fiducials_mm, 0.0, number) for number in range(6)])
+        jump_um = np.hypot(*np.moveaxis(images - images.mean(axis=0), -1, 0)).max()
+        print(f"fiducials {8 * size} um, array {seed}: {jump_um:.2f} um between images, worst fibre")
+        assert jump_um < 1.5, seed
+
+
 def test_fewer_terms_leave_micrometres_of_the_lens():
     table_mm = PLANE.fiducials[:, :2]
     few, every = (rms(frame_um(table_mm, 0.0, terms=terms)) for terms in (DEFAULT_TERMS, "all"))

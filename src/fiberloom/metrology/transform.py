@@ -11,7 +11,8 @@ terms are orthonormal and the fit well conditioned. Every number comes with its 
 
 and every fiducial with the residual that it would have had it been left out of the fit,
 r_i / (1 - H_ii) with the 2 x 2 block H_ii of the hat matrix: one fit instead of as many as there
-are fiducials.
+are fiducials. Whether a fiducial is believed goes by that residual, over what the others and its own
+error let expect of it: at the rim, where few others tell the terms, several times the error alone.
 """
 
 from __future__ import annotations
@@ -27,8 +28,12 @@ from fiberloom.metrology import zhao_burge
 from fiberloom.typing import Array, Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
-_CLIP = 4.5
-"""Robust standard deviations beyond which a fiducial is not believed."""
+_DOUBTED, _REFUSED = 4.5, 9.0
+"""Robust standard deviations from which on a fiducial weighs less, and beyond which nothing. In between its
+weight falls smoothly: one that is near a limit would be in one image and out of the next, and the fibres
+around it would jump by what it pulls."""
+_SETTLED = 1e-4
+"""Change of a weight, a ratio, below which the fit is done."""
 _TRUSTED_MM = 1e-3
 """No fiducial is doubted for less, where nothing is known of the errors."""
 _ROUNDS = 20
@@ -226,8 +231,8 @@ def fit_transform(
     """Fits fiducials seen at `xy_px` (m, 2) and known to be at `xy_mm`.
 
     `distortion`: what of it is fitted; `flipped`: the image is mirrored; `errors` of both places. If
-    `robust`, fiducials beyond 4.5 robust standard deviations are left out. Where there are fewer than four
-    more than half the number of terms, fewer terms are fitted.
+    `robust`, fiducials beyond 4.5 robust standard deviations weigh less, those beyond 9 nothing. Where there
+    are fewer than four more than half the number of terms, fewer terms are fitted.
     """
     px, mm = (np.asarray(a, dtype=np.float64) for a in (xy_px, xy_mm))
     if px.shape != mm.shape or len(px) < 3:
@@ -239,25 +244,24 @@ def fit_transform(
     start = base.to_mm(px)
     a = zhao_burge.basis(start / radius_mm, terms).transpose(1, 2, 0).reshape(2 * len(px), -1)
     r = (mm - start).ravel()
-    used = np.ones(len(px), dtype=bool)
+    weight = np.ones(len(px))
     for _ in range(_ROUNDS if robust else 1):
-        c, loo, residual, normal = _solve(a, r, variance, used)
-        off = np.hypot(*loo.T) / np.sqrt(variance)
+        c, loo, residual, normal, off = _solve(a, r, variance, weight)
         # the median of a 2-D Gaussian's length is 1.177 of its sigma per coordinate
-        scale = max(float(np.median(off[used])) / 1.177, 1.0 if known else 0.0)
-        again = off <= max(_CLIP * scale, 0.0 if known else _TRUSTED_MM)
-        if again.sum() < max(3, len(terms) // 2 + 2) or (again == used).all():
+        scale = float(np.median(off[weight > 0.5])) / 1.177
+        again = _believed(off / max(scale, 1.0 if known else _TRUSTED_MM / _DOUBTED))
+        if again.sum() < max(3, len(terms) // 2 + 2) or np.abs(again - weight).max() < _SETTLED:
             break
-        used = again
-    freedom = 2 * int(used.sum()) - len(terms)
-    chi2 = float(np.sum(residual[used] ** 2 / variance[used, None])) / max(freedom, 1)
+        weight = again
+    freedom = 2 * float(weight.sum()) - len(terms)
+    chi2 = float(np.sum(weight[:, None] * residual**2 / variance[:, None])) / max(freedom, 1.0)
     inflate = max(chi2, 1.0) if known else chi2
     inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    spots = _spot_variance(base, errors or PlaceErrors())
+    spots, weighed = _spot_variance(base, errors or PlaceErrors()), weight / variance
     # where nothing is known of the spots, all may be new in every image
-    noise = inverse * inflate if spots is None or not known else _by_spots(a, inverse, used / variance, spots)
+    noise = inverse * inflate if spots is None or not known else _by_spots(a, inverse, weighed, spots)
     transform = FieldTransform(base, radius_mm, terms, c, inverse * inflate, noise)
-    return TransformFit(transform, residual, loo, used, chi2)
+    return TransformFit(transform, residual, loo, weight > 0.5, chi2)
 
 
 def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
@@ -268,17 +272,31 @@ def _affordable(terms: tuple[int, ...], n: int) -> tuple[int, ...]:
     return zhao_burge.SIMILARITY_TERMS
 
 
-def _solve(a: Floats, r: Floats, variance: Floats, used: Flags) -> tuple[Array, ...]:
-    """Coefficients, leave-one-out and plain residuals (m, 2), normal matrix."""
-    w = np.repeat(np.where(used, 1.0 / variance, 0.0), 2)
+def _believed(off: Floats) -> Floats:
+    """Weights (m,) of fiducials that are off by so many robust standard deviations."""
+    doubt = np.clip((off - _DOUBTED) / (_REFUSED - _DOUBTED), 0.0, 1.0)
+    weight: Floats = 0.5 * (1.0 + np.cos(np.pi * doubt))
+    return weight
+
+
+def _solve(a: Floats, r: Floats, variance: Floats, weight: Floats) -> tuple[Array, ...]:
+    """Coefficients, plain and leave-one-out residuals (m, 2), normal matrix, and (m,) the latter in sigmas.
+
+    What the others and its own error let expect of a fiducial has the covariance v (1 + P / (1 - w P)), with
+    P = A N^-1 A^T / v and its weight w: the square of its residual in sigmas is
+    r^T (1 + (1 - w) P)^-1 r_loo / v.
+    """
+    w = np.repeat(weight / variance, 2)
     normal = a.T @ (a * w[:, None])
     c = np.linalg.solve(normal, a.T @ (w * r))
     residual = (r - a @ c).reshape(-1, 2)
     blocks = a.reshape(-1, 2, a.shape[1])
-    hat = blocks @ np.linalg.solve(normal, blocks.transpose(0, 2, 1))
-    hat *= np.where(used, 1.0 / variance, 0.0)[:, None, None]
-    loo = np.linalg.solve(np.eye(2) - hat, residual[..., None])[..., 0]
-    return c, loo, residual, normal
+    lever = blocks @ np.linalg.solve(normal, blocks.transpose(0, 2, 1)) / variance[:, None, None]
+    share = weight[:, None, None]
+    loo = np.linalg.solve(np.eye(2) - share * lever, residual[..., None])[..., 0]
+    plain = np.linalg.solve(np.eye(2) + (1.0 - share) * lever, residual[..., None])[..., 0]
+    off = np.sqrt(np.maximum(np.einsum("mc,mc->m", plain, loo) / variance, 0.0))
+    return c, loo, residual, normal, off
 
 
 def _variance(base: Similarity, n: int, errors: PlaceErrors) -> tuple[Floats, bool]:
