@@ -37,7 +37,7 @@ from fiberloom.operation.safety.begin import (
 )
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
-from fiberloom.operation.safety.looking import PatientCamera
+from fiberloom.operation.safety.looking import PatientCamera, know_fiducials
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.seen import where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
@@ -281,6 +281,7 @@ class FieldMotion:
         self.eye = PatientCamera(
             hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
         )
+        know_fiducials(hardware.camera, plane)
         self.state = FieldState(plane, self.recorder)
         self._loop_first = LoopFirst()
         self.left_moving = False

@@ -8,17 +8,20 @@ measured ones.
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fiberloom.calibration.focal_plane.arms_file import save_arms
+from fiberloom.calibration.focal_plane.bundle import calibrate_fiducials
 from fiberloom.calibration.focal_plane.convergence import convergence
 from fiberloom.calibration.focal_plane.design import Design, candidates
+from fiberloom.calibration.focal_plane.fiducials import Fiducials
 from fiberloom.calibration.focal_plane.fit import (
     N_GEOMETRY,
     FitSettings,
@@ -32,6 +35,7 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
+from fiberloom.operation.looks import LookBook
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.planning.placing import place_by_worth
@@ -58,6 +62,11 @@ class SurveySettings:
     fit: FitSettings = field(default_factory=FitSettings)
     motion: MotionMaker = FieldMotion
     """Of the field; a session gives its own."""
+    rotator_deg: float = 0.0
+    """Between the configurations the rotator is turned, over so many deg in all: it tells lens from
+    fiducials. 0: it stays, and fiducials are taken to be where their table has them."""
+    rotate: Callable[[float], None] = lambda _: None
+    """Turns a rotator to so many deg, and returns when it is there; the twin's turns with its camera."""
 
 
 async def survey(
@@ -79,7 +88,8 @@ async def survey(
     wide = plane.with_collision_buffer(plane.collision_buffer_mm + settings.safety_mm)
     motion = settings.motion(wide, maps, hardware, recorder, lambda _: None)
     motion.state.looser_mm = settings.safety_mm  # the layout is not known yet; arms are thicker by it
-    design = Design(plane, settings.fit)
+    design, looks = Design(plane, settings.fit), LookBook(hardware.camera, plane)
+    turns_deg = settings.rotator_deg * (np.arange(settings.configurations) / settings.configurations - 0.5)
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
         await motion.connect()
@@ -87,17 +97,30 @@ async def survey(
             options = candidates(wide, rng)
             worth = design.worth(options)
             goal = place_by_worth(motion.state.obstacles(), options, worth, settings.seed + number)
+            if settings.rotator_deg:
+                await asyncio.to_thread(_turn, hardware.camera, settings, turns_deg[number])
             await motion.go(Goals.without_targets(wide, goal), settings.seed)
             theta, xy = _told(motion.moves[-1], maps)
             design.add(np.nan_to_num(theta), np.isfinite(xy[:, 0]))
+            looks.keep(number, motion.moves[-1].measurement.images, np.isfinite(xy[:, 0]))
             progress(number + 1, settings.configurations)
         folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
         await motion.go(Goals.without_targets(wide, folded), settings.seed)
+        if settings.rotator_deg:
+            await asyncio.to_thread(_turn, hardware.camera, settings, 0.0)
     finally:
+        looks.close()
         await motion.close()
     told = [_told(move, maps) for move in motion.moves[:-1] if not move.interrupted]
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
-    return SurveyData(theta, xy, design.sigma())
+    return SurveyData(theta, xy, design.sigma(), looks.looks())
+
+
+def _turn(camera: Any, settings: SurveySettings, turned_deg: float) -> None:
+    settings.rotate(turned_deg)
+    if (turn := getattr(camera, "turn", None)) is None:
+        raise InputError("this camera takes no images: it cannot be turned; leave out --rotator")
+    turn(turned_deg)
 
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
@@ -156,6 +179,8 @@ class FocalPlaneCalibration:
     """Version, seed, instrument, configuration hash, UTC."""
     camera_um: float
     """Noise of the camera, 2-D rms."""
+    fiducials: Fiducials | None = None
+    """Where they really are; None: as their table has them."""
 
     @classmethod
     def of(
@@ -174,34 +199,46 @@ class FocalPlaneCalibration:
         the guess, with a reason in `fit`.
         """
         fit = fit_focal_plane(guess, data.theta_deg, data.xy_mm, settings.fit)
+        fiducials: Fiducials | None = None
+        if settings.rotator_deg and data.looks is not None and guess.instrument.camera is not None:
+            table_um = guess.instrument.camera.fiducial_sigma_um
+            fiducials, xy_mm = calibrate_fiducials(guess, fit, data.theta_deg, data.looks, table_um)
+            data = replace(data, xy_mm=xy_mm)
+            fit = fit_focal_plane(guess, data.theta_deg, xy_mm, settings.fit)
         true = None if truth is None else layout_parameters(truth)
         rows = convergence(guess, data, settings.fit, true)
-        return cls(guess, fit, rows, marks, settings.fit.camera_um)
+        return cls(guess, fit, rows, marks, settings.fit.camera_um, fiducials)
 
     @property
     def plane(self) -> FocalPlane:
         """The layout as calibrated."""
-        return self.fit.plane(self.guess)
+        arms = self.fit.plane(self.guess)
+        return arms if self.fiducials is None else self.fiducials.applied(arms)
 
     def summary(self) -> dict[str, Any]:
         """The content of focal_plane.json."""
         fit = self.fit
         refused = {int(p): r for p, r in zip(fit.positioner_id, fit.reason, strict=True) if r}
-        return self.marks | {
-            "positioners": self.guess.n,
-            "calibrated": int(fit.ok.sum()),
-            "refused": refused,
-            "lowest_rank": int(fit.rank.min()),
-            "parameters": fit.parameters.shape[1],
-            "outliers": int(fit.n_outliers.sum()),
-            "residual_rms_um": float(np.sqrt((fit.rms_um[fit.ok] ** 2).mean())) if fit.ok.any() else None,
-            "angles_mdeg": [1e3 * a for a in fit.angles_deg],
-            "convergence": self.convergence,
-        }
+        return (
+            self.marks
+            | {
+                "positioners": self.guess.n,
+                "calibrated": int(fit.ok.sum()),
+                "refused": refused,
+                "lowest_rank": int(fit.rank.min()),
+                "parameters": fit.parameters.shape[1],
+                "outliers": int(fit.n_outliers.sum()),
+                "residual_rms_um": float(np.sqrt((fit.rms_um[fit.ok] ** 2).mean())) if fit.ok.any() else None,
+                "angles_mdeg": [1e3 * a for a in fit.angles_deg],
+                "convergence": self.convergence,
+            }
+            | ({} if self.fiducials is None else {"fiducials": self.fiducials.summary()})
+        )
 
     def save(self, out: Path) -> None:
         """Writes arms, layout, figure and focal_plane.json into a folder that exists."""
-        save_arms(out / "arms.ecsv", self.fit, self.marks)
+        known = {} if self.fiducials is None else self.fiducials.to_meta()
+        save_arms(out / "arms.ecsv", self.fit, self.marks | known)
         write_layout(self.plane, out / "layout")
         plot_convergence(out / "convergence.png", self.convergence, self.guess.n, self.camera_um)
         write_whole(out / "focal_plane.json", json.dumps(self.summary(), indent=2) + "\n")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -142,10 +142,12 @@ class Optics:
     turbulence_length_mm: float = 50.0
     vibration_um: float = 0.0
     """Rms per coordinate of the shift of a whole exposure."""
+    turned_deg: float = 0.0
+    """By which a rotator has turned the focal plane before the lens."""
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
         """Where a point of the focal plane falls on the detector."""
-        p = np.asarray(xy_mm, dtype=np.float64)
+        p = self._before_the_lens(np.asarray(xy_mm, dtype=np.float64))
         place = p / self.field_radius_mm
         terms = list(self.distortion_mm)
         values = np.array([self.distortion_mm[t] for t in terms])
@@ -153,6 +155,12 @@ class Optics:
         r2 = np.sum(place**2, axis=1, keepdims=True)
         k3, k5 = self.radial
         return self.geometry.similarity().to_px(p + bent + p * (k3 * r2 + k5 * r2**2))
+
+    def _before_the_lens(self, xy_mm: Floats) -> Floats:
+        """Turned back by as much as an image is turned: what the lens bends stays with the camera."""
+        cos, sin = np.cos(np.deg2rad(self.turned_deg)), np.sin(np.deg2rad(self.turned_deg))
+        turned: Floats = xy_mm @ np.array([[cos, -sin], [sin, cos]])
+        return turned
 
 
 @dataclass(frozen=True)
@@ -237,6 +245,10 @@ class ImagingCamera:
         self._flux_scatter: dict[int, Floats] = {}
         self._hot = self._draw_hot()
         self._canvas: NDArray[np.float32] | None = None
+
+    def turn(self, turned_deg: float) -> None:
+        """Turns the focal plane before the camera, by so many deg from where it was at first."""
+        self.model = replace(self.model, optics=replace(self.model.optics, turned_deg=turned_deg))
 
     def expose(self) -> CameraImage:
         """The next image."""
