@@ -269,6 +269,11 @@ class ImageCamera:
         geometry = replace(self.settings.geometry, rotation_deg=self._unturned_deg + turned_deg)
         self.settings, self._turned = replace(self.settings, geometry=geometry), True
 
+    def light(self, fibre: str) -> None:
+        """From now on this science `fibre` shines beside the metrology fibres, "" none: a source's lamp."""
+        if (light := getattr(self.source, "light", None)) is not None:
+            light(fibre)
+
     def know_fiducials(self, fiducials_mm: Floats) -> None:
         """From now on fiducials are taken to be at (F, 2) mm: as a calibration has found them."""
         known = np.column_stack([fiducials_mm, self.plane.fiducials[:, 2:]])

@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from fiberloom.calibration.fibres.backlit import offsets_of_backlit
+from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import save_arms
 from fiberloom.calibration.focal_plane.bundle import calibrate_fiducials
 from fiberloom.calibration.focal_plane.convergence import convergence
@@ -35,9 +37,10 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
-from fiberloom.operation.looks import LookBook
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.surveying.backlit import Backlit
+from fiberloom.operation.surveying.looks import LookBook
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
@@ -67,6 +70,10 @@ class SurveySettings:
     fiducials. 0: it stays, and fiducials are taken to be where their table has them."""
     rotate: Callable[[float], None] = lambda _: None
     """Turns a rotator to so many deg, and returns when it is there; the twin's turns with its camera."""
+    backlit: tuple[str, ...] = ()
+    """Science fibres that are lit in every configuration, one after the other, to find where they are."""
+    lamp: Callable[[str], None] = lambda _: None
+    """Lights a science fibre of all positioners from behind, "" none; the twin's is lit with its camera."""
 
 
 async def survey(
@@ -89,6 +96,7 @@ async def survey(
     motion = settings.motion(wide, maps, hardware, recorder, lambda _: None)
     motion.state.looser_mm = settings.safety_mm  # the layout is not known yet; arms are thicker by it
     design, looks = Design(plane, settings.fit), LookBook(hardware.camera, plane)
+    science = Backlit(plane, hardware.camera, settings.lamp, settings.backlit)
     turns_deg = settings.rotator_deg * (np.arange(settings.configurations) / settings.configurations - 0.5)
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
@@ -103,6 +111,7 @@ async def survey(
             theta, xy = _told(motion.moves[-1], maps)
             design.add(np.nan_to_num(theta), np.isfinite(xy[:, 0]))
             looks.keep(number, motion.moves[-1].measurement.images, np.isfinite(xy[:, 0]))
+            await science.look(motion, theta)
             progress(number + 1, settings.configurations)
         folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
         await motion.go(Goals.without_targets(wide, folded), settings.seed)
@@ -113,7 +122,18 @@ async def survey(
         await motion.close()
     told = [_told(move, maps) for move in motion.moves[:-1] if not move.interrupted]
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
-    return SurveyData(theta, xy, design.sigma(), looks.looks())
+    return SurveyData(theta, xy, design.sigma(), looks.looks(), science.apart_mm())
+
+
+def _summary(science: FibreOffsets) -> dict[str, Any]:
+    said = science.reason[~science.ok].tolist()
+    return {
+        "calibrated": int(science.ok.sum()),
+        "of": len(science),
+        "offset_rms_um": science.rms_um,
+        "formal_um": science.formal_um,
+        "refused": {reason: said.count(reason) for reason in sorted(set(said))},
+    }
 
 
 def _turn(camera: Any, settings: SurveySettings, turned_deg: float) -> None:
@@ -181,6 +201,8 @@ class FocalPlaneCalibration:
     """Noise of the camera, 2-D rms."""
     fiducials: Fiducials | None = None
     """Where they really are; None: as their table has them."""
+    science: FibreOffsets | None = None
+    """Of the fibres that were lit; None: none was."""
 
     @classmethod
     def of(
@@ -205,9 +227,12 @@ class FocalPlaneCalibration:
             fiducials, xy_mm = calibrate_fiducials(guess, fit, data.theta_deg, data.looks, table_um)
             data = replace(data, xy_mm=xy_mm)
             fit = fit_focal_plane(guess, data.theta_deg, xy_mm, settings.fit)
+        science = None
+        if data.apart_mm:
+            science = offsets_of_backlit(fit.plane(guess), data.theta_deg, data.apart_mm)
         true = None if truth is None else layout_parameters(truth)
         rows = convergence(guess, data, settings.fit, true)
-        return cls(guess, fit, rows, marks, settings.fit.camera_um, fiducials)
+        return cls(guess, fit, rows, marks, settings.fit.camera_um, fiducials, science)
 
     @property
     def plane(self) -> FocalPlane:
@@ -233,6 +258,7 @@ class FocalPlaneCalibration:
                 "convergence": self.convergence,
             }
             | ({} if self.fiducials is None else {"fiducials": self.fiducials.summary()})
+            | ({} if self.science is None else {"science_fibres": _summary(self.science)})
         )
 
     def save(self, out: Path) -> None:
@@ -240,5 +266,7 @@ class FocalPlaneCalibration:
         known = {} if self.fiducials is None else self.fiducials.to_meta()
         save_arms(out / "arms.ecsv", self.fit, self.marks | known)
         write_layout(self.plane, out / "layout")
+        if self.science is not None:
+            self.science.write(out / "fibres.ecsv", self.marks)
         plot_convergence(out / "convergence.png", self.convergence, self.guess.n, self.camera_um)
         write_whole(out / "focal_plane.json", json.dumps(self.summary(), indent=2) + "\n")

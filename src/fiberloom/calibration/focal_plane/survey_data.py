@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from fiberloom.typing import Floats, Ints
 
@@ -36,3 +37,5 @@ class SurveyData:
     """(N, 6) standard errors that the design promises, mm and rad."""
     looks: Looks | None = None
     """Spots of the images; None where the camera takes none, or they were not kept."""
+    apart_mm: Mapping[str, Floats] = field(default_factory=dict)
+    """By science fibre that was lit: (N, S, 2) from the metrology fibre to it; NaN where not seen."""

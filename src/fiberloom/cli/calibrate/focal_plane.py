@@ -25,8 +25,8 @@ SurveyCameraOption = Annotated[
         "indi://HOST:PORT/NAME, aravis:NAME."
     ),
 ]
-_ROTATOR_S = 600.0
-"""In which a rotator has to be where it is told to be."""
+_COMMAND_S = 600.0
+"""In which a rotator has to be where it is told to be, and a lamp to burn."""
 MOUNTED_DEG = 0.2
 """Error of the first guess of the twin's zeros, rms."""
 
@@ -54,6 +54,17 @@ class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, RequireOptions, PlaneOpti
     rotate: Annotated[
         str, typer.Option(help="With --bus and --rotator: command that turns it, e.g. 'tcs rotator {deg}'.")
     ] = ""
+    backlit: Annotated[
+        bool,
+        typer.Option(
+            "--backlit",
+            help="Light the science fibres from behind too, in every configuration, and find where they are.",
+        ),
+    ] = False
+    lamp: Annotated[
+        str,
+        typer.Option(help="With --bus and --backlit: command that lights a fibre, e.g. 'lamp {fibre}'."),
+    ] = ""
     mounted_um: Annotated[
         float, typer.Option(min=0.0, max=200.0, help="Error of the first guess of the twin's arms, um rms.")
     ] = 50.0
@@ -79,7 +90,7 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     from fiberloom.store.calibrations import record_calibration
     from fiberloom.twin.draw import misplaced
 
-    rotate = _rotator(options)
+    rotate, lamp = _rotator(options), _lamp(options)
     out, plane = options.out, options.plane()
     settings = SurveySettings(
         configurations=options.configurations,
@@ -88,6 +99,8 @@ def focal_plane(options: FocalPlaneOptions) -> int:
         fit=FitSettings(camera_um=plane.instrument.metrology.noise_rms_um, harmonics=options.harmonics),
         rotator_deg=options.rotator,
         rotate=rotate,
+        backlit=tuple(plane.science_fibres) if options.backlit else (),
+        lamp=lamp,
     )
     field = field_of(options, camera="noise")
     field.command_line = " ".join(sys.argv)
@@ -98,7 +111,8 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     found.save(out)
     made, same_run, arms = found.fit.positioner_id[found.fit.ok], options.measured is None, out / "arms.ecsv"
     record_calibration(arms, "focal-plane", made, found.marks, field.command_line, same_run=same_run)
-    _show(options, found.summary() | {"arms": str(arms), "layout": str(out / "layout")})
+    fibres = {"fibres": str(out / "fibres.ecsv")} if found.science is not None else {}
+    _show(options, found.summary() | {"arms": str(arms), "layout": str(out / "layout")} | fibres)
     return 0 if options.met(len(made), len(made) + len(found.summary()["refused"])) else 1
 
 
@@ -115,16 +129,32 @@ def _rotator(options: FocalPlaneOptions) -> Callable[[float], None]:
             "--rotator: with --bus it needs --rotate COMMAND, with {deg} where the angle belongs; it returns "
             "when the rotator is there"
         )
-    words = shlex.split(options.rotate)
+    return lambda turned_deg: _carry_out("--rotate", options.rotate, "{deg}", f"{turned_deg:.3f}")
 
-    def turn(turned_deg: float) -> None:
-        command = [word.replace("{deg}", f"{turned_deg:.3f}") for word in words]
-        try:
-            subprocess.run(command, check=True, timeout=_ROTATOR_S)
-        except (OSError, subprocess.SubprocessError) as error:
-            raise InputError(f"--rotate {shlex.join(command)}: {one_line(error)}") from None
 
-    return turn
+def _lamp(options: FocalPlaneOptions) -> Callable[[str], None]:
+    """Lights science fibres of an instrument by its command; those of the twin are lit with its camera."""
+    if not options.backlit or not options.bus:
+        if options.lamp:
+            raise InputError("--lamp: lights the fibres of an instrument; it needs --bus and --backlit")
+        if options.backlit and (options.camera or "noise") == "noise":
+            raise InputError("--backlit: fibres that shine are seen in images; add --camera image")
+        return lambda _: None
+    if "{fibre}" not in options.lamp:
+        raise InputError(
+            "--backlit: with --bus it needs --lamp COMMAND, with {fibre} where the fibre's name belongs; "
+            "'off' puts the light out"
+        )
+    return lambda fibre: _carry_out("--lamp", options.lamp, "{fibre}", fibre or "off")
+
+
+def _carry_out(option: str, command: str, place: str, value: str) -> None:
+    """Runs a command of the user's instrument, and waits for its end."""
+    words = [word.replace(place, value) for word in shlex.split(command)]
+    try:
+        subprocess.run(words, check=True, timeout=_COMMAND_S)
+    except (OSError, subprocess.SubprocessError) as error:
+        raise InputError(f"{option} {shlex.join(words)}: {one_line(error)}") from None
 
 
 def _show(options: FocalPlaneOptions, report: dict[str, Any]) -> None:

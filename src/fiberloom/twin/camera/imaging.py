@@ -209,7 +209,11 @@ class TwinScene:
     """The metrology fibres of a twin."""
 
     def __init__(self, twin: Twin) -> None:
-        self._twin = twin
+        self._twin, self._backlit = twin, ""
+
+    def light(self, fibre: str) -> None:
+        """Lights this science fibre of all positioners from behind, beside the metrology fibres; "": none."""
+        self._backlit = fibre
 
     @property
     def time_s(self) -> float:
@@ -218,7 +222,8 @@ class TwinScene:
 
     def lit_mm(self) -> Floats:
         """Where they are now; NaN for dark ones."""
-        return np.where(self._twin.dark[:, None], np.nan, self._twin.fibre_xy("metrology"))
+        metrology = np.where(self._twin.dark[:, None], np.nan, self._twin.fibre_xy("metrology"))
+        return np.vstack([metrology, self._twin.fibre_xy(self._backlit)]) if self._backlit else metrology
 
 
 class ImagingCamera:
@@ -247,8 +252,13 @@ class ImagingCamera:
         self._canvas: NDArray[np.float32] | None = None
 
     def turn(self, turned_deg: float) -> None:
-        """Turns the focal plane before the camera, by so many deg from where it was at first."""
+        """Turns the focal plane before the camera, by so many `turned_deg` from where it was at first."""
         self.model = replace(self.model, optics=replace(self.model.optics, turned_deg=turned_deg))
+
+    def light(self, fibre: str) -> None:
+        """Lights this science fibre too, from behind; "": none. A scene without them stays as it is."""
+        if (light := getattr(self.scene, "light", None)) is not None:
+            light(fibre)
 
     def expose(self) -> CameraImage:
         """The next image."""
