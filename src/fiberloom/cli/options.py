@@ -141,7 +141,8 @@ class RequireOptions:
 
     def met(self, done: int, of: int) -> bool:
         """Are so many of so many enough? Nothing at all never is."""
-        return done > 0 and done >= self.required_share * of
+        share = self.required_share  # also of nothing: one that is no share is told
+        return done > 0 and done >= share * of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,7 +68,7 @@ class ArmSag:
         name, wide = f"positioner {self.positioner_id[row]}", self.covariance_rad2[row]
         if not (np.abs(self.sag_rad[row]) <= MOST_RAD).all():
             raise InputError(f"{name}: turns by more than {MOST_RAD:g} rad at 1 g, or by no number")
-        sound = np.isfinite(wide).all() and np.allclose(wide, wide.T, rtol=1e-6, atol=0.0)
+        sound = np.isfinite(wide).all() and np.allclose(wide, wide.T, rtol=0.0, atol=1e-6 * np.trace(wide))
         if not sound or not (np.linalg.eigvalsh(wide) > 0.0).all() or np.trace(wide) > MOST_RAD**2:
             raise InputError(f"{name}: its covariance is none")
 
