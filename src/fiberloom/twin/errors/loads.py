@@ -96,7 +96,7 @@ class LoadSizes:
         moment, rate, friction = self.moment_g_mm, self.torque_mNm_rad, self.torque_friction_mNm
         return {
             "gravity": f"{moment[0]:g} / {moment[1]:g} g mm (alpha / beta) on gears of 337 / 25 mNm/deg "
-            f"(Fig. 13), unit to unit {100 * MOMENT_SD:g} % along and across (assumed)",
+            f"(Fig. 13), unit to unit {100 * MOMENT_SD:g} % along and across (assumed); none in the zenith",
             "bundle of fibres": f"{rate[0]:g} / {rate[1]:g} mNm/rad, friction {friction[0]:g} / "
             f"{friction[1]:g} mNm, unit to unit {100 * FIBRE_SD:g} % (assumed)",
         }
