@@ -19,7 +19,7 @@ class Truth(Protocol):
         ...
 
     def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
-        """The same, were the telescope to point elsewhere and nothing else to move."""
+        """The same (N, 2), mm, were the telescope to point elsewhere and nothing else to move."""
         ...
 
 

@@ -75,7 +75,7 @@ class ExposurePointing:
 
     @classmethod
     def of(cls, told: Mapping[str, float]) -> ExposurePointing:
-        """Of what `about` has told."""
+        """Of what `about` has `told`, deg."""
         known = dict(told)
         return cls(Pointing(known.pop("zenith_deg"), known.pop("rotator_deg")), **known)
 

@@ -58,13 +58,13 @@ class Move:
     measurement: Measurement
     measured_error_um: Floats
     """(N,) distance of the metrology fibre in the image from its goal; NaN without target or light."""
+    true_mm: Floats | None
+    """(N, 2) the science fibre (metrology fibre where parked), in the middle of the exposure; a twin only."""
     status: list[FibreStatus]
     interrupted: bool = False
     """Stopped before its end, because a positioner collided or did not move."""
     comparison: bool = False
     """Not part of the observation: a move by another model, for comparison."""
-    true_mm: Floats | None = None
-    """(N, 2) the science fibre (metrology fibre where parked), in the middle of the exposure; a twin only."""
     true_metrology_mm: Floats | None = None
     """(N, 2) the metrology fibre, at the image; a twin only."""
     true_image_mm: Floats | None = None

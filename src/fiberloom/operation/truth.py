@@ -16,13 +16,13 @@ from fiberloom.typing import Floats
 
 
 def truths(truth: Truth | None, goals: Goals, pointing: ExposurePointing | None) -> dict[str, Any]:
-    """The true positions of a `Move`, by its names, mm; empty where nobody knows the `truth`.
+    """The true positions of a `Move`, by its names, mm; none where the `truth` is not known.
 
     `goals`: of N positioners, which fibre of each counts; `pointing`: of the image and the exposure after
     it. None: of nothing but the image.
     """
     if truth is None:
-        return {}
+        return {"true_mm": None}
     known: dict[str, Any] = {"true_metrology_mm": truth.fibre_xy(METROLOGY)}
     here_mm = _science(truth.fibre_xy, goals)
     if pointing is None:

@@ -142,7 +142,7 @@ class Twin:
         self._core.point(float(x_m_s2), float(y_m_s2))
 
     def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
-        """As `fibre_xy`, with arms and motors as they are, were the telescope to point so."""
+        """As `fibre_xy`, (N, 2) mm, with arms and motors as they are, were the telescope to point so."""
         here = self.pointing
         self.point(pointing)
         try:

@@ -13,7 +13,7 @@ from fiberloom.instruments.pointing import ExposurePointing
 
 
 def led(plane: FocalPlane, assignment: Assignment, sag: ArmSag, pointing: ExposurePointing) -> Assignment:
-    """The assignment with its goals turned back by what `sag` says until the middle of the exposure.
+    """The `assignment` with its goals turned back by what `sag` says until the middle of the exposure.
 
     `plane`: of its N positioners; `pointing`: of image and exposure. Goals stay within the limits of the
     axes, arms without a target where they are.

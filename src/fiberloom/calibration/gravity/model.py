@@ -40,7 +40,10 @@ def turns_per_parameter(plane: FocalPlane, angles_deg: Floats, pointing: Pointin
 
 
 def turns_deg(plane: FocalPlane, angles_deg: Floats, sag_rad: Floats, pointing: Pointing) -> Floats:
-    """(N, 2) deg by which the arms turn at `angles_deg` (N, 2), by their `sag_rad` (N, 4)."""
+    """(N, 2) deg by which the arms of the `plane` turn at `angles_deg` (N, 2), by their `sag_rad` (N, 4).
+
+    `pointing`: of the telescope.
+    """
     turned = np.einsum("nap,np->na", turns_per_parameter(plane, angles_deg, pointing), sag_rad)
     return rad_to_deg(turned)
 
