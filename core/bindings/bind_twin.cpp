@@ -162,6 +162,16 @@ void twin_torque(Twin &twin, size_t index, int axis, double torque_Nm) {
     twin.set_external_torque(index, axis, torque_Nm);
 }
 
+AxisLoad load_of(const double *row) { return {row[0], row[1], row[2], row[3], row[4], row[5]}; }
+
+void twin_loads(Twin &twin, const Input<double, -1, 12> &rows) {
+    if (rows.shape(0) != twin.positioner_count()) throw nb::value_error("loads: a row for every positioner");
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        const double *row = rows.data() + 12 * i;
+        twin.set_loads(i, load_of(row), load_of(row + 6));
+    }
+}
+
 void twin_transmission(Twin &twin, size_t index, int axis, const Input1<double> &row) {
     check_axis(axis);
     twin.set_transmission(index, axis, transmission_of(row));
@@ -229,6 +239,12 @@ void bind_whole_twin(nb::module_ &m) {
              "Share of the gear's way that the arm makes, upwards and downwards; 1 and 1: no fault.")
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
         .def("set_external_torque", &twin_torque, nb::arg("index"), nb::arg("axis"), nb::arg("torque_Nm"))
+        .def("set_loads", &twin_loads, nb::arg("rows"),
+             "(N, 12): of alpha, then of beta moment_x and moment_y (kg m, in the frame of the arm), "
+             "fibre_rate (Nm/rad), fibre_free (rad), fibre_friction (Nm), fibre_slip (rad).")
+        .def(
+            "point", [](Twin &t, double x, double y) { t.point({x, y}); }, nb::arg("x_m_s2"),
+            nb::arg("y_m_s2"), "Gravity along the focal plane from now on.")
         .def("set_transmission", &twin_transmission, nb::arg("index"), nb::arg("axis"), nb::arg("row"))
         .def("set_params", &twin_params, nb::arg("index"), nb::arg("axis"), nb::arg("row"));
     bind_readings(twin);

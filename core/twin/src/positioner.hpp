@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/twin.hpp"
 
 namespace fl::twin {
@@ -67,6 +68,7 @@ class Positioner {
 
     // torque of neighbours as last applied, and torque asked for from outside
     Push push, user_push;
+    std::unique_ptr<ArmLoads> loads; // none: nothing pulls at its arms
     std::vector<Contact> contacts, contacts_before;
 
   private:

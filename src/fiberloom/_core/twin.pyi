@@ -148,6 +148,14 @@ class Twin:
 
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None: ...
 
+    def set_loads(self, rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)]) -> None:
+        """
+        (N, 12): of alpha, then of beta moment_x and moment_y (kg m, in the frame of the arm), fibre_rate (Nm/rad), fibre_free (rad), fibre_friction (Nm), fibre_slip (rad).
+        """
+
+    def point(self, x_m_s2: float, y_m_s2: float) -> None:
+        """Gravity along the focal plane from now on."""
+
     def set_transmission(self, index: int, axis: int, row: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
 
     def set_params(self, index: int, axis: int, row: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...

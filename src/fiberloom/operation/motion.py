@@ -22,6 +22,7 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.pointing import ExposurePointing
 from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
 from fiberloom.operation.judge import ASTRAY_MM, Evidence
@@ -42,6 +43,7 @@ from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.seen import where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
+from fiberloom.operation.truth import truths
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.store.run import CUT_SHORT
 from fiberloom.typing import Flags, Floats, Ints
@@ -291,6 +293,8 @@ class FieldMotion:
         self.collisions_verified = 0
         self.moves: list[Move] = []
         self.images = 1
+        self.pointing: ExposurePointing | None = None
+        """Of the telescope, where it is known."""
         """After a move, at most."""
         self.underway = 0
         """Number of the move under way or just made; 0 before the first one."""
@@ -460,10 +464,7 @@ class FieldMotion:
             wire_deg=self.state.wire_deg.copy(),
             measurement=image,
             measured_error_um=error_um,
-            true_mm=self._truth(made.goals),
-            true_metrology_mm=None
-            if self.hardware.truth is None
-            else self.hardware.truth.fibre_xy(METROLOGY),
+            **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),
             interrupted=bool(interrupted.any()),
             comparison=made.comparison,
@@ -578,15 +579,6 @@ class FieldMotion:
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
         miss_mm = np.hypot(*(image.xy_mm - self.state.metrology_mm(goals.angles_deg)).T)
         return np.where(goals.has_target & image.seen, UM_PER_MM * miss_mm, np.nan)
-
-    def _truth(self, goals: Goals) -> Floats | None:
-        if self.hardware.truth is None:
-            return None
-        true_mm = self.hardware.truth.fibre_xy(METROLOGY)
-        for fibre in np.unique(goals.fibre[goals.has_target]):
-            rows = goals.has_target & (goals.fibre == fibre)
-            true_mm[rows] = self.hardware.truth.fibre_xy(str(fibre))[rows]
-        return true_mm
 
 
 def _moves(answer: Result) -> bool:

@@ -104,6 +104,8 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
 def budget_line(budget: Mapping[str, Any]) -> str:
     """Of what the errors of the last move are made, in words; um rms."""
     names = {"loop_um": "loop", "camera_um": "camera", "fibre_um": "fibre on its arm"}
+    if budget.get("gravity_um") is not None:
+        names["gravity_um"] = "gravity"
     parts = [
         f"{name} {'not known' if budget[key] is None else _um(budget[key])}" for key, name in names.items()
     ]

@@ -168,7 +168,7 @@ def _tell_backlash(units: Units, exactly: bool) -> None:
 
 
 def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
-    """The same units with arms and fibres off their tables."""
+    """The same units with arms and fibres off their tables, and what pulls at them."""
     fibres = [name for name in plane.points if name != METROLOGY]
     each = [errors.drawn_of(int(number), units.seed, fibres) for number in plane.positioner_id]
     units.arms[:, L_ALPHA] += [one.l_alpha_mm for one in each]
@@ -176,6 +176,7 @@ def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
         units,
         beta_longer_mm=np.array([one.beta_longer_mm for one in each]),
         fibre_offset_mm={name: np.array([one.fibre_mm[name] for one in each]) for name in fibres},
+        load=np.array([errors.loads.drawn_of(int(number), units.seed) for number in plane.positioner_id]),
     )
 
 

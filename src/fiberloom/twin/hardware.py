@@ -92,7 +92,7 @@ def _hardware(
     else:
         camera_of = NoiseCamera(twin, twin.plane.instrument.metrology.noise_rms_um, seed, errors)
     # told at power-up where they are, as after a search of the datum
-    return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool))
+    return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool), telescope=twin)
 
 
 def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[ScheduledFault]:

@@ -14,6 +14,7 @@ from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES, BODY_SHARE, METROLOGY
+from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
@@ -76,6 +77,7 @@ class Twin:
         self.plane = plane
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
+        self.pointing = Pointing()
         try:
             setup = _core.TwinSetup(
                 ids=np.ascontiguousarray(plane.positioner_id, dtype=np.uint16),
@@ -94,6 +96,8 @@ class Twin:
             setup.substeps = computing.get("substeps", 10)
             setup.kernel = computing.get("kernel", "")
             self._core = _core.Twin(setup)
+            if units.loaded:
+                self._core.set_loads(plain(units.load).reshape(len(plane), -1))
         except ValueError as error:
             raise InputError(f"twin: {error}") from None
         for number in plane.positioner_id[plane.offline]:
@@ -130,6 +134,21 @@ class Twin:
             raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
         points = self.units.points_mm(self.plane.points[fibre], fibre)
         return geometry.forward(self.units.arms, points, self._core.outputs_rad())
+
+    def point(self, pointing: Pointing) -> None:
+        """Points the telescope: gravity pulls at the arms so from now on."""
+        self.pointing = pointing
+        x_m_s2, y_m_s2 = pointing.gravity_m_s2()
+        self._core.point(float(x_m_s2), float(y_m_s2))
+
+    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
+        """As `fibre_xy`, (N, 2) mm, with arms and motors as they are, were the telescope to point so."""
+        here = self.pointing
+        self.point(pointing)
+        try:
+            return self.fibre_xy(fibre)
+        finally:
+            self.point(here)
 
     def inject(self, fault: Fault) -> None:
         """Breaks something, until `clear`."""

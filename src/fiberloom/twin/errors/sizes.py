@@ -11,7 +11,7 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
     air_um = 1.5                                       # turbulence before the camera, per coordinate
 
 The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
-SDSS-V's, which is nearer, nothing is published.
+SDSS-V's, which is nearer, nothing is published. What pulls at the arms: `fiberloom.twin.errors.loads`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
+from fiberloom.twin.errors.loads import LOAD_KEYS, NO_LOADS, LoadSizes, told_loads
 from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
@@ -56,6 +57,8 @@ class TwinErrors:
     """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
     gears: GearSpectrum = "stages"
     """Spectrum of the gears' deviations."""
+    loads: LoadSizes = field(default_factory=LoadSizes)
+    """What pulls at the arms: gravity, and the bundle of fibres."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
@@ -72,12 +75,13 @@ class TwinErrors:
             fiducial_um=told.fiducial_um * factors["fiducial"],
             air_um=told.air_um * factors["air"],
             gears=gears_of(switches),
+            loads=told.loads.times(factors["gravity"], factors["torque"]),
         )
 
     def any(self) -> bool:
         """Whether a twin has one of them."""
         of_fibres = [um for pair in (*self.fibre_um.values(), self.other_fibre_um) for um in pair]
-        return any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
+        return self.loads.any() or any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
         """For `put_in`: each size and its source."""
@@ -91,6 +95,7 @@ class TwinErrors:
             "fiducials against their table": f"{self.fiducial_um:g} um rms per coordinate, {measured}",
             "air before the camera": f"{self.air_um:g} um rms per coordinate in each image, the same over "
             f"{AIR_LENGTH_MM:g} mm (assumed)",
+            **self.loads.told(),
         }
 
     def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
@@ -125,7 +130,7 @@ class TwinErrors:
         return off_mm
 
 
-NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0)
+NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, loads=NO_LOADS)
 """A twin whose host has true tables, in still air."""
 
 
@@ -158,9 +163,10 @@ def _told(instrument: Instrument) -> TwinErrors:
         fiducial_um=_size(asked.pop("fiducial_um", usual.fiducial_um), f"{where}.fiducial_um"),
         air_um=_size(asked.pop("air_um", usual.air_um), f"{where}.air_um"),
         fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
+        loads=told_loads({key: asked.pop(key) for key in LOAD_KEYS if key in asked}, where),
     )
     if asked:
-        known_keys = "arm_um, fibre_um, fiducial_um, air_um"
+        known_keys = ", ".join(("arm_um", "fibre_um", "fiducial_um", "air_um", *LOAD_KEYS))
         raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")
     return known
 

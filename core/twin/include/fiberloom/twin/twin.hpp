@@ -15,6 +15,7 @@ extern "C" {
 }
 #pragma GCC diagnostic pop
 
+#include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/neighbours.hpp"
 #include "fiberloom/twin/plant.hpp"
 
@@ -114,6 +115,9 @@ class Twin {
     size_t bytes_per_positioner() const;
 
     void set_external_torque(size_t positioner, int axis, double torque_Nm);
+    // From now on these pull at its arms, as they are: bundles of fibres at ease. No gravity unless told.
+    void set_loads(size_t positioner, const AxisLoad &alpha, const AxisLoad &beta);
+    void point(Gravity gravity);
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
