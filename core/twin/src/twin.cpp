@@ -294,6 +294,8 @@ void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
     s_->apply_torque(i, p.push);
 }
 
+void Twin::set_temperature(size_t i, uint32_t counts) { s_->at(i).temperature_cnt = counts; }
+
 void Twin::set_faults(size_t i, const PositionerFaults &faults) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);

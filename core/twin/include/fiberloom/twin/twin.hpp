@@ -114,6 +114,8 @@ class Twin {
     size_t bytes_per_positioner() const;
 
     void set_external_torque(size_t positioner, int axis, double torque_Nm);
+    // What its temperature sensor reads, in the sensor's counts.
+    void set_temperature(size_t positioner, uint32_t counts);
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
