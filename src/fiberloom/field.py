@@ -452,7 +452,7 @@ class Field:
         """
         place = Place.of(out)
         folder = prepare_folder(place.base)
-        settings, learning = _asked(corrections, options, self.seed)
+        settings, learning = _asked(corrections, options, self.seed, place.store)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)
@@ -461,12 +461,14 @@ class Field:
         )
         self._observer.begun_s = self.begun_s
         if self.book is None:
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
         session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(
@@ -540,7 +542,9 @@ class Field:
         )
 
 
-def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple[ObserveSettings, Learning]:
+def _asked(
+    corrections: int | None, options: ObserveOptions, seed: int, history: Path
+) -> tuple[ObserveSettings, Learning]:
     """How to observe, and on what to build."""
     unknown = sorted(set(options) - set(ObserveOptions.__annotations__))
     if unknown:
@@ -550,7 +554,7 @@ def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple
     how = {name: value for name, value in options.items() if name in ObserveSettings.__annotations__}
     settings = ObserveSettings(corrections=corrections, seed=seed, **cast("dict[str, Any]", how))
     files = options.get("arms"), options.get("fibres"), options.get("learnt")
-    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
+    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed, history=history)
 
 
 class FieldRun:

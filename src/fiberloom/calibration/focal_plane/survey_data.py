@@ -17,3 +17,5 @@ class SurveyData:
     """(N, S, 2) metrology fibres; NaN where not seen, or where the positioner is not to be trusted."""
     expected_sigma: Floats
     """(N, 6) standard errors that the design promises, mm and rad."""
+    at_C: float | None = None
+    """Temperature of the positioners, deg C; None: they do not tell it."""

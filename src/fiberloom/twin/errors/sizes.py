@@ -11,7 +11,7 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
     air_um = 1.5                                       # turbulence before the camera, per coordinate
 
 The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
-SDSS-V's, which is nearer, nothing is published.
+SDSS-V's, which is nearer, nothing is published. What a colder night does is in `temperature`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
-from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of
+from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of, night_C_of
+from fiberloom.twin.errors.temperature import NO_DIFFERENCE, NightTemperature
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -56,6 +57,8 @@ class TwinErrors:
     """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
     gears: GearSpectrum = "stages"
     """Spectrum of the gears' deviations."""
+    temperature: NightTemperature = field(default_factory=NightTemperature)
+    """Of the night, against the calibration."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
@@ -72,12 +75,18 @@ class TwinErrors:
             fiducial_um=told.fiducial_um * factors["fiducial"],
             air_um=told.air_um * factors["air"],
             gears=gears_of(switches),
+            temperature=told.temperature.switched(factors["temperature"], night_C_of(switches)),
         )
+
+    def at_calibration(self) -> TwinErrors:
+        """The same at the temperature of the calibration: what a bench has."""
+        return replace(self, temperature=self.temperature.switched(0.0, None))
 
     def any(self) -> bool:
         """Whether a twin has one of them."""
         of_fibres = [um for pair in (*self.fibre_um.values(), self.other_fibre_um) for um in pair]
-        return any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
+        sizes = (*self.arm_um, *of_fibres, self.fiducial_um, self.air_um)
+        return any(sizes) or self.temperature.on
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
         """For `put_in`: each size and its source."""
@@ -91,6 +100,7 @@ class TwinErrors:
             "fiducials against their table": f"{self.fiducial_um:g} um rms per coordinate, {measured}",
             "air before the camera": f"{self.air_um:g} um rms per coordinate in each image, the same over "
             f"{AIR_LENGTH_MM:g} mm (assumed)",
+            "temperature": self.temperature.told(),
         }
 
     def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
@@ -125,8 +135,8 @@ class TwinErrors:
         return off_mm
 
 
-NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0)
-"""A twin whose host has true tables, in still air."""
+NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, temperature=NO_DIFFERENCE)
+"""A twin whose host has true tables, in still air, as warm as the calibration was."""
 
 
 @dataclass(frozen=True)
@@ -158,9 +168,10 @@ def _told(instrument: Instrument) -> TwinErrors:
         fiducial_um=_size(asked.pop("fiducial_um", usual.fiducial_um), f"{where}.fiducial_um"),
         air_um=_size(asked.pop("air_um", usual.air_um), f"{where}.air_um"),
         fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
+        temperature=NightTemperature.of(asked.pop("temperature", {}), f"{where}.temperature"),
     )
     if asked:
-        known_keys = "arm_um, fibre_um, fiducial_um, air_um"
+        known_keys = "arm_um, fibre_um, fiducial_um, air_um, temperature"
         raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")
     return known
 
