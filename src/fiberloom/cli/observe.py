@@ -245,8 +245,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         f"everything took {summary['wall_s']:.0f} s"
     )
     console.print(f"corrections ended: {summary['stopped']}")
-    if "temperature" in summary:
-        say(console, temperature_line(summary["temperature"]))
+    if "temperature" in summary and (line := temperature_line(summary["temperature"])):
+        say(console, line)
     for note in summary["notes"]:
         say(console, f"note: {note}")
     if "learnt" in summary:

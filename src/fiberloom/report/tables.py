@@ -113,9 +113,11 @@ def budget_line(budget: Mapping[str, Any]) -> str:
 
 
 def temperature_line(temperature: Mapping[str, Any]) -> str:
-    """How long the arms were taken to be; `temperature`: of summary.json, deg C and ppm."""
+    """How long arms were taken to be; empty: as measured. `temperature`: of summary.json, deg C and ppm."""
     if temperature["why_not"]:
         return f"arms taken as they were measured: {temperature['why_not']}"
+    if not temperature["arms_grown_ppm"]:
+        return ""
     nights = temperature["nights"]
     known = f"by {nights} observations" if nights else "says the instrument"
     line = (
