@@ -38,7 +38,7 @@ Rig::Rig(const Setup &setup) : setup_(setup), plant_(plant_of(setup)) {
 }
 
 void Rig::power_up() {
-    const fl_port_t port = {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {this, read_hall, set_phases, send_frame, storage_read, storage_write, nullptr};
     const float off[3] = {0.0f, 0.0f, 0.0f};
     for (int axis = 0; axis < FL_AXES; ++axis) set_phases(this, axis, off);
     timed(boot_cost, [&] { fl_positioner_init(&firmware_, &port, positioner_id, setup_.params); });

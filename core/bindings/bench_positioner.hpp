@@ -77,7 +77,7 @@ class BenchPositioner {
 
     // The firmware is the C struct alone: power-up forgets everything but the storage.
     void power_up() {
-        const fl_port_t port{this, read_hall, set_phases, send_frame, storage_read, storage_write};
+        const fl_port_t port{this, read_hall, set_phases, send_frame, storage_read, storage_write, nullptr};
         fl_positioner_init(&firmware, &port, id_, params_.data());
     }
 

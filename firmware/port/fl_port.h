@@ -51,6 +51,10 @@ typedef struct fl_port {
      * are moved, by command 53 some 1400. Both NULL: nothing is kept. */
     uint32_t (*storage_read)(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     uint32_t (*storage_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+
+    /* The last reading of the temperature sensor, in its own counts: command 132 passes it on, and the host
+     * knows the scale. Called for that command alone. NULL: there is no sensor. */
+    uint32_t (*read_temperature)(void *ctx);
 } fl_port_t;
 
 #ifdef __cplusplus

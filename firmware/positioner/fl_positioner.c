@@ -44,7 +44,6 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->chores = 0;
     p->options = 0;
     p->ticks = p->heard_tick = p->trajectories = 0;
-    p->temperature_raw = 1900;
     p->tx.first = p->tx.count = p->tx.waiting = 0;
     p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
     fl_trace_start(&p->trace, 0);

@@ -50,7 +50,6 @@ typedef struct fl_positioner {
     uint64_t options;         /* status bits that are only remembered */
     uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
     uint32_t trajectories;    /* started so far */
-    uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
     fl_axis_params_t staged[FL_AXES]; /* written over the bus, not in force */

@@ -139,7 +139,7 @@ static uint32_t image_write(void *ctx, uint32_t offset, const void *bytes, uint3
 }
 
 static void power_up(bench_t *b, fl_positioner_t *p, const fl_axis_params_t params[FL_AXES]) {
-    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write, NULL};
     sequence_power_up(&b->model);
     b->collisions = b->told;
     fl_positioner_init(p, &port, OWN_ID, params);

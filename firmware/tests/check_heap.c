@@ -87,7 +87,7 @@ int main(void) {
     const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
 #undef X
     const fl_axis_params_t params[FL_AXES] = {one, one};
-    const fl_port_t port = {NULL, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {NULL, read_hall, set_phases, send_frame, storage_read, storage_write, NULL};
     const int32_t position[FL_AXES] = {30000000, 60000000};
     guarded = true;
     fl_positioner_init(&p, &port, 9, params);

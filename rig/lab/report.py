@@ -98,8 +98,9 @@ def image_graph(folder: Path) -> stack.Graph:
     graph = stack.read_graph(objects)
     handlers = [name for name in map(stack.plain_name, graph) if name.startswith("fl_handle_")]
     tables = {name: [name] for name in PORT} | {"handler": handlers}
-    # constructors of C++: none, as the empty section shows; an image of an upgrade: the board takes none
-    tables |= {"init": [], "image_write": []}
+    # constructors of C++: none, as the empty section shows; the board takes no image of an upgrade, and has
+    # no temperature sensor
+    tables |= {"init": [], "image_write": [], "read_temperature": []}
     stack.resolve(graph, tables, build.ROOT)
     machine = stack.read_disassembly(stack.disassemble(folder / "programs" / "positioner.elf"))
     stack.complete(graph, machine)

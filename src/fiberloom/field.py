@@ -442,7 +442,7 @@ class Field:
         """
         place = Place.of(out)
         folder = prepare_folder(place.base)
-        settings, learning = asked(corrections, options, self.seed)
+        settings, learning = asked(corrections, options, self.seed, place.store)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)
@@ -451,12 +451,14 @@ class Field:
         )
         self._observer.begun_s = self.begun_s
         if self.book is None:
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
         session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(

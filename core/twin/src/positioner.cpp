@@ -23,7 +23,7 @@ void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
 }
 
 fl_port_t Positioner::port() {
-    return {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+    return {this, read_hall, set_phases, send_frame, storage_read, storage_write, read_temperature};
 }
 
 void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
@@ -171,6 +171,8 @@ bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     if (!p.faults.mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
     return true;
 }
+
+uint32_t Positioner::read_temperature(void *ctx) { return static_cast<Positioner *>(ctx)->temperature_cnt; }
 
 uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len) {
     const auto &p = *static_cast<Positioner *>(ctx);

@@ -59,6 +59,7 @@ class Positioner {
     uint16_t id() const { return firmware_.id; }
     PositionerFaults faults;
     int bus = 0;
+    uint32_t temperature_cnt = 1900; // of its sensor
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
@@ -77,6 +78,7 @@ class Positioner {
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);
+    static uint32_t read_temperature(void *ctx);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
     fl_port_t port();

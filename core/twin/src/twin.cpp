@@ -336,6 +336,7 @@ void Twin::point(Gravity gravity) {
     for (size_t i = 0; i < s_->count; ++i)
         if (s_->positioners[i].loads) s_->apply_torque(i, s_->positioners[i].push);
 }
+void Twin::set_temperature(size_t i, uint32_t counts) { s_->at(i).temperature_cnt = counts; }
 
 void Twin::set_faults(size_t i, const PositionerFaults &faults) {
     Positioner &p = s_->at(i);

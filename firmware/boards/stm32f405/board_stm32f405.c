@@ -7,6 +7,8 @@
  *   PC6..8    TIM8 CH1..3   phases A, B, C of beta         PB8, 9   CAN1 RX, TX
  *   PA5..7    SPI1          memory                         PA4      its select line
  */
+#include <stddef.h>
+
 #include "factory.h"
 #include "fl_dispatch.h"
 #include "fl_positioner.h"
@@ -228,7 +230,7 @@ int main(void) {
     start_adc();
     convert_once(); /* while the converter wakes up: not exact */
     convert_once();
-    const fl_port_t port = {0, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {0, read_hall, set_phases, send_frame, storage_read, storage_write, NULL};
     const fl_axis_params_t params[FL_AXES] = {factory.params[FL_ALPHA], factory.params[FL_BETA]};
     fl_positioner_init(&positioner, &port, factory.id, params);
     start_can(factory.id);

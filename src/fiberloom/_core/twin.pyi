@@ -146,6 +146,11 @@ class Twin:
 
     def power_cycle(self, index: int, bootloader: bool = False) -> None: ...
 
+    def set_temperature(self, index: int, counts: int) -> None:
+        """
+        What the temperature sensor of a positioner reads, in the sensor's counts.
+        """
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None: ...
 
     def set_loads(self, rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)]) -> None:

@@ -244,7 +244,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     """
     from rich.console import Console
 
-    from fiberloom.report.tables import budget_line, observation_table, shortfall
+    from fiberloom.report.tables import budget_line, observation_table, shortfall, temperature_line
 
     console = Console()
     console.print(observation_table(summary))
@@ -256,6 +256,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         f"everything took {summary['wall_s']:.0f} s"
     )
     console.print(f"corrections ended: {summary['stopped']}")
+    if "temperature" in summary and (line := temperature_line(summary["temperature"])):
+        say(console, line)
     for note in summary["notes"]:
         say(console, f"note: {note}")
     if "learnt" in summary:

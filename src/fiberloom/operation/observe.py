@@ -120,11 +120,13 @@ class ObserveOptions(TypedDict, total=False):
     save_images: bool
 
 
-def asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple[ObserveSettings, Learning]:
+def asked(
+    corrections: int | None, options: ObserveOptions, seed: int, history: Path
+) -> tuple[ObserveSettings, Learning]:
     """How to observe, and on what to build.
 
     `corrections`: exactly so many, None: by the stop rule; `options`: as `Field.observe` takes them; `seed`:
-    of whatever is drawn. TypeError for an option that there is not.
+    of whatever is drawn; `history`: store of earlier observations. TypeError for an option that there is not.
     """
     unknown = sorted(set(options) - set(ObserveOptions.__annotations__))
     if unknown:
@@ -134,7 +136,7 @@ def asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple[
     how = {name: value for name, value in options.items() if name in ObserveSettings.__annotations__}
     settings = ObserveSettings(corrections=corrections, seed=seed, **cast("dict[str, Any]", how))
     files = options.get("arms"), options.get("fibres"), options.get("gravity"), options.get("learnt")
-    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
+    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed, history=history)
 
 
 @dataclass

@@ -19,7 +19,7 @@ import numpy as np
 
 from fiberloom.calibration.fibres.backlit import offsets_of_backlit
 from fiberloom.calibration.fibres.offsets import FibreOffsets
-from fiberloom.calibration.focal_plane.arms_file import save_arms
+from fiberloom.calibration.focal_plane.arms_file import MEASURED_C, save_arms
 from fiberloom.calibration.focal_plane.bundle import calibrate_fiducials
 from fiberloom.calibration.focal_plane.convergence import convergence
 from fiberloom.calibration.focal_plane.design import Design, candidates
@@ -37,6 +37,7 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
+from fiberloom.operation.care.thermometer import felt, has_thermometer
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.operation.surveying.backlit import Backlit
@@ -51,6 +52,8 @@ from fiberloom.wholefile import write_whole
 
 _UNTOLD = frozenset({FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD})
 """Faults with which the motor position is not that of the arms: such measurements are left out."""
+_TEMPERATURE = "temperature"
+"""Kind of the event that notes it."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ async def survey(
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
         await motion.connect()
+        at_C = await _felt_C(motion)
         for number in range(settings.configurations):
             options = candidates(wide, rng)
             worth = design.worth(options)
@@ -122,7 +126,7 @@ async def survey(
         await motion.close()
     told = [_told(move, maps) for move in motion.moves[:-1] if not move.interrupted]
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
-    return SurveyData(theta, xy, design.sigma(), looks.looks(), science.apart_mm())
+    return SurveyData(theta, xy, design.sigma(), looks.looks(), science.apart_mm(), at_C)
 
 
 def _summary(science: FibreOffsets) -> dict[str, Any]:
@@ -141,6 +145,23 @@ def _turn(camera: Any, settings: SurveySettings, turned_deg: float) -> None:
     if (turn := getattr(camera, "turn", None)) is None:
         raise InputError("this camera takes no images: it cannot be turned; leave out --rotator")
     turn(turned_deg)
+
+
+async def _felt_C(motion: FieldMotion) -> float | None:
+    """The temperature of the positioners, which goes on record; None where they do not tell it."""
+    instrument = motion.plane.instrument
+    if not has_thermometer(instrument):
+        return None
+    said = await felt(motion.client, instrument)
+    motion.recorder.event(_TEMPERATURE, said.why if said.at_C is None else f"{said.at_C:.3f} deg C")
+    return said.at_C
+
+
+def _noted_C(store: Store, run_id: int) -> float | None:
+    """What a survey has noted of it."""
+    rows = store.events(run_id)
+    said = rows["text"][rows["kind"] == _TEMPERATURE]
+    return float(said[0].split()[0]) if len(said) and said[0].endswith("deg C") else None
 
 
 def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> SurveyData:
@@ -163,7 +184,8 @@ def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> 
     if not told:
         raise InputError(f"{store.name}: its last run has measured nothing")
     theta, xy = (np.stack(column, axis=1) for column in zip(*told, strict=True))
-    return SurveyData(theta, xy, np.full((plane.n, N_GEOMETRY), np.nan))
+    sigma = np.full((plane.n, N_GEOMETRY), np.nan)
+    return SurveyData(theta, xy, sigma, at_C=_noted_C(store, runs[-1].id))
 
 
 def _stored(rows: Columns, move: Flags, plane: FocalPlane, maps: TransmissionMaps) -> tuple[Floats, Floats]:
@@ -232,7 +254,8 @@ class FocalPlaneCalibration:
             science = offsets_of_backlit(fit.plane(guess), data.theta_deg, data.apart_mm)
         true = None if truth is None else layout_parameters(truth)
         rows = convergence(guess, data, settings.fit, true)
-        return cls(guess, fit, rows, marks, settings.fit.camera_um, fiducials, science)
+        warm = {} if data.at_C is None else {MEASURED_C: data.at_C}
+        return cls(guess, fit, rows, marks | warm, settings.fit.camera_um, fiducials, science)
 
     @property
     def plane(self) -> FocalPlane:

@@ -114,6 +114,22 @@ def budget_line(budget: Mapping[str, Any]) -> str:
     return f"parts, {budget['known']} [µm rms]: {', '.join(parts)}{guider}"
 
 
+def temperature_line(temperature: Mapping[str, Any]) -> str:
+    """How long arms were taken to be; empty: as measured. `temperature`: of summary.json, deg C and ppm."""
+    if temperature["why_not"]:
+        return f"arms taken as they were measured: {temperature['why_not']}"
+    if not temperature["arms_grown_ppm"]:
+        return ""
+    nights = temperature["nights"]
+    known = f"by {nights} observations" if nights else "says the instrument"
+    line = (
+        f"{temperature['at_C']:.1f} deg C: arms taken {temperature['arms_grown_ppm']:+.0f} ppm longer than "
+        f"at {temperature['arms_measured_C']:.1f}; {temperature['expansion_ppm_K']:.1f} +- "
+        f"{temperature['expansion_sd_ppm_K']:.1f} ppm a kelvin, {known}"
+    )
+    return "; but ".join(filter(None, [line, temperature["contradiction"]]))
+
+
 def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
     """What keeps an observation below the `required` share (0 to 1), in lines; none where it is not.
 

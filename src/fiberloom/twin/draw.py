@@ -156,7 +156,7 @@ def draw_units(
         units.firmware[:] = nominal_firmware(plane)
     else:
         _tell_backlash(units, exactly=firmware == "true")
-    return _misbuilt(plane, units, errors)
+    return errors.temperature.applied(_misbuilt(plane, units, errors), plane)
 
 
 def _tell_backlash(units: Units, exactly: bool) -> None:

@@ -42,12 +42,20 @@ def field_hardware(
     """The focal plane, folded, with the `faults` asked for ("dark=3,dead=1,lying=1").
 
     `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image; `errors`: of what the
-    camera sees.
+    camera and the positioners' thermometers see.
     """
     check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
+    tell_temperature(twin, errors, seed)
     return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera, errors)
+
+
+def tell_temperature(twin: Twin, errors: TwinErrors, seed: int) -> None:
+    """The sensors of a `twin` read the temperature of its night, of `errors` and `seed`, deg C as counts."""
+    counts = errors.temperature.sensor_counts(twin.plane, seed)
+    if counts is not None:
+        twin.set_temperature(counts)
 
 
 def faulty_transport(twin: Twin, faults: str, seed: int) -> TwinTransport:

@@ -201,6 +201,11 @@ class Twin:
                 self._core.set_params(row, axis, plain(units.plant[row, axis]).ravel())
         self.set_gear(units)
 
+    def set_temperature(self, counts: ArrayLike) -> None:
+        """What the positioners' temperature sensors read from now on: (N,), or one for all, in counts."""
+        for row, read in enumerate(np.broadcast_to(np.asarray(counts, dtype=np.int64), (len(self.plane),))):
+            self._core.set_temperature(row, int(read))
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
         """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""
         self._core.set_external_torque(index, axis, torque_Nm)

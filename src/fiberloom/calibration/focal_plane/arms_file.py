@@ -23,6 +23,8 @@ from fiberloom.units import MM_PER_UM, rad_to_deg
 
 FORMAT = "fiberloom arms"
 FORMAT_VERSION = 1
+MEASURED_C = "temperature_C"
+"""Key of the temperature at which the arms were measured."""
 
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, *[rad_to_deg(1.0)] * 2])
 _COLUMNS = tuple(name.replace("_rad", "_deg") for name in PARAMETERS)
@@ -76,6 +78,12 @@ def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: floa
     covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
     covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]
     return covariance
+
+
+def arms_measured_C(path: str | Path) -> float | None:
+    """Temperature at which the arms of a file were measured, deg C; None where it was not noted."""
+    found = _read(Path(path)).meta.get(MEASURED_C)
+    return float(found) if isinstance(found, int | float) and np.isfinite(found) else None
 
 
 def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit, Fiducials | None]:

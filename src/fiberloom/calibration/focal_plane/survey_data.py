@@ -39,3 +39,5 @@ class SurveyData:
     """Spots of the images; None where the camera takes none, or they were not kept."""
     apart_mm: Mapping[str, Floats] = field(default_factory=dict)
     """By science fibre that was lit: (N, S, 2) from the metrology fibre to it; NaN where not seen."""
+    at_C: float | None = None
+    """Temperature of the positioners, deg C; None: they do not tell it."""

@@ -33,6 +33,7 @@ from fiberloom.version import __version__
 
 PSF_KINDS = {"gaussian": 0, "moffat": 1, "disc": 2}
 _FWHM_PER_SIGMA = 2.3548200450309493
+_DRIFT = 0xD21F
 _END = 1e-6
 """Share of the peak where a painted spot ends."""
 
@@ -145,6 +146,12 @@ class Optics:
     turned_deg: float = 0.0
     """By which a rotator has turned the focal plane before the lens."""
 
+    drift_um: float = 0.0
+    """Rms per coordinate of a smooth distortion over the field, beside the terms."""
+    drift_length_mm: float = 150.0
+    """Of its correlation."""
+    drift_seed: int = 0
+
     def to_px(self, xy_mm: ArrayLike) -> Floats:
         """Where a point of the focal plane falls on the detector."""
         p = self._before_the_lens(np.asarray(xy_mm, dtype=np.float64))
@@ -154,7 +161,10 @@ class Optics:
         bent = np.einsum("k,knc->nc", values, zhao_burge.basis(place, terms)) if terms else 0.0
         r2 = np.sum(place**2, axis=1, keepdims=True)
         k3, k5 = self.radial
-        return self.geometry.similarity().to_px(p + bent + p * (k3 * r2 + k5 * r2**2))
+        drift = air_shift_mm(
+            p, self.drift_um, self.drift_length_mm, np.random.default_rng([self.drift_seed, _DRIFT])
+        )
+        return self.geometry.similarity().to_px(p + bent + drift + p * (k3 * r2 + k5 * r2**2))
 
     def _before_the_lens(self, xy_mm: Floats) -> Floats:
         """Turned back by as much as an image is turned: what the lens bends stays with the camera."""

@@ -11,7 +11,8 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
     air_um = 1.5                                       # turbulence before the camera, per coordinate
 
 The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
-SDSS-V's, which is nearer, nothing is published. What pulls at the arms: `fiberloom.twin.errors.loads`.
+SDSS-V's, which is nearer, nothing is published. What pulls at the arms: `fiberloom.twin.errors.loads`; what a
+colder night does: `fiberloom.twin.errors.temperature`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.twin.errors.loads import LOAD_KEYS, NO_LOADS, LoadSizes, told_loads
-from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of
+from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of, night_C_of
+from fiberloom.twin.errors.temperature import NO_DIFFERENCE, NightTemperature
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -59,6 +61,8 @@ class TwinErrors:
     """Spectrum of the gears' deviations."""
     loads: LoadSizes = field(default_factory=LoadSizes)
     """What pulls at the arms: gravity, and the bundle of fibres."""
+    temperature: NightTemperature = field(default_factory=NightTemperature)
+    """Of the night, against the calibration."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
@@ -76,12 +80,18 @@ class TwinErrors:
             air_um=told.air_um * factors["air"],
             gears=gears_of(switches),
             loads=told.loads.times(factors["gravity"], factors["torque"]),
+            temperature=told.temperature.switched(factors["temperature"], night_C_of(switches)),
         )
+
+    def at_calibration(self) -> TwinErrors:
+        """The same at the temperature of the calibration: what a bench has."""
+        return replace(self, temperature=self.temperature.switched(0.0, None))
 
     def any(self) -> bool:
         """Whether a twin has one of them."""
         of_fibres = [um for pair in (*self.fibre_um.values(), self.other_fibre_um) for um in pair]
-        return self.loads.any() or any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
+        sizes = (*self.arm_um, *of_fibres, self.fiducial_um, self.air_um)
+        return any(sizes) or self.loads.any() or self.temperature.on
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
         """For `put_in`: each size and its source."""
@@ -96,6 +106,7 @@ class TwinErrors:
             "air before the camera": f"{self.air_um:g} um rms per coordinate in each image, the same over "
             f"{AIR_LENGTH_MM:g} mm (assumed)",
             **self.loads.told(),
+            "temperature": self.temperature.told(),
         }
 
     def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
@@ -130,8 +141,8 @@ class TwinErrors:
         return off_mm
 
 
-NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, loads=NO_LOADS)
-"""A twin whose host has true tables, in still air."""
+NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, loads=NO_LOADS, temperature=NO_DIFFERENCE)
+"""A twin whose host has true tables, in still air, as warm as the calibration was, that nothing pulls at."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +175,10 @@ def _told(instrument: Instrument) -> TwinErrors:
         air_um=_size(asked.pop("air_um", usual.air_um), f"{where}.air_um"),
         fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
         loads=told_loads({key: asked.pop(key) for key in LOAD_KEYS if key in asked}, where),
+        temperature=NightTemperature.of(asked.pop("temperature", {}), f"{where}.temperature"),
     )
     if asked:
-        known_keys = ", ".join(("arm_um", "fibre_um", "fiducial_um", "air_um", *LOAD_KEYS))
+        known_keys = ", ".join(("arm_um", "fibre_um", "fiducial_um", "air_um", "temperature", *LOAD_KEYS))
         raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")
     return known
 

@@ -118,6 +118,8 @@ class Twin {
     // From now on these pull at its arms, as they are: bundles of fibres at ease. No gravity unless told.
     void set_loads(size_t positioner, const AxisLoad &alpha, const AxisLoad &beta);
     void point(Gravity gravity);
+    // What its temperature sensor reads, in the sensor's counts.
+    void set_temperature(size_t positioner, uint32_t counts);
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
