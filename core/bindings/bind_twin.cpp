@@ -228,6 +228,8 @@ void bind_whole_twin(nb::module_ &m) {
         .def("slip", &twin_slip, nb::arg("index"), nb::arg("axis"), nb::arg("up"), nb::arg("down"),
              "Share of the gear's way that the arm makes, upwards and downwards; 1 and 1: no fault.")
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
+        .def("power_up", &Twin::power_up, nb::arg("index"), nb::arg("alpha_turns"), nb::arg("beta_turns"),
+             "Power off and on at rest, no datum on record, counters off by so many whole motor turns.")
         .def("set_external_torque", &twin_torque, nb::arg("index"), nb::arg("axis"), nb::arg("torque_Nm"))
         .def("set_transmission", &twin_transmission, nb::arg("index"), nb::arg("axis"), nb::arg("row"))
         .def("set_params", &twin_params, nb::arg("index"), nb::arg("axis"), nb::arg("row"));

@@ -146,6 +146,11 @@ class Twin:
 
     def power_cycle(self, index: int, bootloader: bool = False) -> None: ...
 
+    def power_up(self, index: int, alpha_turns: int, beta_turns: int) -> None:
+        """
+        Power off and on at rest, no datum on record, counters off by so many whole motor turns.
+        """
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None: ...
 
     def set_transmission(self, index: int, axis: int, row: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...

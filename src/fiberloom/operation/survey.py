@@ -34,6 +34,7 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
@@ -83,6 +84,7 @@ async def survey(
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
         await motion.connect()
+        await reference(motion)
         for number in range(settings.configurations):
             options = candidates(wide, rng)
             worth = design.worth(options)

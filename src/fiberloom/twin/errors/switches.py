@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from fiberloom.errors import InputError
 
-TERMS = ("arm", "fibre", "fiducial", "air")
+TERMS = ("arm", "fibre", "fiducial", "air", "power")
 """What can be switched."""
 
 GearSpectrum = Literal["stages", "teeth", "family"]

@@ -1,0 +1,270 @@
+"""Referencing a field: before the first move, each positioner without a datum on record gets one.
+
+What the camera proves is declared; what it cannot prove is searched, where the neighbours are clear:
+
+1. One that is seen elsewhere than it reports, by what whole motor turns explain, is told those turns.
+2. Those that are seen where they report, within what the begin check allows, are told that they are there.
+   They may be off by a turn or two, which is not seen of a folded arm.
+3. So they unfold, by a verified plan, to places where a turn of either motor shows. There the camera counts
+   the turns; those that are off are told so, and all fold again.
+4. One that the image does not show, or shows where no turns explain it, searches its datum, as `fiberloom
+   home` does. So do all where the layout itself is not known yet: an image says nothing of turns then.
+
+What none of this reaches stays an obstacle, as the begin check has it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import Measurement
+from fiberloom.operation.motion import FieldMotion
+from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.reference.declare import declare, unreferenced
+from fiberloom.operation.reference.turns import CountedTurns, TurnCounter, told_apart_mm
+from fiberloom.operation.safety.begin import NAMED, Standing
+from fiberloom.operation.safety.seen import SCATTER_MM
+from fiberloom.operation.session.home import Homing
+from fiberloom.planning.placing import place_by_worth
+from fiberloom.typing import Flags, Floats, Ints
+
+KIND = "referenced"
+"""Of the events that say how."""
+
+ALPHAS, BETAS_DEG = 24, np.arange(60.0, 125.0, 10.0)
+"""Places that are tried for an unfolded arm: so many directions, and where a turn of either motor shows."""
+
+POSES = 3
+"""Unfolded places, at most, in which turns are counted."""
+
+EXPLAINED_MM = 3.0 * SCATTER_MM
+"""So near to a number of turns one has to be seen, to be told them before it moves."""
+
+NOT_SEARCHED = frozenset({Standing.SWAPPED, Standing.SILENT, Standing.OFFLINE})
+"""Standings that no search mends."""
+
+
+@dataclass
+class Referenced:
+    """How the positioners without a datum were referenced; numbers of positioners."""
+
+    as_reported: list[int] = field(default_factory=list)
+    """Seen where they report, and told so."""
+    turned: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Told to be whole motor turns of alpha and beta from where they reported."""
+    searched: list[int] = field(default_factory=list)
+    """Have found their datum at the hard stops."""
+    left: dict[int, str] = field(default_factory=dict)
+    """Why one was not referenced: it is an obstacle."""
+    not_counted: list[int] = field(default_factory=list)
+    """Of those as reported: seen well enough to move, not to count their turns."""
+
+    def __bool__(self) -> bool:
+        """Whether one had no datum on record."""
+        return bool(self.as_reported or self.turned or self.searched or self.left)
+
+    def as_dict(self) -> dict[str, int]:
+        """How many, for summary.json."""
+        return {
+            "seen where they report": len(self.as_reported),
+            "turns counted by the camera": len(self.turned),
+            "datum searched": len(self.searched),
+            "not referenced": len(self.left),
+        }
+
+
+async def reference(motion: FieldMotion) -> Referenced:
+    """References the field of `motion`, after its begin check and before its first move.
+
+    Returns how, empty where the datum of every positioner is on record. The moves that it takes are no moves
+    of the observation or calibration: they are in the events. Raises UnsafePlanError where the verifier
+    refuses a plan.
+    """
+    lost = await unreferenced(motion)
+    if not lost.any():
+        return Referenced()
+    motion.progress(f"referencing: {int(lost.sum())} positioners have no datum on record")
+    with _apart(motion):
+        done = await _Referencing(motion, lost).run()
+    await motion.begin_again()
+    motion.progress("referenced: " + ", ".join(f"{n} {how}" for how, n in done.as_dict().items() if n))
+    return done
+
+
+class _EventsOnly:
+    """Keeps events; measurements with counters that are not referenced yet are none."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self.event = recorder.event
+
+    def move(self, move: Move) -> None:
+        """An event: how far."""
+        n = sum(robot.moves for robot in move.plan.robots)
+        self.event(KIND, f"{n} positioners moved for it, in {move.motion_s:.1f} s", None)
+
+    def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
+        """Nothing: where all begin is measured when they are referenced."""
+
+    def left(self, here_deg: Floats, wire_deg: Floats, answered: Flags, why: str) -> None:
+        """Where each was left after a stop: as the recorder itself."""
+        self._recorder.left(here_deg, wire_deg, answered, why)
+
+
+@contextmanager
+def _apart(motion: FieldMotion) -> Iterator[None]:
+    """What is moved meanwhile is no part of the observation or calibration."""
+    recorder, images = motion.recorder, motion.images
+    motion.recorder = motion.state.recorder = _EventsOnly(recorder)
+    motion.images = 1
+    try:
+        yield
+        motion.moves.clear()
+        motion.underway = 0
+    finally:
+        motion.recorder = motion.state.recorder = recorder
+        motion.images = images
+
+
+class _Referencing:
+    """Of one field; arrays over its N positioners."""
+
+    def __init__(self, motion: FieldMotion, lost: Flags) -> None:
+        self.motion, self.lost = motion, lost
+        self.done = Referenced()
+        self.layout_known = motion.state.looser_mm == 0.0
+
+    @property
+    def _plane(self) -> FocalPlane:
+        return self.motion.plane
+
+    def _ids(self, flags: Flags) -> list[int]:
+        return [int(p) for p in self._plane.positioner_id[flags]]
+
+    async def run(self) -> Referenced:
+        """References all that can be."""
+        if self.layout_known:
+            await self._tell_those_elsewhere()
+        await self._tell_those_seen_right()
+        if self.layout_known:
+            await self._count_turns()
+        await self._search()
+        self._book()
+        return self.done
+
+    # by the camera
+
+    async def _tell_those_elsewhere(self) -> None:
+        """Those that are seen elsewhere, by what whole turns explain: they are told the likeliest ones."""
+        state, image = self.motion.state, self.motion.image
+        beginning = state.beginning
+        if image is None or beginning is None:
+            return
+        named = np.array([s in NAMED - NOT_SEARCHED for s in beginning.standing])
+        asked = self.lost & named & ~state.mobile & image.seen
+        if not asked.any():
+            return
+        reported_deg = self.motion.maps.to_output(state.wire_deg)
+        counter = TurnCounter(self._plane)
+        counter.add(reported_deg, image.xy_mm)
+        turns, miss_mm = counter.nearest(reported_deg, image.xy_mm)
+        rows = np.flatnonzero(asked & (miss_mm < EXPLAINED_MM) & turns.any(axis=1))
+        await self._tell_turns(rows, turns[rows])
+        if len(rows):
+            await self.motion.begin_again()
+
+    async def _tell_those_seen_right(self) -> None:
+        """One without a datum refuses to move: where the image has proved its report, it is told so."""
+        rows = np.flatnonzero(self.lost & self.motion.state.mobile)
+        await declare(self.motion, rows)
+
+    async def _tell_turns(self, rows: Ints, turns: Ints) -> None:
+        taken = await declare(self.motion, rows, turns)
+        for row, (alpha, beta) in zip(rows[taken].tolist(), turns[taken].tolist(), strict=True):
+            number = int(self._plane.positioner_id[row])
+            before = self.done.turned.get(number, (0, 0))
+            self.done.turned[number] = (before[0] + alpha, before[1] + beta)
+            text = f"{alpha:+d} motor turns of alpha and {beta:+d} of beta, by the image; told so"
+            self.motion.recorder.event(KIND, text, number)
+
+    async def _count_turns(self) -> None:
+        """Unfolds those that may move, counts their motor turns by the image, and folds them again."""
+        motion = self.motion
+        asked = self.lost & motion.state.mobile
+        if not asked.any():
+            return
+        counter = TurnCounter(self._plane)
+        self._look_at(counter)
+        for pose in range(POSES):
+            goals_deg = await asyncio.to_thread(self._unfolded, pose)
+            await motion.go(Goals.without_targets(self._plane, goals_deg))
+            self._look_at(counter)
+            counted = counter.counted()
+            if counted.proven[asked & motion.state.mobile].all():
+                break
+        off = asked & motion.state.mobile & counted.proven & counted.turns.any(axis=1)
+        await self._tell_turns(np.flatnonzero(off), counted.turns[off])
+        self.done.not_counted = self._ids(asked & ~counted.proven)
+        if self.done.not_counted:
+            self._say_not_counted(counted)
+        await motion.begin_again()
+        await motion.go(Goals.without_targets(self._plane, self._plane.park_deg))
+
+    def _look_at(self, counter: TurnCounter) -> None:
+        state, image = self.motion.state, self.motion.image
+        if image is not None:
+            # a spot that may be another one's, or a count that is doubted, says nothing
+            good = image.seen & state.mobile
+            counter.add(state.here_deg, np.where(good[:, None], image.xy_mm, np.nan))
+
+    def _unfolded(self, pose: int) -> Floats:
+        """(N, 2) deg: where a turn of either motor shows, free of collisions; others in each `pose`."""
+        alpha = (np.arange(ALPHAS) + (pose + 1.0) / (POSES + 1.0)) * 360.0 / ALPHAS
+        grid = np.stack(np.meshgrid(alpha, BETAS_DEG, indexing="ij"), axis=-1).reshape(-1, 2)
+        places_deg = np.tile(grid, (len(self._plane), 1, 1))
+        worth, state = told_apart_mm(self._plane, places_deg), self.motion.state
+        goals_deg = place_by_worth(state.obstacles(), places_deg, worth, pose)
+        return np.where(state.mobile[:, None], goals_deg, state.here_deg)
+
+    def _say_not_counted(self, counted: CountedTurns) -> None:
+        n = len(self.done.not_counted)
+        text = f"the turns of {n} positioners are not told by the image: fibres scatter by "
+        text += f"{1e3 * counted.scatter_mm:.0f} um about where they report; they are taken as reported"
+        self.motion.recorder.event(KIND, text, None)
+
+    # by the hard stops
+
+    async def _search(self) -> None:
+        """Those that the camera does not prove, as `home` searches them."""
+        state = self.motion.state
+        beginning = state.beginning
+        standing = beginning.standing if beginning is not None else [None] * len(self._plane)
+        able = np.array([one not in NOT_SEARCHED for one in standing])
+        asked = self.lost & able & (~state.mobile if self.layout_known else True)
+        if not asked.any():
+            return
+        homing = Homing(self.motion, np.flatnonzero(asked), counts_turns=self.layout_known)
+        await homing.run()
+        self.done.searched = sorted(homing.found)
+        for number in self.done.searched:
+            self.motion.recorder.event(KIND, "its datum was searched and found", number)
+        self.done.left = dict(homing.left_out)
+
+    def _book(self) -> None:
+        """Who is left, and who was taken as reported."""
+        state = self.motion.state
+        other = {*self.done.turned, *self.done.searched}
+        for number in self._ids(self.lost & ~state.mobile):
+            if number not in other:
+                self.done.left.setdefault(number, "not seen where it reports")
+        self.done.left = {p: why for p, why in self.done.left.items() if p not in self._ids(state.mobile)}
+        for number, why in self.done.left.items():
+            self.motion.recorder.event(KIND, f"not referenced: {why}", number)
+        other |= set(self.done.left)
+        self.done.as_reported = [p for p in self._ids(self.lost) if p not in other]
