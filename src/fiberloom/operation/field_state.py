@@ -38,6 +38,9 @@ NOT_WHERE_IT_SAYS = frozenset(
 )
 """Faults with which the reported position is not trusted."""
 
+DID_NOT_FOLLOW = frozenset({FibreStatus.DEAD, FibreStatus.LYING})
+"""Faults that only a move shows."""
+
 NOT_AS_REPORTED = NAMED | {Standing.OVERLAPS, Standing.UNCLEAR, Standing.BLIND}
 """What more than MOST positioners cannot be."""
 
@@ -108,6 +111,12 @@ class FieldState:
         """Books a fault of the positioner in `row`; `why`: the text of the record."""
         self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
+
+    def keep_faults(self, before: FieldState) -> None:
+        """Books what was seen `before` of those that did not follow, which an image at rest does not show."""
+        for row, fault in enumerate(before.faults):
+            if fault in DID_NOT_FOLLOW and self.mobile[row]:
+                self.flag(row, fault, before.why[row].removeprefix(f"{fault}: "))
 
     def book_blocked(self, planned: Plan) -> None:
         """Books the positioners that the plan refuses, in place of those of the last plan."""

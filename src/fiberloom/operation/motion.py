@@ -94,6 +94,10 @@ class FieldMotion:
         """(N,) whose datum was searched since power came on; the record of the hardware, where it has one."""
         self.image: Measurement | None = None
         """The last one."""
+        self.presumed = np.zeros(len(plane), dtype=bool)
+        """(N,) taken to be where they report though nothing shows it, while their datum is searched."""
+        self.keeps_faults = False
+        """Those that were seen not to follow stay obstacles when the begin check is done again."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
         self.images = 1
@@ -120,7 +124,7 @@ class FieldMotion:
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
-        vouched = await self._vouched(answered)
+        vouched = await self._vouched(answered) | self.presumed
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
@@ -210,9 +214,11 @@ class FieldMotion:
 
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
-        looser_mm, self.state = self.state.looser_mm, FieldState(self.plane, self.recorder)
-        self.state.looser_mm = looser_mm
+        before, self.state = self.state, FieldState(self.plane, self.recorder)
+        self.state.looser_mm = before.looser_mm
         await self.connect()
+        if self.keeps_faults:
+            self.state.keep_faults(before)
 
     def _note(self, image: Measurement | None) -> None:
         """A session keeps where all are, by the `image` where there is one."""
@@ -390,6 +396,11 @@ class FieldMotion:
         """Stops all and clears the flags of collisions, so that healthy positioners can move again."""
         await self.client.stop()
         await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
+
+    @property
+    def reported_deg(self) -> Floats:
+        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
+        return self.maps.to_output(self.state.wire_deg)
 
     async def read_positions(self, positioner_id: Ints) -> Flags:
         """Asks these where they are; (n,) which have answered."""

@@ -6,13 +6,35 @@ turns: the angle within a turn is the hall sensor's, and stays.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fiberloom.bus.protocol import Status
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.typing import Flags, Floats, Ints
 
-_DATUM_SET = int(Status.DATUMS_INITIALIZED)
+_DATUM_SET, _RESTORED = int(Status.DATUMS_INITIALIZED), int(Status.POSITION_RESTORED)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerUp:
+    """What the positioners of a field say of their counters; (N,) flags."""
+
+    lost: Flags
+    """The datum of an axis is not known."""
+    restored: Flags
+    """Of those: the position was restored as power came on. A gear that cannot be driven back keeps its arm
+    where it was, so only the count of motor turns is in doubt."""
+
+
+async def powered_up(motion: FieldMotion) -> PowerUp:
+    """What all positioners of the field of `motion` say that are on the bus."""
+    plane = motion.plane
+    rows = np.flatnonzero(np.isin(plane.positioner_id, motion.client.ids) & ~plane.offline)
+    bits = await _bits(motion, rows)
+    lost = bits & _DATUM_SET != _DATUM_SET
+    return PowerUp(lost & (bits >= 0), lost & (bits >= 0) & (bits & _RESTORED != 0))
 
 
 async def unreferenced(motion: FieldMotion, rows: Ints | None = None) -> Flags:
@@ -20,14 +42,19 @@ async def unreferenced(motion: FieldMotion, rows: Ints | None = None) -> Flags:
 
     `motion`: of the field; `rows`: of those that are asked, None: all that are on the bus.
     """
-    plane, client = motion.plane, motion.client
     if rows is None:
-        rows = np.flatnonzero(np.isin(plane.positioner_id, client.ids) & ~plane.offline)
-    answers = await client.status(plane.positioner_id[rows])
-    lost = [answer.ok and answer.values[0] & _DATUM_SET != _DATUM_SET for answer in answers.values()]
-    flags = np.zeros(len(plane), dtype=bool)
-    flags[rows] = lost
-    return flags
+        return (await powered_up(motion)).lost
+    bits = await _bits(motion, rows)
+    return np.asarray((bits >= 0) & (bits & _DATUM_SET != _DATUM_SET))
+
+
+async def _bits(motion: FieldMotion, rows: Ints) -> Ints:
+    """(N,) status bits of those in `rows`; -1 of those that do not answer, and of all others."""
+    bits = np.full(len(motion.plane), -1, dtype=np.int64)
+    if len(rows):
+        answers = await motion.client.status(motion.plane.positioner_id[rows])
+        bits[rows] = [int(answer.values[0]) if answer.ok else -1 for answer in answers.values()]
+    return bits
 
 
 async def declare(motion: FieldMotion, rows: Ints, turns: Ints | None = None) -> Flags:

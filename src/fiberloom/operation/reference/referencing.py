@@ -7,8 +7,10 @@ What the camera proves is declared; what it cannot prove is searched, where the 
    They may be off by a turn or two, which is not seen of a folded arm.
 3. So they unfold, by a verified plan, to places where a turn of either motor shows. There the camera counts
    the turns; those that are off are told so, and all fold again.
-4. One that the image does not show, or shows where no turns explain it, searches its datum, as `fiberloom
-   home` does. So do all where the layout itself is not known yet: an image says nothing of turns then.
+4. One that the image does not show searches its datum, as `fiberloom home` does. It is folded but for some
+   motor turns, if it says that its position was restored; else it may be anywhere, and its whole reach has to
+   be free. So does one that is seen where no turns explain it. And so do all where the layout itself is not
+   known yet: an image says nothing of turns then.
 
 What none of this reaches stays an obstacle, as the begin check has it.
 """
@@ -24,12 +26,14 @@ import numpy as np
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
+from fiberloom.operation.field_state import DID_NOT_FOLLOW
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.reference.declare import declare, unreferenced
+from fiberloom.operation.reference.declare import PowerUp, declare, powered_up
 from fiberloom.operation.reference.turns import CountedTurns, TurnCounter, told_apart_mm
 from fiberloom.operation.safety.begin import NAMED, Standing
 from fiberloom.operation.safety.seen import SCATTER_MM
+from fiberloom.operation.session.clearing import FOLDED_DEG
 from fiberloom.operation.session.home import Homing
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.typing import Flags, Floats, Ints
@@ -42,6 +46,9 @@ ALPHAS, BETAS_DEG = 24, np.arange(60.0, 125.0, 10.0)
 
 POSES = 3
 """Unfolded places, at most, in which turns are counted."""
+
+NEW_DEG = 2.0
+"""So far from where its turns were counted, on one axis, a place tells more of them."""
 
 EXPLAINED_MM = 3.0 * SCATTER_MM
 """So near to a number of turns one has to be seen, to be told them before it moves."""
@@ -86,13 +93,15 @@ async def reference(motion: FieldMotion) -> Referenced:
     of the observation or calibration: they are in the events. Raises UnsafePlanError where the verifier
     refuses a plan.
     """
-    lost = await unreferenced(motion)
-    if not lost.any():
+    power_up = await powered_up(motion)
+    if not power_up.lost.any():
         return Referenced()
-    motion.progress(f"referencing: {int(lost.sum())} positioners have no datum on record")
+    motion.progress(f"referencing: {int(power_up.lost.sum())} positioners have no datum on record")
     with _apart(motion):
-        done = await _Referencing(motion, lost).run()
-    await motion.begin_again()
+        done = await _Referencing(motion, power_up).run()
+        await motion.begin_again()
+    if motion.image is not None:
+        motion.recorder.start(motion.state.here_deg, motion.state.wire_deg, motion.image)
     motion.progress("referenced: " + ", ".join(f"{n} {how}" for how, n in done.as_dict().items() if n))
     return done
 
@@ -122,22 +131,25 @@ def _apart(motion: FieldMotion) -> Iterator[None]:
     """What is moved meanwhile is no part of the observation or calibration."""
     recorder, images = motion.recorder, motion.images
     motion.recorder = motion.state.recorder = _EventsOnly(recorder)
-    motion.images = 1
+    motion.images, motion.keeps_faults = 1, True
     try:
         yield
         motion.moves.clear()
         motion.underway = 0
     finally:
         motion.recorder = motion.state.recorder = recorder
-        motion.images = images
+        motion.images, motion.keeps_faults = images, False
 
 
 class _Referencing:
     """Of one field; arrays over its N positioners."""
 
-    def __init__(self, motion: FieldMotion, lost: Flags) -> None:
-        self.motion, self.lost = motion, lost
+    def __init__(self, motion: FieldMotion, power_up: PowerUp) -> None:
+        self.motion, self.lost, self.restored = motion, power_up.lost, power_up.restored
         self.done = Referenced()
+        self.dark = np.zeros_like(self.lost)
+        self.counted_deg: Floats = np.full((len(self.lost), 2), np.inf)
+        """(N, 2) where each was when its turns were last counted."""
         self.layout_known = motion.state.looser_mm == 0.0
 
     @property
@@ -151,10 +163,12 @@ class _Referencing:
         """References all that can be."""
         if self.layout_known:
             await self._tell_those_elsewhere()
+        await self._presume_the_dark()
         await self._tell_those_seen_right()
         if self.layout_known:
             await self._count_turns()
         await self._search()
+        self.motion.presumed[:] = False
         self._book()
         return self.done
 
@@ -170,13 +184,25 @@ class _Referencing:
         asked = self.lost & named & ~state.mobile & image.seen
         if not asked.any():
             return
-        reported_deg = self.motion.maps.to_output(state.wire_deg)
+        reported_deg = self.motion.reported_deg
         counter = TurnCounter(self._plane)
         counter.add(reported_deg, image.xy_mm)
         turns, miss_mm = counter.nearest(reported_deg, image.xy_mm)
         rows = np.flatnonzero(asked & (miss_mm < EXPLAINED_MM) & turns.any(axis=1))
         await self._tell_turns(rows, turns[rows])
         if len(rows):
+            await self.motion.begin_again()
+
+    async def _presume_the_dark(self) -> None:
+        """Those that no image shows are taken to be where they report, until they have searched.
+
+        Only those that are folded, and whose positions were restored as power came on: nothing but motor turns
+        is in doubt. They do not move before, but the others can pass.
+        """
+        folded = np.abs(self.motion.reported_deg - self._plane.park_deg).max(axis=1) < FOLDED_DEG
+        self.dark = self.restored & folded & self.motion.state.standing(Standing.DARK)
+        if self.dark.any():
+            self.motion.presumed[self.dark] = True
             await self.motion.begin_again()
 
     async def _tell_those_seen_right(self) -> None:
@@ -196,7 +222,7 @@ class _Referencing:
     async def _count_turns(self) -> None:
         """Unfolds those that may move, counts their motor turns by the image, and folds them again."""
         motion = self.motion
-        asked = self.lost & motion.state.mobile
+        asked = self.lost & motion.state.mobile & ~self.dark
         if not asked.any():
             return
         counter = TurnCounter(self._plane)
@@ -214,13 +240,16 @@ class _Referencing:
         if self.done.not_counted:
             self._say_not_counted(counted)
         await motion.begin_again()
-        await motion.go(Goals.without_targets(self._plane, self._plane.park_deg))
+        home_deg = np.where(self.dark[:, None], motion.state.here_deg, self._plane.park_deg)
+        await motion.go(Goals.without_targets(self._plane, home_deg))
 
     def _look_at(self, counter: TurnCounter) -> None:
         state, image = self.motion.state, self.motion.image
         if image is not None:
-            # a spot that may be another one's, or a count that is doubted, says nothing
-            good = image.seen & state.mobile
+            # a count that is doubted says nothing, nor the same place again: arms err there by the same
+            elsewhere = (np.abs(state.here_deg - self.counted_deg) > NEW_DEG).any(axis=1)
+            good = image.seen & state.mobile & elsewhere
+            self.counted_deg[good] = state.here_deg[good]
             counter.add(state.here_deg, np.where(good[:, None], image.xy_mm, np.nan))
 
     def _unfolded(self, pose: int) -> Floats:
@@ -230,7 +259,7 @@ class _Referencing:
         places_deg = np.tile(grid, (len(self._plane), 1, 1))
         worth, state = told_apart_mm(self._plane, places_deg), self.motion.state
         goals_deg = place_by_worth(state.obstacles(), places_deg, worth, pose)
-        return np.where(state.mobile[:, None], goals_deg, state.here_deg)
+        return np.where((state.mobile & ~self.dark)[:, None], goals_deg, state.here_deg)
 
     def _say_not_counted(self, counted: CountedTurns) -> None:
         n = len(self.done.not_counted)
@@ -240,29 +269,37 @@ class _Referencing:
 
     # by the hard stops
 
+    async def _home(self, rows: Ints) -> list[int]:
+        """Searches the datum of those in `rows`, as `home` does; which were found."""
+        homing = Homing(self.motion, rows, counts_turns=self.layout_known)
+        await homing.run()
+        self.done.searched += sorted(homing.found)
+        for number in sorted(homing.found):
+            self.motion.recorder.event(KIND, "its datum was searched and found", number)
+        self.done.left |= homing.left_out
+        return homing.found
+
     async def _search(self) -> None:
-        """Those that the camera does not prove, as `home` searches them."""
+        """Those that the camera does not prove."""
         state = self.motion.state
         beginning = state.beginning
         standing = beginning.standing if beginning is not None else [None] * len(self._plane)
         able = np.array([one not in NOT_SEARCHED for one in standing])
-        asked = self.lost & able & (~state.mobile if self.layout_known else True)
-        if not asked.any():
-            return
-        homing = Homing(self.motion, np.flatnonzero(asked), counts_turns=self.layout_known)
-        await homing.run()
-        self.done.searched = sorted(homing.found)
-        for number in self.done.searched:
-            self.motion.recorder.event(KIND, "its datum was searched and found", number)
-        self.done.left = dict(homing.left_out)
+        able &= np.array([fault not in DID_NOT_FOLLOW for fault in state.faults])
+        tried = np.isin(self._plane.positioner_id, [*self.done.searched, *self.done.left])
+        camera_fails = self.dark | ~state.mobile if self.layout_known else np.ones_like(self.dark)
+        asked = self.lost & able & ~tried & camera_fails
+        if asked.any():
+            await self._home(np.flatnonzero(asked))
 
     def _book(self) -> None:
         """Who is left, and who was taken as reported."""
         state = self.motion.state
         other = {*self.done.turned, *self.done.searched}
-        for number in self._ids(self.lost & ~state.mobile):
+        for row in np.flatnonzero(self.lost & ~state.mobile).tolist():
+            number = int(self._plane.positioner_id[row])
             if number not in other:
-                self.done.left.setdefault(number, "not seen where it reports")
+                self.done.left.setdefault(number, state.why.get(row, "not seen where it reports"))
         self.done.left = {p: why for p, why in self.done.left.items() if p not in self._ids(state.mobile)}
         for number, why in self.done.left.items():
             self.motion.recorder.event(KIND, f"not referenced: {why}", number)

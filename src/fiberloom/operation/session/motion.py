@@ -162,11 +162,6 @@ class SessionMotion(FieldMotion):
         self._note(None)
         await self.step(Step.STOP, why)
 
-    @property
-    def reported_deg(self) -> Floats:
-        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
-        return self.maps.to_output(self.state.wire_deg)
-
     def shows_alpha(self, row: int, spot_mm: Floats) -> bool:
         """Whether a spot (2,) of the positioner in `row` is far enough from its alpha axis to show alpha."""
         places_mm = self.plane.centres_mm.copy()
