@@ -61,7 +61,7 @@ def test_tails_are_heavier_than_a_gaussian_s():
 
 
 def test_each_can_be_switched_and_scaled():
-    every = {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0, "air": 1.0}
+    every = {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0, "air": 1.0, "power": 1.0}
     assert factors_of("all") == every
     assert factors_of("") == factors_of("none") == dict.fromkeys(every, 0.0)
     assert factors_of("all, fibre=2") == every | {"fibre": 2.0}

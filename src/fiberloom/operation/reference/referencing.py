@@ -29,7 +29,7 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.field_state import DID_NOT_FOLLOW
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.reference.declare import PowerUp, declare, powered_up
+from fiberloom.operation.reference.declare import PowerUp, declare, powered_up, unreferenced
 from fiberloom.operation.reference.turns import CountedTurns, TurnCounter, told_apart_mm
 from fiberloom.operation.safety.begin import NAMED, Standing
 from fiberloom.operation.safety.seen import SCATTER_MM
@@ -46,6 +46,9 @@ ALPHAS, BETAS_DEG = 24, np.arange(60.0, 125.0, 10.0)
 
 POSES = 3
 """Unfolded places, at most, in which turns are counted."""
+
+TRIES = 3
+"""Images by which positioners are told motor turns before anything moves."""
 
 NEW_DEG = 2.0
 """So far from where its turns were counted, on one axis, a place tells more of them."""
@@ -99,7 +102,6 @@ async def reference(motion: FieldMotion) -> Referenced:
     motion.progress(f"referencing: {int(power_up.lost.sum())} positioners have no datum on record")
     with _apart(motion):
         done = await _Referencing(motion, power_up).run()
-        await motion.begin_again()
     if motion.image is not None:
         motion.recorder.start(motion.state.here_deg, motion.state.wire_deg, motion.image)
     motion.progress("referenced: " + ", ".join(f"{n} {how}" for how, n in done.as_dict().items() if n))
@@ -161,29 +163,35 @@ class _Referencing:
 
     async def run(self) -> Referenced:
         """References all that can be."""
-        if self.layout_known:
-            await self._tell_those_elsewhere()
         await self._presume_the_dark()
+        for _ in range(TRIES if self.layout_known else 0):
+            if not await self._tell_those_elsewhere():
+                break
         await self._tell_those_seen_right()
         if self.layout_known:
             await self._count_turns()
         await self._search()
         self.motion.presumed[:] = False
+        await self.motion.begin_again()
+        await self._tell_those_seen_right()
         self._book()
         return self.done
 
     # by the camera
 
-    async def _tell_those_elsewhere(self) -> None:
-        """Those that are seen elsewhere, by what whole turns explain: they are told the likeliest ones."""
+    async def _tell_those_elsewhere(self) -> bool:
+        """Those that are seen elsewhere, by what whole turns explain: they are told the likeliest ones.
+
+        True where there were some. One that is off by as much as is allowed may be seen so in the next image.
+        """
         state, image = self.motion.state, self.motion.image
         beginning = state.beginning
         if image is None or beginning is None:
-            return
+            return False
         named = np.array([s in NAMED - NOT_SEARCHED for s in beginning.standing])
         asked = self.lost & named & ~state.mobile & image.seen
         if not asked.any():
-            return
+            return False
         reported_deg = self.motion.reported_deg
         counter = TurnCounter(self._plane)
         counter.add(reported_deg, image.xy_mm)
@@ -192,12 +200,13 @@ class _Referencing:
         await self._tell_turns(rows, turns[rows])
         if len(rows):
             await self.motion.begin_again()
+        return bool(len(rows))
 
     async def _presume_the_dark(self) -> None:
         """Those that no image shows are taken to be where they report, until they have searched.
 
-        Only those that are folded, and whose positions were restored as power came on: nothing but motor turns
-        is in doubt. They do not move before, but the others can pass.
+        Only those that are folded, and whose positions were restored as power came on: only motor
+        turns are in doubt. They do not move before, but the others can pass.
         """
         folded = np.abs(self.motion.reported_deg - self._plane.park_deg).max(axis=1) < FOLDED_DEG
         self.dark = self.restored & folded & self.motion.state.standing(Standing.DARK)
@@ -207,8 +216,8 @@ class _Referencing:
 
     async def _tell_those_seen_right(self) -> None:
         """One without a datum refuses to move: where the image has proved its report, it is told so."""
-        rows = np.flatnonzero(self.lost & self.motion.state.mobile)
-        await declare(self.motion, rows)
+        rows = np.flatnonzero(self.motion.state.mobile)
+        await declare(self.motion, rows[(await unreferenced(self.motion, rows))[rows]])
 
     async def _tell_turns(self, rows: Ints, turns: Ints) -> None:
         taken = await declare(self.motion, rows, turns)

@@ -1,8 +1,9 @@
 """By how many whole motor turns a counter is off, by images of its fibre.
 
 After power-up a hall sensor says the angle of the motor within a turn, and the counter may be off by whole
-ones. A turn of the alpha motor moves a stretched arm of SDSS-V by 0.14 mm, a turn of beta's by 0.09 mm: with
-arms and maps known to some 20 um an image tells them apart, where the arm is neither folded nor stretched.
+ones. A turn of the alpha motor moves a stretched arm of SDSS-V by 0.14 mm, a turn of beta's by 0.09 mm, both
+against each other by 0.045 mm wherever it is: with arms and maps known to some 20 um a few images tell them,
+where the arm is neither folded nor stretched.
 
 For each number of turns of either axis (a hypothesis) the misses of all images are weighed by Student's t
 with the scatter of the field itself: most counters are right, so the median miss tells it.
@@ -114,10 +115,11 @@ class TurnCounter:
 
 
 def told_apart_mm(plane: FocalPlane, angles_deg: Floats) -> Floats:
-    """(N, C) by how much the least change of turns moves the fibre: the worth of places for counting them.
+    """(N, C) mm by which the least change of turns moves the fibre: the worth of places for counting them.
 
-    `angles_deg` (N, C, 2): alpha and beta of C places for each positioner of the `plane`. The steps of one
-    turn of either axis, their sum and difference, and two of one against one of the other.
+    `angles_deg` (N, C, 2): alpha and beta of C places for each positioner of the `plane`. The changes are one
+    turn of either axis, one of both, and two of one with one of the other. One of alpha against one of beta
+    is left out: it moves the fibre by a turn of the alpha arm alone, 45 um of SDSS-V, wherever it is.
     """
     turn_rad = np.array([2.0 * np.pi / axis.gear for axis in plane.instrument.axes])
     rows = np.repeat(np.arange(len(plane)), angles_deg.shape[1])
@@ -125,6 +127,6 @@ def told_apart_mm(plane: FocalPlane, angles_deg: Floats) -> Floats:
     fibre_mm = plane.forward(flat[:, 0], flat[:, 1], index=rows)
     from_axis_mm = fibre_mm - plane.centres_mm[rows], fibre_mm - plane.elbows_mm(flat[:, 0], index=rows)
     step = [turn * (off.T[0] + 1j * off.T[1]) for turn, off in zip(turn_rad, from_axis_mm, strict=True)]
-    ways = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
+    ways = ((1, 0), (0, 1), (1, 1), (2, 1), (2, -1), (1, 2), (1, -2))
     least = np.min([np.abs(a * step[0] + b * step[1]) for a, b in ways], axis=0)
     return np.asarray(least.reshape(angles_deg.shape[:2]))
