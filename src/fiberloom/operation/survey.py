@@ -39,7 +39,7 @@ from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
-from fiberloom.store.run import STOPPED
+from fiberloom.store.run import START, STOPPED
 from fiberloom.typing import Flags, Floats
 from fiberloom.wholefile import write_whole
 
@@ -112,7 +112,9 @@ def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> 
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)
-    seen = rows["kind"] != STOPPED
+    # what was reported before the field was referenced is off by motor turns
+    begun = rows["move_id"][rows["kind"] == START].max(initial=0)
+    seen = (rows["kind"] != STOPPED) & (rows["move_id"] >= begun)
     rows = {name: column[seen] for name, column in rows.items()}
     moves, first = np.unique(rows["move_id"], return_index=True)
     kinds = rows["kind"][first]

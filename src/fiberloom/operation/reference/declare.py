@@ -57,6 +57,12 @@ async def _bits(motion: FieldMotion, rows: Ints) -> Ints:
     return bits
 
 
+async def declare_seen_right(motion: FieldMotion) -> None:
+    """One without a datum refuses to move: where the image has proved its report, it is told so."""
+    rows = np.flatnonzero(motion.state.mobile)
+    await declare(motion, rows[(await unreferenced(motion, rows))[rows]])
+
+
 async def declare(motion: FieldMotion, rows: Ints, turns: Ints | None = None) -> Flags:
     """Tells positioners that they are where they report, or whole motor turns from there.
 

@@ -6,7 +6,8 @@ What the camera proves is declared; what it cannot prove is searched, where the 
 2. Those that are seen where they report, within what the begin check allows, are told that they are there.
    They may be off by a turn or two, which is not seen of a folded arm.
 3. So they unfold, by a verified plan, to places where a turn of either motor shows. There the camera counts
-   the turns; those that are off are told so, and all fold again.
+   the turns; those that are off are told so, and all fold again. One of the first step whose turns are not
+   proved there searches its datum.
 4. One that the image does not show searches its datum, as `fiberloom home` does. It is folded but for some
    motor turns, if it says that its position was restored; else it may be anywhere, and its whole reach has to
    be free. So does one that is seen where no turns explain it. And so do all where the layout itself is not
@@ -29,7 +30,7 @@ from fiberloom.metrology import Measurement
 from fiberloom.operation.field_state import DID_NOT_FOLLOW
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals, Move, Recorder
-from fiberloom.operation.reference.declare import PowerUp, declare, powered_up, unreferenced
+from fiberloom.operation.reference.declare import PowerUp, declare, declare_seen_right, powered_up
 from fiberloom.operation.reference.turns import CountedTurns, TurnCounter, told_apart_mm
 from fiberloom.operation.safety.begin import NAMED, Standing
 from fiberloom.operation.safety.seen import SCATTER_MM
@@ -43,6 +44,12 @@ KIND = "referenced"
 
 ALPHAS, BETAS_DEG = 24, np.arange(60.0, 125.0, 10.0)
 """Places that are tried for an unfolded arm: so many directions, and where a turn of either motor shows."""
+
+WAY_MM_DEG = 3e-4
+"""What a place is worth less for each degree of the way to it: most turns show after some seconds."""
+
+OTHER_DEG = 30.0
+"""Of alpha, by which a further place differs: what arms and zeros err by has turned with the arm."""
 
 POSES = 3
 """Unfolded places, at most, in which turns are counted."""
@@ -150,6 +157,8 @@ class _Referencing:
         self.motion, self.lost, self.restored = motion, power_up.lost, power_up.restored
         self.done = Referenced()
         self.dark = np.zeros_like(self.lost)
+        self.guessed = np.zeros_like(self.lost)
+        """(N,) told the likeliest turns, which no unfolded arm has proved yet."""
         self.counted_deg: Floats = np.full((len(self.lost), 2), np.inf)
         """(N, 2) where each was when its turns were last counted."""
         self.layout_known = motion.state.looser_mm == 0.0
@@ -167,13 +176,13 @@ class _Referencing:
         for _ in range(TRIES if self.layout_known else 0):
             if not await self._tell_those_elsewhere():
                 break
-        await self._tell_those_seen_right()
+        await declare_seen_right(self.motion)
         if self.layout_known:
             await self._count_turns()
         await self._search()
         self.motion.presumed[:] = False
         await self.motion.begin_again()
-        await self._tell_those_seen_right()
+        await declare_seen_right(self.motion)
         self._book()
         return self.done
 
@@ -198,6 +207,7 @@ class _Referencing:
         turns, miss_mm = counter.nearest(reported_deg, image.xy_mm)
         rows = np.flatnonzero(asked & (miss_mm < EXPLAINED_MM) & turns.any(axis=1))
         await self._tell_turns(rows, turns[rows])
+        self.guessed[rows] = True
         if len(rows):
             await self.motion.begin_again()
         return bool(len(rows))
@@ -213,11 +223,6 @@ class _Referencing:
         if self.dark.any():
             self.motion.presumed[self.dark] = True
             await self.motion.begin_again()
-
-    async def _tell_those_seen_right(self) -> None:
-        """One without a datum refuses to move: where the image has proved its report, it is told so."""
-        rows = np.flatnonzero(self.motion.state.mobile)
-        await declare(self.motion, rows[(await unreferenced(self.motion, rows))[rows]])
 
     async def _tell_turns(self, rows: Ints, turns: Ints) -> None:
         taken = await declare(self.motion, rows, turns)
@@ -245,7 +250,8 @@ class _Referencing:
                 break
         off = asked & motion.state.mobile & counted.proven & counted.turns.any(axis=1)
         await self._tell_turns(np.flatnonzero(off), counted.turns[off])
-        self.done.not_counted = self._ids(asked & ~counted.proven)
+        self.guessed &= ~counted.proven
+        self.done.not_counted = self._ids(asked & ~counted.proven & ~self.guessed)
         if self.done.not_counted:
             self._say_not_counted(counted)
         await motion.begin_again()
@@ -266,8 +272,12 @@ class _Referencing:
         alpha = (np.arange(ALPHAS) + (pose + 1.0) / (POSES + 1.0)) * 360.0 / ALPHAS
         grid = np.stack(np.meshgrid(alpha, BETAS_DEG, indexing="ij"), axis=-1).reshape(-1, 2)
         places_deg = np.tile(grid, (len(self._plane), 1, 1))
-        worth, state = told_apart_mm(self._plane, places_deg), self.motion.state
-        goals_deg = place_by_worth(state.obstacles(), places_deg, worth, pose)
+        state = self.motion.state
+        way_deg = np.abs(places_deg - state.here_deg[:, None])
+        worth_mm = told_apart_mm(self._plane, places_deg) - WAY_MM_DEG * way_deg.max(axis=2)
+        if pose:  # the same place again tells nothing new
+            worth_mm -= np.where(way_deg[:, :, 0] < OTHER_DEG, 1.0, 0.0)
+        goals_deg = place_by_worth(state.obstacles(), places_deg, worth_mm, pose)
         return np.where((state.mobile & ~self.dark)[:, None], goals_deg, state.here_deg)
 
     def _say_not_counted(self, counted: CountedTurns) -> None:
@@ -296,7 +306,9 @@ class _Referencing:
         able = np.array([one not in NOT_SEARCHED for one in standing])
         able &= np.array([fault not in DID_NOT_FOLLOW for fault in state.faults])
         tried = np.isin(self._plane.positioner_id, [*self.done.searched, *self.done.left])
-        camera_fails = self.dark | ~state.mobile if self.layout_known else np.ones_like(self.dark)
+        camera_fails = (
+            self.dark | self.guessed | ~state.mobile if self.layout_known else np.ones_like(self.dark)
+        )
         asked = self.lost & able & ~tried & camera_fails
         if asked.any():
             await self._home(np.flatnonzero(asked))
@@ -304,7 +316,9 @@ class _Referencing:
     def _book(self) -> None:
         """Who is left, and who was taken as reported."""
         state = self.motion.state
-        other = {*self.done.turned, *self.done.searched}
+        searched = set(self.done.searched)
+        self.done.turned = {p: turns for p, turns in self.done.turned.items() if p not in searched}
+        other = {*self.done.turned, *searched}
         for row in np.flatnonzero(self.lost & ~state.mobile).tolist():
             number = int(self._plane.positioner_id[row])
             if number not in other:

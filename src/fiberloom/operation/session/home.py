@@ -11,7 +11,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
-from fiberloom.operation.reference.declare import declare, unreferenced
+from fiberloom.operation.reference.declare import declare_seen_right
 from fiberloom.operation.safety.begin import Standing
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.clearing import FOLDED_DEG, Clearing, Round, within_reach
@@ -64,7 +64,7 @@ class Homing:
     async def run(self) -> None:
         """Searches all that can be searched safely."""
         self._leave_out_the_silent()
-        await self._declare()
+        await declare_seen_right(self.motion)
         await self._search_lost()
         await self._whole()
         await self._fold()
@@ -92,11 +92,6 @@ class Homing:
     def _give_up(self, row: int, why: str) -> None:
         self.left_out[self._id(row)] = why
         self.rows.remove(row)
-
-    async def _declare(self) -> None:
-        """One without a datum refuses to move; where the image has proved its report, it is told so."""
-        lost = await unreferenced(self.motion)
-        await declare(self.motion, np.flatnonzero(lost & self.motion.state.mobile))
 
     # the rounds
 
