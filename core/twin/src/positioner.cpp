@@ -53,11 +53,8 @@ void Positioner::power_cycle() {
 }
 
 void Positioner::power_up(const int turns[FL_AXES]) {
-    for (int axis = 0; axis < FL_AXES; ++axis) {
-        fl_axis_t &a = firmware_.axis[axis];
-        a.zero_cnt += turns[axis] * FL_TURN_CNT;
-        a.position_cnt += turns[axis] * FL_TURN_CNT;
-    }
+    for (int axis = 0; axis < FL_AXES; ++axis)
+        firmware_.axis[axis].position_cnt += turns[axis] * FL_TURN_CNT;
     firmware_.datum_known = 0;
     fl_storage_note_position(&firmware_, false);
     power_cycle();
