@@ -45,7 +45,7 @@ def hypotheses() -> Ints:
 
 
 def log_prior(turns: Ints) -> Floats:
-    """(H,) natural logarithm of what is expected of `turns` (H, 2): each further turn is half as likely."""
+    """(H,) natural logarithm of the probability of `turns` (H, 2): each further turn is half as likely."""
     which = np.array([1.0 - OFF_SHARE, 0.5 * OFF_SHARE * (1.0 - BOTH_SHARE), OFF_SHARE * BOTH_SHARE])
     # of either sign, and 1, 2, 3... turns with 1/2, 1/4, 1/8...
     size = np.where(turns == 0, 0.0, -(1.0 + np.abs(turns)) * np.log(2.0)).sum(axis=1)
