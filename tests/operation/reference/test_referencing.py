@@ -20,6 +20,7 @@ from fiberloom.operation.survey import SurveySettings
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.targets import random_targets
+from fiberloom.twin.hardware import draw_faults
 
 pytestmark = pytest.mark.slow
 
@@ -206,6 +207,21 @@ def test_before_the_layout_is_known_all_search_their_datums(monkeypatch, tmp_pat
     zeros_deg = np.rad2deg(found.plane.arms[:, 3:] - made.source.true_plane.arms[:, 3:])
     # a turn off would be 0.35 deg
     assert np.abs(zeros_deg).max() < 0.15
+
+
+def test_one_that_does_not_follow_does_not_end_the_search_of_the_others(monkeypatch, tmp_path):
+    kept = []
+
+    async def keeping(motion):
+        kept.append(await referencing.reference(motion))
+
+    monkeypatch.setattr(survey, "reference", keeping)
+    (dead,) = {fault.positioner_id for fault in draw_faults(PLANE, "dead=1", SEED)}
+    made = field("power", "dead=1")
+    made.run.survey(SurveySettings(configurations=6, seed=SEED), out=tmp_path)
+    assert list(kept[0].left) == [dead]
+    assert len(kept[0].searched) >= N - 3  # its neighbours may not have room
+    assert made.source.hardware.truth.touches() == []
 
 
 def test_where_every_datum_is_on_record_nothing_is_asked_of_the_array():

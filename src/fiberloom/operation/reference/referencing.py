@@ -11,7 +11,7 @@ What the camera proves is declared; what it cannot prove is searched, where the 
 4. One that the image does not show searches its datum, as `fiberloom home` does. It is folded but for some
    motor turns, if it says that its position was restored; else it may be anywhere, and its whole reach has to
    be free. So does one that is seen where no turns explain it. And so do all where the layout itself is not
-   known yet: an image says nothing of turns then.
+   known yet: an image says nothing of turns then. They unfold nevertheless, which shows what does not follow.
 
 What none of this reaches stays an obstacle, as the begin check has it.
 """
@@ -177,8 +177,7 @@ class _Referencing:
             if not await self._tell_those_elsewhere():
                 break
         await declare_seen_right(self.motion)
-        if self.layout_known:
-            await self._count_turns()
+        await self._count_turns()
         await self._search()
         self.motion.presumed[:] = False
         await self.motion.begin_again()
@@ -234,29 +233,36 @@ class _Referencing:
             self.motion.recorder.event(KIND, text, number)
 
     async def _count_turns(self) -> None:
-        """Unfolds those that may move, counts their motor turns by the image, and folds them again."""
+        """Unfolds those that may move, counts their motor turns by the image, and folds them again.
+
+        Where no turns can be told it still shows which do not follow, before others search beside them.
+        """
         motion = self.motion
         asked = self.lost & motion.state.mobile & ~self.dark
         if not asked.any():
             return
         counter = TurnCounter(self._plane)
         self._look_at(counter)
-        for pose in range(POSES):
+        for pose in range(POSES if self.layout_known else 1):
             goals_deg = await asyncio.to_thread(self._unfolded, pose)
             await motion.go(Goals.without_targets(self._plane, goals_deg))
             self._look_at(counter)
             counted = counter.counted()
             if counted.proven[asked & motion.state.mobile].all():
                 break
-        off = asked & motion.state.mobile & counted.proven & counted.turns.any(axis=1)
+        if self.layout_known:
+            await self._tell_counted(asked, counted)
+        await motion.begin_again()
+        home_deg = np.where(self.dark[:, None], motion.state.here_deg, self._plane.park_deg)
+        await motion.go(Goals.without_targets(self._plane, home_deg))
+
+    async def _tell_counted(self, asked: Flags, counted: CountedTurns) -> None:
+        off = asked & self.motion.state.mobile & counted.proven & counted.turns.any(axis=1)
         await self._tell_turns(np.flatnonzero(off), counted.turns[off])
         self.guessed &= ~counted.proven
         self.done.not_counted = self._ids(asked & ~counted.proven & ~self.guessed)
         if self.done.not_counted:
             self._say_not_counted(counted)
-        await motion.begin_again()
-        home_deg = np.where(self.dark[:, None], motion.state.here_deg, self._plane.park_deg)
-        await motion.go(Goals.without_targets(self._plane, home_deg))
 
     def _look_at(self, counter: TurnCounter) -> None:
         state, image = self.motion.state, self.motion.image

@@ -181,7 +181,10 @@ class Homing:
             for row in made.searchers
             if begun[row] and not clearing.blocked(row, made.sweeps[row], made.sweeps)
         ]
-        return rows if axis == "both" else [row for row in rows if self._verified(row, axis)]
+        if axis == "both":
+            return rows
+        # one that was seen not to follow on the way there is an obstacle by now
+        return [row for row in rows if state.mobile[row] and self._verified(row, axis)]
 
     def _verified(self, row: int, axis: str) -> bool:
         """The verifier's word on the way of one searcher, all others at rest."""
@@ -214,6 +217,8 @@ class Homing:
                 break
         if begun:
             await self._book(done, axis)
+        if len(done) < len(begun):  # a search that was stopped has forgotten the datum
+            await declare_seen_right(self.motion)
         return [row for row in rows if self._id(row) in begun]
 
     async def _search_group(self, ids: list[int], axis: str) -> list[int]:
