@@ -164,6 +164,8 @@ class Homing:
             for row in made.searchers:
                 tried[row] += 1
             begun = await self._search(ready, axis)
+            if any(self._id(row) in self.left_out for row in begun):
+                await declare_seen_right(self.motion)  # a search that was stopped has forgotten the datum
             waiting = [row for row in waiting if row not in begun and tried[row] < TRIES]
 
     async def _clear(self, made: Round) -> None:
@@ -217,8 +219,6 @@ class Homing:
                 break
         if begun:
             await self._book(done, axis)
-        if len(done) < len(begun):  # a search that was stopped has forgotten the datum
-            await declare_seen_right(self.motion)
         return [row for row in rows if self._id(row) in begun]
 
     async def _search_group(self, ids: list[int], axis: str) -> list[int]:
