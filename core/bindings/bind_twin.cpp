@@ -240,6 +240,8 @@ void bind_whole_twin(nb::module_ &m) {
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
         .def("set_temperature", &Twin::set_temperature, nb::arg("index"), nb::arg("counts"),
              "What the temperature sensor of a positioner reads, in the sensor's counts.")
+        .def("power_up", &Twin::power_up, nb::arg("index"), nb::arg("alpha_turns"), nb::arg("beta_turns"),
+             "Power off and on at rest, no datum on record, counters off by so many whole motor turns.")
         .def("set_external_torque", &twin_torque, nb::arg("index"), nb::arg("axis"), nb::arg("torque_Nm"))
         .def("set_loads", &twin_loads, nb::arg("rows"),
              "(N, 12): of alpha, then of beta moment_x and moment_y (kg m, in the frame of the arm), "

@@ -59,10 +59,15 @@ bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params
     return true;
 }
 
+bool fl_positioner_settled(const fl_positioner_t *p, int axis) {
+    return (p->datum_known >> axis & 1) || (p->options & FL_STATUS(POSITION_RESTORED));
+}
+
 bool fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
     const bool noted = fl_storage_declare_position(p, position_cnt);
     for (int axis = 0; noted && axis < FL_AXES; ++axis)
-        fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
+        fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis],
+                             fl_positioner_settled(p, axis));
     if (noted) {
         p->datum_known = FL_BOTH_AXES;
         p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));

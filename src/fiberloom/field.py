@@ -22,6 +22,7 @@ from fiberloom.operation.known import known_so_far
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.observe import STORE, ObserveOptions, Observer, Silent, Watcher, asked
 from fiberloom.operation.recording import SurveyRecorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
@@ -351,6 +352,7 @@ class Field:
             motion.state.looser_mm = THICKER_MM
             try:
                 await motion.connect()
+                await reference(motion)
                 data = await ArraySweep(motion, settings, self.watcher.count, kept).run()
             finally:
                 await motion.close()

@@ -52,6 +52,13 @@ void Positioner::power_cycle() {
     start(id);
 }
 
+void Positioner::power_up(const int turns[FL_AXES]) {
+    for (int axis = 0; axis < FL_AXES; ++axis) firmware_.axis[axis].position_cnt += turns[axis] * FL_TURN_CNT;
+    firmware_.datum_known = 0;
+    fl_storage_note_position(&firmware_, false);
+    power_cycle();
+}
+
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
     if (faults.deaf) return;
     wake(tick);

@@ -36,6 +36,9 @@ class Positioner {
     void power_cycle();
     // As delivered: it knows where it is and where its stops are, and has that in its storage.
     void deliver(const int32_t position_cnt[FL_AXES], const int32_t stop_cnt[FL_AXES]);
+    // Off and on again with a record that has lost these whole motor turns, and the datum of both axes: the
+    // firmware restores the record, and the hall sensors say the angle within a turn.
+    void power_up(const int turns[FL_AXES]);
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     // False when the firmware has nothing to do for its axes in this tick.

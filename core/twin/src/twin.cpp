@@ -364,6 +364,13 @@ void Twin::power_cycle(size_t i, bool bootloader) {
     if (bootloader) fl_positioner_enter_bootloader(&p.firmware());
 }
 
+void Twin::power_up(size_t i, int alpha_turns, int beta_turns) {
+    Positioner &p = s_->at(i);
+    p.wake(s_->now);
+    const int turns[FL_AXES] = {alpha_turns, beta_turns};
+    p.power_up(turns);
+}
+
 void Twin::scope(size_t i, int axis, bool on) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);

@@ -183,8 +183,13 @@ fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index,
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* Declares the position of the rotor as it is now, 2^30 per output turn, and with it the datum. */
-void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt);
+/* How far the rotor is now from the position, which stays what it was when the axis came to rest: without
+ * current the cogging turns it inside the backlash. Counts. */
+int32_t fl_axis_fallen(fl_axis_t *a, const fl_port_t *port, int index);
+
+/* Declares the position, 2^30 per output turn, and with it the datum: that of the rotor as it is now, or, if
+ * the axis has `settled`, that in place of the one it has come to rest at. */
+void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt, bool settled);
 
 /* Ticks that a go-to from the present position takes at most, settling not counted:
  * |way|/speed + 0.25 s, and the approach if the axis is precise. */

@@ -151,6 +151,11 @@ class Twin:
         What the temperature sensor of a positioner reads, in the sensor's counts.
         """
 
+    def power_up(self, index: int, alpha_turns: int, beta_turns: int) -> None:
+        """
+        Power off and on at rest, no datum on record, counters off by so many whole motor turns.
+        """
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None: ...
 
     def set_loads(self, rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)]) -> None:

@@ -258,6 +258,9 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     console.print(f"corrections ended: {summary['stopped']}")
     if "temperature" in summary and (line := temperature_line(summary["temperature"])):
         say(console, line)
+    if "referenced" in summary:
+        how = ", ".join(f"{n} {how}" for how, n in summary["referenced"].items() if n)
+        console.print(f"no datum was on record, positioners were referenced first: {how}")
     for note in summary["notes"]:
         say(console, f"note: {note}")
     if "learnt" in summary:

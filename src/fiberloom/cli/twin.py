@@ -137,7 +137,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
-    from fiberloom.twin.hardware import tell_temperature
+    from fiberloom.twin.hardware import power_up, tell_temperature
     from fiberloom.twin.server.device import PORTS
     from fiberloom.twin.server.server import ServerSettings, TwinServer
 
@@ -149,6 +149,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     # one thread: ticks are short, and the other core is left to the host
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
     tell_temperature(made, errors, options.seed)
+    power_up(made, errors, options.seed)
     settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 

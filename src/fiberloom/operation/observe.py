@@ -21,6 +21,7 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
@@ -206,7 +207,7 @@ class Observer:
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
                 await beside(self.known.record_used, run)
-                await _whole(loop)
+                await _whole(loop, about)
                 await beside(self.known.record_learnt, run)
                 await beside(log.close)
             finally:
@@ -276,9 +277,11 @@ def _alone(store: Store, run: Run, out: Path) -> None:
             )
 
 
-async def _whole(loop: Loop) -> None:
+async def _whole(loop: Loop, about: dict[str, Any]) -> None:
     try:
         await loop.motion.connect()
+        if referenced := await reference(loop.motion):
+            about["referenced"] = referenced.as_dict()
         await loop.run()
     finally:
         await loop.motion.close()

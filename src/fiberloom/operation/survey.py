@@ -40,13 +40,14 @@ from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.operation.care.thermometer import felt, has_thermometer
 from fiberloom.operation.motion import ROUND_FAULTS, FieldMotion, MotionMaker
 from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.surveying.backlit import Backlit
 from fiberloom.operation.surveying.looks import LookBook
 from fiberloom.planning.placing import place_by_worth
 from fiberloom.report.convergence import plot_convergence
 from fiberloom.store import Store
 from fiberloom.store.database import Columns
-from fiberloom.store.run import STOPPED
+from fiberloom.store.run import START, STOPPED
 from fiberloom.typing import Flags, Floats
 from fiberloom.wholefile import write_whole
 
@@ -104,6 +105,7 @@ async def survey(
     rng = np.random.default_rng([settings.seed, 0x5A])
     try:
         await motion.connect()
+        await reference(motion)
         at_C = await _felt_C(motion)
         for number in range(settings.configurations):
             options = candidates(wide, rng)
@@ -174,7 +176,9 @@ def survey_of_store(store: Store, plane: FocalPlane, maps: TransmissionMaps) -> 
     if not runs:
         raise InputError(f"{store.name}: no run in it; 'fiberloom calibrate focal-plane' makes one")
     rows = store.measurements(runs[-1].id)
-    seen = rows["kind"] != STOPPED
+    # what was reported before the field was referenced is off by motor turns
+    begun = rows["move_id"][rows["kind"] == START].max(initial=0)
+    seen = (rows["kind"] != STOPPED) & (rows["move_id"] >= begun)
     rows = {name: column[seen] for name, column in rows.items()}
     moves, first = np.unique(rows["move_id"], return_index=True)
     kinds = rows["kind"][first]

@@ -47,6 +47,7 @@ def field_hardware(
     check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
+    power_up(twin, errors, seed)
     tell_temperature(twin, errors, seed)
     return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera, errors)
 
@@ -56,6 +57,16 @@ def tell_temperature(twin: Twin, errors: TwinErrors, seed: int) -> None:
     counts = errors.temperature.sensor_counts(twin.plane, seed)
     if counts is not None:
         twin.set_temperature(counts)
+
+
+def power_up(twin: Twin, errors: TwinErrors, seed: int) -> None:
+    """Power comes on: no datum is on record, and some counters of the `twin` are off by whole motor turns.
+
+    `errors`: the share of those; nothing happens where it is 0. `seed`: which they are.
+    """
+    if errors.power_share > 0.0:
+        for number in twin.plane.positioner_id.tolist():
+            twin.power_up(number, errors.turns_lost(number, seed))
 
 
 def faulty_transport(twin: Twin, faults: str, seed: int) -> TwinTransport:
@@ -99,8 +110,9 @@ def _hardware(
         camera_of = image_camera(twin, seed, errors=errors)
     else:
         camera_of = NoiseCamera(twin, twin.plane.instrument.metrology.noise_rms_um, seed, errors)
-    # told at power-up where they are, as after a search of the datum
-    return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool), telescope=twin)
+    # without that error each is told at power-up where it is, as after a search of the datum
+    vouched = np.full(len(twin.plane), errors.power_share == 0.0)
+    return Hardware(bus, camera_of, twin, vouched=vouched, telescope=twin)
 
 
 def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[ScheduledFault]:

@@ -184,6 +184,14 @@ class Twin:
         """
         self._core.power_cycle(int(self.plane.index_of(positioner_id)), bootloader)
 
+    def power_up(self, positioner_id: int, turns: tuple[int, int] = (0, 0)) -> None:
+        """Power off and on at rest, with no datum on record.
+
+        The firmware restores what it has stored, and its hall sensors say the angle of each motor within a
+        turn. `turns`: whole motor turns of alpha and beta that the counters of `positioner_id` are off by.
+        """
+        self._core.power_up(int(self.plane.index_of(positioner_id)), *turns)
+
     def set_gear(self, units: Units) -> None:
         """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
         for row in range(len(self.plane)):

@@ -127,6 +127,8 @@ class Twin {
     // Power off and on: the firmware starts anew with what its storage holds, after the bootloader has waited
     // its ten seconds for an upgrade, or at once.
     void power_cycle(size_t positioner, bool bootloader = false);
+    // The same at rest, without a datum on record, and with counters that are off by whole motor turns.
+    void power_up(size_t positioner, int alpha_turns, int beta_turns);
 
     void scope(size_t positioner, int axis, bool on);
     std::vector<ScopeSample> take_scope(size_t positioner, int axis);
