@@ -100,7 +100,7 @@ def of_seed(seed: int, given: argparse.Namespace) -> list[dict[str, Any]]:
             field = fl.Field.twin(plane, seed, camera=given.camera, errors=errors, calibration=maps)
             keep(name, observed(field, folder))
         field = fl.Field.twin(plane, seed, camera=given.camera, errors=everything, calibration=maps)
-        keep("all on, calibrated", observed(field, folder, **calibrated(field, folder)))
+        keep("all on, calibrated", observed(field, folder, **calibrated(field, folder, given.camera)))
     return rows
 
 
@@ -110,9 +110,11 @@ def observed(field: fl.Field, folder: Path, **known: Any) -> Observation:
     return field.run.observe(targets, CORRECTIONS, out=folder, pointing=POINTING, **known)
 
 
-def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
-    """Files of arms, fibres and sag."""
-    field.run.survey(SurveySettings(CONFIGURATIONS, seed=field.seed), out=folder).save(folder)
+def calibrated(field: fl.Field, folder: Path, camera: str) -> dict[str, Path]:
+    """Files of arms (and fiducials, by images), fibres and sag."""
+    turned_deg = 360.0 if camera == "image" else 0.0
+    asked = SurveySettings(CONFIGURATIONS, seed=field.seed, rotator_deg=turned_deg)
+    field.run.survey(asked, out=folder).save(folder)
     files = {"arms": folder / "arms.ecsv"}
     stamp = marks(field.plane, field.seed)
 
