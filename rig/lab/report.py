@@ -26,7 +26,7 @@ CYCLES_PER_TICK = 60_000
 COUNT = 40
 """Instructions between two counts of the clock: what was counted may have been so many more."""
 
-PORT = ("read_hall", "set_phases", "send_frame", "storage_read", "storage_write")
+PORT = ("read_hall", "set_phases", "send_frame", "storage_read", "storage_write", "open_phases")
 INTERRUPTS = ("adc_handler", "can_handler")
 EXCEPTION_FRAME = 26 * 4 + 4
 """Bytes the core stacks for an interrupt: 8 registers, 18 of the floating-point unit, alignment."""

@@ -18,6 +18,7 @@ TESTED = {
     "focal-plane",
     "friction",
     "inertia",
+    "coast",
     "stiffness",
     "arms",
     "repeatability",

@@ -16,6 +16,7 @@ constexpr uint8_t start_command = 14; // START_TRAJECTORY
 }
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
+    plant_ = &plant;
     group_ = &plant.group(Plant::place(2 * index).group);
     lane_ = Plant::place(2 * index).lane;
     index_ = index;
@@ -23,7 +24,8 @@ void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
 }
 
 fl_port_t Positioner::port() {
-    return {this, read_hall, set_phases, send_frame, storage_read, storage_write, read_temperature};
+    return {this,         read_hall,     set_phases,       send_frame,
+            storage_read, storage_write, read_temperature, open_phases};
 }
 
 void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
@@ -171,6 +173,12 @@ void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
     for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * lane_group_size] = duty[k];
+    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), false);
+}
+
+void Positioner::open_phases(void *ctx, int axis) {
+    const auto &p = *static_cast<Positioner *>(ctx);
+    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), true);
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {

@@ -80,6 +80,7 @@ class Positioner {
     bool spoils_start(const fl_can_frame_t &frame);
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
+    static void open_phases(void *ctx, int axis);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);
     static uint32_t read_temperature(void *ctx);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
@@ -92,6 +93,7 @@ class Positioner {
 
     fl_positioner_t firmware_{};
     fl_axis_params_t factory_[FL_AXES] = {};
+    Plant *plant_ = nullptr;
     AxisGroup *group_ = nullptr;
     int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;

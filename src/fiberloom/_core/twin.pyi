@@ -57,6 +57,9 @@ class Plant:
     def set_external_torque(self, axis: int, torque_Nm: float) -> None:
         """At the output, positive towards positive angles."""
 
+    def set_open(self, axis: int, open: bool) -> None:
+        """Opens or closes the bridge; once a tick while it is open."""
+
     def backlash_rad(self, axis: int) -> float:
         """Where the gear is, motor rad."""
 

@@ -19,7 +19,7 @@ from fiberloom.cli.calibrate.acceptance import acceptance
 from fiberloom.cli.calibrate.fibres import fibres
 from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.gravity import gravity
-from fiberloom.cli.calibrate.identification import arms, friction, inertia, repeatability, stiffness
+from fiberloom.cli.calibrate.identification import arms, coast, friction, inertia, repeatability, stiffness
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
@@ -89,6 +89,7 @@ add(calibrate, history)
 add(calibrate, undo)
 add(calibrate, friction)
 add(calibrate, inertia)
+add(calibrate, coast)
 add(calibrate, stiffness)
 add(calibrate, arms)
 add(calibrate, repeatability)
