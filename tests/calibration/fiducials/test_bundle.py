@@ -144,6 +144,17 @@ def test_a_turned_lens_is_the_same_lens(turned_deg):
     np.testing.assert_allclose(replace(optics, turned_deg=turned_deg).to_px(TABLE_MM), by_hand, atol=1e-9)
 
 
+def test_a_positioner_without_arms_is_left_out():
+    survey = Survey(0)
+    seen_mm = survey.seen_mm()
+    survey.looks.fibre_mm[:, [3, 50]] = seen_mm[[3, 50]] = np.nan
+    fit = fit_focal_plane(PLANE, survey.theta_deg, seen_mm)
+    assert [bool(r) for r in fit.reason].count(True) == 2
+    found, xy_mm = calibrate_fiducials(PLANE, fit, survey.theta_deg, survey.looks, 8.0)
+    assert frame_um(survey.off_um(found.xy_mm)) < 1.0
+    assert np.flatnonzero(np.isnan(xy_mm).any(axis=(1, 2))).tolist() == [3, 50]
+
+
 def test_the_file_of_the_arms_keeps_them(tmp_path):
     survey = Survey(0)
     fit, found, _ = survey.calibrated()

@@ -104,13 +104,14 @@ class _Bundle:
     ) -> None:
         self.table_mm, self.looks = plane.fiducials[:, :2], looks
         self.table_sigma_mm, self.spot_mm = table_um * MM_PER_UM, SPOT_UM * MM_PER_UM
-        self.angles_deg, self.phi = fit.angles_deg, plane.metrology_phi_rad
+        self.angles_deg = fit.angles_deg
         if not np.isfinite(self.angles_deg).all():
             raise InputError("the errors of the angles are not known")
         good = fit.ok & np.isfinite(theta_deg).all(axis=(1, 2))
         self.rows = np.flatnonzero(good)
         if not len(self.rows):
             raise InputError("the arms of no positioner could be calibrated: fiducials need them")
+        self.phi = plane.metrology_phi_rad[self.rows]
         self.theta = theta_deg[self.rows][:, looks.configuration]  # (n, I, 2)
         self.arms = np.where(good[:, None], fit.parameters, layout_parameters(plane))[self.rows, :N_GEOMETRY]
         self.start = self.arms.copy()
