@@ -14,7 +14,6 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
-from fiberloom.operation.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.move import Recorder
 from fiberloom.operation.safety.begin import (
     ALLOWED_MM,
@@ -26,6 +25,7 @@ from fiberloom.operation.safety.begin import (
     begin_check,
 )
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
+from fiberloom.operation.safety.judge import ASTRAY_MM, Evidence
 from fiberloom.operation.safety.seen import where_seen
 from fiberloom.planning import Plan
 from fiberloom.typing import Flags, Floats
