@@ -26,7 +26,20 @@ def run(*words):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fibres")
-    words = ["calibrate", "fibres", "--positioners", N, "--fibre", "BOSS", "--moves", 3, "--out", folder]
+    words = [
+        "calibrate",
+        "fibres",
+        "--positioners",
+        N,
+        "--fibre",
+        "BOSS",
+        "--moves",
+        3,
+        "--fields",
+        5,
+        "--out",
+        folder,
+    ]
     run(*words, "--errors", ERRORS)
     return folder
 
@@ -35,7 +48,7 @@ def test_the_twin_calibrates_its_fibres(made):
     report = json.loads((made / "fibres.json").read_text())
     first, *_, together = report["fields"]
     assert first["guided_rms_um"] > 7.0
-    assert together["guided_rms_um"] < 2.0
+    assert together["guided_rms_um"] < 1.6
     # the shift of the whole field is the guider's: no calibration on stars can know it
     assert first["n_guided_within"] < 8
     assert together["n_guided_within"] == together["stars"]
@@ -53,7 +66,7 @@ def test_it_leaves_a_row_of_each_positioner(made):
 
 def test_recorded_exposures_give_the_same(made, tmp_path, capsys):
     files = sorted(made.glob("exposures-*.ecsv"))
-    assert len(files) == 3
+    assert len(files) == 5
     names = [word for file in files for word in ("--exposures", file)]
     run("calibrate", "fibres", "--positioners", N, *names, "--out", tmp_path, "--json")
     capsys.readouterr()

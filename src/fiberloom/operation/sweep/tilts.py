@@ -24,6 +24,7 @@ from fiberloom.instruments.pointing import Pointing
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals, Recorder
 from fiberloom.operation.recording import SurveyRecorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.safety.writing import entered
 from fiberloom.operation.source import Source
 from fiberloom.planning.placing import place_by_worth
@@ -128,6 +129,7 @@ async def tilt_images(
     try:
         telescope.point(pointings[0])
         await motion.connect()
+        await reference(motion)
         for number in range(settings.configurations):
             options = candidates(plane, rng)
             worth = rng.random(options.shape[:2])

@@ -1,6 +1,6 @@
 """What the temperature does to blind moves, and what a thermometer and learning leave of it.
 
-    python -m benchmarks.temperature [--positioners 100] [--seeds 0:3] [--plate-per-K 12e-6]
+    python -m benchmarks.array.temperature [--positioners 100] [--seeds 0:3] [--plate-per-K 12e-6]
 
 On the twin, `--errors temperature` alone: arms were measured at 20 deg C, each night has another temperature
 and another field of stars. Blind error of the metrology fibres, um rms, over the second half of the nights:
@@ -39,7 +39,7 @@ WAYS = {
 
 def main() -> int:
     """Prints the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.temperature", description=str(__doc__))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.array.temperature", description=str(__doc__))
     parser.add_argument("--positioners", type=int, default=100)
     parser.add_argument("--seeds", default="0:3")
     parser.add_argument("--plate-per-K", type=float, default=12e-6)
