@@ -37,7 +37,7 @@ def main() -> int:
     parser.add_argument("--moves", type=int, default=20, help="of each unit")
     parser.add_argument("--rounds", type=int, default=2, help="of 52 pairs and kind of meeting")
     parser.add_argument("--no-touch", action="store_true", help="meet: without the touch watch")
-    parser.add_argument("--law", type=int, default=0, help="legal: the control law, 0 or 1")
+    parser.add_argument("--law", type=int, default=0, help="meet, legal: the control law, 0 or 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
@@ -80,7 +80,7 @@ def study_meet(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
                 meeting
                 for k in range(asked.rounds)
                 for meeting in meetings(
-                    plane, kind, seed=asked.seed + k, host_s=host, touch=not asked.no_touch
+                    plane, kind, seed=asked.seed + k, host_s=host, touch=not asked.no_touch, law=asked.law
                 )
             ]
             for host in (None, HOST_S)

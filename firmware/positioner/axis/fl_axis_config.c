@@ -156,10 +156,15 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
     a->law = law;
 }
 
+void fl_axis_unlearn_touch(fl_axis_t *a, const fl_axis_params_t *p) {
+    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque,
+                                        .share = FL_TOUCH_SHARE_FIRST};
+}
+
 void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *p) {
     a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
-    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
-    a->drive.teeth = (fl_teeth_state_t){0, 0};
+    fl_axis_unlearn_touch(a, p);
+    a->drive.teeth = (fl_teeth_state_t){0, 0, 0};
     a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
 }
 
