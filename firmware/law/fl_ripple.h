@@ -23,6 +23,10 @@
 #define FL_RIPPLE_MOST_RAD_S2 3000.0f    /* of a coefficient over the inertia: 10 uNm for alpha */
 #define FL_RIPPLE_NEWS_RAD_S2 (3.0e5f)   /* of what one tick shows: 15 sigma of the noise */
 
+/* Of order 2 at one speed nothing tells whether it is the angle's or the torque's. It is taken for the
+ * angle's at first, which may be wrong by more: a weak channel. */
+#define FL_RIPPLE_LATER 0.125f
+
 typedef struct fl_ripple_state {
     float once_sin_Nm, once_cos_Nm;   /* order 1 of the angle, at w0 */
     float hall_sin_Nm, hall_cos_Nm;   /* order 2 of the angle, at w0 */
@@ -66,8 +70,9 @@ static inline void fl_ripple_adapt(fl_ripple_state_t *st, const fl_ripple_waves_
     st->once_cos_Nm = fl_clamp(st->once_cos_Nm + news_Nm * at->once_cos, -most_Nm, most_Nm);
     st->hall_sin_Nm = fl_clamp(st->hall_sin_Nm + news_Nm * at->hall_sin, -most_Nm, most_Nm);
     st->hall_cos_Nm = fl_clamp(st->hall_cos_Nm + news_Nm * at->hall_cos, -most_Nm, most_Nm);
-    st->twice_sin_Nm = fl_clamp(st->twice_sin_Nm + news_Nm * at->twice_sin, -most_Nm, most_Nm);
-    st->twice_cos_Nm = fl_clamp(st->twice_cos_Nm + news_Nm * at->twice_cos, -most_Nm, most_Nm);
+    const float later_Nm = FL_RIPPLE_LATER * news_Nm;
+    st->twice_sin_Nm = fl_clamp(st->twice_sin_Nm + later_Nm * at->twice_sin, -most_Nm, most_Nm);
+    st->twice_cos_Nm = fl_clamp(st->twice_cos_Nm + later_Nm * at->twice_cos, -most_Nm, most_Nm);
     st->four_sin_Nm = fl_clamp(st->four_sin_Nm + news_Nm * at->four_sin, -most_Nm, most_Nm);
     st->four_cos_Nm = fl_clamp(st->four_cos_Nm + news_Nm * at->four_cos, -most_Nm, most_Nm);
 }

@@ -16,7 +16,8 @@
  *                                       + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 8.5 times its own
- * mean |rise| where that is more than touch: 6.8 sigma of what is normally distributed.
+ * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and 1.5 times the
+ * deepest dip of the last 250 ms: what repeats goes both ways.
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
  * only where the motor drives the gear: 20 ms after the teeth met, where the law knows that (fl_teeth.h),
@@ -42,6 +43,8 @@
 #define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
 #define FL_TOUCH_FADE 0.97f           /* of a surge per tick: 16 ms, for the observer is late */
 #define FL_TOUCH_REST 0.985f          /* of the unrest: 33 ms, the feedback of Eq. 21 takes so long */
+#define FL_TOUCH_DIPS 1.5f            /* times the deepest dip of late is no touch */
+#define FL_TOUCH_DIP_FADE 0.998f      /* per tick: 250 ms, two motor turns at 500 rpm */
 /* of the news of a tick that scatter and ripple take in, first and at last: 16 to 256 ms */
 #define FL_TOUCH_SHARE_FIRST (1.0f / 32.0f)
 #define FL_TOUCH_SHARE (1.0f / 512.0f)
@@ -71,13 +74,15 @@ typedef struct fl_touch_state {
     float late_1_rad_s, late_2_rad_s, late_3_rad_s; /* speed, as late as the load: three poles */
     float surge_rad_s2;                             /* largest acceleration lately */
     float scatter_Nm; /* mean of |rise| where it was watched: kept from move to move */
-    float calm;       /* 1 where nothing is met and nothing else changes: the ripple is learnt */
-    float share;      /* of the news that scatter and ripple take in: smaller the longer it has driven */
-    float unrest_Nm;  /* largest change of the load lately, before it was watched */
-    float way_rad;    /* driven one way */
-    float closed_s;   /* of that, since the teeth met, where the law knows it */
-    float sure;       /* 1 once the motor has driven so far one way that the teeth have met: 0 at power-up */
-    float rise_Nm;    /* load beyond what was expected, and what is allowed; for logs */
+    float dip_Nm;    /* how far the load fell below its mean lately: what repeats goes both ways, a touch does
+                        not */
+    float calm;      /* 1 where nothing is met and nothing else changes: the ripple is learnt */
+    float share;     /* of the news that scatter and ripple take in: smaller the longer it has driven */
+    float unrest_Nm; /* largest change of the load lately, before it was watched */
+    float way_rad;   /* driven one way */
+    float closed_s;  /* since the teeth met, where the law knows it */
+    float sure;      /* 1 once the motor has driven so far one way that the teeth have met: 0 at power-up */
+    float rise_Nm;   /* load beyond what was expected, and what is allowed; for logs */
     float limit_Nm;
     fl_ripple_state_t ripple; /* kept from move to move */
 } fl_touch_state_t;
@@ -170,7 +175,9 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
     const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
     st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_REST * st->unrest_Nm);
     const float coarse = 1.0f + FL_TOUCH_COARSE * fl_max(1.0f - speed * (1.0f / FL_TOUCH_FAST_RAD_S), 0.0f);
-    const float known_Nm = fl_max(cfg->threshold_Nm, FL_TOUCH_WILD * st->scatter_Nm) * coarse;
+    st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
+    const float usual_Nm = fl_max(cfg->threshold_Nm, FL_TOUCH_WILD * st->scatter_Nm) * coarse;
+    const float known_Nm = fl_max(usual_Nm, FL_TOUCH_DIPS * st->dip_Nm);
     const float allowed_Nm = st->unrest_Nm + FL_TOUCH_DOUBT * in->drag_doubt * cfg->drag * fl_abs(faster) +
                              FL_TOUCH_INERTIA * cfg->inertia * st->surge_rad_s2;
     st->limit_Nm = known_Nm + allowed_Nm;

@@ -85,6 +85,7 @@ def test_grease_and_reversals_are_no_touch():
 
 POLE, TICK_S = np.exp(-300 / 2000), 1 / 2000
 W0_RAD_S = 209.44
+RATES = np.array([1, 1, 1, 1, 1 / 8, 1 / 8, 1, 1])
 
 
 def motor(damping_per_s):
@@ -106,7 +107,9 @@ class Reference:
     def __init__(self, p):
         self.v = dict(zip(rig.NAMES, p.astype(float), strict=True))
         self.x, self.late, self.mean, self.mean_speed = np.zeros(3), np.zeros(3), 0.0, 0.0
-        self.follow = self.surge = self.unrest = self.way = self.closed_s = self.sure = self.calm = 0.0
+        self.follow = self.surge = self.unrest = self.way = self.closed_s = self.sure = self.calm = (
+            self.dip
+        ) = 0.0
         self.scatter, self.share, self.rise, self.limit = 3 * self.v["touch_torque"], 1 / 32, 0.0, 0.0
         self.learnt, self.shown = np.zeros(8), (0.0, 0.0, 0.0, 0.0, np.zeros(2))
 
@@ -120,7 +123,7 @@ class Reference:
         known = direction * (self.mean + excess * (abs(velocity) - self.mean_speed))
         pace = min((velocity / W0_RAD_S) ** 2, 4)
         news = np.clip(shown - known, -3e5 * j, 3e5 * j) * (self.share * self.calm if watched else 0)
-        self.learnt = np.clip(self.learnt + news * self.waves_at(unit, pace), -3000 * j, 3000 * j)
+        self.learnt = np.clip(self.learnt + news * RATES * self.waves_at(unit, pace), -3000 * j, 3000 * j)
         half = velocity * TICK_S / 2
         unit = np.array([sine + half * cosine, cosine - half * sine])
         repeats = self.learnt @ self.waves_at(unit, pace)
@@ -166,7 +169,9 @@ class Reference:
         faster, more = self.late[2] - self.mean_speed, load - self.mean
         self.rise = more - excess * faster
         self.unrest = max(0.0 if watched else abs(more), 0.985 * self.unrest)
+        self.dip = max(-self.rise if watched else 0.0, 0.998 * self.dip)
         known = max(self.v["touch_torque"], 8.5 * self.scatter) * (1 + 5 * max(1 - speed / W0_RAD_S, 0))
+        known = max(known, 1.5 * self.dip)
         allowed = self.unrest + 3 * doubt * drag * abs(faster) + 0.12 * self.v["inertia"] * self.surge
         self.limit = known + allowed
         self.follow = max(1 / 120, 0.98 * self.follow) if watched else 0.1

@@ -34,7 +34,7 @@
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
 #define FL_LAW_OBSERVER(X) \
     X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2) X(float, mean_Nm) X(float, mean_speed_rad_s) X(float, follow) \
-    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, scatter_Nm) X(float, calm) X(float, share) X(float, unrest_Nm) X(float, way_rad) X(float, closed_s) X(float, sure) X(float, rise_Nm) X(float, limit_Nm)
+    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, scatter_Nm) X(float, dip_Nm) X(float, calm) X(float, share) X(float, unrest_Nm) X(float, way_rad) X(float, closed_s) X(float, sure) X(float, rise_Nm) X(float, limit_Nm)
 #define FL_LAW_RIPPLE(X) \
     X(float, once_sin_Nm) X(float, once_cos_Nm) X(float, hall_sin_Nm) X(float, hall_cos_Nm) \
     X(float, twice_sin_Nm) X(float, twice_cos_Nm) X(float, four_sin_Nm) X(float, four_cos_Nm) \
