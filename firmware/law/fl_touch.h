@@ -16,7 +16,7 @@
  *                                       + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 8.5 times its own
- * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and 1.5 times the
+ * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and twice the
  * deepest dip of the last 250 ms: what repeats goes both ways.
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
@@ -43,7 +43,7 @@
 #define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
 #define FL_TOUCH_FADE 0.97f           /* of a surge per tick: 16 ms, for the observer is late */
 #define FL_TOUCH_REST 0.985f          /* of the unrest: 33 ms, the feedback of Eq. 21 takes so long */
-#define FL_TOUCH_DIPS 1.5f            /* times the deepest dip of late is no touch */
+#define FL_TOUCH_DIPS 2.0f            /* times the deepest dip of late is no touch */
 #define FL_TOUCH_DIP_FADE 0.998f      /* per tick: 250 ms, two motor turns at 500 rpm */
 /* of the news of a tick that scatter and ripple take in, first and at last: 16 to 256 ms */
 #define FL_TOUCH_SHARE_FIRST (1.0f / 32.0f)
@@ -53,7 +53,7 @@
 #define FL_TOUCH_WILD 8.5f          /* times the scatter: a worn sensor or a rough gear is no touch */
 #define FL_TOUCH_SCATTER_FIRST 3.0f /* at power-up, over the threshold */
 #define FL_TOUCH_HALF 0.5f          /* of the limit: what rises higher may be a touch and is not learnt */
-#define FL_TOUCH_STILL 3.0f         /* times the threshold: with more allowed than that nothing is learnt */
+#define FL_TOUCH_STILL 2.0f         /* times the threshold: with more allowed than that nothing is learnt */
 #define FL_TOUCH_DOUBT 3.0f         /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
 #define FL_TOUCH_INERTIA 0.12f      /* what it may be wrong by */
 
@@ -65,6 +65,8 @@
 typedef struct fl_touch_config {
     float inertia, inertia_inverse; /* kg m^2 */
     float drag;                     /* Nm s/rad */
+    float gain_e, gain_v, gain_a;   /* of the observer: fl_touch_gains */
+    float doubt_Nms, surge_kg_m2;   /* FL_TOUCH_DOUBT and FL_TOUCH_INERTIA of drag and inertia */
     float threshold_Nm;
 } fl_touch_config_t;
 
@@ -76,7 +78,7 @@ typedef struct fl_touch_state {
     float scatter_Nm; /* mean of |rise| where it was watched: kept from move to move */
     float dip_Nm;    /* how far the load fell below its mean lately: what repeats goes both ways, a touch does
                         not */
-    float calm;      /* 1 where nothing is met and nothing else changes: the ripple is learnt */
+    float calm;      /* the share of the ripple's news: 0 where something may be met or much else changes */
     float share;     /* of the news that scatter and ripple take in: smaller the longer it has driven */
     float unrest_Nm; /* largest change of the load lately, before it was watched */
     float way_rad;   /* driven one way */
@@ -114,18 +116,19 @@ static inline fl_observer_gains_t fl_touch_gains(float damping_per_s) {
 }
 
 /* The load resisting the motion, Nm: corrected by the error of now, led on by the torque of the coming tick.
- */
+ * The observer keeps the drag that its gains are for; what was learnt of it since is added as it is seen. */
 static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_state_t *st,
                                      const fl_touch_in_t *in, float ripple_Nm) {
-    const fl_observer_gains_t gains = fl_touch_gains((cfg->drag + in->excess_Nms) * cfg->inertia_inverse);
+    const fl_observer_gains_t gains = {cfg->gain_e, cfg->gain_v, cfg->gain_a};
     fl_observer_state_t seen = {st->error_rad, st->rate_rad_s, st->load_rad_s2};
     fl_observer_correct(&gains, &seen, in->error_rad);
-    fl_observer_predict(&seen, (in->beyond_Nm - ripple_Nm + (cfg->drag + in->excess_Nms) * seen.rate_rad_s) *
-                                   cfg->inertia_inverse);
+    const float load_Nm = seen.load_rad_s2 * cfg->inertia + in->excess_Nms * seen.rate_rad_s;
+    fl_observer_predict(&seen,
+                        (in->beyond_Nm - ripple_Nm + cfg->drag * seen.rate_rad_s) * cfg->inertia_inverse);
     st->error_rad = seen.error_rad;
     st->rate_rad_s = seen.rate_rad_s;
     st->load_rad_s2 = seen.load_rad_s2;
-    return st->load_rad_s2 * cfg->inertia * in->direction;
+    return load_Nm * in->direction;
 }
 
 /* The speed with the lag that the observer gives to the load. */
@@ -150,13 +153,16 @@ static inline bool fl_touch_watches(fl_touch_state_t *st, const fl_touch_in_t *i
 
 /* What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met. */
 static inline float fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state_t *st,
-                                    const fl_touch_in_t *in, bool watched) {
+                                    const fl_touch_in_t *in) {
     const fl_ripple_in_t now = {in->error_rad, in->beyond_Nm,   cfg->drag + in->excess_Nms,
                                 cfg->inertia,  in->speed_rad_s, in->sin,
                                 in->cos};
-    const float faster = fl_abs(in->speed_rad_s) - st->mean_speed_rad_s;
-    const float known_Nm = (st->mean_Nm + in->excess_Nms * faster) * in->direction;
-    return fl_ripple_step(&st->ripple, &now, known_Nm, watched ? st->calm * st->share : 0.0f);
+    if (st->calm > 0.0f) {
+        const float faster = fl_abs(in->speed_rad_s) - st->mean_speed_rad_s;
+        const float known_Nm = (st->mean_Nm + in->excess_Nms * faster) * in->direction;
+        fl_ripple_learn(&st->ripple, &now, known_Nm, st->calm);
+    }
+    return fl_ripple_step(&st->ripple, &now);
 }
 
 /* One tick of FL_TICK_S: true when the arm is touched. rise_Nm and limit_Nm in `st` tell by how much, for
@@ -165,7 +171,7 @@ static inline float fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state
 static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st,
                                  const fl_touch_in_t *in) {
     const bool watched = fl_touch_watches(st, in);
-    const float ripple_Nm = fl_touch_ripple(cfg, st, in, watched);
+    const float ripple_Nm = fl_touch_ripple(cfg, st, in);
     const float load_Nm = fl_touch_observe(cfg, st, in, ripple_Nm);
     const float speed = fl_abs(in->speed_rad_s);
     st->surge_rad_s2 = fl_max(fl_abs(in->acceleration_rad_s2), FL_TOUCH_FADE * st->surge_rad_s2);
@@ -174,20 +180,22 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
     const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
     st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_REST * st->unrest_Nm);
-    const float coarse = 1.0f + FL_TOUCH_COARSE * fl_max(1.0f - speed * (1.0f / FL_TOUCH_FAST_RAD_S), 0.0f);
+    const float coarse =
+        fl_max(1.0f + FL_TOUCH_COARSE - speed * (FL_TOUCH_COARSE / FL_TOUCH_FAST_RAD_S), 1.0f);
     st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
     const float usual_Nm = fl_max(cfg->threshold_Nm, FL_TOUCH_WILD * st->scatter_Nm) * coarse;
     const float known_Nm = fl_max(usual_Nm, FL_TOUCH_DIPS * st->dip_Nm);
-    const float allowed_Nm = st->unrest_Nm + FL_TOUCH_DOUBT * in->drag_doubt * cfg->drag * fl_abs(faster) +
-                             FL_TOUCH_INERTIA * cfg->inertia * st->surge_rad_s2;
+    const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +
+                             cfg->surge_kg_m2 * st->surge_rad_s2;
     st->limit_Nm = known_Nm + allowed_Nm;
     st->follow = watched ? fl_max(FL_TOUCH_MEAN, FL_TOUCH_CALM * st->follow) : FL_TOUCH_CATCH;
-    const bool quiet = watched && allowed_Nm < known_Nm;
-    const bool fast = quiet && speed > FL_TOUCH_LEARN_RAD_S;
-    st->scatter_Nm += (fast ? st->share : 0.0f) * (fl_abs(st->rise_Nm) - st->scatter_Nm);
-    st->share = fl_max(FL_TOUCH_SHARE, (fast ? FL_TOUCH_SETTLING : 1.0f) * st->share);
-    const bool still = watched && allowed_Nm < FL_TOUCH_STILL * known_Nm;
-    st->calm = still && st->rise_Nm < FL_TOUCH_HALF * st->limit_Nm ? 1.0f : 0.0f;
+    if (watched && speed > FL_TOUCH_LEARN_RAD_S && allowed_Nm < FL_TOUCH_STILL * known_Nm) {
+        st->scatter_Nm += st->share * (fl_abs(st->rise_Nm) - st->scatter_Nm);
+        st->share = fl_max(FL_TOUCH_SHARE, FL_TOUCH_SETTLING * st->share);
+        st->calm = st->rise_Nm < FL_TOUCH_HALF * st->limit_Nm ? st->share : 0.0f;
+    } else {
+        st->calm = 0.0f;
+    }
     st->mean_Nm += st->follow * more_Nm;
     st->mean_speed_rad_s += st->follow * faster;
     return watched && st->rise_Nm > st->limit_Nm;

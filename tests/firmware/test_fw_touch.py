@@ -85,7 +85,6 @@ def test_grease_and_reversals_are_no_touch():
 
 POLE, TICK_S = np.exp(-300 / 2000), 1 / 2000
 W0_RAD_S = 209.44
-RATES = np.array([1, 1, 1, 1, 1 / 8, 1 / 8, 1, 1])
 
 
 def motor(damping_per_s):
@@ -111,9 +110,9 @@ class Reference:
             self.dip
         ) = 0.0
         self.scatter, self.share, self.rise, self.limit = 3 * self.v["touch_torque"], 1 / 32, 0.0, 0.0
-        self.learnt, self.shown = np.zeros(8), (0.0, 0.0, 0.0, 0.0, np.zeros(2))
+        self.learnt, self.shown = np.zeros(4), (0.0, 0.0, 0.0, 0.0, np.zeros(2))
 
-    def ripple(self, row, watched):
+    def ripple(self, row):
         """What of the load repeats with the rotor: learnt from what the last tick showed."""
         error, beyond, excess, velocity, direction, *_, sine, cosine = row
         j, c = self.v["inertia"], self.v["drag"] + excess
@@ -121,21 +120,19 @@ class Reference:
         step = error - before
         shown = j * (step - step_before) / TICK_S**2 + beyond_sum / 2 + c * (step + step_before) / TICK_S / 2
         known = direction * (self.mean + excess * (abs(velocity) - self.mean_speed))
-        pace = min((velocity / W0_RAD_S) ** 2, 4)
-        news = np.clip(shown - known, -3e5 * j, 3e5 * j) * (self.share * self.calm if watched else 0)
-        self.learnt = np.clip(self.learnt + news * RATES * self.waves_at(unit, pace), -3000 * j, 3000 * j)
+        news = shown - known if abs(shown - known) < 3e5 * j else 0.0
+        learnt = self.learnt + self.calm * news * self.waves(unit)
+        self.learnt = np.where(np.abs(learnt) < 3000 * j, learnt, self.learnt)
         half = velocity * TICK_S / 2
         unit = np.array([sine + half * cosine, cosine - half * sine])
-        repeats = self.learnt @ self.waves_at(unit, pace)
+        repeats = min((velocity / W0_RAD_S) ** 2, 4) * (self.learnt @ self.waves(unit))
         self.shown = (error, step, beyond - repeats, beyond - repeats + beyond_before, unit)
         return repeats
 
-    def waves_at(self, unit, pace):
-        """As `waves`, of a sine and cosine that are nearly on the circle."""
+    def waves(self, unit):
+        """Sine and cosine of orders 1 and 2, of those of the rotor, which are nearly on the circle."""
         sine, cosine = unit
-        twice = np.array([2 * sine * cosine, 1 - 2 * sine**2])
-        four = np.array([2 * twice[0] * twice[1], 1 - 2 * twice[0] ** 2])
-        return np.concatenate([pace * unit, pace * twice, twice, four])
+        return np.array([sine, cosine, 2 * sine * cosine, 1 - 2 * sine**2])
 
     def watches(self, velocity, direction, touching):
         """Far enough one way, or since the teeth met."""
@@ -150,9 +147,9 @@ class Reference:
         """The load that resists: J e'' = L - (T - T_ff) - c e', three poles at 300 rad/s."""
         error, beyond, excess, _, direction, *_ = row
         j = self.v["inertia"]
-        ahead = motor((self.v["drag"] + excess) / j)
+        ahead = motor(self.v["drag"] / j)
         self.x = self.x + gains_at(ahead) * (error - self.x[0])
-        load = self.x[2] * j * direction
+        load = (self.x[2] * j + excess * self.x[1]) * direction
         known = np.array([0, 0, (beyond - repeats) / j])
         self.x = ahead @ (self.x - known) + known
         return load
@@ -161,7 +158,7 @@ class Reference:
         """Rise, limit, whether it is a touch, and what is learnt."""
         _, _, excess, velocity, direction, acceleration, doubt, touching, *_ = row
         watched = self.watches(velocity, direction, touching)
-        load = self.observe(row, self.ripple(row, watched))
+        load = self.observe(row, self.ripple(row))
         speed, drag = abs(velocity), self.v["drag"]
         self.surge = max(abs(acceleration), 0.97 * self.surge)
         for k in range(3):
@@ -171,14 +168,15 @@ class Reference:
         self.unrest = max(0.0 if watched else abs(more), 0.985 * self.unrest)
         self.dip = max(-self.rise if watched else 0.0, 0.998 * self.dip)
         known = max(self.v["touch_torque"], 8.5 * self.scatter) * (1 + 5 * max(1 - speed / W0_RAD_S, 0))
-        known = max(known, 1.5 * self.dip)
+        known = max(known, 2 * self.dip)
         allowed = self.unrest + 3 * doubt * drag * abs(faster) + 0.12 * self.v["inertia"] * self.surge
         self.limit = known + allowed
         self.follow = max(1 / 120, 0.98 * self.follow) if watched else 0.1
-        if watched and allowed < known and speed > 180:
+        self.calm = 0.0
+        if watched and allowed < 2 * known and speed > 180:
             self.scatter += self.share * (abs(self.rise) - self.scatter)
             self.share = max(1 / 512, 0.99 * self.share)
-        self.calm = float(watched and allowed < 3 * known and self.rise < 0.5 * self.limit)
+            self.calm = self.share if self.rise < 0.5 * self.limit else 0.0
         self.mean, self.mean_speed = self.mean + self.follow * more, self.mean_speed + self.follow * faster
         return [self.rise, self.limit, watched and self.rise > self.limit, *self.learnt]
 
@@ -211,7 +209,7 @@ def test_the_watch_is_the_rule_of_its_header(seed):
     got, want = fw.touch(p, rows), np.array([reference.step(row) for row in rows])
     assert 0 < want[:, 2].sum() < 0.1 * len(rows)
     assert (got[:, 2] == want[:, 2]).all()
-    # float32: 1e-7 of loads up to 8e-6 Nm and of limits ten times as large, and some sums of it
-    assert np.abs(got - want)[:, 0].max() < 3e-11
+    # float32: 1e-7 of loads up to 3e-5 Nm and of limits ten times as large, and some sums of it
+    assert np.abs(got - want)[:, 0].max() < 5e-11
     assert np.abs(got - want)[:, 1].max() < 1e-9
-    assert np.abs(got - want)[:, 3:].max() < 3e-11
+    assert np.abs(got - want)[:, 3:].max() < 5e-11

@@ -60,10 +60,16 @@ static fl_collision_config_t collision_config(const fl_axis_params_t *p, float m
 static fl_touch_config_t touch_config(const fl_axis_params_t *p, float margin_rad) {
     const bool whole = p->use_break_away * p->use_speed * p->use_inertia == 1.0f;
     const float wider_Nm = p->k_p * fl_max(margin_rad, 0.0f);
+    const fl_observer_gains_t gains = fl_touch_gains(p->drag / p->inertia);
     const fl_touch_config_t cfg = {
         .inertia = p->inertia,
         .inertia_inverse = 1.0f / p->inertia,
         .drag = p->drag,
+        .gain_e = gains.e,
+        .gain_v = gains.v,
+        .gain_a = gains.a,
+        .doubt_Nms = FL_TOUCH_DOUBT * p->drag,
+        .surge_kg_m2 = FL_TOUCH_INERTIA * p->inertia,
         .threshold_Nm = whole && p->touch_torque > 0.0f ? p->touch_torque + wider_Nm : 1e9f,
     };
     return cfg;
