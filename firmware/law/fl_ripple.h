@@ -11,7 +11,7 @@
  * mean: differences of three samples of the angle, noise of 70 uNm for alpha, but nearly none of it at these
  * orders. With a share of 1/512 a tick a coefficient is right to 1/e after 0.5 s at 2000 rpm, and scatters by
  * 0.01 (order 1) to 0.04 uNm (order 2). A touch changes it by less than 0.04 uNm before it is found, a wall
- * by less than 0.1 (tests/firmware/test_fw_ripple.py). Higher orders are of no matter: the observer of
+ * by less than 0.1 (tests/firmware/test_fw_touch.py). Higher orders are of no matter: the observer of
  * fl_touch.h passes 4 % of order 4 at 2000 rpm.
  */
 #ifndef FL_RIPPLE_H

@@ -16,7 +16,7 @@
  *                                       + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 8.5 times its own
- * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and twice the
+ * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and 1.5 times the
  * deepest dip of the last 250 ms: what repeats goes both ways.
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
@@ -43,7 +43,7 @@
 #define FL_TOUCH_CALM 0.98f           /* from the one to the other: 25 ms */
 #define FL_TOUCH_FADE 0.97f           /* of a surge per tick: 16 ms, for the observer is late */
 #define FL_TOUCH_REST 0.985f          /* of the unrest: 33 ms, the feedback of Eq. 21 takes so long */
-#define FL_TOUCH_DIPS 2.0f            /* times the deepest dip of late is no touch */
+#define FL_TOUCH_DIPS 1.5f            /* times the deepest dip of late is no touch */
 #define FL_TOUCH_DIP_FADE 0.998f      /* per tick: 250 ms, two motor turns at 500 rpm */
 /* of the news of a tick that scatter and ripple take in, first and at last: 16 to 256 ms */
 #define FL_TOUCH_SHARE_FIRST (1.0f / 32.0f)
@@ -116,19 +116,19 @@ static inline fl_observer_gains_t fl_touch_gains(float damping_per_s) {
 }
 
 /* The load resisting the motion, Nm: corrected by the error of now, led on by the torque of the coming tick.
- * The observer keeps the drag that its gains are for; what was learnt of it since is added as it is seen. */
+ * The observer keeps the drag that its gains are for: what was learnt of it since, times the rate of the
+ * error, is small, and as noisy as that rate. */
 static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_state_t *st,
                                      const fl_touch_in_t *in, float ripple_Nm) {
     const fl_observer_gains_t gains = {cfg->gain_e, cfg->gain_v, cfg->gain_a};
     fl_observer_state_t seen = {st->error_rad, st->rate_rad_s, st->load_rad_s2};
     fl_observer_correct(&gains, &seen, in->error_rad);
-    const float load_Nm = seen.load_rad_s2 * cfg->inertia + in->excess_Nms * seen.rate_rad_s;
     fl_observer_predict(&seen,
                         (in->beyond_Nm - ripple_Nm + cfg->drag * seen.rate_rad_s) * cfg->inertia_inverse);
     st->error_rad = seen.error_rad;
     st->rate_rad_s = seen.rate_rad_s;
     st->load_rad_s2 = seen.load_rad_s2;
-    return load_Nm * in->direction;
+    return st->load_rad_s2 * cfg->inertia * in->direction;
 }
 
 /* The speed with the lag that the observer gives to the load. */
@@ -183,8 +183,8 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
     const float coarse =
         fl_max(1.0f + FL_TOUCH_COARSE - speed * (FL_TOUCH_COARSE / FL_TOUCH_FAST_RAD_S), 1.0f);
     st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
-    const float usual_Nm = fl_max(cfg->threshold_Nm, FL_TOUCH_WILD * st->scatter_Nm) * coarse;
-    const float known_Nm = fl_max(usual_Nm, FL_TOUCH_DIPS * st->dip_Nm);
+    const float usual_Nm = fl_max(FL_TOUCH_WILD * st->scatter_Nm, FL_TOUCH_DIPS * st->dip_Nm);
+    const float known_Nm = fl_max(cfg->threshold_Nm, usual_Nm) * coarse;
     const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +
                              cfg->surge_kg_m2 * st->surge_rad_s2;
     st->limit_Nm = known_Nm + allowed_Nm;

@@ -239,7 +239,7 @@ def _collided(replies: list[Reply]) -> dict[int, float]:
 def cruise(plane: FocalPlane, *, axis: int, seed: int, ripple: bool = True) -> Floats:
     """Raw load beyond the model of each unit, every tick of a second at 2000 rpm, Nm: (units, ticks).
 
-    From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
+    Units and temperatures of a `plane` are drawn from the `seed`; `axis`: 0 alpha, 1 beta. From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
     resists. The feedforward is that of the last tick's drag, learnt for two seconds before. Without `ripple`
     what repeats with the rotor's turn in that second, orders 1, 2 and 4, is taken off.
     """
