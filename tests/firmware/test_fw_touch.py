@@ -301,6 +301,16 @@ def test_what_repeats_is_no_touch_before_it_is_learnt():
     assert not watch[:, 2].any()
 
 
+def test_what_comes_and_goes_with_the_rotor_is_no_touch_where_it_is_not_learnt():
+    """A channel that fades while the motor drives slower than the ripple is learnt at: 8 uNm within a second."""
+    speed = W0_RAD_S * np.repeat([1.0, 0.85], [4000, 4000])
+    fades = np.clip((np.arange(8000) - 5000) / 2000, 0.0, 1.0)
+    watch, _ = learnt_from(rows_of(speed, lambda angle: 8e-6 * fades * np.sin(2 * angle)))
+    # 0.27 of it is left behind the observer's poles, and the threshold is 1.4 uNm at that speed
+    assert watch[:, 0].max() > 1.5e-6
+    assert not watch[:, 2].any()
+
+
 def test_it_learns_nothing_where_nothing_is_watched():
     """Slower than 500 rpm, and on the way that closes the backlash."""
     for speed in (np.full(4000, 45.0), np.resize(np.repeat([150.0, -150.0], 150), 4000)):

@@ -239,9 +239,10 @@ def _collided(replies: list[Reply]) -> dict[int, float]:
 def cruise(plane: FocalPlane, *, axis: int, seed: int, ripple: bool = True) -> Floats:
     """Raw load beyond the model of each unit, every tick of a second at 2000 rpm, Nm: (units, ticks).
 
-    Units and temperatures of a `plane` are drawn from the `seed`; `axis`: 0 alpha, 1 beta. From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
-    resists. The feedforward is that of the last tick's drag, learnt for two seconds before. Without `ripple`
-    what repeats with the rotor's turn in that second, orders 1, 2 and 4, is taken off.
+    Units and temperatures of a `plane` are drawn from the `seed`; `axis`: 0 alpha, 1 beta. From nothing but
+    what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive resists. The
+    feedforward is that of the last tick's drag, learnt for two seconds before. Without `ripple` what repeats
+    with the rotor's turn in that second, orders 1, 2 and 4, is taken off.
     """
     rng = np.random.default_rng([seed, 0xC4])
     units = greased(draw_units(plane, seed), rng)
@@ -262,7 +263,7 @@ def cruise(plane: FocalPlane, *, axis: int, seed: int, ripple: bool = True) -> F
 
 
 RIPPLE_ORDERS = (1, 2, 4)
-"""Of the rotor's turn, as fl_ripple.h learns them."""
+"""Of the rotor's turn, all that cogging and hall sensors have; fl_ripple.h learns 1 and 2."""
 
 
 def ripple_of(load_Nm: Floats, rotor_rad: Floats) -> Floats:
