@@ -73,8 +73,8 @@ run: setup $(FIBRES)
 	    --moves 3 --compare-linear --out runs/first
 
 $(ARMS): $(STAMP)
-	@echo "4 of 6: where the arms of 500 positioners are; the first time their transmissions are calibrated"
-	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --out $(@D)
+	@echo "4 of 6: where arms and fiducials are, 500 positioners; the first time transmissions are calibrated too"
+	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --rotator 360 --out $(@D)
 
 $(FIBRES): $(ARMS)
 	@echo "5 of 6: where their science fibres are, by three fields of stars for each kind of fibre"

@@ -4,10 +4,11 @@
                                      [--camera image] [--only-calibrated]
 
 On the twin. Each error alone, all of them, and all of them after the calibrations that an observatory can
-do: arms by `calibrate focal-plane`, science fibres and camera frame by `calibrate fibres`. Every row is one
-more field, with two corrections. `--size` makes every error of a table larger, `--gears` takes gears of
-another spectrum: a calibration that looked at the twin's would be shown by it. Exit code 1 where the last
-row misses its goal.
+do: arms by `calibrate focal-plane`, science fibres and camera frame by `calibrate fibres`, their sag by
+`calibrate gravity`. Every row is one more field, with two corrections, at a zenith distance of 45 deg and
+with a rotator that turns by 90 deg from the images to the middle of the exposure. `--size` makes every
+error of a table larger, `--gears` takes gears of another spectrum: a calibration that looked at the twin's
+would be shown by it. Exit code 1 where the last row misses its goal.
 """
 
 from __future__ import annotations
@@ -22,9 +23,14 @@ from typing import Any
 import numpy as np
 
 import fiberloom as fl
+from fiberloom.blocking import finish
 from fiberloom.calibration.fibres.offsets import FibreOffsets
+from fiberloom.calibration.focal_plane.arms_file import load_arms
+from fiberloom.calibration.gravity.estimate import estimate
+from fiberloom.instruments.pointing import ExposurePointing, Pointing
 from fiberloom.operation.results import Observation
 from fiberloom.operation.survey import SurveySettings
+from fiberloom.operation.sweep.tilts import TiltRun, TiltSettings, record_tilts
 from fiberloom.report.outputs import marks
 from fiberloom.studies.star_fields import StarFields, calibrate_on_stars, stars
 from fiberloom.targets import TargetList
@@ -33,6 +39,7 @@ from fiberloom.twin.errors.switches import TERMS
 FIBRE = "BOSS"
 GOAL_UM = 1.5
 CORRECTIONS, CONFIGURATIONS = 2, 12
+POINTING = ExposurePointing(Pointing(45.0, 0.0), turn_deg=90.0, swing_deg=10.0)
 CHECK = 5000
 """Added to the seed of the field that is judged: no calibration has seen it."""
 
@@ -93,19 +100,21 @@ def of_seed(seed: int, given: argparse.Namespace) -> list[dict[str, Any]]:
             field = fl.Field.twin(plane, seed, camera=given.camera, errors=errors, calibration=maps)
             keep(name, observed(field, folder))
         field = fl.Field.twin(plane, seed, camera=given.camera, errors=everything, calibration=maps)
-        keep("all on, calibrated", observed(field, folder, **calibrated(field, folder)))
+        keep("all on, calibrated", observed(field, folder, **calibrated(field, folder, given.camera)))
     return rows
 
 
 def observed(field: fl.Field, folder: Path, **known: Any) -> Observation:
     """A field of stars that no calibration has seen; `known`: files."""
     targets = stars(field.plane, FIBRE, field.seed + CHECK)
-    return field.run.observe(targets, CORRECTIONS, out=folder, **known)
+    return field.run.observe(targets, CORRECTIONS, out=folder, pointing=POINTING, **known)
 
 
-def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
-    """Files of arms and fibres."""
-    field.run.survey(SurveySettings(CONFIGURATIONS, seed=field.seed), out=folder).save(folder)
+def calibrated(field: fl.Field, folder: Path, camera: str) -> dict[str, Path]:
+    """Files of arms (and fiducials, by images), fibres and sag."""
+    turned_deg = 360.0 if camera == "image" else 0.0
+    asked = SurveySettings(CONFIGURATIONS, seed=field.seed, rotator_deg=turned_deg)
+    field.run.survey(asked, out=folder).save(folder)
     files = {"arms": folder / "arms.ecsv"}
     stamp = marks(field.plane, field.seed)
 
@@ -118,7 +127,14 @@ def calibrated(field: fl.Field, folder: Path) -> dict[str, Path]:
     made = calibrate_on_stars(field.plane, [FIBRE], observe, StarFields(seed=field.seed))
     for row in made.rows:
         print(f"    {row}", file=sys.stderr, flush=True)
-    return files
+    known = load_arms(files["arms"], field.plane), field.run.calibrate()
+    run = TiltRun("python -m benchmarks.true_errors", folder, stamp)
+    tilts = finish(record_tilts(known, field.source, TiltSettings(seed=field.seed), run))
+    sag = estimate(known[0], tilts)
+    sag.write(folder / "gravity.ecsv", stamp)
+    formal_um = sag.formal_um(known[0])
+    print(f"    {sag!r}, at 1 g known to {formal_um:.2f} um", file=sys.stderr, flush=True)
+    return files | {"gravity": folder / "gravity.ecsv"}
 
 
 def judged(name: str, seed: int, seen: Observation) -> dict[str, Any]:

@@ -38,7 +38,8 @@ Rig::Rig(const Setup &setup) : setup_(setup), plant_(plant_of(setup)) {
 }
 
 void Rig::power_up() {
-    const fl_port_t port = {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {this,         read_hall,     set_phases, send_frame,
+                            storage_read, storage_write, nullptr,    open_phases};
     const float off[3] = {0.0f, 0.0f, 0.0f};
     for (int axis = 0; axis < FL_AXES; ++axis) set_phases(this, axis, off);
     timed(boot_cost, [&] { fl_positioner_init(&firmware_, &port, positioner_id, setup_.params); });
@@ -92,6 +93,11 @@ void Rig::set_phases(void *ctx, int axis, const float duty[3]) {
     twin::AxisGroup &g = static_cast<Rig *>(ctx)->plant_.group(0);
     const int lane = twin::Plant::place(static_cast<size_t>(axis)).lane;
     for (int k = 0; k < 3; ++k) g.duty[k][lane] = duty[k];
+    static_cast<Rig *>(ctx)->plant_.set_open(static_cast<size_t>(axis), false);
+}
+
+void Rig::open_phases(void *ctx, int axis) {
+    static_cast<Rig *>(ctx)->plant_.set_open(static_cast<size_t>(axis), true);
 }
 
 bool Rig::send_frame(void *ctx, const fl_can_frame_t *frame) {

@@ -65,6 +65,7 @@ class Rig {
     template <class F> void timed(Cost &cost, F &&call);
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
+    static void open_phases(void *ctx, int axis);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);

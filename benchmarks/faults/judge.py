@@ -21,7 +21,7 @@ from fiberloom.health.past_runs import health_report
 from fiberloom.health.status import FAULTS, POOR_REQUIREMENTS, FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
-from fiberloom.operation.judge import ASTRAY_MM
+from fiberloom.operation.safety.judge import ASTRAY_MM
 from fiberloom.operation.safety.looking import ALARM
 from fiberloom.store import Store
 from fiberloom.store.run import FAILED, FINISHED, INTERRUPTED, START, STOPPED, RunInfo

@@ -18,6 +18,7 @@ namespace fl {
 // Rigid rotor with drag, Coulomb friction, spring and cogging; no backlash, no compliance.
 struct BenchPlant {
     double inertia = 3.5e-9, drag = 8e-7, coulomb = 2e-5;
+    double back_emf = 5e-7; // of the drag: none while the bridge is open
     double spring_torque = 8e-6, spring_rate = -9e-10;
     double cogging_torque = 1e-5, cogging_phase = 0;
     double torque_per_volt = 4.2e-5, u_dc = 12;
@@ -26,9 +27,11 @@ struct BenchPlant {
     double external_torque = 0;
     double theta_rad = 0, omega_rad_s = 0;
     std::array<float, 3> duty{};
+    bool open = false; // the bridge: no phase is connected
 
     // Eq. 19 without its back-EMF, which `drag` holds.
     double motor_torque(double theta) const {
+        if (open) return 0.0;
         const double half_sqrt3 = std::sqrt(3.0) / 2;
         const double u_cos = 4.0 / 3 * (duty[2] - (duty[0] + duty[1]) / 2);
         const double u_sin = (duty[1] - duty[0]) / half_sqrt3;
@@ -38,11 +41,12 @@ struct BenchPlant {
     // Half drift, kick with implicit drag and soft-threshold friction, half drift.
     void step(double dt) {
         theta_rad += omega_rad_s * dt / 2;
+        const double slows = open ? drag - back_emf : drag;
         const double load = motor_torque(theta_rad) + spring_torque + spring_rate * theta_rad -
                             cogging_torque * std::sin(2 * theta_rad + cogging_phase) + external_torque;
-        const double free =
-            (omega_rad_s * inertia + dt * (load - drag * omega_rad_s / 2)) / (1 + dt * drag / (2 * inertia));
-        const double stuck = dt * coulomb / (1 + dt * drag / (2 * inertia));
+        const double free = (omega_rad_s * inertia + dt * (load - slows * omega_rad_s / 2)) /
+                            (1 + dt * slows / (2 * inertia));
+        const double stuck = dt * coulomb / (1 + dt * slows / (2 * inertia));
         const double p = std::max(free - stuck, 0.0) + std::min(free + stuck, 0.0);
         omega_rad_s = blocked != 0 ? 0 : p / inertia;
         theta_rad += omega_rad_s * dt / 2;
@@ -67,6 +71,7 @@ class BenchPositioner {
     long write_budget = -1; // bytes until the power fails; -1 never
     bool driven = true;     // hall counts from the plants
     bool mailbox_open = true;
+    bool opens = true; // the board can open its bridges; read at power-up
     double hall_noise_cnt = 0;
     int substeps = 10;
 
@@ -77,7 +82,9 @@ class BenchPositioner {
 
     // The firmware is the C struct alone: power-up forgets everything but the storage.
     void power_up() {
-        const fl_port_t port{this, read_hall, set_phases, send_frame, storage_read, storage_write};
+        for (auto &p : plant) p.open = false;
+        const fl_port_t port{this,         read_hall,     set_phases, send_frame,
+                             storage_read, storage_write, nullptr,    opens ? open_phases : nullptr};
         fl_positioner_init(&firmware, &port, id_, params_.data());
     }
 
@@ -139,7 +146,9 @@ class BenchPositioner {
     }
     static void set_phases(void *ctx, int axis, const float duty[3]) {
         for (int i = 0; i < 3; ++i) self(ctx).plant[axis].duty[i] = duty[i];
+        self(ctx).plant[axis].open = false;
     }
+    static void open_phases(void *ctx, int axis) { self(ctx).plant[axis].open = true; }
     static bool send_frame(void *ctx, const fl_can_frame_t *f) {
         BenchPositioner &b = self(ctx);
         if (b.mailbox_open) b.sent.push_back({f->id, std::vector<uint8_t>(f->data, f->data + f->len)});

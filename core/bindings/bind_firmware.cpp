@@ -129,6 +129,7 @@ double *plant_field(Bench &b, int axis, const std::string &name) {
     const std::pair<const char *, double *> fields[] = {
         {"inertia", &p.inertia},
         {"drag", &p.drag},
+        {"back_emf", &p.back_emf},
         {"coulomb", &p.coulomb},
         {"spring_torque", &p.spring_torque},
         {"spring_rate", &p.spring_rate},
@@ -224,6 +225,10 @@ void bind_bench_hardware(nb::class_<Bench> &bench) {
         .def("duty", &bench_duty, nb::arg("axis"))
         .def_rw("driven", &Bench::driven)
         .def_rw("mailbox_open", &Bench::mailbox_open)
+        .def_rw("opens", &Bench::opens)
+        .def(
+            "is_open", [](const Bench &b, int axis) { return b.plant[axis_index(axis)].open; },
+            nb::arg("axis"), "Whether the bridge of the axis is open.")
         .def_rw("hall_noise_cnt", &Bench::hall_noise_cnt)
         .def_rw("write_budget", &Bench::write_budget)
         .def_prop_rw(

@@ -150,6 +150,9 @@ void bind_test_plant(nb::module_ &m) {
             },
             nb::arg("axis"), nb::arg("torque_Nm"), "At the output, positive towards positive angles.")
         .def(
+            "set_open", [](TestPlant &p, size_t axis, bool open) { p.plant.set_open(known(p, axis), open); },
+            nb::arg("axis"), nb::arg("open"), "Opens or closes the bridge; once a tick while it is open.")
+        .def(
             "backlash_rad", [](TestPlant &p, size_t axis) { return p.plant.backlash_rad(known(p, axis)); },
             nb::arg("axis"), "Where the gear is, motor rad.")
         .def_prop_ro("kernel", [](TestPlant &p) { return p.plant.kernel_name(); });

@@ -162,6 +162,16 @@ void twin_torque(Twin &twin, size_t index, int axis, double torque_Nm) {
     twin.set_external_torque(index, axis, torque_Nm);
 }
 
+AxisLoad load_of(const double *row) { return {row[0], row[1], row[2], row[3], row[4], row[5]}; }
+
+void twin_loads(Twin &twin, const Input<double, -1, 12> &rows) {
+    if (rows.shape(0) != twin.positioner_count()) throw nb::value_error("loads: a row for every positioner");
+    for (size_t i = 0; i < rows.shape(0); ++i) {
+        const double *row = rows.data() + 12 * i;
+        twin.set_loads(i, load_of(row), load_of(row + 6));
+    }
+}
+
 void twin_transmission(Twin &twin, size_t index, int axis, const Input1<double> &row) {
     check_axis(axis);
     twin.set_transmission(index, axis, transmission_of(row));
@@ -228,7 +238,17 @@ void bind_whole_twin(nb::module_ &m) {
         .def("slip", &twin_slip, nb::arg("index"), nb::arg("axis"), nb::arg("up"), nb::arg("down"),
              "Share of the gear's way that the arm makes, upwards and downwards; 1 and 1: no fault.")
         .def("power_cycle", &Twin::power_cycle, nb::arg("index"), nb::arg("bootloader") = false)
+        .def("set_temperature", &Twin::set_temperature, nb::arg("index"), nb::arg("counts"),
+             "What the temperature sensor of a positioner reads, in the sensor's counts.")
+        .def("power_up", &Twin::power_up, nb::arg("index"), nb::arg("alpha_turns"), nb::arg("beta_turns"),
+             "Power off and on at rest, no datum on record, counters off by so many whole motor turns.")
         .def("set_external_torque", &twin_torque, nb::arg("index"), nb::arg("axis"), nb::arg("torque_Nm"))
+        .def("set_loads", &twin_loads, nb::arg("rows"),
+             "(N, 12): of alpha, then of beta moment_x and moment_y (kg m, in the frame of the arm), "
+             "fibre_rate (Nm/rad), fibre_free (rad), fibre_friction (Nm), fibre_slip (rad).")
+        .def(
+            "point", [](Twin &t, double x, double y) { t.point({x, y}); }, nb::arg("x_m_s2"),
+            nb::arg("y_m_s2"), "Gravity along the focal plane from now on.")
         .def("set_transmission", &twin_transmission, nb::arg("index"), nb::arg("axis"), nb::arg("row"))
         .def("set_params", &twin_params, nb::arg("index"), nb::arg("axis"), nb::arg("row"));
     bind_readings(twin);

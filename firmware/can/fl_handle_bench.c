@@ -40,14 +40,18 @@ FL_HANDLER(fl_handle_trace_read) {
     return FL_ACCEPTED;
 }
 
-/* Two voltages (i16, 32767 = u_dc) and for how many ticks each. */
+/* Whether a part of the step wants the bridge open. */
+static bool opens(const fl_torque_step_t *step) {
+    return step->voltage[0] == FL_TORQUE_OPEN || step->voltage[1] == FL_TORQUE_OPEN;
+}
+
+/* Two voltages (i16, 32767 = u_dc; -32768: the bridge is open) and for how many ticks each. */
 FL_HANDLER(fl_handle_torque_step) {
     UNUSED(re);
     const fl_torque_step_t step = {{(int16_t)get_u16(rq->data), (int16_t)get_u16(rq->data + 2)},
                                    {get_u16(rq->data + 4), get_u16(rq->data + 6)}};
     if ((uint32_t)step.ticks[0] + step.ticks[1] > FL_TORQUE_TICKS) return FL_VALUE_OUT_OF_RANGE;
-    for (int i = 0; i < 2; ++i)
-        if (step.voltage[i] == INT16_MIN) return FL_VALUE_OUT_OF_RANGE;
+    if (opens(&step) && !p->port.open_phases) return FL_UNKNOWN_COMMAND;
     for (int i = 0; i < FL_AXES; ++i) p->points[i] = 0; /* a loaded trajectory is dropped, as by a go-to */
     fl_axis_push(&p->axis[axis_of(rq)], step);
     return FL_ACCEPTED;

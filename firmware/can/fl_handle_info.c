@@ -58,9 +58,13 @@ FL_HANDLER(fl_handle_hall_range) {
     return FL_ACCEPTED;
 }
 
+/* Counts of a board without a sensor: a constant, as real units send it. */
+enum { NO_SENSOR_CNT = 1900 };
+
 FL_HANDLER(fl_handle_temperature) {
     UNUSED(rq);
-    fl_reply_u32(re, p->temperature_raw);
+    const fl_port_t *port = &p->port;
+    fl_reply_u32(re, port->read_temperature ? port->read_temperature(port->ctx) : NO_SENSOR_CNT);
     return FL_ACCEPTED;
 }
 

@@ -51,6 +51,17 @@ typedef struct fl_port {
      * are moved, by command 53 some 1400. Both NULL: nothing is kept. */
     uint32_t (*storage_read)(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     uint32_t (*storage_write)(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+
+    /* The last reading of the temperature sensor, in its own counts: command 132 passes it on, and the host
+     * knows the scale. Called for that command alone. NULL: there is no sensor. */
+    uint32_t (*read_temperature)(void *ctx);
+
+    /* Opens the bridge of an axis, both switches of all three phases, until the next set_phases: no current
+     * flows in the coils, so they neither drive nor brake. Called by the bench's torque step only (commands
+     * 245, 246), in every tick that it lasts. The body diodes of the switches must not conduct: the voltage
+     * that the rotor induces between two phases stays below the supply at any speed that the bridge itself
+     * can reach. NULL: the board cannot, and such a step is refused. */
+    void (*open_phases)(void *ctx, int axis);
 } fl_port_t;
 
 #ifdef __cplusplus

@@ -44,7 +44,6 @@ void fl_positioner_init(fl_positioner_t *p, const fl_port_t *port, uint16_t id,
     p->chores = 0;
     p->options = 0;
     p->ticks = p->heard_tick = p->trajectories = 0;
-    p->temperature_raw = 1900;
     p->tx.first = p->tx.count = p->tx.waiting = 0;
     p->boot = (fl_boot_t){0, 0, 0, 0, 0, 0, 0};
     fl_trace_start(&p->trace, 0);
@@ -60,10 +59,15 @@ bool fl_positioner_set_params(fl_positioner_t *p, int axis, const fl_axis_params
     return true;
 }
 
+bool fl_positioner_settled(const fl_positioner_t *p, int axis) {
+    return (p->datum_known >> axis & 1) || (p->options & FL_STATUS(POSITION_RESTORED));
+}
+
 bool fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]) {
     const bool noted = fl_storage_declare_position(p, position_cnt);
     for (int axis = 0; noted && axis < FL_AXES; ++axis)
-        fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis]);
+        fl_axis_set_position(&p->axis[axis], &p->port, axis, position_cnt[axis],
+                             fl_positioner_settled(p, axis));
     if (noted) {
         p->datum_known = FL_BOTH_AXES;
         p->options &= ~(FL_STATUS(ESTIMATED_POSITION) | FL_STATUS(POSITION_RESTORED));

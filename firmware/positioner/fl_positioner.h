@@ -50,7 +50,6 @@ typedef struct fl_positioner {
     uint64_t options;         /* status bits that are only remembered */
     uint16_t points[FL_AXES]; /* announced by SEND_NEW_TRAJECTORY */
     uint32_t trajectories;    /* started so far */
-    uint32_t temperature_raw; /* what command 132 reports: no sensor on the port */
     fl_boot_t boot;
     fl_axis_params_t params[FL_AXES];
     fl_axis_params_t staged[FL_AXES]; /* written over the bus, not in force */
@@ -86,7 +85,11 @@ bool fl_positioner_at_rest(const fl_positioner_t *p);
  * @pre fl_positioner_at_rest */
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
 
-/* Factory: declares where the axes are (output angle in 2^30 per turn) and that datums are set. False and no
+/* Whether the position of an axis is the one at which it came to rest, so that another one that is declared
+ * takes its place: its datum is known, or it was restored. */
+bool fl_positioner_settled(const fl_positioner_t *p, int axis);
+
+/* Declares where the axes are (output angle in 2^30 per turn) and that datums are set. False and no
  * change where the storage does not take it and would bring back an older position.
  * @pre both axes rest */
 bool fl_positioner_set_position(fl_positioner_t *p, const int32_t position_cnt[FL_AXES]);

@@ -169,7 +169,10 @@ bool fl_storage_declare_position(fl_positioner_t *p, const int32_t position_cnt[
     position_record_t r = {.datum_known = FL_BOTH_AXES};
     for (int i = 0; i < FL_AXES; ++i) {
         r.position_cnt[i] = position_cnt[i];
-        r.rotor_cnt[i] = fl_axis_look(&p->axis[i], &p->port, i) & (FL_TURN_CNT - 1);
+        fl_axis_t *a = &p->axis[i];
+        const int32_t fallen = fl_axis_fallen(a, &p->port, i);
+        const int32_t rotor = fl_sub_i32(a->hall.angle_cnt, fl_positioner_settled(p, i) ? fallen : 0);
+        r.rotor_cnt[i] = rotor & (FL_TURN_CNT - 1);
     }
     return note(p, &r);
 }

@@ -80,7 +80,7 @@ int main(int argc, char **argv) {
     double best = 1e9;
     for (int r = 0; r < RUNS; ++r) {
         for (int i = 0; i < n; ++i) {
-            const fl_port_t port = {&b[i], read_hall, set_phases, send_frame, NULL, NULL};
+            const fl_port_t port = {&b[i], read_hall, set_phases, send_frame, NULL, NULL, NULL, NULL};
             fl_positioner_init(&p[i], &port, (uint16_t)(1 + i % 2047), params);
             start(&p[i]);
         }

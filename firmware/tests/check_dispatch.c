@@ -8,7 +8,7 @@
  * accepted requests that a model written from the protocol alone (sequence_model.h) lets move; an image is
  * believed only if its bytes are those of its checksum; a stop is carried out and a collision told once,
  * whatever waits to be sent; parameters are those that a host which reads the answers expects, and nothing
- * but a calibration and the commands for it changes them.
+ * but a calibration and the commands for it changes them; no bridge is open at rest, or on a board without.
  */
 #include <stddef.h>
 #include <stdio.h>
@@ -22,124 +22,19 @@
 #include "fl_identifier.h"
 #include "fl_status.h"
 #include "fl_storage.h"
-#include "params_model.h"
-#include "sequence_model.h"
-
-enum { OWN_ID = 77, IMAGE_MOST = 1 << 20, SCRIPT_MOST = 12 };
-
-typedef struct bench {
-    uint64_t random;
-    uint32_t replies;
-    uint64_t collisions, told; /* begun; frames 18. One that waits speaks for a second, too */
-    uint64_t stops_when_full, watch_ends, unnoted;
-    fl_can_frame_t last;
-    float duty[FL_AXES][3];
-    uint16_t hall[FL_AXES][2];
-    int32_t rotor_cnt[FL_AXES];
-    bool stuck, mailbox_full;
-    uint8_t storage[FL_STORAGE_BYTES];
-    uint32_t write_budget;
-    sequence_model_t model;
-    uint32_t image_crc, image_left, image_expected; /* of the image under way, reckoned here */
-    uint64_t images_good, images_bad, drives;
-    params_model_t params; /* of the parameters, as the traffic tells */
-    uint64_t commits_good, commits_bad;
-    uint64_t codes[256][16];
-} bench_t;
-
-static uint32_t random_u32(bench_t *b) {
-    b->random ^= b->random << 13;
-    b->random ^= b->random >> 7;
-    b->random ^= b->random << 17;
-    return (uint32_t)(b->random >> 32);
-}
-
-static bool chance(bench_t *b, uint32_t one_in) { return random_u32(b) % one_in == 0; }
-
-#define REQUIRE(condition, ...)                                                                              \
-    do {                                                                                                     \
-        if (!(condition)) {                                                                                  \
-            fprintf(stderr, "check_dispatch: " __VA_ARGS__);                                                 \
-            fprintf(stderr, " (%s)\n", #condition);                                                          \
-            exit(1);                                                                                         \
-        }                                                                                                    \
-    } while (0)
-
-/* -- a port without physics: the rotor follows the field at once, when the sensor lives ------------- */
-
-static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
-    bench_t *b = ctx;
-    if (!b->stuck) {
-        const fl_sincos_t v = fl_sincos_cnt(b->rotor_cnt[axis]);
-        b->hall[axis][0] = (uint16_t)(2048.0f + 1500.0f * v.sin);
-        b->hall[axis][1] = (uint16_t)(2048.0f + 1500.0f * v.cos);
-    }
-    memcpy(adc_cnt, b->hall[axis], sizeof b->hall[axis]);
-}
-
-static void set_phases(void *ctx, int axis, const float duty[3]) {
-    bench_t *b = ctx;
-    for (int i = 0; i < 3; ++i) {
-        REQUIRE(duty[i] >= 0.0f && duty[i] <= 1.0f, "duty %g", (double)duty[i]);
-        b->duty[axis][i] = duty[i];
-    }
-    /* a third of a turn at most, towards the field */
-    const float u_cos = duty[2] - 0.5f * (duty[0] + duty[1]), u_sin = duty[1] - duty[0];
-    const int32_t field = fl_atan2_cnt(u_sin, u_cos);
-    const bool on = u_cos != 0.0f || u_sin != 0.0f;
-    REQUIRE(!on || sequence_may_drive(&b->model), "axis %d is driven without a sequence", axis);
-    b->drives += on;
-    if (on)
-        b->rotor_cnt[axis] =
-            fl_add_i32(b->rotor_cnt[axis], fl_fold_cnt(fl_sub_i32(field, b->rotor_cnt[axis])) / 64);
-}
-
-/* Frame 18. A request of that number is refused: its answer has a code. */
-static bool is_report(const fl_can_frame_t *f) {
-    const fl_identifier_t id = fl_identifier_unpack(f->id);
-    return id.command == FL_ID_COLLISION && id.code == 0;
-}
-
-static bool send_frame(void *ctx, const fl_can_frame_t *f) {
-    bench_t *b = ctx;
-    if (b->mailbox_full) return false;
-    REQUIRE(f->len <= 8 && f->id >> 29 == 0, "frame %08x of %d bytes", (unsigned)f->id, f->len);
-    REQUIRE(fl_identifier_unpack(f->id).positioner == OWN_ID, "sender %08x", (unsigned)f->id);
-    if (is_report(f)) {
-        REQUIRE(++b->told <= b->collisions, "a collision is told twice");
-        return true;
-    }
-    ++b->replies;
-    b->last = *f;
-    return true;
-}
-
-static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len) {
-    bench_t *b = ctx;
-    if (offset + len > sizeof b->storage) return 0;
-    memcpy(bytes, b->storage + offset, len);
-    return len;
-}
-
-static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
-    bench_t *b = ctx;
-    if (offset + len > sizeof b->storage) return 0;
-    const uint32_t n = len < b->write_budget ? len : b->write_budget;
-    memcpy(b->storage + offset, bytes, n);
-    b->write_budget -= n;
-    return n;
-}
-
-static uint32_t image_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
-    static uint8_t image[IMAGE_MOST];
-    bench_t *b = ctx;
-    REQUIRE(len <= 8 && offset + len <= sizeof image, "image bytes %u at %u", len, offset);
-    memcpy(image + offset, bytes, len);
-    return chance(b, 500) ? 0 : len;
-}
+#include "fuzz_hardware.h"
 
 static void power_up(bench_t *b, fl_positioner_t *p, const fl_axis_params_t params[FL_AXES]) {
-    const fl_port_t port = {b, read_hall, set_phases, send_frame, storage_read, storage_write};
+    b->opens = !chance(b, 2);
+    memset(b->open, 0, sizeof b->open); /* the hardware is off */
+    const fl_port_t port = {b,
+                            read_hall,
+                            set_phases,
+                            send_frame,
+                            storage_read,
+                            storage_write,
+                            NULL,
+                            b->opens ? open_phases : NULL};
     sequence_power_up(&b->model);
     b->collisions = b->told;
     fl_positioner_init(p, &port, OWN_ID, params);
@@ -247,7 +142,12 @@ static uint32_t move_script(bench_t *b, fl_can_frame_t *out) {
     static const uint8_t moves[] = {20, 23, 26, 30, 31, 31, 47, 245};
     out[0] = request(15, 1);
     out[1] = request(moves[random_u32(b) % sizeof moves], 2);
-    const int32_t way[2] = {(int32_t)(random_u32(b) % 200000u), (int32_t)(random_u32(b) % 200000u)};
+    int32_t way[2] = {(int32_t)(random_u32(b) % 200000u), (int32_t)(random_u32(b) % 200000u)};
+    if (chance(b, 3)) { /* a push, then the open bridge */
+        out[1] = request((uint8_t)(245 + random_u32(b) % FL_AXES), 2);
+        way[0] = (int32_t)(0x80000000u | random_u32(b) % 0x7fffu);
+        way[1] = (int32_t)((random_u32(b) % 410u) << 16 | random_u32(b) % 4u);
+    }
     memcpy(out[1].data, way, sizeof way);
     return 2;
 }
@@ -336,6 +236,7 @@ static void check_current(const bench_t *b, const fl_positioner_t *p) {
         const bool on = d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f;
         const bool may = !fl_axis_rests(&p->axis[i]) || p->axis[i].voltage > 0.0f;
         REQUIRE(!on || may, "current in axis %d, state %d", i, p->state);
+        REQUIRE(!b->open[i] || !fl_axis_rests(&p->axis[i]), "axis %d rests with an open bridge", i);
         REQUIRE(!fl_axis_rests(&p->axis[i]) || p->axis[i].voltage >= 0.0f, "axis %d", i);
     }
     const bool active = p->state >= FL_STATE_MOVING && p->state < FL_STATE_BOOTLOADER;
@@ -375,6 +276,11 @@ static void conclude(bench_t *b, const fl_positioner_t *p, const fl_can_frame_t 
     const fl_identifier_t told = fl_identifier_unpack(answer->id);
     uint32_t word[2];
     memcpy(word, f->data, sizeof word);
+    const bool step = told.command == 245 || told.command == 246;
+    const bool open = step && ((word[0] & 0xffffu) == 0x8000u || word[0] >> 16 == 0x8000u);
+    b->not_opened += step && told.code == FL_UNKNOWN_COMMAND;
+    REQUIRE(!(step && told.code == FL_UNKNOWN_COMMAND) || (open && !b->opens), "a torque step is unknown");
+    REQUIRE(told.code != 0 || !open || b->opens, "a bridge that cannot be opened");
     if (told.code != 0) {
         sequence_refused(&b->model, told.command, told.code);
         if (not_noted(p, told)) sequence_drop(&b->model), ++b->unnoted;
@@ -568,16 +474,18 @@ static void check_coverage(const bench_t *b) {
     }
     REQUIRE(b->drives != 0 && b->images_good != 0 && b->images_bad != 0, "nothing happened");
     REQUIRE(b->stops_when_full != 0 && b->told != 0 && b->watch_ends != 0, "no full queue, or no watch");
+    REQUIRE(b->opened != 0 && b->not_opened != 0, "bridges open for %llu ticks, refused %llu times",
+            (unsigned long long)b->opened, (unsigned long long)b->not_opened);
     REQUIRE(b->unnoted != 0, "every motion could be noted");
     REQUIRE(b->commits_good != 0 && b->commits_bad != 0, "no parameters were taken, or none refused");
     printf(
         "check_dispatch: all %u commands carried out, %u kinds of refusal seen; %llu phase voltages, all in "
         "sequence; %llu images believed; %llu collisions told, %llu stops at a full queue, %llu trajectories "
         "ended "
-        "by the host watch\n",
+        "by the host watch, bridges open for %llu ticks\n",
         n - 1, refusals, (unsigned long long)b->drives, (unsigned long long)b->images_good,
         (unsigned long long)b->told, (unsigned long long)b->stops_when_full,
-        (unsigned long long)b->watch_ends);
+        (unsigned long long)b->watch_ends, (unsigned long long)b->opened);
 }
 
 int main(int argc, char **argv) {

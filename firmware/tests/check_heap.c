@@ -56,6 +56,8 @@ static void set_phases(void *ctx, int axis, const float duty[3]) {
     rotor_cnt[axis] += fl_fold_cnt(fl_sub_i32(field, rotor_cnt[axis])) / 64;
 }
 
+static void open_phases(void *ctx, int axis) { (void)ctx, (void)axis; }
+
 static bool send_frame(void *ctx, const fl_can_frame_t *f) {
     (void)ctx, (void)f;
     return true;
@@ -87,12 +89,14 @@ int main(void) {
     const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
 #undef X
     const fl_axis_params_t params[FL_AXES] = {one, one};
-    const fl_port_t port = {NULL, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {NULL,         read_hall,     set_phases, send_frame,
+                            storage_read, storage_write, NULL,       open_phases};
     const int32_t position[FL_AXES] = {30000000, 60000000};
     guarded = true;
     fl_positioner_init(&p, &port, 9, params);
     fl_positioner_set_position(&p, position);
     ask(&p, 30, 33000000, 57000000, 8);
+    ask(&p, 245, (int32_t)0x80002000u, 100 << 16 | 20, 8); /* a push, then the open bridge */
     static const uint8_t alone[] = {15, 26, 15, 47, 15, 20, 15, 53, 3};
     for (unsigned i = 0; i < sizeof alone; ++i) ask(&p, alone[i], 0, 0, 0);
     fl_positioner_enter_bootloader(&p);

@@ -175,7 +175,7 @@ static void power_up(rig_t *r, fl_positioner_t *p) {
     const fl_axis_params_t one = {FL_AXIS_PARAMS(X)};
 #undef X
     const fl_axis_params_t params[FL_AXES] = {one, one};
-    const fl_port_t port = {r, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {r, read_hall, set_phases, send_frame, storage_read, storage_write, NULL, NULL};
     r->dead = r->held = r->mailbox_full = false;
     fl_positioner_init(p, &port, OWN_ID, params);
 }

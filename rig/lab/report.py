@@ -26,7 +26,7 @@ CYCLES_PER_TICK = 60_000
 COUNT = 40
 """Instructions between two counts of the clock: what was counted may have been so many more."""
 
-PORT = ("read_hall", "set_phases", "send_frame", "storage_read", "storage_write")
+PORT = ("read_hall", "set_phases", "send_frame", "storage_read", "storage_write", "open_phases")
 INTERRUPTS = ("adc_handler", "can_handler")
 EXCEPTION_FRAME = 26 * 4 + 4
 """Bytes the core stacks for an interrupt: 8 registers, 18 of the floating-point unit, alignment."""
@@ -98,8 +98,9 @@ def image_graph(folder: Path) -> stack.Graph:
     graph = stack.read_graph(objects)
     handlers = [name for name in map(stack.plain_name, graph) if name.startswith("fl_handle_")]
     tables = {name: [name] for name in PORT} | {"handler": handlers}
-    # constructors of C++: none, as the empty section shows; an image of an upgrade: the board takes none
-    tables |= {"init": [], "image_write": []}
+    # constructors of C++: none, as the empty section shows; the board takes no image of an upgrade, and has
+    # no temperature sensor
+    tables |= {"init": [], "image_write": [], "read_temperature": []}
     stack.resolve(graph, tables, build.ROOT)
     machine = stack.read_disassembly(stack.disassemble(folder / "programs" / "positioner.elf"))
     stack.complete(graph, machine)

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, cast
+from typing import Any, Unpack
 
 from fiberloom.blocking import finish
 from fiberloom.bus.transport import Transport
@@ -18,10 +18,11 @@ from fiberloom.calibration.transmission.sweep import Calibration, SweepSettings,
 from fiberloom.connect import open_hardware
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.known import Learning, known_so_far
+from fiberloom.operation.known import known_so_far
 from fiberloom.operation.motion import FieldMotion, MotionMaker
-from fiberloom.operation.observe import STORE, Observer, ObserveSettings, Silent, Watcher
+from fiberloom.operation.observe import STORE, ObserveOptions, Observer, Silent, Watcher, asked
 from fiberloom.operation.recording import SurveyRecorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
@@ -38,20 +39,6 @@ from fiberloom.targets import TargetList
 
 POINTS = 200
 """Of a transmission sweep, per axis and direction, as the paper's Fig. 10."""
-
-
-class ObserveOptions(TypedDict, total=False):
-    """What `Field.observe` takes beside targets, corrections and a folder."""
-
-    correction: str | None
-    images: int | None
-    compare_linear: bool
-    arms: Path | str | None
-    fibres: Path | str | None
-    learnt: str | None
-    adapt: bool
-    pages: str
-    save_images: bool
 
 
 class Field:
@@ -365,6 +352,7 @@ class Field:
             motion.state.looser_mm = THICKER_MM
             try:
                 await motion.connect()
+                await reference(motion)
                 data = await ArraySweep(motion, settings, self.watcher.count, kept).run()
             finally:
                 await motion.close()
@@ -429,6 +417,10 @@ class Field:
             File of `survey`: arms in place of the layout's.
         fibres : str, optional
             File of `fiberloom calibrate fibres`: where the science fibres are on their arms.
+        gravity : str, optional
+            File of `fiberloom calibrate gravity`: by how much the arms sag; with `pointing`.
+        pointing : ExposurePointing, optional
+            Of the telescope, at the image and while light is collected; a twin's in the zenith when left out.
         adapt : bool
             Learn the maps from every measured move.
         learnt : str, optional
@@ -452,7 +444,7 @@ class Field:
         """
         place = Place.of(out)
         folder = prepare_folder(place.base)
-        settings, learning = _asked(corrections, options, self.seed)
+        settings, learning = asked(corrections, options, self.seed, place.store)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)
@@ -461,12 +453,14 @@ class Field:
         )
         self._observer.begun_s = self.begun_s
         if self.book is None:
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
         array = KnownArray(known.plane, known.maps, self.source, self.book)
         session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
+            await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(
@@ -538,19 +532,6 @@ class Field:
             config_hash=self.plane.config_hash(),
             seed=self.seed,
         )
-
-
-def _asked(corrections: int | None, options: ObserveOptions, seed: int) -> tuple[ObserveSettings, Learning]:
-    """How to observe, and on what to build."""
-    unknown = sorted(set(options) - set(ObserveOptions.__annotations__))
-    if unknown:
-        raise TypeError(
-            f"observe() has no option '{unknown[0]}': {', '.join(ObserveOptions.__annotations__)}"
-        )
-    how = {name: value for name, value in options.items() if name in ObserveSettings.__annotations__}
-    settings = ObserveSettings(corrections=corrections, seed=seed, **cast("dict[str, Any]", how))
-    files = options.get("arms"), options.get("fibres"), options.get("learnt")
-    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed)
 
 
 class FieldRun:

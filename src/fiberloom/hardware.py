@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fiberloom.bus.transport import Transport
+from fiberloom.instruments.pointing import Pointing
 from fiberloom.metrology import Camera
 from fiberloom.typing import Flags, Floats
 
@@ -15,6 +16,18 @@ class Truth(Protocol):
 
     def fibre_xy(self, fibre: str) -> Floats:
         """Position (N, 2) in mm of the named fibre of every positioner."""
+        ...
+
+    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
+        """The same (N, 2), mm, were the telescope to point elsewhere and nothing else to move."""
+        ...
+
+
+class Telescope(Protocol):
+    """Tilts and turns the focal plane."""
+
+    def point(self, pointing: Pointing) -> None:
+        """Points there; everything is at rest again when it returns."""
         ...
 
 
@@ -27,3 +40,5 @@ class Hardware:
     truth: Truth | None = None
     vouched: Flags | None = None
     """(N,) positioners whose datum was searched since power came on: believed where a fibre is dark."""
+    telescope: Telescope | None = None
+    """None: it is pointed from elsewhere."""

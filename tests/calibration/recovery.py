@@ -8,17 +8,20 @@ import numpy as np
 from fiberloom.bus import Client
 from fiberloom.calibration import (
     ArmsSettings,
+    CoastSettings,
     FrictionSettings,
     InertiaSettings,
     RepeatabilitySettings,
     StiffnessSettings,
     identify_arms,
+    identify_coast,
     identify_friction,
     identify_inertia,
     identify_repeatability,
     identify_stiffness,
     identify_torque_scale,
     measure_arms,
+    measure_coast,
     measure_friction,
     measure_inertia,
     measure_repeatability,
@@ -43,6 +46,7 @@ class Size:
     stiffness: StiffnessSettings
     arms: ArmsSettings
     repeatability: RepeatabilitySettings
+    coast: CoastSettings
 
 
 SMALL = Size(
@@ -51,6 +55,7 @@ SMALL = Size(
     StiffnessSettings(repeats=6, images=1),
     ArmsSettings(n_points=24),
     RepeatabilitySettings(visits=30),
+    CoastSettings(repeats=2),
 )
 FULL = Size(
     FrictionSettings(),
@@ -58,6 +63,7 @@ FULL = Size(
     StiffnessSettings(),
     ArmsSettings(),
     RepeatabilitySettings(visits=100),
+    CoastSettings(),
 )
 
 
@@ -81,12 +87,16 @@ async def _all(plane, twin, seed, size):
     inertia = await measure_inertia(client, None, plane, size.inertia)
     stiffness = await measure_stiffness(client, camera, weights, plane, size.stiffness)
     out = [*scales, *(identify_stiffness(d) for d in stiffness)]
+    inertias = []
     for axis, scale in enumerate(map(measured_scale, scales)):
         out += identify_friction(friction[axis], scale).estimates
-        out.append(identify_inertia(inertia[axis], scale).inertia)
+        inertias.append(identify_inertia(inertia[axis], scale).inertia)
+        out.append(inertias[-1])
     out += identify_arms(await measure_arms(client, camera, plane, size.arms)).estimates
     for data in await measure_repeatability(client, close_up, plane, size.repeatability):
         out.append(identify_repeatability(data, CLOSE_UP_UM, camera_relative_error=0.0).angle)
+    for data, of_axis in zip(await measure_coast(client, None, plane, size.coast), inertias, strict=True):
+        out += identify_coast(data, of_axis).estimates
     return out
 
 

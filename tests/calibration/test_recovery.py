@@ -10,6 +10,8 @@ GROUPS = {
     "weights": ("torque at full voltage", "stiffness"),
     "motor": ("Coulomb friction", "spring at 0 deg", "spring rate", "cogging", "cogging phase", "drag",
               "inertia"),
+    "coast": ("back-EMF drag over inertia", "viscous friction over inertia", "Coulomb friction over inertia",
+              "back-EMF drag", "viscous friction"),
     "camera": ("centre x", "centre y", "l_alpha", "l_beta", "angular repeatability"),
 }  # fmt: skip
 
@@ -21,7 +23,7 @@ def found():
 
 def test_everybody_is_identified(found):
     estimates, truth = found
-    assert len(estimates) == 24
+    assert len(estimates) == 34
     assert set(estimates) <= set(truth)
     for e in estimates.values():
         assert e.ok.all(), e.reason
@@ -33,7 +35,7 @@ def test_the_bias_is_below_the_standard_error(found):
         off = errors(e, truth[name])
         own = e.standard_error
         assert abs(off.mean()) < own.mean(), name
-        # and of the mean over the units: 24 quantities, one in a thousand each
+        # and of the mean over the units: 34 quantities, one in a thousand each
         assert abs((off / own).mean()) < 3.3 / np.sqrt(len(off)), name
 
 
@@ -56,6 +58,8 @@ def test_the_errors_are_small_enough_to_be_of_use(found):
         "alpha drag": 0.005,
         "alpha inertia": 0.005,
         "beta inertia": 0.005,
+        "alpha back-EMF drag over inertia": 0.01,
+        "beta back-EMF drag": 0.01,
         "alpha stiffness": 0.02,
         "beta stiffness": 0.02,
         "l_alpha": 4e-5,
@@ -66,4 +70,4 @@ def test_the_errors_are_small_enough_to_be_of_use(found):
 
 
 def test_the_table_has_a_line_for_each(found):
-    assert len(recovery.table(*found).splitlines()) == 24
+    assert len(recovery.table(*found).splitlines()) == 34

@@ -5,6 +5,7 @@ import pytest
 
 from fiberloom.calibration.bench.acceptance import AcceptanceSettings
 from fiberloom.calibration.bench.arms import ArmsSettings
+from fiberloom.calibration.bench.coast import CoastSettings
 from fiberloom.calibration.bench.friction import FrictionSettings
 from fiberloom.calibration.bench.stiffness import StiffnessSettings
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps, identity, load, polyline
@@ -19,6 +20,8 @@ IDS = np.array([4, 9])
         (lambda: ArmsSettings(n_points=7), "n_points = 7: a circle needs at least 8"),
         (lambda: FrictionSettings(n_angles=1), "n_angles = 1: the spring's rate needs at least 2"),
         (lambda: FrictionSettings(run_rpm=(31.0,)), "run_rpm = .*: drag needs a speed well above 30"),
+        (lambda: CoastSettings(repeats=0), "repeats = 0: a coast in each direction and state"),
+        (lambda: CoastSettings(voltages=(0.9, -0.2)), "voltages = .*: shares of the full one"),
         (lambda: StiffnessSettings(repeats=2), "repeats = 2: the scatter needs at least"),
         (lambda: AcceptanceSettings(n_targets=0), "0 targets, 5 moves: at least 1 of each"),
         (lambda: AcceptanceSettings(n_moves=0), "20 targets, 0 moves: at least 1 of each"),

@@ -26,6 +26,7 @@ def run(*words):
     [
         (("friction", "--places", 2, "--span", 20, "--data-sheet"), {"alpha Coulomb friction", "beta drag"}),
         (("inertia", "--pushes", 2), {"alpha inertia", "beta inertia", "alpha torque at full voltage"}),
+        (("coast", "--repeats", 1), {"alpha back-EMF drag", "beta viscous friction", "alpha inertia"}),
         (("stiffness", "--repeats", 3), {"alpha stiffness", "beta stiffness"}),
         (("arms", "--points", 12), {"l_alpha", "l_beta", "centre x"}),
         (("repeatability", "--visits", 5), {"alpha repeatability", "beta angular repeatability"}),

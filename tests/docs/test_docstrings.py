@@ -38,7 +38,7 @@ UNITS = (
     "mm|um|nm|mm2|um2|deg|mdeg|deg2|rad|urad|mrad|ms|us|px|px2|e-|adu|Nm|uNm|mNm|Hz|rpm|Wb|Ohm|counts?|cnt"
     "|ticks?|cycles|bytes"
 )
-LETTERS = "m|s|e|N|V|A|K|kg"
+LETTERS = "m|s|e|N|V|A|K|kg|J|W"
 """Units of one letter: after a number, a bracket, a slash or "in" only, since they are words too."""
 SUFFIX = re.compile(rf"(?:^|_)(?:{UNITS}|{LETTERS}|per_[a-z]+|SI)(?:_?\d)?$")
 WORD = re.compile(

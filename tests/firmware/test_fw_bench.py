@@ -31,6 +31,10 @@ def read(unit, axis):
     return cells / [MOTOR_DEG, FULL]
 
 
+OPEN = -32768 / FULL
+"""As a voltage: the bridge is open."""
+
+
 def push(unit, axis, v0, v1, n0, n1):
     return unit.code(245 + axis, struct.pack("<hhHH", round(v0 * FULL), round(v1 * FULL), n0, n1))
 
@@ -136,13 +140,65 @@ def test_a_torque_step_ends_at_the_limit_of_the_range():
     [
         ({}, ACCEPTED),
         ({"n1": 391}, rig.OUT_OF_RANGE),
-        ({"v1": -32768 / FULL}, rig.OUT_OF_RANGE),
+        ({"v1": OPEN}, ACCEPTED),
+        ({"v0": OPEN, "n1": 391}, rig.OUT_OF_RANGE),
     ],
 )
 def test_what_a_torque_step_may_ask(change, code):
     unit = Rig()
     asked = {"v0": 0.1, "v1": 1.0, "n0": 10, "n1": 20} | change
     assert push(unit, 0, **asked) == code
+
+
+def coasting(unit, axis, last):
+    """Speeds (rad/s) in the ticks after a push of 40 ms, in which the voltage is `last`."""
+    assert start(unit, 1) == ACCEPTED
+    assert push(unit, axis, 0.97, last, 80, 40) == ACCEPTED
+    log = unit.unit.run(118, axis)
+    assert unit.unit.is_open(axis) == (last == OPEN)
+    unit.wait()
+    assert not unit.unit.is_open(axis)
+    trace = read(unit, axis)
+    assert (trace[80:, 1] == 0.0).all()
+    return log[80:118, 7]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_open_bridge_leaves_friction_and_a_shorted_one_the_back_emf_too(axis):
+    """w' = -(c + spring)/J - (d/J) w with d = 0.3 and 0.8 uNm s of alpha, in closed form."""
+    share = (1.0, 0.1)[axis]
+    for last, drag in ((OPEN, 3e-7), (0.0, 8e-7)):
+        unit = Rig(position_deg=(100.0, 100.0), noise_cnt=0.0)
+        unit.unit.set_plant(axis, "back_emf", 5e-7 * share)
+        unit.unit.set_plant(axis, "cogging_torque", 0.0)
+        speed = coasting(unit, axis, last)
+        spring = share * (8e-6 - 9e-10 * np.deg2rad(100 * 1024))
+        rest, decay = (share * 2e-5 - spring) / (share * drag), drag / 3.5e-9
+        assert speed[0] > 500.0
+        expected = (speed[0] + rest) * np.exp(-decay * np.arange(len(speed)) * 5e-4) - rest
+        before_rest = expected > 20.0
+        # steps of 50 us; the spring turns by a degree of the arm
+        np.testing.assert_allclose(speed[before_rest], expected[before_rest], rtol=3e-3)
+
+
+def test_a_board_that_cannot_open_its_bridges_says_so():
+    unit = Rig()
+    unit.unit.opens = False
+    unit.unit.power_up()
+    unit.unit.declare_position()
+    assert push(unit, 0, 0.5, OPEN, 20, 20) == rig.UNKNOWN
+    assert push(unit, 1, OPEN, 0.5, 0, 20) == rig.UNKNOWN
+    assert push(unit, 0, 0.5, 0.0, 20, 20) == ACCEPTED
+
+
+def test_an_open_bridge_brakes_as_soon_as_it_is_stopped():
+    unit = Rig(position_deg=(100.0, 100.0))
+    push(unit, 0, 0.97, OPEN, 80, 100)
+    unit.unit.tick(85)
+    assert unit.unit.is_open(0)
+    assert unit.code(15) == ACCEPTED
+    assert not unit.unit.is_open(0)
+    assert unit.unit.duty(0) == (0.0, 0.0, 0.0)
 
 
 def test_a_torque_step_can_be_stopped_and_needs_a_datum():

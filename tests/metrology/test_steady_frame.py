@@ -35,8 +35,7 @@ def frame_um(fiducials_mm, turned_deg, seed=0, terms="all"):
     """(N, 2) um by which fibres are seen beside where they are, spots taken as found."""
     rng = np.random.default_rng(seed)
     optics = misaligned(MODEL, 0).optics
-    geometry = replace(optics.geometry, rotation_deg=optics.geometry.rotation_deg + turned_deg)
-    optics = replace(optics, geometry=geometry)
+    optics = replace(optics, turned_deg=turned_deg)
     spots = optics.to_px(np.vstack([fiducials_mm, FIBRES_MM]))
     spots += rng.normal(0.0, NOISE_PX, spots.shape)
     settings = reduction_settings(PLANE.instrument.camera, MODEL.optics.geometry)

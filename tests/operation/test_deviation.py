@@ -14,12 +14,12 @@ from fiberloom.calibration.transmission.maps import identity
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation import motion as operation
-from fiberloom.operation.judge import Evidence
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.choice import cut_off_at
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
 from fiberloom.operation.safety.hearing import Hearing
+from fiberloom.operation.safety.judge import Evidence
 from fiberloom.planning import Plan, Trajectory, plan, random_pair
 from fiberloom.twin import draw_units
 from fiberloom.twin.hardware import field_hardware

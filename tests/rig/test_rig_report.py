@@ -93,7 +93,7 @@ def test_what_the_guide_shows_is_what_is_compiled():
     guide = (build.ROOT / "docs" / "firmware" / "porting.md").read_text()
     board = (build.BOARD / "board_stm32f405.c").read_text()
     blocks = re.findall(r"```c\n(.*?)```", guide, re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         assert block in board
 

@@ -18,12 +18,14 @@ TESTED = {
     "focal-plane",
     "friction",
     "inertia",
+    "coast",
     "stiffness",
     "arms",
     "repeatability",
     "fibres",
+    "gravity",
 }
-"""Here, in tests/operation/test_learning.py and in test_bench_commands.py and test_calibrate_fibres.py."""
+"""Here, in test_learning.py, test_bench_commands.py, test_calibrate_fibres.py, test_calibrate_gravity.py."""
 LOOK_BACK = {"history", "undo"}
 
 

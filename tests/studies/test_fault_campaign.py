@@ -19,7 +19,7 @@ from benchmarks.faults.world import Shot
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import METROLOGY
-from fiberloom.operation.motion import FieldState
+from fiberloom.operation.field_state import FieldState
 from fiberloom.operation.results import files
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.twin.twin import Touch, Twin

@@ -231,9 +231,24 @@ void Plant::configure(size_t axis) {
     set_external_torque(axis, axes_[axis].torque_Nm);
 }
 
+// The EMF between two phases of the delta is that of the coil between them, lambda omega at its peak.
+bool Plant::diodes_conduct(size_t axis) const {
+    const PlantParams &p = params(axis);
+    const double speed_rad_s = std::abs(lane(axis, &AxisGroup::p_Nms)) / p.inertia_motor;
+    return axes_[axis].faults.dead || p.flux_linkage * speed_rad_s > p.supply;
+}
+
+void Plant::switch_bridge(size_t axis, Bridge bridge) {
+    axes_[axis].bridge = bridge;
+    group_of(axis).still = 0;
+    configure_drive(axis);
+    configure_gear(axis);
+}
+
 void Plant::configure_drive(size_t axis) {
     const PlantParams &p = params(axis);
-    const double supply_V = axes_[axis].faults.dead ? 0.0 : p.supply;
+    const bool driven = !axes_[axis].faults.dead && !axes_[axis].bridge.open;
+    const double supply_V = driven ? p.supply : 0.0;
     set(axis, &AxisGroup::drive_scale_Nms,
         h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps);
     set(axis, &AxisGroup::pwm_steps, p.pwm_steps);
@@ -249,8 +264,9 @@ void Plant::configure_cogging(size_t axis) {
 
 void Plant::configure_gear(size_t axis) {
     const PlantParams &p = params(axis);
+    // in a closed bridge the coils are shorted at any duty; three sines around a delta add up to no current
     const double back_emf =
-        1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance; // coils are always closed
+        axes_[axis].bridge.floats ? 0.0 : 1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance;
     const double inertia = p.inertia_motor + p.inertia_gear;
     const double free = 0.5 * h_s_ * (back_emf + p.viscous_motor) / p.inertia_motor;
     const double push = 0.5 * h_s_ * (back_emf + p.viscous_motor + p.viscous_gear) / inertia;

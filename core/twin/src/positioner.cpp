@@ -16,6 +16,7 @@ constexpr uint8_t start_command = 14; // START_TRAJECTORY
 }
 
 void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
+    plant_ = &plant;
     group_ = &plant.group(Plant::place(2 * index).group);
     lane_ = Plant::place(2 * index).lane;
     index_ = index;
@@ -23,7 +24,8 @@ void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
 }
 
 fl_port_t Positioner::port() {
-    return {this, read_hall, set_phases, send_frame, storage_read, storage_write};
+    return {this,         read_hall,     set_phases,       send_frame,
+            storage_read, storage_write, read_temperature, open_phases};
 }
 
 void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
@@ -50,6 +52,13 @@ void Positioner::power_cycle() {
     const float off[3] = {0.0f, 0.0f, 0.0f};
     for (int axis = 0; axis < FL_AXES; ++axis) set_phases(this, axis, off);
     start(id);
+}
+
+void Positioner::power_up(const int turns[FL_AXES]) {
+    for (int axis = 0; axis < FL_AXES; ++axis) firmware_.axis[axis].position_cnt += turns[axis] * FL_TURN_CNT;
+    firmware_.datum_known = 0;
+    fl_storage_note_position(&firmware_, false);
+    power_cycle();
 }
 
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
@@ -164,6 +173,12 @@ void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
     for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * lane_group_size] = duty[k];
+    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), false);
+}
+
+void Positioner::open_phases(void *ctx, int axis) {
+    const auto &p = *static_cast<Positioner *>(ctx);
+    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), true);
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
@@ -171,6 +186,8 @@ bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     if (!p.faults.mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
     return true;
 }
+
+uint32_t Positioner::read_temperature(void *ctx) { return static_cast<Positioner *>(ctx)->temperature_cnt; }
 
 uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len) {
     const auto &p = *static_cast<Positioner *>(ctx);

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/twin.hpp"
 
 namespace fl::twin {
@@ -35,6 +36,9 @@ class Positioner {
     void power_cycle();
     // As delivered: it knows where it is and where its stops are, and has that in its storage.
     void deliver(const int32_t position_cnt[FL_AXES], const int32_t stop_cnt[FL_AXES]);
+    // Off and on again with a record that has lost these whole motor turns, and the datum of both axes: the
+    // firmware restores the record, and the hall sensors say the angle within a turn.
+    void power_up(const int turns[FL_AXES]);
 
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     // False when the firmware has nothing to do for its axes in this tick.
@@ -58,6 +62,7 @@ class Positioner {
     uint16_t id() const { return firmware_.id; }
     PositionerFaults faults;
     int bus = 0;
+    uint32_t temperature_cnt = 1900; // of its sensor
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
@@ -67,6 +72,7 @@ class Positioner {
 
     // torque of neighbours as last applied, and torque asked for from outside
     Push push, user_push;
+    std::unique_ptr<ArmLoads> loads; // none: nothing pulls at its arms
     std::vector<Contact> contacts, contacts_before;
 
   private:
@@ -74,7 +80,9 @@ class Positioner {
     bool spoils_start(const fl_can_frame_t &frame);
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
+    static void open_phases(void *ctx, int axis);
     static bool send_frame(void *ctx, const fl_can_frame_t *frame);
+    static uint32_t read_temperature(void *ctx);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
     fl_port_t port();
@@ -85,6 +93,7 @@ class Positioner {
 
     fl_positioner_t firmware_{};
     fl_axis_params_t factory_[FL_AXES] = {};
+    Plant *plant_ = nullptr;
     AxisGroup *group_ = nullptr;
     int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;

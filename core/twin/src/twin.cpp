@@ -65,13 +65,16 @@ struct Twin::State {
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
     void apply_torque(size_t i, const Push &push);
+    void put_torque(size_t i);
+    void follow_loads(size_t i);
+    Angles at_rest(size_t i) const;
     void publish(size_t i);
     void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
     bool any_awake() const;
     // Forces between arms that touch follow every tick; which arms might touch is looked at every 2 ms.
     bool at_sync() const { return touching || now % sync_ticks == 0; }
     uint64_t ticks_to_sync() const {
-        if (!feel) return lone_ticks;
+        if (!feel && !loaded) return lone_ticks;
         return touching ? 1 : sync_ticks - now % sync_ticks;
     }
     bool any_touching() const;
@@ -90,12 +93,15 @@ struct Twin::State {
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
+    bool loaded = false;   // something pulls at the arms: it follows them at sync points
     bool touching = false; // some arms, at the last sync point
     uint64_t now = 0;
     uint64_t slice = 0; // ticks of the slice that runs
     bool quiet = false; // a sync point has passed with every positioner asleep: time alone goes on
     // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
+    std::vector<Angles> zeros; // of the arms
+    Gravity gravity;
     Workers workers;
 };
 
@@ -109,6 +115,7 @@ Twin::State::State(const TwinSetup &s)
     boot(s);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
+    for (const Arm &arm : s.arms) zeros.push_back({arm.alpha_off_rad, arm.beta_off_rad});
 }
 
 void Twin::State::boot(const TwinSetup &s) {
@@ -149,6 +156,8 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
         plant.step(group);
         for (size_t i = first; i < last; ++i) positioners[i].record(plant, tick);
     }
+    if (loaded && (now + ticks) % sync_ticks == 0)
+        for (size_t i = first; i < last; ++i) follow_loads(i);
     lane_group.rest(now + ticks, skip_resting);
     for (size_t i = first; feel && i < last; ++i) publish(i);
 }
@@ -186,8 +195,29 @@ void Twin::State::apply_torque(size_t i, const Push &push) {
     Positioner &p = positioners[i];
     p.push = push;
     p.wake(now); // the rotor may give way
+    put_torque(i);
+}
+
+void Twin::State::put_torque(size_t i) {
+    const Positioner &p = positioners[i];
+    double load_Nm[FL_AXES] = {0.0, 0.0};
+    if (p.loads) {
+        const LoadTorque torque = p.loads->torque(gravity);
+        load_Nm[FL_ALPHA] = torque.alpha_Nm;
+        load_Nm[FL_BETA] = torque.beta_Nm;
+    }
     for (size_t axis = 0; axis < FL_AXES; ++axis)
-        plant.set_external_torque(2 * i + axis, push.torque_Nm[axis] + p.user_push.torque_Nm[axis]);
+        plant.set_external_torque(2 * i + axis,
+                                  p.push.torque_Nm[axis] + p.user_push.torque_Nm[axis] + load_Nm[axis]);
+}
+
+Angles Twin::State::at_rest(size_t i) const {
+    return {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
+}
+
+void Twin::State::follow_loads(size_t i) {
+    ArmLoads *loads = positioners[i].loads.get();
+    if (loads != nullptr && loads->turn(at_rest(i))) put_torque(i);
 }
 
 bool Twin::State::any_awake() const {
@@ -294,6 +324,20 @@ void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
     s_->apply_torque(i, p.push);
 }
 
+void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {
+    Positioner &p = s_->at(i);
+    p.loads = std::make_unique<ArmLoads>(alpha, beta, s_->zeros[i], s_->at_rest(i));
+    s_->loaded = true;
+    s_->apply_torque(i, p.push);
+}
+
+void Twin::point(Gravity gravity) {
+    s_->gravity = gravity;
+    for (size_t i = 0; i < s_->count; ++i)
+        if (s_->positioners[i].loads) s_->apply_torque(i, s_->positioners[i].push);
+}
+void Twin::set_temperature(size_t i, uint32_t counts) { s_->at(i).temperature_cnt = counts; }
+
 void Twin::set_faults(size_t i, const PositionerFaults &faults) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);
@@ -318,6 +362,13 @@ void Twin::power_cycle(size_t i, bool bootloader) {
     p.wake(s_->now);
     p.power_cycle();
     if (bootloader) fl_positioner_enter_bootloader(&p.firmware());
+}
+
+void Twin::power_up(size_t i, int alpha_turns, int beta_turns) {
+    Positioner &p = s_->at(i);
+    p.wake(s_->now);
+    const int turns[FL_AXES] = {alpha_turns, beta_turns};
+    p.power_up(turns);
 }
 
 void Twin::scope(size_t i, int axis, bool on) {

@@ -6,7 +6,10 @@
  *   PA8..10   TIM1 CH1..3   phases A, B, C of alpha        PA0..3   ADC1 0..3   alpha A, B, beta A, B
  *   PC6..8    TIM8 CH1..3   phases A, B, C of beta         PB8, 9   CAN1 RX, TX
  *   PA5..7    SPI1          memory                         PA4      its select line
+ *   PB0, 1    enable lines of the drivers of alpha and beta, pulled up: low opens a bridge
  */
+#include <stddef.h>
+
 #include "factory.h"
 #include "fl_dispatch.h"
 #include "fl_positioner.h"
@@ -48,13 +51,15 @@ static void start_pins(void) {
     for (unsigned pin = 0; pin < 4; ++pin) GPIOA->moder |= 3u << 2 * pin; /* analogue */
     GPIOA->bsrr = 1u << 4;
     GPIOA->moder |= 1u << 8; /* select line: output, high */
+    GPIOB->bsrr = 3u;        /* both bridges enabled, before the pins are outputs */
+    GPIOB->moder |= 1u << 0 | 1u << 2;
     for (unsigned pin = 5; pin < 8; ++pin) pin_alternate(GPIOA, pin, 5);
     for (unsigned pin = 8; pin < 11; ++pin) pin_alternate(GPIOA, pin, 1);
     for (unsigned pin = 6; pin < 9; ++pin) pin_alternate(GPIOC, pin, 3);
     for (unsigned pin = 8; pin < 10; ++pin) pin_alternate(GPIOB, pin, 9);
 }
 
-/* -- PWM: set_phases ----------------------------------------------------------------------------- */
+/* -- PWM: set_phases, open_phases ---------------------------------------------------------------- */
 
 static void start_bridge(timer_t *t) {
     t->arr = PWM_STEPS - 1;
@@ -74,6 +79,13 @@ static void set_phases(void *ctx, int axis, const float duty[3]) {
     t->cr1 |= TIMER_NO_UPDATE;
     for (int k = 0; k < 3; ++k) t->ccr[k] = (uint32_t)(duty[k] * (float)PWM_STEPS + 0.5f);
     t->cr1 &= ~TIMER_NO_UPDATE;
+    GPIOB->bsrr = 1u << axis;
+}
+
+/* The drivers hold both switches of their phases off while their enable line is low. */
+static void open_phases(void *ctx, int axis) {
+    (void)ctx;
+    GPIOB->bsrr = 1u << (16 + axis);
 }
 
 /* -- ADC: read_hall, and the tick ---------------------------------------------------------------- */
@@ -228,7 +240,8 @@ int main(void) {
     start_adc();
     convert_once(); /* while the converter wakes up: not exact */
     convert_once();
-    const fl_port_t port = {0, read_hall, set_phases, send_frame, storage_read, storage_write};
+    const fl_port_t port = {0, read_hall,  set_phases, send_frame, storage_read, storage_write,
+                            0, open_phases};
     const fl_axis_params_t params[FL_AXES] = {factory.params[FL_ALPHA], factory.params[FL_BETA]};
     fl_positioner_init(&positioner, &port, factory.id, params);
     start_can(factory.id);

@@ -49,11 +49,14 @@ typedef enum fl_axis_event {
     FL_AXIS_BLOCKED, /* collision */
 } fl_axis_event_t;
 
-/* For identification on a bench, Kronig 2020, Fig. 14: 32767 is u_dc. */
+/* For identification on a bench, Kronig 2020, Fig. 14: 32767 is u_dc, FL_TORQUE_OPEN the open bridge. */
 typedef struct fl_torque_step {
     int16_t voltage[2];
     uint16_t ticks[2];
 } fl_torque_step_t;
+
+/* As a voltage: no switch of the bridge conducts, so that the rotor coasts without its back-EMF. */
+enum { FL_TORQUE_OPEN = INT16_MIN };
 
 /* A push ends after 0.2 s at the latest: at 6000 rpm 20 turns of the motor, 7 deg of the arm. */
 enum { FL_TORQUE_TICKS = FL_TICK_HZ / 5 };
@@ -145,7 +148,8 @@ void fl_axis_calibrate_hall(fl_axis_t *a);
 /* Sweeps four motor turns each way and fits friction, spring and cogging; the result is in fit.friction. */
 void fl_axis_calibrate_cogging(fl_axis_t *a);
 /* Drives with these torques, then brakes. It ends early at the limits of the range.
- * @pre step.ticks add up to FL_TORQUE_TICKS at most; no voltage is INT16_MIN */
+ * @pre step.ticks add up to FL_TORQUE_TICKS at most; a voltage is FL_TORQUE_OPEN only on a board that opens
+ *      its bridges */
 void fl_axis_push(fl_axis_t *a, fl_torque_step_t step);
 /* Stops on the way of a trajectory: its time runs slower and slower, so that axes which begin in the same
  * tick stay together on it. What has come to its landing ends as it would. Ends with the axis at rest, like
@@ -186,8 +190,13 @@ fl_axis_event_t fl_axis_conclude(fl_axis_t *a, const fl_port_t *port, int index,
 /* Reads the sensors outside the tick; the unwrapped rotor angle. */
 int32_t fl_axis_look(fl_axis_t *a, const fl_port_t *port, int index);
 
-/* Declares the position of the rotor as it is now, 2^30 per output turn, and with it the datum. */
-void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt);
+/* How far the rotor is now from the position, which stays what it was when the axis came to rest: without
+ * current the cogging turns it inside the backlash. Counts. */
+int32_t fl_axis_fallen(fl_axis_t *a, const fl_port_t *port, int index);
+
+/* Declares the position, 2^30 per output turn, and with it the datum: that of the rotor as it is now, or, if
+ * the axis has `settled`, that in place of the one it has come to rest at. */
+void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt, bool settled);
 
 /* Ticks that a go-to from the present position takes at most, settling not counted:
  * |way|/speed + 0.25 s, and the approach if the axis is precise. */

@@ -15,6 +15,12 @@ FL_COLD void fl_axis_measure(fl_axis_t *a, uint8_t measures) {
     if (measures == FL_MEASURES_TORQUE) measure_torque(a);
 }
 
+/* In every tick of the part, as the phases are set in every tick. */
+static void coast_open(fl_axis_t *a, const fl_port_t *port, int index) {
+    a->voltage = 0.0f;
+    port->open_phases(port->ctx, index);
+}
+
 /* Eq. 20 without a loop. The field leads by what the rotor turned in the last tick, halved. */
 FL_COLD void fl_axis_push_tick(fl_axis_t *a, const fl_port_t *port, int index) {
     const int second = a->leg_ticks >= a->push.ticks[0];
@@ -26,6 +32,10 @@ FL_COLD void fl_axis_push_tick(fl_axis_t *a, const fl_port_t *port, int index) {
     if (over || !fl_axis_in_range(a, a->position_cnt)) {
         fl_axis_phases_off(a, port, index);
         fl_axis_next_leg(a);
+        return;
+    }
+    if (a->push.voltage[second] == FL_TORQUE_OPEN) {
+        coast_open(a, port, index);
         return;
     }
     a->voltage = (float)a->push.voltage[second] * (1.0f / 32767.0f);

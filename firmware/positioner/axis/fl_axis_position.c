@@ -17,9 +17,15 @@ static void declare(fl_axis_t *a, int32_t position_cnt) {
     a->position_cnt = a->command.position_cnt = position_cnt;
 }
 
-void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt) {
-    fl_axis_look(a, port, index);
+int32_t fl_axis_fallen(fl_axis_t *a, const fl_port_t *port, int index) {
+    return fl_sub_i32(fl_add_i32(fl_axis_look(a, port, index), a->zero_cnt), a->position_cnt);
+}
+
+void fl_axis_set_position(fl_axis_t *a, const fl_port_t *port, int index, int32_t position_cnt,
+                          bool settled) {
+    const int32_t fallen = fl_axis_fallen(a, port, index);
     declare(a, position_cnt);
+    if (settled) a->zero_cnt = fl_add_i32(a->zero_cnt, fallen);
     a->datum_ref_cnt = fl_sub_i32(fl_axis_datum_cnt(a), a->zero_cnt) & (FL_TURN_CNT - 1);
     a->datum_calibrated = true;
 }

@@ -158,6 +158,15 @@ class Positioner:
     def mailbox_open(self, arg: bool, /) -> None: ...
 
     @property
+    def opens(self) -> bool: ...
+
+    @opens.setter
+    def opens(self, arg: bool, /) -> None: ...
+
+    def is_open(self, axis: int) -> bool:
+        """Whether the bridge of the axis is open."""
+
+    @property
     def hall_noise_cnt(self) -> float: ...
 
     @hall_noise_cnt.setter

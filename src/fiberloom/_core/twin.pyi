@@ -57,6 +57,9 @@ class Plant:
     def set_external_torque(self, axis: int, torque_Nm: float) -> None:
         """At the output, positive towards positive angles."""
 
+    def set_open(self, axis: int, open: bool) -> None:
+        """Opens or closes the bridge; once a tick while it is open."""
+
     def backlash_rad(self, axis: int) -> float:
         """Where the gear is, motor rad."""
 
@@ -146,7 +149,25 @@ class Twin:
 
     def power_cycle(self, index: int, bootloader: bool = False) -> None: ...
 
+    def set_temperature(self, index: int, counts: int) -> None:
+        """
+        What the temperature sensor of a positioner reads, in the sensor's counts.
+        """
+
+    def power_up(self, index: int, alpha_turns: int, beta_turns: int) -> None:
+        """
+        Power off and on at rest, no datum on record, counters off by so many whole motor turns.
+        """
+
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None: ...
+
+    def set_loads(self, rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)]) -> None:
+        """
+        (N, 12): of alpha, then of beta moment_x and moment_y (kg m, in the frame of the arm), fibre_rate (Nm/rad), fibre_free (rad), fibre_friction (Nm), fibre_slip (rad).
+        """
+
+    def point(self, x_m_s2: float, y_m_s2: float) -> None:
+        """Gravity along the focal plane from now on."""
 
     def set_transmission(self, index: int, axis: int, row: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
 

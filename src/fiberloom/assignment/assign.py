@@ -39,6 +39,8 @@ class Assignment:
     """Row of the target list: why no positioner takes it."""
     notes: list[str]
     """What the operator should know: shorter approaches, targets given up, best not proven."""
+    lead_mm: Floats | None = None
+    """(N, 2) by which a fibre is placed beside its target, for what moves it until the exposure; None: 0."""
 
     def __repr__(self) -> str:
         return (

@@ -19,6 +19,7 @@ from fiberloom.typing import Floats, Ints
 
 TRACE_SAMPLES = 1024
 FULL_VOLTAGE = 32767
+_OPEN = -32768
 PUSH_TICKS = 400
 """Longest torque step in all."""
 _DEG_PER_COUNT = units.GEAR / units.COUNTS_PER_DEG
@@ -101,18 +102,19 @@ async def push(
     client: Client,
     ids: Iterable[int],
     axis: int,
-    voltages: tuple[float, float],
+    voltages: tuple[float | None, float | None],
     times_s: tuple[float, float],
 ) -> Results:
     """Drive with one torque, then another, and let the motor stop.
 
     `ids`: positioners of the `client`; `axis`: 0 alpha, 1 beta; `voltages`: shares of the full voltage,
-    -1 to 1; `times_s`: how long each lasts, 0.2 s in all at most: up to 7 deg of the arm. No watch
-    looks for collisions meanwhile. InputError for values beyond these limits.
+    -1 to 1, or None for an open bridge (a board that cannot answers UNKNOWN_COMMAND); `times_s`: how long
+    each lasts, 0.2 s in all at most: up to 7 deg of the arm. No watch looks for collisions meanwhile.
+    InputError for values beyond these limits.
     """
-    level = [round(v * FULL_VOLTAGE) for v in voltages]
+    level = [_OPEN if v is None else round(v * FULL_VOLTAGE) for v in voltages]
     ticks = [round(t / units.TICK_S) for t in times_s]
-    if max(map(abs, level)) > FULL_VOLTAGE:
+    if any(v is not None and abs(v) > 1.0 for v in voltages):
         raise InputError(f"torque step: voltages {voltages} must be shares of the full one, -1 to 1")
     if sum(ticks) > PUSH_TICKS:
         raise InputError(f"torque step: {sum(times_s):g} s; {PUSH_TICKS * units.TICK_S:g} s in all at most")

@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     )
     from fiberloom.calibration.bench.arms import Arms, ArmsData, ArmsSettings, identify_arms, measure_arms
     from fiberloom.calibration.bench.bench import TorqueActuator
+    from fiberloom.calibration.bench.coast import (
+        Coast,
+        CoastData,
+        CoastSettings,
+        identify_coast,
+        measure_coast,
+    )
     from fiberloom.calibration.bench.estimate import Estimate
     from fiberloom.calibration.bench.friction import (
         BreakAway,
@@ -82,6 +89,9 @@ __all__ = [
     "BreakAway",
     "Calibration",
     "CalibrationReport",
+    "Coast",
+    "CoastData",
+    "CoastSettings",
     "Estimate",
     "Friction",
     "FrictionData",
@@ -109,6 +119,7 @@ __all__ = [
     "data_sheet_scale",
     "evaluate",
     "identify_arms",
+    "identify_coast",
     "identify_friction",
     "identify_inertia",
     "identify_repeatability",
@@ -117,6 +128,7 @@ __all__ = [
     "identity",
     "load",
     "measure_arms",
+    "measure_coast",
     "measure_friction",
     "measure_inertia",
     "measure_repeatability",

@@ -18,7 +18,8 @@ from fiberloom.cli.array.status import status
 from fiberloom.cli.calibrate.acceptance import acceptance
 from fiberloom.cli.calibrate.fibres import fibres
 from fiberloom.cli.calibrate.focal_plane import focal_plane
-from fiberloom.cli.calibrate.identification import arms, friction, inertia, repeatability, stiffness
+from fiberloom.cli.calibrate.gravity import gravity
+from fiberloom.cli.calibrate.identification import arms, coast, friction, inertia, repeatability, stiffness
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
@@ -83,10 +84,12 @@ app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)
 add(calibrate, focal_plane, "focal-plane")
 add(calibrate, fibres)
+add(calibrate, gravity)
 add(calibrate, history)
 add(calibrate, undo)
 add(calibrate, friction)
 add(calibrate, inertia)
+add(calibrate, coast)
 add(calibrate, stiffness)
 add(calibrate, arms)
 add(calibrate, repeatability)

@@ -15,6 +15,7 @@ from fiberloom.cli.options import (
     ErrorsOptions,
     JsonOptions,
     PlaneOptions,
+    PointingOptions,
     RequireOptions,
     naming,
     require_file,
@@ -71,7 +72,13 @@ MapsOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationOptions(
-    ExcludeOptions, ArmsFileOptions, RequireOptions, ErrorsOptions, PlaneOptions, JsonOptions
+    PointingOptions,
+    ExcludeOptions,
+    ArmsFileOptions,
+    RequireOptions,
+    ErrorsOptions,
+    PlaneOptions,
+    JsonOptions,
 ):
     """Of `fiberloom observe`."""
 
@@ -128,6 +135,7 @@ def observe(options: ObservationOptions) -> int:
     """
     started_s = time.monotonic()
     check(options)
+    options.pointing()  # one that cannot be is told before anything is read
     required = options.required_share
     from fiberloom.targets import read_targets
 
@@ -159,6 +167,8 @@ def observe(options: ObservationOptions) -> int:
             compare_linear=options.compare_linear,
             arms=options.arms,
             fibres=options.fibres,
+            gravity=options.gravity,
+            pointing=options.pointing(),
             learnt=options.learnt,
             adapt=options.adapt,
             pages=options.pages.value,
@@ -176,6 +186,7 @@ _FILES = {
     "calibration": "make one with 'fiberloom calibrate transmission'",
     "arms": "make one with 'fiberloom calibrate focal-plane'",
     "fibres": "make one with 'fiberloom calibrate fibres'",
+    "gravity": "make one with 'fiberloom calibrate gravity'",
     "measured": "name the store of an earlier run",
 }
 """Options that name files, and where the files come from."""
@@ -233,7 +244,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     """
     from rich.console import Console
 
-    from fiberloom.report.tables import budget_line, observation_table, shortfall
+    from fiberloom.report.tables import budget_line, observation_table, shortfall, temperature_line
 
     console = Console()
     console.print(observation_table(summary))
@@ -245,6 +256,11 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         f"everything took {summary['wall_s']:.0f} s"
     )
     console.print(f"corrections ended: {summary['stopped']}")
+    if "temperature" in summary and (line := temperature_line(summary["temperature"])):
+        say(console, line)
+    if "referenced" in summary:
+        how = ", ".join(f"{n} {how}" for how, n in summary["referenced"].items() if n)
+        console.print(f"no datum was on record, positioners were referenced first: {how}")
     for note in summary["notes"]:
         say(console, f"note: {note}")
     if "learnt" in summary:

@@ -19,6 +19,7 @@ from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.instruments import FocalPlane
+    from fiberloom.instruments.pointing import ExposurePointing
 
 Options = TypeVar("Options")
 
@@ -88,6 +89,37 @@ class ErrorsOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PointingOptions:
+    """Where the telescope points, at the image and while light is collected; deg."""
+
+    zenith: Annotated[float | None, typer.Option(help="Zenith distance at the images, deg.")] = None
+    rotator: Annotated[float, typer.Option(help="Rotator angle at the images, deg.")] = 0.0
+    turn: Annotated[
+        float, typer.Option(help="By which the rotator turns until the middle of the exposure, deg.")
+    ] = 0.0
+    fall: Annotated[
+        float, typer.Option(help="By which the zenith distance grows until the middle of the exposure, deg.")
+    ] = 0.0
+    swing: Annotated[
+        float, typer.Option(help="By which the rotator turns during the exposure, begin to end, deg.")
+    ] = 0.0
+    gravity: Annotated[
+        Path | None, typer.Option(help="Sag of `calibrate gravity`: fibres are led by it; with --zenith.")
+    ] = None
+
+    def pointing(self) -> ExposurePointing | None:
+        """None where no zenith distance is given; InputError for one that cannot be."""
+        if self.zenith is None:
+            for name in ("rotator", "turn", "fall", "swing", "gravity"):
+                if getattr(self, name):
+                    raise InputError(f"--{name}: goes with --zenith, the zenith distance at the images")
+            return None
+        from fiberloom.instruments.pointing import ExposurePointing, Pointing
+
+        return ExposurePointing(Pointing(self.zenith, self.rotator), self.turn, self.fall, self.swing)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RequireOptions:
     """Of a command that fails where too little was achieved."""
 
@@ -109,7 +141,8 @@ class RequireOptions:
 
     def met(self, done: int, of: int) -> bool:
         """Are so many of so many enough? Nothing at all never is."""
-        return done > 0 and done >= self.required_share * of
+        share = self.required_share  # also of nothing: one that is no share is told
+        return done > 0 and done >= share * of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -137,15 +137,19 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
+    from fiberloom.twin.hardware import power_up, tell_temperature
     from fiberloom.twin.server.device import PORTS
     from fiberloom.twin.server.server import ServerSettings, TwinServer
 
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
     schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)
-    units = draw_units(plane, options.seed, errors=TwinErrors.of(plane.instrument, options.errors))
+    errors = TwinErrors.of(plane.instrument, options.errors)
+    units = draw_units(plane, options.seed, errors=errors)
     # one thread: ticks are short, and the other core is left to the host
     made = Twin(plane, units, seed=options.seed, threads=1, neighbours=options.neighbours)
+    tell_temperature(made, errors, options.seed)
+    power_up(made, errors, options.seed)
     settings = ServerSettings(options.speed, options.seed, options.bootloader, options.first)
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 

@@ -566,7 +566,8 @@ class FocalPlane:
         Returns
         -------
         str
-            16 hex digits that change with any number of either; but `care` makes no other array of it.
+            16 hex digits that change with any number of either; but `care` and `expansion` make no other
+            array of it.
 
         Examples
         --------
@@ -575,7 +576,7 @@ class FocalPlane:
         16
         """
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
-        return mark_of(self.instrument.model_dump_json(exclude={"care"}), arrays)
+        return mark_of(self.instrument.model_dump_json(exclude={"care", "expansion"}), arrays)
 
     def _posed(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None

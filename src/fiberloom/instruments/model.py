@@ -290,6 +290,19 @@ class Care(Table):
         return self
 
 
+class Expansion(Table):
+    """How arms grow with the temperature, in the frame of the fiducials' table: against the plate."""
+
+    arms_per_K: Finite
+    """Expansion of the arms less that of the plate, a ratio for each kelvin."""
+    arms_per_K_sd: Positive
+    """Standard deviation of that: how well it is known."""
+    measured_C: Finite = 20.0
+    """Temperature at which the arms of the layout were measured."""
+    range_C: Range = (-30.0, 45.0)
+    """What a thermometer can say; beyond, it is wrong."""
+
+
 class GuideCameras(Table):
     """Cameras in a ring around the field; only the edge that faces the field can be touched."""
 
@@ -412,6 +425,8 @@ class Instrument(Table):
     operation: Operation
     acceptance: Acceptance | None = None
     care: Care = Care()
+    expansion: Expansion | None = None
+    """None: arms are taken as they were measured, whatever the temperature."""
     layout: Layout
     scatter: UnitScatter
     twin: dict[str, Any] = Field(default_factory=dict)

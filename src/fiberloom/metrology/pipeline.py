@@ -236,6 +236,7 @@ class ImageCamera:
     def __init__(self, source: ImageSource, plane: FocalPlane, settings: ReductionSettings) -> None:
         self.source, self.plane, self.settings = source, plane, settings
         self.last: Reduction | None = None
+        self._unturned_deg, self._turned = settings.geometry.rotation_deg, False
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
@@ -258,6 +259,26 @@ class ImageCamera:
             watcher(reduction)
         return reduction.measurement()
 
+    def turn(self, turned_deg: float) -> None:
+        """From now on images are turned by so many deg more than nominal, by the instrument's rotator.
+
+        A source that has a rotator (`turn`) is turned by it.
+        """
+        if (turn := getattr(self.source, "turn", None)) is not None:
+            turn(turned_deg)
+        geometry = replace(self.settings.geometry, rotation_deg=self._unturned_deg + turned_deg)
+        self.settings, self._turned = replace(self.settings, geometry=geometry), True
+
+    def light(self, fibre: str) -> None:
+        """From now on this science `fibre` shines beside the metrology fibres, "" none: a source's lamp."""
+        if (light := getattr(self.source, "light", None)) is not None:
+            light(fibre)
+
+    def know_fiducials(self, fiducials_mm: Floats) -> None:
+        """From now on fiducials are taken to be at (F, 2) mm: as a calibration has found them."""
+        known = np.column_stack([fiducials_mm, self.plane.fiducials[:, 2:]])
+        self.plane = replace(self.plane, fiducials=known)
+
     def abort(self) -> None:
         """Makes a running `measure` raise, where the source can be aborted; from any thread."""
         if (abort := getattr(self.source, "abort", None)) is not None:
@@ -272,13 +293,15 @@ class ImageCamera:
         image = self.source.expose()
         if image.pixels.ndim != 2:
             raise InputError("the camera delivered something that is no image")
-        start = self.last.transform if self.last else None
+        start = self.last.transform if self.last and not self._turned else None
         hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm, self.profile, start)
-        terms = start.terms if start and self.settings.terms is None else self.settings.terms
+        terms = self.settings.terms
+        if terms is None and self.last:
+            terms = self.last.transform.terms
         return reduce_image(image, self.plane, replace(self.settings, terms=terms), hints)
 
     def _remember(self, reduction: Reduction) -> None:
-        self.last = reduction
+        self.last, self._turned = reduction, False
         # a profile that no longer fits is measured again on the next image
         worn = np.median(reduction.spots.chi2) > _WORN_CHI2 if len(reduction.spots) else True
         self.profile = None if worn else reduction.found.profile

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fiberloom.assignment import Assignment
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.calibration.adaptive.learnt import origin, pack, unpack
 from fiberloom.calibration.fibres.offsets import FibreOffsets
-from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
+from fiberloom.calibration.focal_plane.arms_file import arms_measured_C, load_arms, load_arms_covariance
+from fiberloom.calibration.gravity.lead import led
+from fiberloom.calibration.gravity.sag import ArmSag
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.learning import LearningRecorder
+from fiberloom.instruments.pointing import ExposurePointing
+from fiberloom.operation.care.warm_arms import WarmArms
+from fiberloom.operation.learning import GrowthRecorder, LearningRecorder
 from fiberloom.operation.move import Recorder
+from fiberloom.operation.source import Source
 from fiberloom.store import Run, Store
 from fiberloom.store.calibrations import note_calibration
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory
@@ -42,10 +48,35 @@ class Known:
     """Files that were read, by kind of calibration."""
     fibres: FibreOffsets | None = None
     """Of the science fibres, and of the frame of the camera; None: as the layout says."""
+    gravity: ArmSag | None = None
+    """By which the arms turn with the pointing of the telescope; None: not at all."""
+    warmth: WarmArms | None = None
+    """None: arms are taken as they were measured."""
+
+    async def feel(self, source: Source, say: Callable[[str], None]) -> None:
+        """Arms as long as the temperature of the positioners of `source` makes them.
+
+        `say` is told why, where they are taken as they were measured.
+        """
+        if self.warmth is None:
+            return
+        await self.warmth.feel(source)
+        self.plane = self.warmth.grown(self.plane)
+        if self.warmth.why_not:
+            say(f"arms are taken as they were measured: {self.warmth.why_not}")
 
     def aims(self, targets: TargetList) -> TargetList:
         """The targets (N) as the frame of the camera has them, in mm: fibres are to be seen there."""
         return targets if self.fibres is None else self.fibres.aims(targets)
+
+    def led(self, plane: FocalPlane, assignment: Assignment, pointing: ExposurePointing | None) -> Assignment:
+        """The assignment with its fibres beside their targets, so that they sag onto them.
+
+        `plane`: of the assignment; `pointing`: of image and exposure, without which nothing is known to sag.
+        """
+        if self.gravity is None or pointing is None:
+            return assignment
+        return led(plane, assignment, self.gravity, pointing)
 
     def record_used(self, run: Run) -> None:
         """Writes into the store which calibrations this run uses."""
@@ -54,15 +85,20 @@ class Known:
                 note_calibration(run, kind, file, self.plane.positioner_id)
 
     def record_learnt(self, run: Run) -> None:
-        """Writes into the store what this run has taught, where learning was asked for."""
+        """Writes into the store what this run has taught: of the maps, where learning was asked for."""
+        if self.warmth is not None:
+            self.warmth.record(run)
         if self.keeper is not None:
             self.keeper.record(run)
 
     def learning(self, recorder: Recorder) -> Recorder:
         """The given recorder, or one around it that learns where that was asked for."""
+        if self.warmth is not None:
+            recorder = GrowthRecorder(recorder, self.warmth)
         if self.keeper is None:
             return recorder
-        self.recorder = LearningRecorder(recorder, self.keeper.learner, self.keeper.keep)
+        growth = 0.0 if self.warmth is None else self.warmth.growth
+        self.recorder = LearningRecorder(recorder, self.keeper.learner, self.keeper.keep, growth)
         return self.recorder
 
     def summary(self) -> dict[str, Any]:
@@ -71,6 +107,10 @@ class Known:
         if self.fibres is not None:
             frame_um = None if self.fibres.frame is None else self.fibres.frame.rms_um
             known["fibre_calibration"] = {"formal_um": self.fibres.formal_um, "frame_um": frame_um}
+        if self.gravity is not None:
+            known["gravity_calibration"] = {"formal_um": self.gravity.formal_um(self.plane)}
+        if self.warmth is not None:
+            known["temperature"] = self.warmth.summary()
         if self.keeper is None or self.recorder is None:
             return known
         return known | {
@@ -126,12 +166,17 @@ class Learning:
     """Arms of `calibrate focal-plane`, in place of the layout's."""
     fibres: Path | str | None = None
     """Offsets of `calibrate fibres`: where the science fibres are on their arms."""
+    gravity: Path | str | None = None
+    """Sag of `calibrate gravity`: by how much the arms turn with the pointing."""
     learnt: str | None = None
     """Store of what was learnt; default with `adapt`: beside the maps."""
     adapt: bool = False
     """Learn from every measured move."""
     seed: int = 0
     """Of the observation; noted with the generation."""
+    history: Path | None = None
+    """Store of earlier observations: where maps are learnt, or what was learnt of them is used, the expansion
+    of the arms is learnt from these."""
 
 
 def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, asked: Learning) -> Known:
@@ -147,8 +192,14 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     if fibres is not None and asked.fibres is not None:
         host = fibres.applied(host)
         files["fibres"] = Path(asked.fibres)
+    gravity = None if asked.gravity is None else ArmSag.load(asked.gravity, plane)
+    if asked.gravity is not None:
+        files["gravity"] = Path(asked.gravity)
+    warmth = WarmArms.of(host, maps, _measured_C(plane, asked), plane.config_hash())
     if not (asked.adapt or asked.learnt):
-        return Known(host, maps, files=files, fibres=fibres)
+        return Known(host, maps, files=files, fibres=fibres, gravity=gravity, warmth=warmth)
+    if warmth is not None and asked.history is not None:
+        warmth.learn(asked.history)
     covariance = None if asked.arms is None else load_arms_covariance(asked.arms, plane)
     learner = AdaptiveCalibration(host, maps, arms_covariance_mm2=covariance)
     store = Store.open(asked.learnt or maps_file.with_suffix(".learnt.sqlite"), create=asked.adapt)
@@ -159,4 +210,13 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     keeper = Keeper(store, history, learner, asked.seed) if asked.adapt else None
     # as it is now: what this observation teaches is not used in it
     begun = learner.copy()
-    return Known(begun.plane, begun.maps, begun.sigma_deg, keeper, files=files, fibres=fibres)
+    begin = Known(begun.plane, begun.maps, begun.sigma_deg, keeper, files=files)
+    return replace(begin, fibres=fibres, gravity=gravity, warmth=warmth)
+
+
+def _measured_C(plane: FocalPlane, asked: Learning) -> float | None:
+    """Temperature at which the arms in use were measured: those of the file, or of the layout."""
+    if asked.arms is not None:
+        return arms_measured_C(asked.arms)
+    expansion = plane.instrument.expansion
+    return None if expansion is None else expansion.measured_C

@@ -12,8 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
+from fiberloom.calibration.adaptive.expansion import ungrown_mm
 from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.metrology import Measurement
+from fiberloom.operation.care.warm_arms import WarmArms
 from fiberloom.operation.move import Move, Recorder
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -23,27 +25,15 @@ Keep = Callable[[AdaptiveCalibration, Ints], None]
 _TELL_NOTHING = FAULTS | {FibreStatus.OFFLINE}
 
 
-class LearningRecorder:
-    """Hands everything on to another recorder, and learns from each move before the next begins."""
+class PassingRecorder:
+    """Hands everything on to another recorder."""
 
-    def __init__(self, recorder: Recorder, learner: AdaptiveCalibration, keep: Keep) -> None:
-        self._recorder, self.learner, self._keep = recorder, learner, keep
-        self.n_used = 0
-        """Measurements learnt from."""
-        self.n_refused = 0
-        """Measurements too far from the expected position to learn from."""
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
 
     def move(self, move: Move) -> None:
-        """Records the move first; then learns from it and stores the states."""
+        """Records the move."""
         self._recorder.move(move)
-        rows = informative(move)
-        if len(rows) == 0:
-            return
-        xy_mm = move.measurement.xy_mm[rows]
-        done = self.learner.update(move.wire_deg[rows], xy_mm, index=rows)
-        self.n_used += int(done.used.sum())
-        self.n_refused += int((np.isfinite(done.surprise) & ~done.used).sum())
-        self._keep(self.learner, rows)
 
     def start(self, here_deg: Floats, wire_deg: Floats, image: Measurement) -> None:
         """Records the start; nothing moved, so nothing is learnt."""
@@ -60,6 +50,50 @@ class LearningRecorder:
     def event(self, kind: str, text: str, positioner_id: int | None = None) -> None:
         """Records a fault or a remark."""
         self._recorder.event(kind, text, positioner_id)
+
+
+class GrowthRecorder(PassingRecorder):
+    """Looks at each move for how long the arms are."""
+
+    def __init__(self, recorder: Recorder, warmth: WarmArms) -> None:
+        super().__init__(recorder)
+        self._warmth = warmth
+
+    def move(self, move: Move) -> None:
+        """Records the move first."""
+        super().move(move)
+        counted = np.zeros(len(move.status), dtype=bool)
+        counted[informative(move)] = not move.comparison
+        self._warmth.look(move.wire_deg, move.measurement.xy_mm, counted)
+
+
+class LearningRecorder(PassingRecorder):
+    """Learns from each move before the next begins."""
+
+    def __init__(
+        self, recorder: Recorder, learner: AdaptiveCalibration, keep: Keep, growth: float = 0.0
+    ) -> None:
+        """`learner`: of arms as they were calibrated; `keep`: stores its states; `growth`: of the arms since,
+        by the temperature, a ratio, which is taken off what is measured."""
+        super().__init__(recorder)
+        self.learner, self._keep, self._growth = learner, keep, growth
+        self.n_used = 0
+        """Measurements learnt from."""
+        self.n_refused = 0
+        """Measurements too far from the expected position to learn from."""
+
+    def move(self, move: Move) -> None:
+        """Records the move first; then learns from it and stores the states."""
+        super().move(move)
+        rows = informative(move)
+        if len(rows) == 0:
+            return
+        centres_mm = self.learner.plane.centres_mm[rows]
+        xy_mm = ungrown_mm(move.measurement.xy_mm[rows], centres_mm, self._growth)
+        done = self.learner.update(move.wire_deg[rows], xy_mm, index=rows)
+        self.n_used += int(done.used.sum())
+        self.n_refused += int((np.isfinite(done.surprise) & ~done.used).sum())
+        self._keep(self.learner, rows)
 
 
 def informative(move: Move) -> Ints:

@@ -7,62 +7,37 @@ trusted. The loop of an observation and the survey of a calibration both move th
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from fiberloom.bus.client import Client
-from fiberloom.bus.outcome import Outcome, Result, Results
+from fiberloom.bus.outcome import Result, Results
 from fiberloom.bus.protocol import Status
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
-from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.pointing import ExposurePointing
 from fiberloom.metrology import Measurement
 from fiberloom.operation.care.motors import MotorCare
-from fiberloom.operation.judge import ASTRAY_MM, Evidence
+from fiberloom.operation.field_state import FieldState
 from fiberloom.operation.move import Goals, MadeMove, Move, Recorder
-from fiberloom.operation.safety.begin import (
-    ALLOWED_MM,
-    NAMED,
-    Beginning,
-    Report,
-    Standing,
-    allowed_miss_mm,
-    begin_check,
-)
 from fiberloom.operation.safety.deviation import MotionRule, when_linked
-from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
-from fiberloom.operation.safety.looking import PatientCamera
+from fiberloom.operation.safety.looking import PatientCamera, know_fiducials
 from fiberloom.operation.safety.loop_first import LoopFirst
-from fiberloom.operation.safety.seen import where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
+from fiberloom.operation.session.states import Step
+from fiberloom.operation.truth import truths
 from fiberloom.planning import Plan, Trajectory, plan, verify
 from fiberloom.store.run import CUT_SHORT
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
-NOT_WHERE_IT_SAYS = frozenset(
-    {
-        *(FibreStatus.LYING, FibreStatus.ASTRAY, FibreStatus.DEAD, FibreStatus.UNSURE),
-        FibreStatus.DISCONNECTED,
-    }
-)
-"""Faults with which the reported position is not trusted."""
-
 ROUND_FAULTS = "blind, round faults"
 """Label of a blind move after one that was stopped."""
-
-NOT_AS_REPORTED = NAMED | {Standing.OVERLAPS, Standing.UNCLEAR, Standing.BLIND}
-"""What more than MOST positioners cannot be."""
-
-MOST = 0.5
-"""Of the positioners: where more are dark, or not where they report, it is not they that are wrong."""
 
 REST_TIMEOUT_S = 5.0
 """A stopped positioner is at rest after a fraction of a second."""
@@ -80,178 +55,6 @@ RECOVERIES = 3
 
 class UnsafePlanError(RuntimeError):
     """A plan did not pass its own verification; nothing was moved."""
-
-
-class FieldState:
-    """Where every positioner is, and which of them follow commands. Arrays over N positioners."""
-
-    def __init__(self, plane: FocalPlane, recorder: Recorder) -> None:
-        self.plane, self.recorder = plane, recorder
-        self.faults: list[FibreStatus | None] = [
-            FibreStatus.OFFLINE if offline else None for offline in plane.offline
-        ]
-        self.blocked = np.zeros(len(plane), dtype=bool)
-        self.unproven = np.zeros(len(plane), dtype=bool)
-        """Not certain at the begin to be where they report: they do not move."""
-        self.somewhere = np.zeros(len(plane), dtype=bool)
-        """Of those: anywhere within reach, as far as is known."""
-        self.beginning: Beginning | None = None
-        """What the begin check has found."""
-        self.looser_mm = 0.0
-        """How much further than usual a positioner may be from where it reports: arms are thicker by it."""
-        self.why: dict[int, str] = {}
-        """By row: the text of its fault."""
-        self.hearing = Hearing(len(plane))
-        """Who answers, and whose missing answers have been held against it."""
-        self.here_deg = plane.offline_position_deg.copy()
-        """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
-        self.wire_deg = np.zeros((len(plane), 2))
-        """(N, 2) wire positions as reported."""
-        self.seen_mm = np.full((len(plane), 2), np.nan)
-        """(N, 2) metrology fibres in the last image; NaN where not seen."""
-
-    @property
-    def mobile(self) -> Flags:
-        """(N,) positioners that follow commands; a dark one does, though its fibre is not seen."""
-        return np.array([fault in (None, FibreStatus.DARK) for fault in self.faults]) & ~self.unproven
-
-    def standing(self, one: Standing) -> Flags:
-        """(N,) of which the begin check says this; none before it."""
-        found = self.beginning.standing if self.beginning is not None else [None] * len(self.plane)
-        return np.array([standing is one for standing in found])
-
-    @property
-    def healthy(self) -> Flags:
-        """(N,) positioners without a fault whose way is not blocked."""
-        return np.array([fault is None for fault in self.faults]) & ~self.blocked
-
-    def obstacles(self, but: int | None = None) -> FocalPlane:
-        """The focal plane with the positioners that do not move as obstacles where they were last seen.
-
-        One that could be anywhere is an obstacle of the whole reach of its arm. `but`: the row of one that
-        is none, whatever is known of it.
-        """
-        still = ~self.mobile & (np.arange(len(self.plane)) != but)
-        plane = dataclasses.replace(self.plane, offline=still, offline_position_deg=self.here_deg.copy())
-        rows = np.flatnonzero(self.somewhere & still)
-        discs = np.column_stack([plane.centres_mm[rows], plane.body_reach_mm[rows]])
-        return dataclasses.replace(plane, fiducials=np.vstack([plane.fiducials, discs]))
-
-    def metrology_mm(self, angles_deg: Floats) -> Floats:
-        """(N, 2) metrology fibres of the layout at these angles (N, 2)."""
-        return self.plane.forward(angles_deg[:, 0], angles_deg[:, 1], METROLOGY)
-
-    def flag(self, row: int, fault: FibreStatus, why: str) -> None:
-        """Books a fault of the positioner in `row`; `why`: the text of the record."""
-        self.faults[row], self.why[row] = fault, f"{fault}: {why}"
-        self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
-
-    def book_blocked(self, planned: Plan) -> None:
-        """Books the positioners that the plan refuses, in place of those of the last plan."""
-        self.blocked[:] = False
-        for positioner, why in planned.refused.items():
-            self.blocked[self.plane.index_of(positioner)] = True
-            self.recorder.event("blocked", why, positioner)
-
-    def judge(self, results: Results, image: Measurement, before_deg: Floats, commanded_deg: Floats) -> Flags:
-        """Books the faults that the image shows; (N,) mobile positioners that did not reach their goal.
-
-        `results`: how the move ended on the bus, of the positioners that were moved; `image`: taken after
-        it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal.
-        """
-        ended = [results.get(int(p)) for p in self.plane.positioner_id]
-        asked = [Outcome.DONE if result is None else result.outcome for result in ended]
-        evidence = Evidence(
-            outcomes=asked,
-            seen=image.seen,
-            measured_mm=image.xy_mm,
-            before_mm=np.where(np.isfinite(self.seen_mm), self.seen_mm, self.metrology_mm(before_deg)),
-            reported_mm=self.metrology_mm(self.here_deg),
-            goal_mm=self.metrology_mm(commanded_deg),
-            heard=self.hearing.heard,
-            astray_mm=ASTRAY_MM + self.looser_mm,
-        )
-        self.seen_mm = image.xy_mm
-        allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, ALLOWED_MM + self.looser_mm)
-        back = self.hearing.taken_back(evidence, allowed_mm)
-        for i in back:
-            if self.faults[i] in FROM_SILENCE:
-                self.faults[i] = None
-                text = "answers again, and is where it reports"
-                self.recorder.event("answers", text, int(self.plane.positioner_id[i]))
-        for i, fault in enumerate(self.hearing.judged(evidence)):
-            if fault is not None and self.faults[i] is None:
-                self.flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
-        self._trust_the_camera(image)
-        away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
-        unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
-        unfinished[back] = True  # the plan went round them
-        again: Flags = self.mobile & (away | unfinished)
-        return again
-
-    def _trust_the_camera(self, image: Measurement) -> None:
-        """Where a report is not trusted, the position is that of the image, or unknown."""
-        doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
-        rows = np.flatnonzero(doubted & image.seen)
-        self.here_deg[rows], known = where_seen(self.plane, rows, image.xy_mm[rows], self.here_deg[rows])
-        self.somewhere[rows] = ~known
-
-    def begin(self, answered: Flags, image: Measurement, vouched: Flags) -> None:
-        """Lets move only what is certain to be where it reports, and books the others.
-
-        `answered` (N,): on the bus; `vouched` (N,): whose datum is on record. InputError where most
-        fibres are dark, or most positioners are not where they report.
-        """
-        if (~image.seen & self.mobile).sum() > MOST * len(self.plane):
-            raise InputError(
-                f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
-                "check the back-illumination"
-            )
-        report = Report(self.here_deg, answered, image, vouched)
-        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
-        self.beginning, self.seen_mm = found, image.xy_mm
-        wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
-        if len(wrong) > MOST * len(self.plane):
-            raise InputError(
-                f"{len(wrong)} of {len(self.plane)} positioners are not seen where they report to be "
-                f"(positioner {self.plane.positioner_id[wrong[0]]}: {found.text[wrong[0]]}); nothing was "
-                "moved: check that the layout, the calibration and the bus belong together"
-            )
-        self.here_deg = np.where(found.certain[:, None], self.here_deg, found.where_deg)
-        self.somewhere = found.somewhere
-        for i, standing in enumerate(found.standing):
-            self._book_standing(i, standing, found)
-
-    def _book_standing(self, row: int, standing: Standing, found: Beginning) -> None:
-        if standing is Standing.VOUCHED:
-            self.flag(row, FibreStatus.DARK, "its fibre is not seen")
-        elif standing is Standing.SILENT:
-            self.flag(row, FibreStatus.DEAD, found.text[row])
-            self.hearing.silent_at_the_begin(row)
-        elif not found.certain[row] and standing is not Standing.OFFLINE:
-            self.unproven[row] = True
-            dark = standing is Standing.DARK
-            self.flag(row, FibreStatus.DARK if dark else FibreStatus.UNSURE, found.text[row])
-        if standing is Standing.OVERLAPS:
-            self.recorder.event("alarm", found.text[row], int(self.plane.positioner_id[row]))
-
-    def status(self, has_target: Flags, error_um: Floats) -> list[FibreStatus]:
-        """Status of every positioner. `has_target` (N,); `error_um` (N,) from the target, NaN: unknown."""
-        requirement_um = self.plane.instrument.operation.requirement_um
-        return [
-            self._status_of(i, bool(has_target[i]), bool(error_um[i] <= requirement_um))
-            for i in range(len(self.plane))
-        ]
-
-    def _status_of(self, row: int, has_target: bool, within: bool) -> FibreStatus:
-        fault = self.faults[row]
-        if fault is not None:
-            return fault
-        if self.blocked[row]:
-            return FibreStatus.BLOCKED
-        if not has_target:
-            return FibreStatus.PARKED
-        return FibreStatus.ON_TARGET if within else FibreStatus.OFF_TARGET
 
 
 MotionMaker = Callable[
@@ -275,21 +78,33 @@ class FieldMotion:
         `recorder`: keeps every move; `progress`: called with the name of each step."""
         self.plane, self.maps, self.hardware = plane, maps, hardware
         self.writer, self.progress = Writer(), progress
-        self.recorder = WriterRecorder(recorder, self.writer)
+        self.recorder: Recorder = WriterRecorder(recorder, self.writer)
         self.client = Client(hardware.transport)
         self.care = MotorCare(plane, self.client)
         self.eye = PatientCamera(
             hardware.camera, plane.instrument.operation, self._camera_event, self.client.sleep
         )
+        know_fiducials(hardware.camera, plane)
         self.state = FieldState(plane, self.recorder)
         self._loop_first = LoopFirst()
         self.left_moving = False
         """The host before was lost while it moved the field."""
         self.has_moved = False
         """Arms may be elsewhere than at the begin of the command."""
+        vouched = hardware.vouched
+        self.datum = np.zeros(len(plane), dtype=bool) if vouched is None else vouched
+        """(N,) whose datum was searched since power came on; the record of the hardware, where it has one."""
+        self.image: Measurement | None = None
+        """The last one."""
+        self.presumed = np.zeros(len(plane), dtype=bool)
+        """(N,) taken to be where they report though nothing shows it, while their datum is searched."""
+        self.keeps_faults = False
+        """Those that were seen not to follow stay obstacles when the begin check is done again."""
         self.collisions_verified = 0
         self.moves: list[Move] = []
         self.images = 1
+        self.pointing: ExposurePointing | None = None
+        """Of the telescope, where it is known."""
         """After a move, at most."""
         self.underway = 0
         """Number of the move under way or just made; 0 before the first one."""
@@ -313,7 +128,7 @@ class FieldMotion:
         there = np.array([p in found for p in known]) & state.mobile
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
-        vouched = await self._vouched(answered)
+        vouched = await self._vouched(answered) | self.presumed
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
@@ -381,8 +196,36 @@ class FieldMotion:
 
     async def _vouched(self, answered: Flags) -> Flags:
         """(N,) whose datum is on record. `answered` (N,): their positions are in the state."""
-        vouched = self.hardware.vouched
-        return np.zeros_like(answered) if vouched is None else vouched
+        return self.datum.copy()
+
+    async def step(self, step: Step, text: str = "") -> None:
+        """What happens to the array; `text` says why. A session keeps its states by it."""
+
+    async def searched(self, positioner_id: list[int], *, datum: bool) -> None:
+        """After a datum search: reads where all are, keeps it, and does the begin check again.
+
+        `positioner_id`: those that have found it; `datum`: of both axes, so that they are
+        believed where they are dark.
+        """
+        await self.step(Step.REST)
+        ids = self.plane.positioner_id
+        await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
+        if datum and positioner_id:
+            rows = self.plane.index_of(positioner_id)
+            self.datum[rows], self.state.somewhere[rows] = True, False  # it is where it reports now
+        self._note(None)
+        await self.begin_again()
+
+    async def begin_again(self) -> None:
+        """The begin check anew: what was said of positioners so far is forgotten."""
+        before, self.state = self.state, FieldState(self.plane, self.recorder)
+        self.state.looser_mm = before.looser_mm
+        await self.connect()
+        if self.keeps_faults:
+            self.state.keep_faults(before)
+
+    def _note(self, image: Measurement | None) -> None:
+        """A session keeps where all are, by the `image` where there is one."""
 
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
@@ -394,9 +237,10 @@ class FieldMotion:
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        if not self.has_moved:
-            return await self.eye.once(expected_mm)
-        return await self.eye.several(expected_mm, self.images)
+        once = not self.has_moved
+        look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, self.images)
+        self.image = await look
+        return self.image
 
     def _camera_event(self, kind: str, text: str) -> None:
         self.recorder.event(kind, text)
@@ -459,10 +303,7 @@ class FieldMotion:
             wire_deg=self.state.wire_deg.copy(),
             measurement=image,
             measured_error_um=error_um,
-            true_mm=self._truth(made.goals),
-            true_metrology_mm=None
-            if self.hardware.truth is None
-            else self.hardware.truth.fibre_xy(METROLOGY),
+            **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),
             interrupted=bool(interrupted.any()),
             comparison=made.comparison,
@@ -557,6 +398,15 @@ class FieldMotion:
         await self.client.stop()
         await self.client.wait_until_done(ids, timeout_s=REST_TIMEOUT_S, stop_on_collision=False)
 
+    @property
+    def reported_deg(self) -> Floats:
+        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
+        return self.maps.to_output(self.state.wire_deg)
+
+    async def read_positions(self, positioner_id: Ints) -> Flags:
+        """Asks these where they are; (n,) which have answered."""
+        return await self._read_positions(positioner_id)
+
     async def _read_positions(self, ids: Ints) -> Flags:
         """Asks where they are; returns which have answered."""
         wire_deg, answered = await self.client.positions_deg(ids)
@@ -577,15 +427,6 @@ class FieldMotion:
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
         miss_mm = np.hypot(*(image.xy_mm - self.state.metrology_mm(goals.angles_deg)).T)
         return np.where(goals.has_target & image.seen, UM_PER_MM * miss_mm, np.nan)
-
-    def _truth(self, goals: Goals) -> Floats | None:
-        if self.hardware.truth is None:
-            return None
-        true_mm = self.hardware.truth.fibre_xy(METROLOGY)
-        for fibre in np.unique(goals.fibre[goals.has_target]):
-            rows = goals.has_target & (goals.fibre == fibre)
-            true_mm[rows] = self.hardware.truth.fibre_xy(str(fibre))[rows]
-        return true_mm
 
 
 def _moves(answer: Result) -> bool:

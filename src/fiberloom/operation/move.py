@@ -59,14 +59,18 @@ class Move:
     measured_error_um: Floats
     """(N,) distance of the metrology fibre in the image from its goal; NaN without target or light."""
     true_mm: Floats | None
-    """(N, 2) the science fibre (metrology fibre where parked); a twin only."""
+    """(N, 2) the science fibre (metrology fibre where parked), in the middle of the exposure; a twin only."""
     status: list[FibreStatus]
     interrupted: bool = False
     """Stopped before its end, because a positioner collided or did not move."""
     comparison: bool = False
     """Not part of the observation: a move by another model, for comparison."""
     true_metrology_mm: Floats | None = None
-    """(N, 2) the metrology fibre; a twin only."""
+    """(N, 2) the metrology fibre, at the image; a twin only."""
+    true_image_mm: Floats | None = None
+    """(N, 2) the science fibre at the image; None: as in `true_mm`."""
+    true_ends_mm: Floats | None = None
+    """(2, N, 2) the science fibre at begin and end of the exposure; None: as in its middle."""
 
     @property
     def motion_s(self) -> float:

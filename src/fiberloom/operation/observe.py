@@ -8,18 +8,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypedDict, cast
 
 from fiberloom.assignment import Assignment, assign_relaxed
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.pointing import OVERHEAD, ExposurePointing
 from fiberloom.operation.exposures import ExposureLog
-from fiberloom.operation.known import Known
+from fiberloom.operation.known import Known, Learning
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker
 from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
+from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
@@ -75,6 +77,8 @@ class ObserveSettings:
     """Keep every exposure as FITS."""
     seed: int = 0
     """Of assignment and planner."""
+    pointing: ExposurePointing | None = None
+    """Of the telescope, at the image and while light is collected; None: unknown, a twin's in the zenith."""
 
     def __post_init__(self) -> None:
         if self.corrections is not None and self.corrections < 0:
@@ -99,6 +103,41 @@ class ObserveSettings:
             images=self.images or operation.images_max,
             seed=self.seed,
         )
+
+
+class ObserveOptions(TypedDict, total=False):
+    """What `Field.observe` takes beside targets, corrections and a folder."""
+
+    correction: str | None
+    images: int | None
+    compare_linear: bool
+    arms: Path | str | None
+    fibres: Path | str | None
+    gravity: Path | str | None
+    pointing: ExposurePointing | None
+    learnt: str | None
+    adapt: bool
+    pages: str
+    save_images: bool
+
+
+def asked(
+    corrections: int | None, options: ObserveOptions, seed: int, history: Path
+) -> tuple[ObserveSettings, Learning]:
+    """How to observe, and on what to build.
+
+    `corrections`: exactly so many, None: by the stop rule; `options`: as `Field.observe` takes them; `seed`:
+    of whatever is drawn; `history`: store of earlier observations. TypeError for an option that there is not.
+    """
+    unknown = sorted(set(options) - set(ObserveOptions.__annotations__))
+    if unknown:
+        raise TypeError(
+            f"observe() has no option '{unknown[0]}': {', '.join(ObserveOptions.__annotations__)}"
+        )
+    how = {name: value for name, value in options.items() if name in ObserveSettings.__annotations__}
+    settings = ObserveSettings(corrections=corrections, seed=seed, **cast("dict[str, Any]", how))
+    files = options.get("arms"), options.get("fibres"), options.get("gravity"), options.get("learnt")
+    return settings, Learning(*files, adapt=options.get("adapt", False), seed=seed, history=history)
 
 
 @dataclass
@@ -148,23 +187,27 @@ class Observer:
         kept, assignment = await asyncio.to_thread(
             assign_relaxed, self.known.plane, self.known.aims(targets), seed=settings.seed
         )
+        assignment = self.known.led(kept, assignment, settings.pointing)
         hardware = await connect()
+        if hardware.telescope is not None:
+            hardware.telescope.point((settings.pointing or OVERHEAD).image)
         async with (
             entered(Store.open, self.place.store) as store,
             entered(self._run, store, kept, settings.seed) as run,
         ):
             self.folder = await beside(_folder_of, run, self.place, store)
-            about = self._about(run, settings.seed)
+            about = self._about(run, settings)
             await beside(record_begin, run, kept, targets, assignment, about)
             log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
             loop: Loop | None = None
             try:
                 log.watch(hardware.camera)
                 motion = self._motion(kept, targets, assignment, hardware, run)
+                motion.pointing = settings.pointing
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
                 await beside(self.known.record_used, run)
-                await _whole(loop)
+                await _whole(loop, about)
                 await beside(self.known.record_learnt, run)
                 await beside(log.close)
             finally:
@@ -178,8 +221,9 @@ class Observer:
             await beside(self.keep, self.last)
         return self.last
 
-    def _about(self, run: Run, seed: int) -> dict[str, Any]:
-        return marks(self.plane, seed) | {"run": run.id} | self.about
+    def _about(self, run: Run, settings: ObserveSettings) -> dict[str, Any]:
+        known = {} if settings.pointing is None else {"pointing": settings.pointing.about()}
+        return marks(self.plane, settings.seed) | {"run": run.id} | self.about | known
 
     def _run(self, store: Store, kept: FocalPlane, seed: int) -> Run:
         return store.start_run(
@@ -233,9 +277,11 @@ def _alone(store: Store, run: Run, out: Path) -> None:
             )
 
 
-async def _whole(loop: Loop) -> None:
+async def _whole(loop: Loop, about: dict[str, Any]) -> None:
     try:
         await loop.motion.connect()
+        if referenced := await reference(loop.motion):
+            about["referenced"] = referenced.as_dict()
         await loop.run()
     finally:
         await loop.motion.close()

@@ -15,6 +15,8 @@ import numpy as np
 from fiberloom.calibration import (
     Arms,
     ArmsData,
+    Coast,
+    CoastData,
     Estimate,
     Friction,
     FrictionData,
@@ -161,6 +163,38 @@ def plot_inertia(
         left = j.inertia.residuals[row].reshape(one.motor_deg.shape[1:])
         for residual in left:
             panels[1, axis].plot(time_ms, residual, lw=0.7)
+        panels[1, axis].set(xlabel="time [ms]", ylabel="residual [motor deg]",
+                            title=f"rms {np.sqrt(np.nanmean(left**2)):.2f} motor deg")  # fmt: skip
+    _save(figure, path)
+
+
+def plot_coast(
+    path: Path, plane: FocalPlane, data: tuple[CoastData, CoastData], found: list[Coast], row: int
+) -> None:
+    """Speed while the rotor coasts, bridge open and shorted, and the residual of the fitted way.
+
+    `path`: file to write; `data` and `found`: measurement and result of alpha and beta; `row`: the
+    positioner of the `plane`.
+    """
+    figure, panels = _figure(2, "coasting with the bridge open and shorted", plane, row)
+    for axis in range(2):
+        one, c = data[axis], found[axis]
+        if c.back_emf_rate.reason[row]:
+            continue
+        time_ms = np.arange(one.motor_deg.shape[2]) * one.period_s * 1e3
+        left = c.back_emf_rate.residuals[row].reshape(one.motor_deg.shape[1:])
+        for motor, residual, opened in zip(one.motor_deg[row], left, one.open_bridge, strict=True):
+            rpm = np.abs(motor[4:] - motor[:-4]) / (4.0 * one.period_s * 6.0)
+            color = "tab:blue" if opened else "tab:red"
+            panels[0, axis].plot(time_ms[2:-2], rpm, lw=0.8, color=color)
+            panels[1, axis].plot(time_ms, residual, lw=0.7, color=color)
+        _label(
+            panels[0, axis],
+            f"{AXES[axis]}: bridge open blue, shorted red\nback-EMF {said(c.back_emf, row)}, "
+            f"viscous {said(c.viscous, row)}",
+            "time [ms]",
+            "speed [rpm]",
+        )
         panels[1, axis].set(xlabel="time [ms]", ylabel="residual [motor deg]",
                             title=f"rms {np.sqrt(np.nanmean(left**2)):.2f} motor deg")  # fmt: skip
     _save(figure, path)

@@ -104,12 +104,30 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
 def budget_line(budget: Mapping[str, Any]) -> str:
     """Of what the errors of the last move are made, in words; um rms."""
     names = {"loop_um": "loop", "camera_um": "camera", "fibre_um": "fibre on its arm"}
+    if budget.get("gravity_um") is not None:
+        names["gravity_um"] = "gravity"
     parts = [
         f"{name} {'not known' if budget[key] is None else _um(budget[key])}" for key, name in names.items()
     ]
     takes = budget["guider_takes_um"]
     guider = "" if takes is None else f"; a guider takes {_um(takes)}"
     return f"parts, {budget['known']} [µm rms]: {', '.join(parts)}{guider}"
+
+
+def temperature_line(temperature: Mapping[str, Any]) -> str:
+    """How long arms were taken to be; empty: as measured. `temperature`: of summary.json, deg C and ppm."""
+    if temperature["why_not"]:
+        return f"arms taken as they were measured: {temperature['why_not']}"
+    if not temperature["arms_grown_ppm"]:
+        return ""
+    nights = temperature["nights"]
+    known = f"by {nights} observations" if nights else "says the instrument"
+    line = (
+        f"{temperature['at_C']:.1f} deg C: arms taken {temperature['arms_grown_ppm']:+.0f} ppm longer than "
+        f"at {temperature['arms_measured_C']:.1f}; {temperature['expansion_ppm_K']:.1f} +- "
+        f"{temperature['expansion_sd_ppm_K']:.1f} ppm a kelvin, {known}"
+    )
+    return "; but ".join(filter(None, [line, temperature["contradiction"]]))
 
 
 def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:

@@ -208,6 +208,13 @@ class Store:
         whole = {row["name"]: unpack(row["data"]) for row in rows if row["move_id"] is None}
         return whole, {row["move_id"]: unpack(row["data"]) for row in rows if row["move_id"] is not None}
 
+    def parts_named(self, name: str) -> dict[int, RunPart]:
+        """The parts of whole runs that have a name, by the run's number."""
+        table = PartRow.__table__
+        with self.transaction() as connection:
+            rows = checked(connection, PartRow, (table.c.name == name) & table.c.move_id.is_(None))
+        return {row["run_id"]: unpack(row["data"]) for row in rows}
+
     def _table(self, run_id: int, table: type[Base]) -> Columns:
         with self._run(run_id) as connection:
             return _columns(table, _rows_of(connection, table, run_id))

@@ -33,6 +33,7 @@ from fiberloom.twin.gears import (
     other_gears,
     told_of,
 )
+from fiberloom.twin.motors.sets import MOTOR_SETS, PAPER, with_motor
 from fiberloom.twin.units import (
     FIRMWARE_DTYPE,
     GEAR_DTYPE,
@@ -125,7 +126,8 @@ def draw_units(
     """True units for every positioner of the `plane`, by the `seed`.
 
     A unit depends on the `seed` and its number alone, so a part of a plane has the same units. The
-    instrument's `[twin.alpha]` and `[twin.beta]` tables override nominal plant parameters by name.
+    instrument's `[twin.alpha]` and `[twin.beta]` tables choose a `motor` (`fiberloom.twin.motors.sets`) and
+    override nominal plant parameters by name.
     `firmware`: what it was told; `errors`: of arms and fibres against the layout, without them only `ARM_SD`;
     `gears`: the spectrum of their deviations (`fiberloom.twin.gears`), by default that of `errors`; another
     one leaves the rest as it is.
@@ -156,7 +158,7 @@ def draw_units(
         units.firmware[:] = nominal_firmware(plane)
     else:
         _tell_backlash(units, exactly=firmware == "true")
-    return _misbuilt(plane, units, errors)
+    return errors.temperature.applied(_misbuilt(plane, units, errors), plane)
 
 
 def _tell_backlash(units: Units, exactly: bool) -> None:
@@ -168,7 +170,7 @@ def _tell_backlash(units: Units, exactly: bool) -> None:
 
 
 def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
-    """The same units with arms and fibres off their tables."""
+    """The same units with arms and fibres off their tables, and what pulls at them."""
     fibres = [name for name in plane.points if name != METROLOGY]
     each = [errors.drawn_of(int(number), units.seed, fibres) for number in plane.positioner_id]
     units.arms[:, L_ALPHA] += [one.l_alpha_mm for one in each]
@@ -176,6 +178,7 @@ def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
         units,
         beta_longer_mm=np.array([one.beta_longer_mm for one in each]),
         fibre_offset_mm={name: np.array([one.fibre_mm[name] for one in each]) for name in fibres},
+        load=np.array([errors.loads.drawn_of(int(number), units.seed) for number in plane.positioner_id]),
     )
 
 
@@ -189,8 +192,10 @@ def _nominal(plane: FocalPlane, axis: int) -> Records:
     record["stiffness"] = STIFFNESS_NM_PER_RAD[axis]
     record["seat_rms"] = SEAT_RMS_RAD[axis]
     record["stop_min"], record["stop_max"] = plane.hard_stops_deg[axis] * RAD_PER_DEG
-    overrides = plane.instrument.twin.get(AXES[axis], {})
-    return _override(record, overrides, f"{plane.instrument.name}: twin.{AXES[axis]}")
+    overrides = dict(plane.instrument.twin.get(AXES[axis], {}))
+    where = f"{plane.instrument.name}: twin.{AXES[axis]}"
+    record = with_motor(record, axis, overrides.pop("motor", PAPER), where)
+    return _override(record, overrides, where)
 
 
 def _override(record: Records, overrides: Mapping[str, Any], where: str) -> Records:
@@ -321,6 +326,17 @@ def put_in(plane: FocalPlane, camera: str = "noise", errors: TwinErrors = NO_ERR
         "firmware parameters": "identified within 1 to 5 % (assumed)",
         "motor, friction, spring, stiffness": "given or derived (Fig. 11 to 14); beta's at "
         f"{BETA_SHARE:g} of alpha's (assumed)",
+        **_other_motors(plane),
+    }
+
+
+def _other_motors(plane: FocalPlane) -> dict[str, str]:
+    """Where an instrument chose another set than the paper's."""
+    chosen = {name: plane.instrument.twin.get(name, {}).get("motor", PAPER) for name in AXES}
+    return {
+        f"motor of {axis}": f"{name}: {MOTOR_SETS[name].source}"
+        for axis, name in chosen.items()
+        if name != PAPER
     }
 
 

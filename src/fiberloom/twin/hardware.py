@@ -42,12 +42,31 @@ def field_hardware(
     """The focal plane, folded, with the `faults` asked for ("dark=3,dead=1,lying=1").
 
     `units`: those of the `plane`; `seed` of noise and faults; `camera`: noise or image; `errors`: of what the
-    camera sees.
+    camera and the positioners' thermometers see.
     """
     check_camera(camera)
     check_motors(plane.instrument)
     twin = Twin(plane, units, seed=seed)
+    power_up(twin, errors, seed)
+    tell_temperature(twin, errors, seed)
     return _hardware(faulty_transport(twin, faults, seed), twin, seed, camera, errors)
+
+
+def tell_temperature(twin: Twin, errors: TwinErrors, seed: int) -> None:
+    """The sensors of a `twin` read the temperature of its night, of `errors` and `seed`, deg C as counts."""
+    counts = errors.temperature.sensor_counts(twin.plane, seed)
+    if counts is not None:
+        twin.set_temperature(counts)
+
+
+def power_up(twin: Twin, errors: TwinErrors, seed: int) -> None:
+    """Power comes on: no datum is on record, and some counters of the `twin` are off by whole motor turns.
+
+    `errors`: the share of those; nothing happens where it is 0. `seed`: which they are.
+    """
+    if errors.power_share > 0.0:
+        for number in twin.plane.positioner_id.tolist():
+            twin.power_up(number, errors.turns_lost(number, seed))
 
 
 def faulty_transport(twin: Twin, faults: str, seed: int) -> TwinTransport:
@@ -91,8 +110,9 @@ def _hardware(
         camera_of = image_camera(twin, seed, errors=errors)
     else:
         camera_of = NoiseCamera(twin, twin.plane.instrument.metrology.noise_rms_um, seed, errors)
-    # told at power-up where they are, as after a search of the datum
-    return Hardware(bus, camera_of, twin, vouched=np.ones(len(twin.plane), dtype=bool))
+    # without that error each is told at power-up where it is, as after a search of the datum
+    vouched = np.full(len(twin.plane), errors.power_share == 0.0)
+    return Hardware(bus, camera_of, twin, vouched=vouched, telescope=twin)
 
 
 def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[ScheduledFault]:

@@ -51,6 +51,11 @@ class TwinSource:
         return draw_units(self.plane, self.seed, errors=self.errors)
 
     @cached_property
+    def bench_units(self) -> Units:
+        """The same at the temperature of the calibration."""
+        return draw_units(self.plane, self.seed, errors=self.errors.at_calibration())
+
+    @cached_property
     def hardware(self) -> Hardware:
         """The field, folded at first; it keeps its state from one observation to the next."""
         return field_hardware(
@@ -62,8 +67,8 @@ class TwinSource:
         return self.hardware
 
     async def sweep(self, points: int, progress: Progress) -> Calibration:
-        """The same units on a bench of their own, where arms do not meet."""
-        bench = bench_hardware(self.plane, self.units, self.seed)
+        """The same units on a bench of their own, where arms do not meet, as warm as benches are."""
+        bench = bench_hardware(self.plane, self.bench_units, self.seed)
         client = Client(bench.transport)
         await client.discover()
         return await calibrate_transmission(
@@ -72,12 +77,15 @@ class TwinSource:
 
     def maps_file(self, points: int) -> Path | None:
         """The cache's file of these units."""
-        key = _Key(SweepSettings(points), self.units.digest())
+        key = _Key(SweepSettings(points), self.bench_units.digest())
         return cache_path(self.plane.config_hash(), self.seed, key)
 
     def about(self) -> dict[str, Any]:
         """What was put in; and a note where what spoils a real array was not."""
         about: dict[str, Any] = {"put_in": put_in(self.plane, self.camera, self.errors)}
+        if self.errors.temperature.on:
+            at_C = self.errors.temperature.night_C(self.seed)
+            about["put_in"]["temperature of this night"] = f"{at_C:.1f} deg C"
         return about if self.errors.any() else about | {"notes": [KIND]}
 
     @property

@@ -30,6 +30,20 @@ def true_values(plane: FocalPlane, units: Units) -> dict[str, Floats]:
     return out
 
 
+def _split(units: Units, axis: int, told: dict[str, Floats]) -> dict[str, Floats]:
+    """What the drag is made of, and the ratios to the inertia that coasting tells."""
+    plant = units.plant[:, axis]
+    viscous = np.asarray(plant["viscous_motor"] + plant["viscous_gear"], dtype=np.float64)
+    back_emf = told["drag"] - viscous
+    return {
+        "back-EMF drag": back_emf * 1e6,
+        "viscous friction": viscous * 1e6,
+        "back-EMF drag over inertia": back_emf / told["inertia"],
+        "viscous friction over inertia": viscous / told["inertia"],
+        "Coulomb friction over inertia": told["coulomb"] / told["inertia"],
+    }
+
+
 def _axis(units: Units, axis: int) -> dict[str, Floats]:
     rows = [firmware_truth(plant) for plant in units.plant[:, axis]]
     told = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
@@ -42,6 +56,7 @@ def _axis(units: Units, axis: int) -> dict[str, Floats]:
         "cogging": told["cogging_torque"] * 1e6,
         "cogging phase": told["cogging_phase"],
         "drag": told["drag"] * 1e6,
+        **_split(units, axis, told),
         "inertia": told["inertia"],
         "stiffness": units.plant["stiffness"][:, axis] * 1e3 * RAD_PER_DEG,
         # of the gear: hall noise and control add a few nm

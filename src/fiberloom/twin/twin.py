@@ -14,6 +14,7 @@ from fiberloom._core import twin as _core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES, BODY_SHARE, METROLOGY
+from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
@@ -76,6 +77,7 @@ class Twin:
         self.plane = plane
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
+        self.pointing = Pointing()
         try:
             setup = _core.TwinSetup(
                 ids=np.ascontiguousarray(plane.positioner_id, dtype=np.uint16),
@@ -94,6 +96,8 @@ class Twin:
             setup.substeps = computing.get("substeps", 10)
             setup.kernel = computing.get("kernel", "")
             self._core = _core.Twin(setup)
+            if units.loaded:
+                self._core.set_loads(plain(units.load).reshape(len(plane), -1))
         except ValueError as error:
             raise InputError(f"twin: {error}") from None
         for number in plane.positioner_id[plane.offline]:
@@ -131,6 +135,21 @@ class Twin:
         points = self.units.points_mm(self.plane.points[fibre], fibre)
         return geometry.forward(self.units.arms, points, self._core.outputs_rad())
 
+    def point(self, pointing: Pointing) -> None:
+        """Points the telescope: gravity pulls at the arms so from now on."""
+        self.pointing = pointing
+        x_m_s2, y_m_s2 = pointing.gravity_m_s2()
+        self._core.point(float(x_m_s2), float(y_m_s2))
+
+    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
+        """As `fibre_xy`, (N, 2) mm, with arms and motors as they are, were the telescope to point so."""
+        here = self.pointing
+        self.point(pointing)
+        try:
+            return self.fibre_xy(fibre)
+        finally:
+            self.point(here)
+
     def inject(self, fault: Fault) -> None:
         """Breaks something, until `clear`."""
         self._set(fault, True)
@@ -165,6 +184,14 @@ class Twin:
         """
         self._core.power_cycle(int(self.plane.index_of(positioner_id)), bootloader)
 
+    def power_up(self, positioner_id: int, turns: tuple[int, int] = (0, 0)) -> None:
+        """Power off and on at rest, with no datum on record.
+
+        The firmware restores what it has stored, and its hall sensors say the angle of each motor within a
+        turn. `turns`: whole motor turns of alpha and beta that the counters of `positioner_id` are off by.
+        """
+        self._core.power_up(int(self.plane.index_of(positioner_id)), *turns)
+
     def set_gear(self, units: Units) -> None:
         """Gears as these units have them, from now on: wear. Arms stay where they are in the gear."""
         for row in range(len(self.plane)):
@@ -181,6 +208,11 @@ class Twin:
             for axis in (0, 1):
                 self._core.set_params(row, axis, plain(units.plant[row, axis]).ravel())
         self.set_gear(units)
+
+    def set_temperature(self, counts: ArrayLike) -> None:
+        """What the positioners' temperature sensors read from now on: (N,), or one for all, in counts."""
+        for row, read in enumerate(np.broadcast_to(np.asarray(counts, dtype=np.int64), (len(self.plane),))):
+            self._core.set_temperature(row, int(read))
 
     def set_external_torque(self, index: int, axis: int, torque_Nm: float) -> None:
         """A torque on an arm from outside, positive towards positive angles. Eq. 5a."""

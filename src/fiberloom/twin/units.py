@@ -14,6 +14,7 @@ from fiberloom._core import twin as _core
 from fiberloom.bus.parameters import PARAMETERS_DTYPE
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import METROLOGY
+from fiberloom.twin.errors.loads import LOAD_DTYPE, LOADING
 from fiberloom.typing import Array, Floats, Ints, Records
 from fiberloom.units import GEAR
 
@@ -66,10 +67,13 @@ class Units:
     """(N,) by which every point of the beta arm lies farther out than the layout says."""
     fibre_offset_mm: Mapping[str, Floats] = field(default_factory=dict)
     """By fibre, (N, 2) in the frame of the beta arm: where it is beyond that, less where the layout says."""
+    load: Records = field(default_factory=lambda: np.empty(0, LOAD_DTYPE))
+    """(N, 2) LOAD_DTYPE: what pulls at the arms; zeros where nothing does."""
 
     def __post_init__(self) -> None:
         n = len(self.plant)
-        for name, default in (("number", np.arange(n)), ("beta_longer_mm", np.zeros(n))):
+        nothing = np.zeros((n, 2), LOAD_DTYPE)
+        for name, default in (("number", np.arange(n)), ("beta_longer_mm", np.zeros(n)), ("load", nothing)):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, default)
         for name, shape in {
@@ -79,6 +83,7 @@ class Units:
             "arms": (n, 5),
             "number": (n,),
             "beta_longer_mm": (n,),
+            "load": (n, 2),
         }.items():
             if getattr(self, name).shape != shape:
                 raise InputError(
@@ -87,6 +92,11 @@ class Units:
         for name, offset_mm in self.fibre_offset_mm.items():
             if offset_mm.shape != (n, 2):
                 raise InputError(f"units: offsets of {name} have shape {offset_mm.shape}, not {(n, 2)}")
+
+    @property
+    def loaded(self) -> bool:
+        """Whether anything pulls at an arm."""
+        return bool(plain(self.load)[..., LOADING].any())
 
     def __len__(self) -> int:
         return len(self.plant)
@@ -97,6 +107,8 @@ class Units:
         own = (self.plant, self.gear, self.firmware, self.arms, self.beta_longer_mm)
         for values in (*own, *(self.fibre_offset_mm[name] for name in sorted(self.fibre_offset_mm))):
             digest.update(np.ascontiguousarray(values).tobytes())
+        if self.loaded:  # without, units are those that they were before there were loads
+            digest.update(self.load.tobytes())
         return digest.hexdigest()[:16]
 
     def transmission(self, index: int, axis: int, output_deg: ArrayLike) -> tuple[Floats, Floats]:
@@ -117,6 +129,7 @@ class Units:
             arms=self.arms[rows],
             number=self.number[rows],
             beta_longer_mm=self.beta_longer_mm[rows],
+            load=self.load[rows],
             fibre_offset_mm={name: mm[rows] for name, mm in self.fibre_offset_mm.items()},
         )
 

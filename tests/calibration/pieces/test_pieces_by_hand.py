@@ -8,7 +8,7 @@ import pytest
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration, AdaptiveSettings
 from fiberloom.calibration.adaptive.nearest_knot import CommandSigmas, command_covariance
 from fiberloom.calibration.bench import acceptance
-from fiberloom.calibration.bench.inertia import _held, _rise, _summed
+from fiberloom.calibration.bench.inertia import _held, _rise, summed
 from fiberloom.calibration.bench.repeatability import RepeatabilityData, identify_repeatability
 from fiberloom.calibration.bench.stiffness import StiffnessData, identify_stiffness
 from fiberloom.calibration.bench.torque import mean_wave
@@ -38,7 +38,7 @@ def test_trapezes_integrate_straight_lines_and_steps_what_is_held():
     time_s = np.arange(200) * 0.0005
     lines = np.array([[2.0], [-1.0]]) + np.array([[3.0], [40.0]]) * time_s
     exact = np.array([[2.0], [-1.0]]) * time_s + np.array([[1.5], [20.0]]) * time_s**2
-    np.testing.assert_allclose(_summed(lines, 0.0005), exact, atol=1e-15)
+    np.testing.assert_allclose(summed(lines, 0.0005), exact, atol=1e-15)
     held = np.zeros_like(lines)
     for k in range(1, 200):
         held[:, k] = held[:, k - 1] + lines[:, k - 1] * 0.0005

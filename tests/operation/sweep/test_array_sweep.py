@@ -11,7 +11,8 @@ from fiberloom.bus.outcome import Results
 from fiberloom.errors import InputError
 from fiberloom.health.status import FibreStatus
 from fiberloom.metrology import Measurement
-from fiberloom.operation.motion import FieldMotion, FieldState
+from fiberloom.operation.field_state import FieldState
+from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.safety.begin import ALLOWED_MM, Report, Standing, begin_check
 from fiberloom.operation.sweep import array_sweep
 from fiberloom.operation.sweep.array_sweep import THICKER_MM

@@ -61,14 +61,15 @@ def test_tails_are_heavier_than_a_gaussian_s():
 
 
 def test_each_can_be_switched_and_scaled():
-    every = {"arm": 1.0, "fibre": 1.0, "fiducial": 1.0, "air": 1.0}
+    terms = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque")
+    every = dict.fromkeys(terms, 1.0)
     assert factors_of("all") == every
     assert factors_of("") == factors_of("none") == dict.fromkeys(every, 0.0)
     assert factors_of("all, fibre=2") == every | {"fibre": 2.0}
     assert TwinErrors.of(SDSSV.instrument, "air=2") == dataclasses.replace(
         TwinErrors.of(SDSSV.instrument, "none"), air_um=2.0 * ALL.air_um
     )
-    once, twice = off_um(ALL), off_um(TwinErrors.of(SDSSV.instrument, "fibre=2"))
+    once, twice = off_um(ALL.at_calibration()), off_um(TwinErrors.of(SDSSV.instrument, "fibre=2"))
     assert not twice["alpha"].any()
     np.testing.assert_allclose(twice["BOSS"], 2.0 * once["BOSS"])
     assert TwinErrors.of(SDSSV.instrument, "none") == dataclasses.replace(

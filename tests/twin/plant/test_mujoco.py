@@ -132,6 +132,20 @@ def test_coasting_through_cogging():
     assert np.corrcoef(ripple, theirs[60:90, 1] - smooth[60:90, 1])[0, 1] > 0.98
 
 
+def test_coasting_without_current():
+    """The bridge open: MuJoCo's rotor without its motor, ours with the coils open."""
+    params = nominal(cogging_2=0.0, cogging_4=0.0)
+    ours = plant(params, gear_of(60000.0), 1.0)
+    ours.set_state(0, 500.0, 450.0 * float(params["inertia_motor"]), 0.0)
+    mine = []
+    for _ in range(60):
+        ours.set_open(0, True)
+        mine.append(ours.run(np.zeros((1, 1, 3)))[0][0, 0, MOMENTUM] / params["inertia_motor"])
+    params["flux_linkage"] *= 1e-6  # no coil
+    theirs = run(rotor(params, pushing=False), [0.0] * 60, 500.0, 450.0)
+    np.testing.assert_allclose(mine, theirs[:, 1], rtol=1e-3)
+
+
 def test_friction_holds_a_rotor_in_both():
     """Below break-away nothing turns: ours to the bit, MuJoCo's soft friction creeps a little."""
     params = nominal(cogging_2=0.0, cogging_4=0.0, spring_rate=0.0)

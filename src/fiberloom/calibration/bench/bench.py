@@ -134,9 +134,11 @@ class Operator:
         )
         await self.goto(alpha_deg, beta_deg)
 
-    async def push(self, axis: int, voltages: tuple[float, float], times_s: tuple[float, float]) -> None:
-        """A torque step of one axis, to its end: two `voltages` as shares of the full one, for
-        `times_s` each.
+    async def push(
+        self, axis: int, voltages: tuple[float | None, float | None], times_s: tuple[float, float]
+    ) -> None:
+        """A torque step of one axis, to its end: two `voltages` as shares of the full one, None for the
+        open bridge, for `times_s` each.
         """
         begun = await push(self.client, self.ids, axis, voltages, times_s)
         self._book(begun)

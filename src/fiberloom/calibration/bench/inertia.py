@@ -148,21 +148,24 @@ def _balance(data: InertiaData, use: Flags) -> tuple[Floats, Floats]:
     half_square = np.broadcast_to(0.5 * time**2, use.shape)
     columns = [
         theta - theta[..., :1],
-        _summed(theta - theta[..., :1], dt),
+        summed(theta - theta[..., :1], dt),
         half_square * side,
         half_square,
-        *(_summed(_summed(wave(k * phi), dt), dt) for k in (2, 4) for wave in (np.sin, np.cos)),
+        *(summed(summed(wave(k * phi), dt), dt) for k in (2, 4) for wave in (np.sin, np.cos)),
     ]
     for k in range(pushes):
         mine = np.zeros((n, pushes, 1))
         mine[:, k] = 1.0
         columns += [np.broadcast_to(mine, use.shape), mine * time]
-    right = _summed(_held(torque, dt), dt)
+    right = summed(_held(torque, dt), dt)
     return np.stack(columns, axis=-1), np.where(use, right, np.nan)
 
 
-def _summed(values: Floats, dt: float) -> Floats:
-    """Integral up to each sample by trapezes."""
+def summed(values: Floats, dt: float) -> Floats:
+    """Integral (..., M) up to each sample by trapezes.
+
+    `values` (..., M) in rad, rad s or shares of a torque, `dt` s from one to the next.
+    """
     out = np.zeros_like(values)
     out[..., 1:] = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1) * dt
     return out
@@ -251,9 +254,7 @@ async def measure_inertia(
     return _data(0, traces[0], operator), _data(1, traces[1], operator)
 
 
-async def _push(
-    operator: Operator, axis: int, middle: Floats, side: int, settings: InertiaSettings
-) -> tuple[Floats, Floats, Floats]:
+async def _push(operator: Operator, axis: int, middle: Floats, side: int, settings: InertiaSettings) -> Push:
     await operator.goto(*(middle - side * APPROACH_DEG))
     await operator.goto(*middle)
     await operator.trace(TICK_S)
@@ -263,13 +264,21 @@ async def _push(
     return trace.motor_deg, trace.voltage, trace.zero_deg
 
 
-def _data(axis: int, pushes: list[tuple[Floats, Floats, Floats]], operator: Operator) -> InertiaData:
+Push = tuple[Floats, Floats, Floats]
+"""Motor angle (N, M), share of the full voltage (N, M) and motor angle of rotor angle zero (N,) of a push."""
+
+
+def stacked(pushes: list[Push]) -> Push:
+    """Voltage (N, K, M), motor angle (N, K, M), zero (N, K) of K pushes, NaN beyond the end of each."""
     most = max(motor.shape[1] for motor, _, _ in pushes)
 
-    def stacked(which: int) -> Floats:
+    def together(which: int) -> Floats:
         full = [np.pad(p[which], ((0, 0), (0, most - p[which].shape[1])), constant_values=np.nan)
                 for p in pushes]  # fmt: skip
         return np.stack(full, axis=1)
 
-    zero = np.stack([z for _, _, z in pushes], axis=1)
-    return InertiaData(axis, stacked(1), stacked(0), zero, list(operator.trouble))
+    return together(1), together(0), np.stack([z for _, _, z in pushes], axis=1)
+
+
+def _data(axis: int, pushes: list[Push], operator: Operator) -> InertiaData:
+    return InertiaData(axis, *stacked(pushes), list(operator.trouble))

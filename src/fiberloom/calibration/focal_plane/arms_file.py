@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from astropy.table import Table
 
+from fiberloom.calibration.focal_plane.fiducials import Fiducials
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalPlaneFit
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import read_bytes
@@ -22,6 +23,8 @@ from fiberloom.units import MM_PER_UM, rad_to_deg
 
 FORMAT = "fiberloom arms"
 FORMAT_VERSION = 1
+MEASURED_C = "temperature_C"
+"""Key of the temperature at which the arms were measured."""
 
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, *[rad_to_deg(1.0)] * 2])
 _COLUMNS = tuple(name.replace("_rad", "_deg") for name in PARAMETERS)
@@ -55,29 +58,40 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
 
 
 def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
-    """The plane with the arms of a file; a positioner that is not in it or was refused keeps the layout's."""
-    rows, fit = _of_plane(path, plane)
+    """The plane with the arms of a file, and its fiducials where they were calibrated with them.
+
+    A positioner of the `plane` that is not in the file at `path`, or was refused, keeps the layout's arms.
+    """
+    rows, fit, fiducials = _of_plane(path, plane)
     part = fit.plane(plane.select(rows))
     arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
     arms[rows] = part.arms
     for name, xy in points.items():
         xy[rows] = part.points[name]
-    return replace(plane, arms=arms, points=points)
+    calibrated = replace(plane, arms=arms, points=points)
+    return calibrated if fiducials is None else fiducials.applied(calibrated)
 
 
 def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> Floats:
     """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for one that is not in the file."""
-    rows, fit = _of_plane(path, plane)
+    rows, fit, _ = _of_plane(path, plane)
     covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
     covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]
     return covariance
 
 
-def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit]:
+def arms_measured_C(path: str | Path) -> float | None:
+    """Temperature at which the arms of a file were measured, deg C; None where it was not noted."""
+    found = _read(Path(path)).meta.get(MEASURED_C)
+    return float(found) if isinstance(found, int | float) and np.isfinite(found) else None
+
+
+def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit, Fiducials | None]:
     try:
         table = _read(Path(path))
         _as_fit(table)  # whole, before a part of it is taken
         _check_sound(table)
+        fiducials = Fiducials.of_meta(table.meta, plane.fiducials[:, :2])
     except (TypeError, ValueError, OverflowError) as error:
         named = str(error).startswith(str(path))
         raise InputError(str(error) if named else f"{path}: {one_line(error)}; calibrate again") from None
@@ -86,7 +100,7 @@ def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFi
     if not here.any():
         raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
     table = table[here]
-    return np.array([known[int(p)] for p in table["positioner_id"]]), _as_fit(table)
+    return np.array([known[int(p)] for p in table["positioner_id"]]), _as_fit(table), fiducials
 
 
 def _as_fit(table: Table) -> FocalPlaneFit:

@@ -24,7 +24,7 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text
 from fiberloom.instruments.load import first_problem
 
-BENCH = ("friction", "inertia", "stiffness", "arms", "repeatability")
+BENCH = ("friction", "inertia", "coast", "stiffness", "arms", "repeatability")
 """Measurements of single units: they refuse the bus of an array."""
 
 

@@ -1,4 +1,4 @@
-"""`fiberloom calibrate friction|inertia|stiffness|arms|repeatability`: measure, identify, write, draw."""
+"""`fiberloom calibrate friction|inertia|coast|stiffness|arms|repeatability`: measure, identify, write."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from fiberloom.wholefile import write_whole
 if TYPE_CHECKING:
     from fiberloom.calibration import (
         ArmsSettings,
+        CoastSettings,
         FrictionSettings,
         InertiaSettings,
         RepeatabilitySettings,
@@ -139,6 +140,48 @@ def inertia_work(settings: InertiaSettings, weights: bool) -> Work:
         return MeasuredUnit(
             [*found, *(e for axis in both for e in (axis.inertia, axis.drag))],
             lambda file, row: plot_inertia(file, task.plane, data, both, scales, row),
+        )
+
+    return work
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoastOptions(IdentificationOptions, WeightsOptions):
+    """Of `calibrate coast`."""
+
+    repeats: Annotated[
+        int, typer.Option(min=1, help="Times four coasts: up and down, bridge open and shorted.")
+    ] = 4
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/coast")
+
+
+def coast(options: CoastOptions) -> int:
+    """Back-EMF and friction apart, from coasting with the bridge open and shorted.
+
+    The inertia is measured first: coasting alone gives ratios to it. Exit code 1 where an estimate of a
+    positioner is refused; a board that cannot open its bridges is.
+    """
+    options.check(options.out)
+    from fiberloom.calibration import CoastSettings
+
+    settings = CoastSettings(repeats=options.repeats)
+    return _identify("coast", options, options.out, coast_work(settings, options.weights))
+
+
+def coast_work(settings: CoastSettings, weights: bool) -> Work:
+    """Measures and identifies."""
+    from fiberloom.calibration import identify_coast, identify_inertia, measure_coast, measure_inertia
+    from fiberloom.report.identification import plot_coast
+
+    async def work(task: Task) -> MeasuredUnit:
+        scales, found = await _scales(task, weights)
+        pushes = await measure_inertia(task.rig.client, None, task.plane, progress=task.progress)
+        inertias = [identify_inertia(d, s).inertia for d, s in zip(pushes, scales, strict=True)]
+        data = await measure_coast(task.rig.client, None, task.plane, settings, task.progress)
+        both = [identify_coast(d, j) for d, j in zip(data, inertias, strict=True)]
+        return MeasuredUnit(
+            [*found, *inertias, *(e for axis in both for e in axis.estimates)],
+            lambda file, row: plot_coast(file, task.plane, data, both, row),
         )
 
     return work

@@ -23,7 +23,7 @@ from fiberloom.typing import Array
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
-TRUTHS = ("true_mm", "true_metrology_mm")
+TRUTHS = ("true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
 """What a twin knows of a move."""
 
 _POINT = "point "
@@ -44,7 +44,8 @@ def record_begin(
     run.record_part(LAYOUT, pack(instrument, points | _arrays(plane, _PLANE)))
     run.record_part(TARGETS, pack({}, _arrays(targets, [f.name for f in fields(TargetList)])))
     why = {"unassigned": list(assignment.unassigned.items()), "notes": assignment.notes}
-    run.record_part(ASSIGNMENT, pack(why, _arrays(assignment, _ASSIGNED)))
+    lead = {} if assignment.lead_mm is None else {"lead_mm": assignment.lead_mm}
+    run.record_part(ASSIGNMENT, pack(why, _arrays(assignment, _ASSIGNED) | lead))
     run.record_part(ABOUT, pack({"about": about}))
 
 

@@ -3,10 +3,13 @@
     loop      where the camera saw the metrology fibre, less its goal
     camera    where the metrology fibre was, less where the camera saw it: noise, and a frame that is off
     fibre     from the metrology to the science fibre, less that way in the layout
+    gravity   from the image to the middle of the exposure, less the way by which the fibre was led; where the
+              pointing of the telescope is known
 
 On a twin they are known, and add up to the error of the science fibre, fibre by fibre. On hardware the first
 is measured, the second is the noise of the image as the camera tells it (a frame that is off adds to it,
-unseen), and the third the standard error of the offsets that `calibrate fibres` has found.
+unseen), the third the standard error of the offsets that `calibrate fibres` has found, and the fourth that of
+the sag of `calibrate gravity`, times the change of gravity.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fiberloom.calibration.fibres.guider import guided
+from fiberloom.instruments.pointing import STANDARD_GRAVITY_M_S2, ExposurePointing
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
@@ -37,18 +41,27 @@ def budget(observed: ObservedField) -> dict[str, Any]:
 
 
 def _in_truth(observed: ObservedField, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
-    """By true errors (N, 2) of both fibres, mm."""
-    star_mm = observed.target_mm()
+    """By true errors (N, 2), mm: metrology fibre at the image, science fibre in the exposure."""
+    star_mm, sagged = observed.target_mm(), _sagged_mm(observed)
     loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm()
     left = guided(science[rows], star_mm[rows], np.ones(int(rows.sum()), dtype=bool))
     return {
         "known": IN_TRUTH,
         "loop_um": _rms_um(loop[rows]),
         "camera_um": _rms_um((metrology - loop)[rows]),
-        "fibre_um": _rms_um((science - metrology)[rows]),
+        "fibre_um": _rms_um((science - sagged - metrology)[rows]),
+        "gravity_um": None if observed.final.true_image_mm is None else _rms_um(sagged[rows]),
         "science_um": _rms_um(science[rows]),
         "guider_takes_um": _rms_um(science[rows] - left),
     }
+
+
+def _sagged_mm(observed: ObservedField) -> Floats:
+    """(N, 2) from the image to the middle of the exposure, less the way by which each fibre was led."""
+    then_mm, here_mm = observed.final.true_mm, observed.final.true_image_mm
+    if then_mm is None or here_mm is None:
+        return np.zeros((len(observed.plane), 2))
+    return then_mm - here_mm + observed.lead_mm()
 
 
 def _expected(observed: ObservedField, move: Move, rows: Flags) -> dict[str, Any]:
@@ -59,9 +72,21 @@ def _expected(observed: ObservedField, move: Move, rows: Flags) -> dict[str, Any
         "loop_um": _rms_um((move.measurement.xy_mm - observed.metrology_goal_mm())[rows]),
         "camera_um": camera,
         "fibre_um": observed.about.get("fibre_calibration", {}).get("formal_um"),
+        "gravity_um": _expected_sag_um(observed),
         "science_um": None,
         "guider_takes_um": None,
     }
+
+
+def _expected_sag_um(observed: ObservedField) -> float | None:
+    """What the calibration leaves open of the sag from the image to the middle of the exposure."""
+    formal_um = observed.about.get("gravity_calibration", {}).get("formal_um")
+    told = observed.about.get("pointing")
+    if formal_um is None or told is None:
+        return None
+    pointing = ExposurePointing.of(told)
+    change_m_s2 = pointing.middle.gravity_m_s2() - pointing.image.gravity_m_s2()
+    return float(formal_um * np.hypot(*change_m_s2) / STANDARD_GRAVITY_M_S2)
 
 
 def _rms_um(apart_mm: Floats) -> float | None:

@@ -178,8 +178,55 @@ class ObservedField:
         for fibre in np.unique(angles.fibre[angles.target >= 0]).tolist():
             rows = (angles.target >= 0) & (np.asarray(angles.fibre) == fibre)
             aimed[rows] = self.plane.forward(angles.alpha_deg, angles.beta_deg, fibre)[rows]
-        known_mm: Floats = self.target_mm() - aimed
+        known_mm: Floats = self.target_mm() + self.lead_mm() - aimed
         return known_mm
+
+    def lead_mm(self) -> Floats:
+        """By which the science fibres are placed beside their targets, for what moves them later.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; 0 without `gravity` of a calibration.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> bool(seen.lead_mm().any())
+        False
+        """
+        lead_mm = self.assignment.lead_mm
+        return np.zeros((len(self.plane), 2)) if lead_mm is None else lead_mm
+
+    def worst_error_um(self, move: Move) -> Floats | None:
+        """True distance of the science fibres from their targets, the largest during the exposure.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N,) float or None
+            um, of its begin, middle and end; NaN without a target; None where the truth or the pointing is
+            not known.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> seen.worst_error_um(seen.final) is None
+        True
+        """
+        middle_um = self.true_error_um(move)
+        if middle_um is None or move.true_ends_mm is None:
+            return None
+        ends_um = UM_PER_MM * np.linalg.norm(move.true_ends_mm - self.target_mm(), axis=2)
+        return np.asarray(np.maximum(middle_um, ends_um.max(axis=0)))
 
     def error_um(self, move: Move) -> Floats:
         """True error where it is known, else the measured one.

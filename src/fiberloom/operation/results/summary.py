@@ -55,6 +55,7 @@ def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
     measured = move.measured_error_um[counted]
     true, metrology = observed.true_error_um(move), observed.true_metrology_error_um(move)
     guided, error = observed.guided_error_um(move), observed.error_um(move)[counted]
+    worst = observed.worst_error_um(move)
     return {
         "move": move.number,
         "label": move.label,
@@ -68,6 +69,7 @@ def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
         "true_metrology_rms_um": None if metrology is None else _rms(metrology[counted]),
         "true_rms_um": None if true is None else _rms(true[counted]),
         "guided_rms_um": None if guided is None else _rms(guided[counted]),
+        **({} if worst is None else {"worst_in_exposure_rms_um": _rms(worst[counted])}),
         "p95_um": _percentile(error, 95),
         "max_um": _percentile(error, 100),
     }

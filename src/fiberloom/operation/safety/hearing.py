@@ -6,7 +6,7 @@ import numpy as np
 
 from fiberloom.bus.outcome import Outcome
 from fiberloom.health.status import FibreStatus
-from fiberloom.operation.judge import ASTRAY_MM, Evidence, judge
+from fiberloom.operation.safety.judge import ASTRAY_MM, Evidence, judge
 from fiberloom.typing import Flags, Floats, Ints
 
 NOT_STARTED_MOST = 2

@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable
 
 import numpy as np
 
+from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import Operation
 from fiberloom.metrology import Camera, Measurement, SeveralImages
 from fiberloom.metrology.acquisition import AcquisitionError
@@ -22,6 +23,12 @@ ALARM, BACK = "alarm", "camera"
 
 CALM = 0.2
 """Of the requirement: noise of a place, 2-D rms, below which no further image of it is taken."""
+
+
+def know_fiducials(camera: Camera, plane: FocalPlane) -> None:
+    """Tells a `camera` that goes by fiducials where those of the `plane` are, as a calibration found them."""
+    if (know := getattr(camera, "know_fiducials", None)) is not None:
+        know(plane.fiducials[:, :2])
 
 
 class PatientCamera:

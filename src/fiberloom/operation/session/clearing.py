@@ -22,6 +22,9 @@ from fiberloom.units import deg_to_rad
 MARGIN_MM = 0.5
 """Beyond touching: approach, maps and the sampling of the sweep together."""
 
+FOLDED_DEG = 2.0
+"""So near its place when parked, a positioner counts as folded."""
+
 STEP_DEG = 2.0
 """Between samples of a sweep; the tip moves 0.6 mm."""
 

@@ -9,11 +9,12 @@ import numpy as np
 from fiberloom.bus.protocol import Status
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.care.limits import groups_within_supply
+from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
+from fiberloom.operation.reference.declare import declare_seen_right
 from fiberloom.operation.safety.begin import Standing
 from fiberloom.operation.safety.stop import reason, to_its_end
-from fiberloom.operation.session.clearing import Clearing, Round, within_reach
-from fiberloom.operation.session.motion import FOLDED_DEG, SessionMotion
+from fiberloom.operation.session.clearing import FOLDED_DEG, Clearing, Round, within_reach
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
@@ -40,8 +41,12 @@ _INITIALIZED = {"alpha": Status.DATUM_ALPHA_INITIALIZED, "beta": Status.DATUM_BE
 class Homing:
     """Searches the datum of positioners of a field; which were found, and why others were not."""
 
-    def __init__(self, motion: SessionMotion, rows: Ints) -> None:
-        """`motion`: of the field, after its begin check; `rows`: of the positioners to search."""
+    def __init__(self, motion: FieldMotion, rows: Ints, counts_turns: bool = True) -> None:
+        """`motion`: of the field, after its begin check; `rows`: of the positioners to search.
+
+        `counts_turns`: the layout is known well enough for an image to tell a motor turn.
+        """
+        self._counts = counts_turns
         self.motion, self.rows = motion, [int(r) for r in rows]
         self.found: list[int] = []
         self.left_out: dict[int, str] = {}
@@ -59,7 +64,7 @@ class Homing:
     async def run(self) -> None:
         """Searches all that can be searched safely."""
         self._leave_out_the_silent()
-        await self._declare()
+        await declare_seen_right(self.motion)
         await self._search_lost()
         await self._whole()
         await self._fold()
@@ -87,21 +92,6 @@ class Homing:
     def _give_up(self, row: int, why: str) -> None:
         self.left_out[self._id(row)] = why
         self.rows.remove(row)
-
-    async def _declare(self) -> None:
-        """One without a datum refuses to move; where the image has proved its report, it is told so."""
-        motion, state = self.motion, self.motion.state
-        rows = np.flatnonzero(state.mobile)
-        answers = await motion.client.status(self._plane.positioner_id[rows])
-        lost = [
-            row
-            for row, answer in zip(rows.tolist(), answers.values(), strict=True)
-            if answer.ok and answer.values[0] & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED
-        ]
-        if lost:
-            await motion.client.set_position(
-                self._plane.positioner_id[lost].tolist(), *state.wire_deg[lost].T
-            )
 
     # the rounds
 
@@ -174,6 +164,8 @@ class Homing:
             for row in made.searchers:
                 tried[row] += 1
             begun = await self._search(ready, axis)
+            if any(self._id(row) in self.left_out for row in begun):
+                await declare_seen_right(self.motion)  # a search that was stopped has forgotten the datum
             waiting = [row for row in waiting if row not in begun and tried[row] < TRIES]
 
     async def _clear(self, made: Round) -> None:
@@ -191,7 +183,10 @@ class Homing:
             for row in made.searchers
             if begun[row] and not clearing.blocked(row, made.sweeps[row], made.sweeps)
         ]
-        return rows if axis == "both" else [row for row in rows if self._verified(row, axis)]
+        if axis == "both":
+            return rows
+        # one that was seen not to follow on the way there is an obstacle by now
+        return [row for row in rows if state.mobile[row] and self._verified(row, axis)]
 
     def _verified(self, row: int, axis: str) -> bool:
         """The verifier's word on the way of one searcher, all others at rest."""
@@ -268,7 +263,7 @@ class Homing:
         Looked at folded: there the maps are good, and the approach has closed the backlash as usual.
         """
         motion, rows = self.motion, np.asarray(self._plane.index_of(ids))
-        if not len(rows):
+        if not len(rows) or not self._counts:
             return
         await self._fold()
         here_deg = motion.state.here_deg[rows]

@@ -14,23 +14,23 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.operation.motion import NOT_WHERE_IT_SAYS, FieldMotion, FieldState, UnsafePlanError
+from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS
+from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
+from fiberloom.operation.reference.declare import declare, unreferenced
 from fiberloom.operation.safety.begin import ALLOWED_MM, Standing, allowed_miss_mm
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
+from fiberloom.operation.session.clearing import FOLDED_DEG
 from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
 from fiberloom.store.arrays import REPORTED, RIGHT, SEEN, UNKNOWN, ArrayPlaces
-from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.typing import Flags, Floats
 
 SAME_DEG = 0.15
 """A wire position that is so near the recorded one is the recorded one: the cogging pulls a rotor at rest by
 up to a quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
-
-FOLDED_DEG = 2.0
-"""So near its place when parked, a positioner counts as folded."""
 
 _PRECISE = (
     (Status.PRECISE_POSITIONING_ALPHA, Command.SWITCH_ON_PRECISE_MOVE_ALPHA),
@@ -60,14 +60,11 @@ class SessionMotion(FieldMotion):
         taken."""
         super().__init__(plane, maps, hardware, recorder, progress)
         self.lock, self.left_moving = lock, lock.left_moving
-        self.datum = np.zeros(len(plane), dtype=bool)
-        """(N,) searched since power came on."""
         self._right = np.zeros(len(plane), dtype=bool)
         """(N,) that have not moved since they were seen where they report, with power on."""
         self._known: ArrayPlaces | None = None
         """What was on record when the command began."""
         self._separating = False
-        self._image: Measurement | None = None
         self._reported = np.zeros(len(plane), dtype=bool)
 
     async def connect(self) -> None:
@@ -78,7 +75,7 @@ class SessionMotion(FieldMotion):
         await self._settle_offline()
         # dark, and believed where it was seen to be right: from now on it is its count that is believed
         self.datum |= self._right & self.state.standing(Standing.VOUCHED)
-        self._note(self._image)
+        self._note(self.image)
         await self.step(Step.BEGIN)
 
     async def step(self, step: Step, text: str = "") -> None:
@@ -124,7 +121,7 @@ class SessionMotion(FieldMotion):
 
     async def _settle_offline(self) -> None:
         """Excluded positioners are obstacles where the image has them, not where the record does."""
-        image, state = self._image, self.state
+        image, state = self.image, self.state
         rows = np.flatnonzero(self.plane.offline)
         if image is None or not len(rows):
             return
@@ -143,8 +140,7 @@ class SessionMotion(FieldMotion):
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """As `FieldMotion.look`; the state says that an image is taken."""
         await self.step(Step.LOOK)
-        self._image = await super().look(unknown)
-        return self._image
+        return await super().look(unknown)
 
     async def move(
         self, number: int, label: str, planned: Plan, goals: Goals, comparison: bool = False
@@ -152,7 +148,7 @@ class SessionMotion(FieldMotion):
         """As `FieldMotion.move`: `number`, `label`, `planned`, `goals`, `comparison`; places are kept."""
         interrupted = await super().move(number, label, planned, goals, comparison)
         self._reported |= self.state.hearing.heard & ~self.plane.offline
-        self._note(self._image)
+        self._note(self.image)
         await self.step(Step.REST)
         return interrupted
 
@@ -165,34 +161,6 @@ class SessionMotion(FieldMotion):
         await super().stop(why)
         self._note(None)
         await self.step(Step.STOP, why)
-
-    async def read_positions(self, positioner_id: Ints) -> Flags:
-        """Asks these where they are; (n,) which have answered."""
-        return await self._read_positions(positioner_id)
-
-    async def searched(self, positioner_id: list[int], *, datum: bool) -> None:
-        """After a datum search: reads where all are, keeps it, and does the begin check again.
-
-        `positioner_id`: those that have found it; `datum`: of both axes, so that their places say so.
-        """
-        await self.step(Step.REST)
-        ids = self.plane.positioner_id
-        await self._read_positions(ids[np.isin(ids, self.client.ids) & ~self.plane.offline])
-        if datum and positioner_id:
-            rows = self.plane.index_of(positioner_id)
-            self.datum[rows], self.state.somewhere[rows] = True, False  # it is where it reports now
-        self._note(None)
-        await self.begin_again()
-
-    @property
-    def image(self) -> Measurement | None:
-        """The last one."""
-        return self._image
-
-    @property
-    def reported_deg(self) -> Floats:
-        """(N, 2) angles by the wire positions, also of those that are seen elsewhere."""
-        return self.maps.to_output(self.state.wire_deg)
 
     def shows_alpha(self, row: int, spot_mm: Floats) -> bool:
         """Whether a spot (2,) of the positioner in `row` is far enough from its alpha axis to show alpha."""
@@ -211,7 +179,8 @@ class SessionMotion(FieldMotion):
         await self.step(Step.MOVE)
         self.has_moved = True
         try:
-            await self._declare_if_lost(row)
+            rows = np.array([row])
+            await declare(self, rows[(await unreferenced(self, rows))[rows]])
             path = self.state.wire_deg[row] + np.array([(0.0, 0.0), way_deg])
             trajectory = WireTrajectory.from_deg([0.0, duration_s], *path.T)
             results = await self.client.run_trajectories({number: trajectory})
@@ -224,19 +193,11 @@ class SessionMotion(FieldMotion):
         await self.step(Step.REST)
         return results[number]
 
-    async def _declare_if_lost(self, row: int) -> None:
-        """One without a datum refuses to move: it is told to be where it reports."""
-        ids = [int(self.plane.positioner_id[row])]
-        bits = (await self.client.status(ids))[ids[0]]
-        if bits.ok and bits.values[0] & Status.DATUMS_INITIALIZED != Status.DATUMS_INITIALIZED:
-            await self.client.set_position(ids, *self.state.wire_deg[[row]].T)
-
     async def begin_again(self) -> None:
         """The begin check anew: what was said of positioners so far is forgotten."""
         if self.lock.state is SessionState.LOOKING:
             await self.step(Step.REST)
-        self.state = FieldState(self.plane, self.recorder)
-        await self.connect()
+        await super().begin_again()
 
     async def stage(self, label: str, planned: Plan, goals: Goals, separating: bool) -> Flags:
         """One motion of a recovery; (N,) positioners not at their goal.

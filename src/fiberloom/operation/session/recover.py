@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fiberloom.health.status import FibreStatus
-from fiberloom.operation.motion import FieldState, UnsafePlanError
+from fiberloom.operation.field_state import FieldState
+from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.move import Goals
 from fiberloom.operation.session.clearing import within_reach
 from fiberloom.operation.session.motion import SessionMotion

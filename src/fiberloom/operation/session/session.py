@@ -16,6 +16,7 @@ from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Goals, Recorder
 from fiberloom.operation.recording import SurveyRecorder
+from fiberloom.operation.reference.declare import declare_seen_right
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.array_lock import ArrayLock
@@ -174,6 +175,7 @@ class Session:
     async def park(self) -> SessionReport:
         """Folds every positioner that follows commands, by a verified plan."""
         async with self._moving(Deed.PARK) as motion:
+            await declare_seen_right(motion)
             await fold(motion)
         return await beside(self._report, "park", motion)
 

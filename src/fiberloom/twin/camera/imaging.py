@@ -14,7 +14,7 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -33,6 +33,7 @@ from fiberloom.version import __version__
 
 PSF_KINDS = {"gaussian": 0, "moffat": 1, "disc": 2}
 _FWHM_PER_SIGMA = 2.3548200450309493
+_DRIFT = 0xD21F
 _END = 1e-6
 """Share of the peak where a painted spot ends."""
 
@@ -142,17 +143,34 @@ class Optics:
     turbulence_length_mm: float = 50.0
     vibration_um: float = 0.0
     """Rms per coordinate of the shift of a whole exposure."""
+    turned_deg: float = 0.0
+    """By which a rotator has turned the focal plane before the lens."""
+
+    drift_um: float = 0.0
+    """Rms per coordinate of a smooth distortion over the field, beside the terms."""
+    drift_length_mm: float = 150.0
+    """Of its correlation."""
+    drift_seed: int = 0
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
         """Where a point of the focal plane falls on the detector."""
-        p = np.asarray(xy_mm, dtype=np.float64)
+        p = self._before_the_lens(np.asarray(xy_mm, dtype=np.float64))
         place = p / self.field_radius_mm
         terms = list(self.distortion_mm)
         values = np.array([self.distortion_mm[t] for t in terms])
         bent = np.einsum("k,knc->nc", values, zhao_burge.basis(place, terms)) if terms else 0.0
         r2 = np.sum(place**2, axis=1, keepdims=True)
         k3, k5 = self.radial
-        return self.geometry.similarity().to_px(p + bent + p * (k3 * r2 + k5 * r2**2))
+        drift = air_shift_mm(
+            p, self.drift_um, self.drift_length_mm, np.random.default_rng([self.drift_seed, _DRIFT])
+        )
+        return self.geometry.similarity().to_px(p + bent + drift + p * (k3 * r2 + k5 * r2**2))
+
+    def _before_the_lens(self, xy_mm: Floats) -> Floats:
+        """Turned back by as much as an image is turned: what the lens bends stays with the camera."""
+        cos, sin = np.cos(np.deg2rad(self.turned_deg)), np.sin(np.deg2rad(self.turned_deg))
+        turned: Floats = xy_mm @ np.array([[cos, -sin], [sin, cos]])
+        return turned
 
 
 @dataclass(frozen=True)
@@ -201,7 +219,11 @@ class TwinScene:
     """The metrology fibres of a twin."""
 
     def __init__(self, twin: Twin) -> None:
-        self._twin = twin
+        self._twin, self._backlit = twin, ""
+
+    def light(self, fibre: str) -> None:
+        """Lights this science fibre of all positioners from behind, beside the metrology fibres; "": none."""
+        self._backlit = fibre
 
     @property
     def time_s(self) -> float:
@@ -210,7 +232,8 @@ class TwinScene:
 
     def lit_mm(self) -> Floats:
         """Where they are now; NaN for dark ones."""
-        return np.where(self._twin.dark[:, None], np.nan, self._twin.fibre_xy("metrology"))
+        metrology = np.where(self._twin.dark[:, None], np.nan, self._twin.fibre_xy("metrology"))
+        return np.vstack([metrology, self._twin.fibre_xy(self._backlit)]) if self._backlit else metrology
 
 
 class ImagingCamera:
@@ -237,6 +260,15 @@ class ImagingCamera:
         self._flux_scatter: dict[int, Floats] = {}
         self._hot = self._draw_hot()
         self._canvas: NDArray[np.float32] | None = None
+
+    def turn(self, turned_deg: float) -> None:
+        """Turns the focal plane before the camera, by so many `turned_deg` from where it was at first."""
+        self.model = replace(self.model, optics=replace(self.model.optics, turned_deg=turned_deg))
+
+    def light(self, fibre: str) -> None:
+        """Lights this science fibre too, from behind; "": none. A scene without them stays as it is."""
+        if (light := getattr(self.scene, "light", None)) is not None:
+            light(fibre)
 
     def expose(self) -> CameraImage:
         """The next image."""

@@ -165,7 +165,7 @@ def image_camera(
     """A camera with images on a `twin`; the host knows its geometry but not how it is misaligned.
 
     `seed`: of the misalignment and all noise; `model`: by default that of the twin's plane; `errors`: of the
-    fiducials' table and the air, um rms.
+    fiducials' table, the air and the lens, um rms.
     """
     plane = twin.plane
     check_fiducials(plane)
@@ -188,8 +188,9 @@ def imaging_camera(
     `scene`: the fibres; `threads` that paint, all cores when None; `errors`: as of `image_camera`.
     """
     return ImagingCamera(
-        scene, misaligned(_in_air(nominal, errors), seed), fiducials_mm=errors.fiducials_mm(plane, seed),
-        seed=seed, instrument=plane.instrument.name, threads=threads,
+        scene, misaligned(_at_night(_in_air(nominal, errors), errors, seed), seed),
+        fiducials_mm=errors.fiducials_mm(plane, seed), seed=seed, instrument=plane.instrument.name,
+        threads=threads,
     )  # fmt: skip
 
 
@@ -199,3 +200,17 @@ def _in_air(model: CameraModel, errors: TwinErrors) -> CameraModel:
         return model
     air = replace(model.optics, turbulence_um=errors.air_um, turbulence_length_mm=AIR_LENGTH_MM)
     return replace(model, optics=air)
+
+
+def _at_night(model: CameraModel, errors: TwinErrors, seed: int) -> CameraModel:
+    """At the temperature of the night: more of the plate on a pixel, and a lens that has changed a little."""
+    night = errors.temperature
+    warmer_K = night.warmer_K(seed)
+    if warmer_K == 0.0:
+        return model
+    optics = model.optics
+    # the frame is the plate's: where it has grown, a pixel sees less of it
+    scale = optics.geometry.scale_mm_px / (1.0 + night.plate_growth(seed))
+    geometry = replace(optics.geometry, scale_mm_px=scale)
+    drift_um = float(np.hypot(optics.drift_um, night.lens_um_per_K * warmer_K))
+    return replace(model, optics=replace(optics, geometry=geometry, drift_um=drift_um, drift_seed=seed))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fiberloom.instruments.model import METROLOGY
@@ -22,9 +24,9 @@ class NoiseCamera:
 
     def __init__(self, twin: Twin, rms_um: float, seed: int = 0, errors: TwinErrors = NO_ERRORS) -> None:
         """`twin`: whose fibres; `errors`, um rms: of the fiducials' table and the air."""
-        self._twin, self._air_um = twin, errors.air_um
+        self._twin, self._plane, self._air_um = twin, twin.plane, errors.air_um
         self._fiducials_mm = errors.fiducials_mm(twin.plane, seed)
-        self._frame = WrongFrame(twin.plane, self._fiducials_mm)
+        self._frame = WrongFrame(self._plane, self._fiducials_mm)
         self._sigma_mm = rms_um * 1e-3 / np.sqrt(2.0)
         self._rng = np.random.default_rng([seed, 0xCA3E])
 
@@ -37,6 +39,12 @@ class NoiseCamera:
         x, y = np.where(seen[:, None], noisy_mm, np.nan).T
         return Measurement(x, y, seen, self._twin.time_s)
 
+    def know_fiducials(self, fiducials_mm: Floats) -> None:
+        """From now on its host takes fiducials to be at (F, 2) mm: as a calibration has found them."""
+        known = np.column_stack([fiducials_mm, self._plane.fiducials[:, 2:]])
+        self._plane = replace(self._plane, fiducials=known)
+        self._frame = WrongFrame(self._plane, self._fiducials_mm)
+
     def _through_the_air(self, true_mm: Floats) -> Floats:
         """(N, 2) mm as a host has them that fits its frame on fiducials in the same air."""
         if self._air_um == 0.0:
@@ -44,4 +52,4 @@ class NoiseCamera:
         at_mm = np.vstack([true_mm, self._fiducials_mm])
         at_mm = at_mm + air_shift_mm(at_mm, self._air_um, AIR_LENGTH_MM, self._rng)
         fibres_mm, fiducials_mm = np.split(at_mm, [len(true_mm)])
-        return WrongFrame(self._twin.plane, fiducials_mm).seen_mm(fibres_mm)
+        return WrongFrame(self._plane, fiducials_mm).seen_mm(fibres_mm)

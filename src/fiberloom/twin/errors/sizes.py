@@ -9,9 +9,13 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
     fibre_um = { BOSS = [9.0, 8.3], APOGEE = [16.1, 5.1] }  # science fibre against it: along, across the arm
     fiducial_um = 8.0                                  # of the fiducials' table, per coordinate
     air_um = 1.5                                       # turbulence before the camera, per coordinate
+    power_share = 0.05                                 # positioners off by motor turns after power-up
+    power_turns = 5                                    # at most so many
 
 The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
-SDSS-V's, which is nearer, nothing is published.
+SDSS-V's, which is nearer, nothing is published. What pulls at the arms: `fiberloom.twin.errors.loads`; what a
+colder night does: `fiberloom.twin.errors.temperature`.
+Share and number of motor turns are assumed.
 """
 
 from __future__ import annotations
@@ -24,7 +28,9 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
-from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of
+from fiberloom.twin.errors.loads import LOAD_KEYS, NO_LOADS, LoadSizes, told_loads
+from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of, night_C_of
+from fiberloom.twin.errors.temperature import NO_DIFFERENCE, NightTemperature
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -38,6 +44,7 @@ AIR_LENGTH_MM = 50.0
 _FARTHEST = 6.0
 """In units of the rms: a fibre that is farther off was never glued so."""
 _STREAM = 0xE220
+_POWER_STREAM = 0xE221
 
 
 @dataclass(frozen=True)
@@ -54,8 +61,18 @@ class TwinErrors:
     """Of the fiducials' table, per coordinate."""
     air_um: float = 1.5
     """Of what turbulence shifts in one image, per coordinate; the same over some `AIR_LENGTH_MM`."""
+    power_share: float = 0.05
+    """Share of positioners whose counters are off by whole motor turns after power-up (assumed); 0: power
+    stays on, and every datum is on record."""
+    power_turns: int = 5
+    """Motor turns by which a counter is off at most (assumed); of two neighbouring numbers the larger is half
+    as likely."""
     gears: GearSpectrum = "stages"
     """Spectrum of the gears' deviations."""
+    loads: LoadSizes = field(default_factory=LoadSizes)
+    """What pulls at the arms: gravity, and the bundle of fibres."""
+    temperature: NightTemperature = field(default_factory=NightTemperature)
+    """Of the night, against the calibration."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
@@ -71,13 +88,22 @@ class TwinErrors:
             other_fibre_um=_times(told.other_fibre_um, factors["fibre"]),
             fiducial_um=told.fiducial_um * factors["fiducial"],
             air_um=told.air_um * factors["air"],
+            power_share=min(told.power_share * factors["power"], 1.0),
+            power_turns=told.power_turns,
             gears=gears_of(switches),
+            loads=told.loads.times(factors["gravity"], factors["torque"]),
+            temperature=told.temperature.switched(factors["temperature"], night_C_of(switches)),
         )
 
+    def at_calibration(self) -> TwinErrors:
+        """The same at the temperature of the calibration: what a bench has."""
+        return replace(self, temperature=self.temperature.switched(0.0, None))
+
     def any(self) -> bool:
-        """Whether a twin has one of them."""
+        """Whether tables or air are wrong; power-up spoils neither."""
         of_fibres = [um for pair in (*self.fibre_um.values(), self.other_fibre_um) for um in pair]
-        return any((*self.arm_um, *of_fibres, self.fiducial_um, self.air_um))
+        sizes = (*self.arm_um, *of_fibres, self.fiducial_um, self.air_um)
+        return any(sizes) or self.loads.any() or self.temperature.on
 
     def told(self, plane: FocalPlane) -> dict[str, str]:
         """For `put_in`: each size and its source."""
@@ -91,7 +117,18 @@ class TwinErrors:
             "fiducials against their table": f"{self.fiducial_um:g} um rms per coordinate, {measured}",
             "air before the camera": f"{self.air_um:g} um rms per coordinate in each image, the same over "
             f"{AIR_LENGTH_MM:g} mm (assumed)",
+            **self.loads.told(),
+            "temperature": self.temperature.told(),
+            "power-up": self._told_power(),
         }
+
+    def _told_power(self) -> str:
+        if not self.power_share:
+            return "every datum is on record"
+        return (
+            f"no datum is on record; {100.0 * self.power_share:g} % of the positioners have counters "
+            f"that are off by 1 to {self.power_turns} whole motor turns (assumed)"
+        )
 
     def _named(self, plane: FocalPlane) -> list[tuple[str, tuple[float, float]]]:
         names = [name for name in plane.points if name != METROLOGY]
@@ -110,6 +147,18 @@ class TwinErrors:
         fibre_mm = {name: self.of_fibre(name) * heavy(rng, 2) for name in sorted(fibres)}
         return UnitErrors(float(arm[0]), float(arm[1]), fibre_mm)
 
+    def turns_lost(self, number: int, seed: int) -> tuple[int, int]:
+        """Motor turns of alpha and beta that the counters of the unit `number` are off by, by the `seed`.
+
+        Of those that are off one axis is, either one; both are in a quarter of them.
+        """
+        rng = np.random.default_rng([seed, number, _POWER_STREAM])
+        off = rng.random() < self.power_share
+        which = rng.choice(3, p=(0.375, 0.375, 0.25))
+        size = 1 + np.minimum(rng.geometric(0.5, 2) - 1, self.power_turns - 1)
+        alpha, beta = off * size * rng.choice((-1, 1), 2)
+        return int(alpha * (which != 1)), int(beta * (which != 0))
+
     def fiducials_mm(self, plane: FocalPlane, seed: int) -> Floats:
         """(F, 2) mm: where the fiducials of a `plane` really are, by the `seed`."""
         table_mm: Floats = plane.fiducials[:, :2]
@@ -125,8 +174,8 @@ class TwinErrors:
         return off_mm
 
 
-NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0)
-"""A twin whose host has true tables, in still air."""
+NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, 0.0, loads=NO_LOADS, temperature=NO_DIFFERENCE)
+"""A twin whose host has true tables, in still air, as warm as the calibration was, that nothing pulls at."""
 
 
 @dataclass(frozen=True)
@@ -158,9 +207,22 @@ def _told(instrument: Instrument) -> TwinErrors:
         fiducial_um=_size(asked.pop("fiducial_um", usual.fiducial_um), f"{where}.fiducial_um"),
         air_um=_size(asked.pop("air_um", usual.air_um), f"{where}.air_um"),
         fibre_um={name: _pair(um, f"{where}.fibre_um.{name}") for name, um in fibres.items()},
+        power_share=_share(asked.pop("power_share", usual.power_share), f"{where}.power_share"),
+        power_turns=_turns(asked.pop("power_turns", usual.power_turns), f"{where}.power_turns"),
+        loads=told_loads({key: asked.pop(key) for key in LOAD_KEYS if key in asked}, where),
+        temperature=NightTemperature.of(asked.pop("temperature", {}), f"{where}.temperature"),
     )
     if asked:
-        known_keys = "arm_um, fibre_um, fiducial_um, air_um"
+        own_keys = (
+            "arm_um",
+            "fibre_um",
+            "fiducial_um",
+            "air_um",
+            "power_share",
+            "power_turns",
+            "temperature",
+        )
+        known_keys = ", ".join((*own_keys, *LOAD_KEYS))
         raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")
     return known
 
@@ -175,6 +237,18 @@ def _size(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1000.0:
         raise InputError(f"{where} = {value!r}: must be 0 to 1000 um")
     return float(value)
+
+
+def _share(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise InputError(f"{where} = {value!r}: must be 0 to 1, a share of the positioners")
+    return float(value)
+
+
+def _turns(value: Any, where: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 5:
+        raise InputError(f"{where} = {value!r}: must be 1 to 5 motor turns")
+    return value
 
 
 def _times(um: tuple[float, float], factor: float) -> tuple[float, float]:

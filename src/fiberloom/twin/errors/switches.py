@@ -6,8 +6,13 @@ from typing import Literal, get_args
 
 from fiberloom.errors import InputError
 
-TERMS = ("arm", "fibre", "fiducial", "air")
+TERMS = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque")
 """What can be switched."""
+
+NIGHT = "at_C"
+"""Names the temperature of a night."""
+COLDEST_C, WARMEST_C = -40.0, 60.0
+"""Nights that a twin can have."""
 
 GearSpectrum = Literal["stages", "teeth", "family"]
 """Which orders the gears have: two stages (36 tooth pairings, and 204 a turn of an earlier stage), the
@@ -18,6 +23,7 @@ def check_switches(switches: str) -> None:
     """Raises InputError for a text that names what there is not."""
     factors_of(switches)
     gears_of(switches)
+    night_C_of(switches)
 
 
 def factors_of(switches: str) -> dict[str, float]:
@@ -29,10 +35,26 @@ def factors_of(switches: str) -> dict[str, float]:
             factors = dict.fromkeys(TERMS, 1.0 if part == "all" else 0.0)
         elif name in TERMS:
             factors[name] = _factor(part, text if given else "1")
-        elif name != "gears":
-            known = f"all, none, {', '.join(TERMS)}, each with =FACTOR, and gears=SPECTRUM"
+        elif name not in ("gears", NIGHT):
+            known = f"all, none, {', '.join(TERMS)}, each with =FACTOR, gears=SPECTRUM and {NIGHT}=DEG_C"
             raise InputError(f"--errors {part}: known are {known}")
     return factors
+
+
+def night_C_of(switches: str) -> float | None:
+    """The temperature of the night that `switches` names last, deg C; None where the seed draws it."""
+    named = [part for part in _parts(switches) if part.partition("=")[0] == NIGHT]
+    if not named:
+        return None
+    if factors_of(switches)["temperature"] == 0.0:
+        raise InputError(f"--errors {named[-1]}: goes with the term temperature")
+    try:
+        at_C = float(named[-1].partition("=")[2])
+    except ValueError:
+        at_C = float("nan")
+    if not COLDEST_C <= at_C <= WARMEST_C:
+        raise InputError(f"--errors {named[-1]}: a temperature, {COLDEST_C:g} to {WARMEST_C:g} deg C")
+    return at_C
 
 
 def gears_of(switches: str) -> GearSpectrum:

@@ -118,6 +118,14 @@ class Plant {
     void set_faults(size_t axis, AxisFaults faults);
     // The gear wears: only at rest.
     void set_transmission(size_t axis, const Transmission &transmission);
+    // Opens or closes the bridge of an axis. Open, no current flows: the duties do not matter, and there is
+    // no drag by the back-EMF. The body diodes of the switches conduct only from an EMF of the supply on, and
+    // a rotor that its own bridge has driven by sines stays below it: lambda omega < (sqrt(3)/2) u_dc. Called
+    // once a tick while open: beyond that speed, or without supply, an open bridge brakes like a closed one.
+    void set_open(size_t axis, bool open) {
+        const Bridge bridge = {open, open && !diodes_conduct(axis)};
+        if (axes_[axis].bridge != bridge) switch_bridge(axis, bridge);
+    }
     // What wears beside the gear: friction, sensors. Only at rest; throws as the constructor does.
     void set_params(size_t axis, const PlantParams &params);
 
@@ -128,11 +136,17 @@ class Plant {
         double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
         uint32_t key = 0, passes = 0;
     };
+    // Open: no switch conducts, the duties do not count. Floating: no diode does either.
+    struct Bridge {
+        bool open = false, floats = false;
+        bool operator==(const Bridge &) const = default;
+    };
     struct Axis {
         Unit unit;
         Cell cell;
         Seat seat;
         AxisFaults faults;
+        Bridge bridge;
         double torque_Nm = 0.0;
         double slip_rad = 0.0;   // arm against gear, left by an open coupling
         double held_rad = 0.0;   // where the arm is while the coupling is open
@@ -150,6 +164,8 @@ class Plant {
     void put(size_t axis, double output_rad);
     void configure(size_t axis);
     void configure_drive(size_t axis);
+    void switch_bridge(size_t axis, Bridge bridge);
+    bool diodes_conduct(size_t axis) const;
     void configure_cogging(size_t axis);
     void configure_gear(size_t axis);
     void configure_stops(size_t axis);

@@ -15,6 +15,7 @@ extern "C" {
 }
 #pragma GCC diagnostic pop
 
+#include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/neighbours.hpp"
 #include "fiberloom/twin/plant.hpp"
 
@@ -114,6 +115,11 @@ class Twin {
     size_t bytes_per_positioner() const;
 
     void set_external_torque(size_t positioner, int axis, double torque_Nm);
+    // From now on these pull at its arms, as they are: bundles of fibres at ease. No gravity unless told.
+    void set_loads(size_t positioner, const AxisLoad &alpha, const AxisLoad &beta);
+    void point(Gravity gravity);
+    // What its temperature sensor reads, in the sensor's counts.
+    void set_temperature(size_t positioner, uint32_t counts);
     void set_faults(size_t positioner, const PositionerFaults &faults);
     const PositionerFaults &faults(size_t positioner) const;
     void set_transmission(size_t positioner, int axis, const Transmission &transmission);
@@ -121,6 +127,8 @@ class Twin {
     // Power off and on: the firmware starts anew with what its storage holds, after the bootloader has waited
     // its ten seconds for an upgrade, or at once.
     void power_cycle(size_t positioner, bool bootloader = false);
+    // The same at rest, without a datum on record, and with counters that are off by whole motor turns.
+    void power_up(size_t positioner, int alpha_turns, int beta_turns);
 
     void scope(size_t positioner, int axis, bool on);
     std::vector<ScopeSample> take_scope(size_t positioner, int axis);

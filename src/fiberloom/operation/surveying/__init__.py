@@ -1,0 +1,1 @@
+"""What a survey of the focal plane keeps of its images."""

@@ -1,0 +1,1 @@
+"""Which motors the twin's axes have, and what they take from the supply."""
