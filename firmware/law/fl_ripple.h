@@ -21,7 +21,7 @@
 
 #define FL_RIPPLE_PER_RAD2 2.279728e-05f /* 1/w0^2, w0 = 209.44 rad/s */
 #define FL_RIPPLE_PACE_MOST 4.0f         /* (w/w0)^2: faster, it is not extrapolated */
-#define FL_RIPPLE_MOST_RAD_S2 3000.0f    /* of a coefficient over the inertia: 10 uNm for alpha */
+#define FL_RIPPLE_MOST_RAD_S2 3000.0f    /* the root of its squares over the inertia: 10 uNm for alpha */
 #define FL_RIPPLE_NEWS_RAD_S2 3.0e5f     /* more is no news of a tick: 15 sigma of the noise */
 
 typedef struct fl_ripple_state {
@@ -41,11 +41,6 @@ typedef struct fl_ripple_in {
     float speed_rad_s; /* commanded */
     float sin, cos;    /* of the rotor, measured at the start of this tick */
 } fl_ripple_in_t;
-
-/* The new value of a coefficient, where it is a number within +-most; else the old one. */
-static inline float fl_ripple_within(float old_Nm, float new_Nm, float most_Nm) {
-    return fl_abs(new_Nm) < most_Nm ? new_Nm : old_Nm;
-}
 
 /* The rotor half a tick on, and the ripple at w0 there, Nm: a load that e'' shows. */
 static inline float fl_ripple_torque(fl_ripple_state_t *st, const fl_ripple_in_t *in) {
@@ -69,17 +64,19 @@ static inline float fl_ripple_news_Nm(const fl_ripple_state_t *st, const fl_ripp
  * @pre before fl_ripple_step of this tick; the last one was a tick ago; in->inertia > 0; share < 1/4 */
 static inline void fl_ripple_learn(fl_ripple_state_t *st, const fl_ripple_in_t *in, float known_Nm,
                                    float share) {
-    const float news_Nm = fl_ripple_news_Nm(st, in) - known_Nm;
-    const bool sane = fl_abs(news_Nm) < in->inertia * FL_RIPPLE_NEWS_RAD_S2;
-    const float taken_Nm = sane ? share * news_Nm : 0.0f, most_Nm = in->inertia * FL_RIPPLE_MOST_RAD_S2;
+    const float news_Nm = fl_ripple_news_Nm(st, in) - known_Nm, taken_Nm = share * news_Nm;
     const float once_sin_Nm = st->once_sin_Nm + taken_Nm * st->sin;
     const float once_cos_Nm = st->once_cos_Nm + taken_Nm * st->cos;
     const float twice_sin_Nm = st->twice_sin_Nm + taken_Nm * st->twice_sin;
     const float twice_cos_Nm = st->twice_cos_Nm + taken_Nm * st->twice_cos;
-    st->once_sin_Nm = fl_ripple_within(st->once_sin_Nm, once_sin_Nm, most_Nm);
-    st->once_cos_Nm = fl_ripple_within(st->once_cos_Nm, once_cos_Nm, most_Nm);
-    st->twice_sin_Nm = fl_ripple_within(st->twice_sin_Nm, twice_sin_Nm, most_Nm);
-    st->twice_cos_Nm = fl_ripple_within(st->twice_cos_Nm, twice_cos_Nm, most_Nm);
+    const float square = once_sin_Nm * once_sin_Nm + once_cos_Nm * once_cos_Nm + twice_sin_Nm * twice_sin_Nm +
+                         twice_cos_Nm * twice_cos_Nm;
+    const float most_Nm = in->inertia * FL_RIPPLE_MOST_RAD_S2;
+    const bool sane = fl_abs(news_Nm) < in->inertia * FL_RIPPLE_NEWS_RAD_S2 && square < most_Nm * most_Nm;
+    st->once_sin_Nm = sane ? once_sin_Nm : st->once_sin_Nm;
+    st->once_cos_Nm = sane ? once_cos_Nm : st->once_cos_Nm;
+    st->twice_sin_Nm = sane ? twice_sin_Nm : st->twice_sin_Nm;
+    st->twice_cos_Nm = sane ? twice_cos_Nm : st->twice_cos_Nm;
 }
 
 /* One tick: the ripple of it, Nm, a load signed as the error is. */

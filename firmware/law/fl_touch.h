@@ -17,7 +17,8 @@
  *
  * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 8.5 times its own
  * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and 1.5 times the
- * deepest dip of the last 250 ms: what repeats goes both ways.
+ * deepest dip of the last 250 ms: what repeats goes both ways. Until it is learnt it is allowed 25 times
+ * touch at w0, and less with (w/w0)^2 where it is slower.
  *
  * excess: the learnt change of the drag times the same difference of speeds. Only on the resisting side, and
  * only where the motor drives the gear: 20 ms after the teeth met, where the law knows that (fl_teeth.h),
@@ -29,7 +30,6 @@
 #include "fl_observer.h"
 #include "fl_ripple.h"
 
-/* 1 - p^3, 1.5 (1 - p)^2 (1 + p)/dt, (1 - p)^3/dt^2 with p = exp(-450/2000) */
 #define FL_TOUCH_LAG 0.139292f /* 1 - p, p = exp(-300/2000) */
 #define FL_TOUCH_WAY_RAD 16.0f /* 920 motor degrees: the largest backlash, 250, and what follows its end */
 /* 40 ticks since the teeth met: of a gap thought 5 motor degrees too small the observer has forgotten all but
@@ -151,9 +151,11 @@ static inline bool fl_touch_watches(fl_touch_state_t *st, const fl_touch_in_t *i
     return far || st->sure * st->closed_s > FL_TOUCH_MET_S;
 }
 
-/* What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met. */
-static inline float fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state_t *st,
-                                    const fl_touch_in_t *in) {
+/* Inlined here and below, as fl_drive_end is: 40 instructions a tick and axis less.
+ *
+ * What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met. */
+static inline __attribute__((always_inline)) float
+fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch_in_t *in) {
     const fl_ripple_in_t now = {in->error_rad, in->beyond_Nm,   cfg->drag + in->excess_Nms,
                                 cfg->inertia,  in->speed_rad_s, in->sin,
                                 in->cos};
@@ -168,8 +170,8 @@ static inline float fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state
 /* One tick of FL_TICK_S: true when the arm is touched. rise_Nm and limit_Nm in `st` tell by how much, for
  * logs.
  * @pre in->direction is -1, 0 or 1; cfg->inertia > 0 */
-static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st,
-                                 const fl_touch_in_t *in) {
+static inline __attribute__((always_inline)) bool
+fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch_in_t *in) {
     const bool watched = fl_touch_watches(st, in);
     const float ripple_Nm = fl_touch_ripple(cfg, st, in);
     const float load_Nm = fl_touch_observe(cfg, st, in, ripple_Nm);
@@ -180,11 +182,13 @@ static inline bool fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t 
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
     const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
     st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_REST * st->unrest_Nm);
-    const float coarse =
-        fl_max(1.0f + FL_TOUCH_COARSE - speed * (FL_TOUCH_COARSE / FL_TOUCH_FAST_RAD_S), 1.0f);
+    const float pace = fl_min(speed * (1.0f / FL_TOUCH_FAST_RAD_S), 1.0f);
+    const float coarse = 1.0f + FL_TOUCH_COARSE * (1.0f - pace);
+    /* until it is learnt, the scatter is taken for errors of the angle, which grow with w^2 */
+    const float scale = st->share > 2.0f * FL_TOUCH_SHARE ? pace * pace : coarse;
     st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
-    const float usual_Nm = fl_max(FL_TOUCH_WILD * st->scatter_Nm, FL_TOUCH_DIPS * st->dip_Nm);
-    const float known_Nm = fl_max(cfg->threshold_Nm, usual_Nm) * coarse;
+    const float both_Nm = coarse * fl_max(cfg->threshold_Nm, FL_TOUCH_DIPS * st->dip_Nm);
+    const float known_Nm = fl_max(both_Nm, scale * FL_TOUCH_WILD * st->scatter_Nm);
     const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +
                              cfg->surge_kg_m2 * st->surge_rad_s2;
     st->limit_Nm = known_Nm + allowed_Nm;

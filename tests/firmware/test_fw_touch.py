@@ -122,7 +122,7 @@ class Reference:
         known = direction * (self.mean + excess * (abs(velocity) - self.mean_speed))
         news = shown - known if abs(shown - known) < 3e5 * j else 0.0
         learnt = self.learnt + self.calm * news * self.waves(unit)
-        self.learnt = np.where(np.abs(learnt) < 3000 * j, learnt, self.learnt)
+        self.learnt = learnt if np.linalg.norm(learnt) < 3000 * j else self.learnt
         half = velocity * TICK_S / 2
         unit = np.array([sine + half * cosine, cosine - half * sine])
         repeats = min((velocity / W0_RAD_S) ** 2, 4) * (self.learnt @ self.waves(unit))
@@ -167,8 +167,11 @@ class Reference:
         self.rise = more - excess * faster
         self.unrest = max(0.0 if watched else abs(more), 0.985 * self.unrest)
         self.dip = max(-self.rise if watched else 0.0, 0.998 * self.dip)
-        usual = max(8.5 * self.scatter, 1.5 * self.dip)
-        known = max(self.v["touch_torque"], usual) * (1 + 5 * max(1 - speed / W0_RAD_S, 0))
+        pace = min(speed / W0_RAD_S, 1)
+        coarse = 1 + 5 * (1 - pace)
+        scale = pace**2 if self.share > 1 / 256 else coarse
+        usual = max(8.5 * scale * self.scatter, 1.5 * coarse * self.dip)
+        known = max(coarse * self.v["touch_torque"], usual)
         allowed = self.unrest + 3 * doubt * drag * abs(faster) + 0.12 * self.v["inertia"] * self.surge
         self.limit = known + allowed
         self.follow = max(1 / 120, 0.98 * self.follow) if watched else 0.1

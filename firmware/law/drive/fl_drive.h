@@ -42,9 +42,9 @@ typedef struct fl_drive_state {
 /* The touch watch of this tick (fl_touch.h): `torque` is what the servo has asked for, `voltage` what of it
  * the supply gives (-1..1 of u_dc). True when the arm is touched.
  * @pre after fl_servo_step of the same tick */
-static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state_t *st,
-                                    const fl_servo_in_t *in, const fl_servo_out_t *torque, float voltage,
-                                    fl_sincos_t rotor) {
+static inline __attribute__((always_inline)) bool
+fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state_t *st, const fl_servo_in_t *in,
+                 const fl_servo_out_t *torque, float voltage, fl_sincos_t rotor) {
     const float excess_Nms = cfg->servo.drag * (st->servo.drag_scale - 1.0f);
     const float expected_Nm = torque->feedforward_Nm - excess_Nms * in->speed_rad_s;
     const fl_touch_in_t touch = {
