@@ -25,6 +25,7 @@ from fiberloom.twin.units import GEAR
 
 IN_TIME_S = 0.016
 HOST_S = 0.005
+UNITS_OF_BOUND = 48
 SIGMAS = 5.5
 """Of a matched filter, for one false detection in a million moves of some 10^4 independent looks."""
 
@@ -37,7 +38,10 @@ def main() -> int:
     parser.add_argument("--moves", type=int, default=20, help="of each unit")
     parser.add_argument("--rounds", type=int, default=2, help="of 52 pairs and kind of meeting")
     parser.add_argument("--no-touch", action="store_true", help="meet: without the touch watch")
-    parser.add_argument("--law", type=int, default=0, help="legal: the control law, 0 or 1")
+    parser.add_argument("--law", type=int, default=0, help="meet, legal: the control law, 0 or 1")
+    parser.add_argument(
+        "--all", action="store_true", help="legal: with all watches, not with Eq. 22 alone too"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
@@ -55,7 +59,7 @@ def plane_of(n: int) -> FocalPlane:
 def study_legal(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """Legal moves, with the contact and touch watches on, and with Eq. 22 alone."""
     found = {}
-    for name, watches in (("all watches", True), ("Eq. 22 alone", False)):
+    for name, watches in list({"all watches": True, "Eq. 22 alone": False}.items())[: 1 if asked.all else 2]:
         trial = legal_moves(
             plane_of(asked.units), moves=asked.moves, seed=asked.seed, touch=watches, law=asked.law
         )
@@ -70,39 +74,56 @@ def study_legal(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
 
 def study_meet(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """Meetings of every kind, head on: when the first stood, when both did, and what they bore."""
-    print("| who moves | meetings | first stands, ms | within 16 ms | both by own watch | both, host 5 ms |")
-    print("|---|--:|--:|--:|--:|--:|")
+    print(
+        "| who moves | meetings | first stands, ms | within 16 ms | of those that can be told "
+        "| both by own watch | both, host 5 ms |"
+    )
+    print("|---|--:|--:|--:|--:|--:|--:|")
     found = {}
     plane = plane_of(500)
+    slowest_Nm_s = [told_Nm_s(axis) for axis in (0, 1)]
     for kind in KINDS:
         alone, hosted = [
             [
                 meeting
                 for k in range(asked.rounds)
                 for meeting in meetings(
-                    plane, kind, seed=asked.seed + k, host_s=host, touch=not asked.no_touch
+                    plane, kind, seed=asked.seed + k, host_s=host, touch=not asked.no_touch, law=asked.law
                 )
             ]
             for host in (None, HOST_S)
         ]
-        found[kind] = row_of(alone, hosted)
+        found[kind] = row_of(alone, hosted, slowest_Nm_s)
         print(line(kind, found[kind]), flush=True)
     return found, True
 
 
-def row_of(alone: list[Meeting], hosted: list[Meeting]) -> dict[str, Any]:
-    """Figures of the meetings that resist a motor of everybody who moves."""
+def told_Nm_s(axis: int) -> float:
+    """Growth of the load that the best linear detector tells within 16 ms, its ripple known."""
+    noise = covariance(cruise(plane_of(UNITS_OF_BOUND), axis=axis, seed=1, ripple=False))
+    return 1e3 * SIGMAS / matched(noise, 1e3 * IN_TIME_S)
+
+
+def row_of(alone: list[Meeting], hosted: list[Meeting], slowest_Nm_s: list[float]) -> dict[str, Any]:
+    """Figures of the meetings that resist a motor of everybody who moves.
+
+    Those in which the load of a motor grows faster than `slowest_Nm_s` of its axis can be told in time.
+    """
     pairs = [(a, h) for a, h in zip(alone, hosted, strict=True) if all(s.head_on for s in a.stops)]
     first_s = [min(s.own_s for s in a.stops) for a, _ in pairs]
     both_s = [max(s.own_s for s in a.stops) for a, _ in pairs]
     hosted_s = [max(s.stopped_s for s in h.stops) for _, h in pairs]
     torque_Nm = np.array([s.torque_Nm for _, h in pairs for s in h.stops])
+    tellable = [bool(np.any([np.array(s.load_rate_Nm_s) > slowest_Nm_s for s in a.stops])) for a, _ in pairs]
+    in_time = np.array(first_s) <= IN_TIME_S
     return {
+        "tellable": sum(tellable),
+        "tellable_in_time": int(np.sum(in_time & tellable)),
         "meetings": len(pairs),
         "first_ms": quantiles_ms(first_s),
         "own_ms": quantiles_ms(both_s),
         "hosted_ms": quantiles_ms(hosted_s),
-        "first_in_time": float(np.mean(np.array(first_s) <= IN_TIME_S)),
+        "first_in_time": float(np.mean(in_time)),
         "own_in_time": float(np.mean(np.array(both_s) <= IN_TIME_S)),
         "torque_mNm": [quantiles_ms(torque) for torque in torque_Nm.T],
     }
@@ -119,8 +140,9 @@ def line(kind: str, row: dict[str, Any]) -> str:
     times = [" / ".join(f"{t:.0f}" for t in row[key]) for key in ("first_ms", "own_ms", "hosted_ms")]
     alpha, beta = row["torque_mNm"]
     share = f"{100 * row['first_in_time']:.0f} %"
+    told = f"{row['tellable_in_time']} of {row['tellable']}"
     return (
-        f"| {kind} | {row['meetings']} | {times[0]} | {share} | {times[1]} | {times[2]} |"
+        f"| {kind} | {row['meetings']} | {times[0]} | {share} | {told} | {times[1]} | {times[2]} |"
         f"  torque on alpha {alpha[0]:.1f} / {alpha[2]:.1f}, beta {beta[0]:.1f} / {beta[2]:.1f} mNm"
     )
 
@@ -134,10 +156,13 @@ def study_bound(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     print("|---|" + "--:|" * len(after_ms))
     found = {}
     for axis, name in enumerate(("alpha", "beta")):
-        noise = covariance(cruise(plane_of(min(asked.units, 48)), axis=axis, seed=asked.seed))
-        rates = [1e6 * SIGMAS / matched(noise, ms) for ms in after_ms]
-        found[name] = dict(zip(after_ms, rates, strict=True))
-        print(f"| {name} | " + " | ".join(f"{rate:.3f}" for rate in rates) + " |", flush=True)
+        for ripple in (True, False):
+            plane = plane_of(min(asked.units, UNITS_OF_BOUND))
+            noise = covariance(cruise(plane, axis=axis, seed=asked.seed, ripple=ripple))
+            rates = [1e6 * SIGMAS / matched(noise, ms) for ms in after_ms]
+            row = name if ripple else f"{name}, ripple known"
+            found[row] = dict(zip(after_ms, rates, strict=True))
+            print(f"| {row} | " + " | ".join(f"{rate:.3f}" for rate in rates) + " |", flush=True)
     return found, True
 
 
@@ -158,7 +183,8 @@ def print_rates() -> None:
         )
 
 
-WINDOW_TICKS = 80
+WINDOW_TICKS = 240
+"""What a detector looks back on: 120 ms, as long as two of the means of fl_touch.h."""
 
 
 def covariance(residual_Nm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -145,20 +145,23 @@ Output<double, -1, 6> regulator(Params params, Input2<double> rows, int32_t zero
     return out;
 }
 
-// Rows in: error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt. Rows
-// out: rise_Nm, limit_Nm, touched (0 or 1).
-Output<double, -1, 3> touch(Params params, Input2<double> rows) {
-    if (rows.shape(1) != 7) throw nb::value_error("rows: (n, 7)");
+// Rows in: error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt,
+// touching (0 or 1), sine and cosine of the rotor. Rows out: rise_Nm, limit_Nm, touched (0 or 1), and what is
+// learnt of the ripple, Nm: sine and cosine of orders 1 and 2.
+Output<double, -1, 7> touch(Params params, Input2<double> rows) {
+    if (rows.shape(1) != 10) throw nb::value_error("rows: (n, 10)");
     const auto axis = axis_of(params);
     fl_touch_state_t *st = &axis->drive.touch;
-    auto out = new_array<double, -1, 3>({rows.shape(0), 3});
+    auto out = new_array<double, -1, 7>({rows.shape(0), 7});
     for (size_t i = 0; i < rows.shape(0); ++i) {
-        float r[7];
-        std::transform(rows.data() + 7 * i, rows.data() + 7 * i + 7, r, [](double x) { return float(x); });
-        const fl_touch_in_t in = {r[0], r[1], r[2], r[3], r[4], r[5], r[6]};
+        float r[10];
+        std::transform(rows.data() + 10 * i, rows.data() + 10 * i + 10, r, [](double x) { return float(x); });
+        const fl_touch_in_t in = {r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9]};
         const bool touched = fl_touch_step(&axis->law.drive.touch, st, &in);
-        const double row[3] = {st->rise_Nm, st->limit_Nm, double(touched)};
-        std::copy_n(row, 3, out.data() + 3 * i);
+        const fl_ripple_state_t &w = st->ripple;
+        const double row[7] = {st->rise_Nm,   st->limit_Nm,   double(touched), w.once_sin_Nm,
+                               w.once_cos_Nm, w.twice_sin_Nm, w.twice_cos_Nm};
+        std::copy_n(row, 7, out.data() + 7 * i);
     }
     return out;
 }
@@ -298,9 +301,11 @@ void bind_laws(nb::module_ &m) {
     m.def("regulator", &regulator, nb::arg("params"), nb::arg("rows"), nb::arg("zero_cnt") = 0,
           "Law 1 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2: (torque_Nm, "
           "feedforward_Nm, watched_Nm, voltage, load_Nm, gap below the rotor in counts).");
-    m.def("touch", &touch, nb::arg("params"), nb::arg("rows"),
-          "(rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, "
-          "direction, acceleration_rad_s2, drag_doubt, from a leg's start.");
+    m.def(
+        "touch", &touch, nb::arg("params"), nb::arg("rows"),
+        "(rise_Nm, limit_Nm, touched, four coefficients of fl_ripple.h in Nm) along rows of error_rad, "
+        "beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt, touching, sine and "
+        "cosine of the rotor, from power-up.");
     m.def("smooth", &smooth, nb::arg("raw_cnt"), nb::arg("start_cnt"));
     m.def("profile", &profile, nb::arg("from_cnt"), nb::arg("to_cnt"), nb::arg("speed_rpm"),
           nb::arg("acceleration_rad_s2"));

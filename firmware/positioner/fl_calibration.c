@@ -29,6 +29,7 @@ static void hall_done(fl_positioner_t *p, int axis) {
     params->hall_phase = shape.phase_rad;
     a->hall_error_mdeg = fl_round_i32(shape.residual_rad * 57295.78f);
     fl_axis_configure(a, params);
+    fl_axis_unlearn_touch(a, params);
     keep_position(a, a->start_cnt);
     p->hall_calibrated |= bit(axis);
     p->settings_changed = true;
@@ -45,6 +46,7 @@ static void cogging_done(fl_positioner_t *p, int axis) {
     params->cogging_torque = f.cogging_Nm;
     params->cogging_phase = f.cogging_phase_rad;
     fl_axis_configure(a, params);
+    fl_axis_unlearn_touch(a, params);
     p->cogging_calibrated |= bit(axis);
     p->settings_changed = true;
 }

@@ -49,6 +49,9 @@ void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_drive_stat
 #define X(type, name) b.observer.name[i] = state.touch.name;
     FL_LAW_OBSERVER(X)
 #undef X
+#define X(type, name) b.ripple.name[i] = state.touch.ripple.name;
+    FL_LAW_RIPPLE(X)
+#undef X
 #define X(type, name) b.gap.name[i] = state.teeth.name;
     FL_LAW_GAP(X)
 #undef X
@@ -64,6 +67,9 @@ void take_output(const LawBatch &b, int i, fl_axis_t &a) {
 #undef X
 #define X(type, name) a.drive.touch.name = b.observer.name[i];
     FL_LAW_OBSERVER(X)
+#undef X
+#define X(type, name) a.drive.touch.ripple.name = b.ripple.name[i];
+    FL_LAW_RIPPLE(X)
 #undef X
 #define X(type, name) a.drive.teeth.name = b.gap.name[i];
     FL_LAW_GAP(X)

@@ -33,12 +33,12 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
     return {before_N.x + share * step_N.x, before_N.y + share * step_N.y};
 }
 
+} // namespace
+
 bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
     return std::any_of(contacts.begin(), contacts.end(),
                        [other](const Contact &c) { return c.other == other; });
 }
-
-} // namespace
 
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)

@@ -17,6 +17,11 @@ struct Sent {
     size_t sender; // index of the positioner
 };
 
+struct Touched { // by another body, now or lately
+    uint32_t other;
+    uint64_t forget_tick; // never, while they touch
+};
+
 struct Outbox { // one per group of positioners: written by the thread that runs the group
     std::vector<Sent> frames;
     std::vector<Touch> touches;
@@ -73,7 +78,8 @@ class Positioner {
     // torque of neighbours as last applied, and torque asked for from outside
     Push push, user_push;
     std::unique_ptr<ArmLoads> loads; // none: nothing pulls at its arms
-    std::vector<Contact> contacts, contacts_before;
+    std::vector<Contact> contacts;
+    std::vector<Touched> touched;
 
   private:
     // True when the fault of this frame's START has taken the firmware's place.

@@ -15,7 +15,8 @@
 namespace fl::twin {
 namespace {
 
-constexpr uint64_t lone_ticks = 32; // of a slice without neighbours: what a group needs stays in the cache
+constexpr uint64_t lone_ticks = 32;   // of a slice without neighbours: what a group needs stays in the cache
+constexpr uint64_t bounce_ticks = 80; // what comes back within 40 ms is the same contact
 constexpr double two_pi = 2.0 * std::numbers::pi;
 constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
 
@@ -174,7 +175,6 @@ void Twin::State::publish(size_t i) {
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    p.contacts_before = p.contacts;
     const Push push = neighbours.push(i, seen, now, p.contacts);
     note_touches(i, outbox);
     if (push != p.push) apply_torque(i, push);
@@ -182,12 +182,19 @@ void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
 
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
+    if (p.contacts.empty() && p.touched.empty()) return;
+    for (Touched &t : p.touched) {
+        if (in_touch(p.contacts, t.other))
+            t.forget_tick = UINT64_MAX;
+        else if (t.forget_tick == UINT64_MAX)
+            t.forget_tick = now + bounce_ticks;
+    }
+    std::erase_if(p.touched, [this](const Touched &t) { return t.forget_tick <= now; });
     for (const Contact &c : p.contacts) {
-        const auto same = [&c](const Contact &b) { return b.other == c.other; };
-        const bool is_new = std::none_of(p.contacts_before.begin(), p.contacts_before.end(), same);
-        const bool is_first = &c == &*std::find_if(p.contacts.begin(), p.contacts.end(), same);
-        if (is_new && is_first && i < c.other)
-            outbox.touches.push_back({now, static_cast<uint32_t>(i), c.other});
+        const auto same = [&c](const Touched &t) { return t.other == c.other; };
+        if (std::any_of(p.touched.begin(), p.touched.end(), same)) continue;
+        p.touched.push_back({c.other, UINT64_MAX});
+        if (i < c.other) outbox.touches.push_back({now, static_cast<uint32_t>(i), c.other});
     }
 }
 

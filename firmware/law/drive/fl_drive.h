@@ -42,8 +42,9 @@ typedef struct fl_drive_state {
 /* The touch watch of this tick (fl_touch.h): `torque` is what the servo has asked for, `voltage` what of it
  * the supply gives (-1..1 of u_dc). True when the arm is touched.
  * @pre after fl_servo_step of the same tick */
-static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state_t *st,
-                                    const fl_servo_in_t *in, const fl_servo_out_t *torque, float voltage) {
+static inline __attribute__((always_inline)) bool
+fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state_t *st, const fl_servo_in_t *in,
+                 const fl_servo_out_t *torque, float voltage, fl_sincos_t rotor) {
     const float excess_Nms = cfg->servo.drag * (st->servo.drag_scale - 1.0f);
     const float expected_Nm = torque->feedforward_Nm - excess_Nms * in->speed_rad_s;
     const fl_touch_in_t touch = {
@@ -54,6 +55,9 @@ static inline bool fl_drive_touched(const fl_drive_config_t *cfg, fl_drive_state
         st->servo.direction,
         in->acceleration_rad_s2,
         st->servo.drag_doubt,
+        (float)st->teeth.touching,
+        rotor.sin,
+        rotor.cos,
     };
     return fl_touch_step(&cfg->touch, &st->touch, &touch);
 }
@@ -74,7 +78,7 @@ static inline __attribute__((always_inline)) fl_drive_out_t fl_drive_end(const f
     const float voltage = fl_drive_voltage(cfg, torque->torque_Nm);
     const fl_collision_in_t watch = {torque->watched_Nm, in->speed_rad_s, st->servo.direction,
                                      st->servo.drag_doubt};
-    const bool touched = fl_drive_touched(cfg, st, in, torque, voltage);
+    const bool touched = fl_drive_touched(cfg, st, in, torque, voltage, rotor);
     const bool collided = fl_collision_closed(&cfg->collision, watch);
     const fl_drive_out_t out = {*torque, voltage,
                                 fl_commutate(voltage, rotor, in->speed_rad_s * (0.5f * FL_TICK_S)),
@@ -96,6 +100,7 @@ static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_d
     const fl_gap_t gap = fl_teeth_step(&cfg->teeth, &st->teeth, fl_sub_i32(in->rotor_cnt, in->error_cnt),
                                        fl_sub_i32(in->command_cnt, in->rotor_cnt));
     const int32_t pushes = fl_regulator_pushes(gap, st->servo.direction, in->speed_rad_s);
+    st->teeth.touching = cfg->teeth.mean_cnt > 0.0f ? pushes : 0;
     const fl_servo_out_t torque =
         fl_regulator_step(&cfg->servo, &cfg->regulator, &st->servo, &st->regulator, in, pushes);
     const float applied_Nm = fl_drive_voltage(cfg, torque.torque_Nm) * cfg->full_Nm;

@@ -20,6 +20,7 @@ typedef struct fl_teeth_config {
 typedef struct fl_teeth_state {
     int32_t gear_cnt; /* the rotor angle at which the teeth touch below */
     int32_t known;    /* 0: nothing is, since power-up */
+    int32_t touching; /* 1 while the motor is known to push the gear; 0 where no backlash is given */
 } fl_teeth_state_t;
 
 typedef struct fl_gap {

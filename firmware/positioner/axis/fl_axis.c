@@ -33,7 +33,7 @@ static bool whole_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg)
         a->raw_cnt = fl_sub_i32(a->raw_cnt, a->law.datum_step_cnt);
         /* the stop is found by the same rule from near and far: the touch watch needs some way first, and
          * where it stops the gear is wound up less, by which the datum could be a motor turn off */
-        a->drive.touch.way_rad = 0.0f;
+        a->drive.touch.way_rad = a->drive.touch.closed_s = 0.0f;
         return false;
     case FL_STEP_SPIN:
         return creep(a, target_cnt, SPIN_STEP_CNT);
@@ -96,6 +96,7 @@ static bool drive_open(fl_axis_t *a, fl_duty_t *duty) {
     const int32_t half_step = fl_sub_i32(a->smooth.value_cnt, a->command.position_cnt) / 2;
     const int32_t field = fl_sub_i32(fl_add_i32(a->command.position_cnt, half_step), a->zero_cnt);
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};
+    a->drive.touch.sure = 0.0f; /* what the gear does now is not followed */
     a->voltage = a->law.open_loop_voltage;
     *duty = fl_rotating_field(a->voltage, field);
     return fl_collision_open(&a->law.drive.collision, fl_sub_i32(a->command.position_cnt, a->position_cnt));
@@ -124,6 +125,7 @@ static bool is_still(fl_axis_t *a) {
 
 static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index, fl_leg_traits_t leg) {
     a->command.position_cnt = a->position_cnt;
+    a->drive.touch.sure = 0.0f; /* it takes the gear along, and may fall back */
     if (!is_still(a)) return FL_AXIS_NONE;
     if (!(leg.traits & FL_LEG_DATUM_HERE)) return finish(a, port, index);
     fl_axis_declare_datum(a);

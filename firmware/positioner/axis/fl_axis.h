@@ -120,7 +120,10 @@ typedef struct fl_axis {
  * (fl_params_fault) give constants with which no axis may move.
  * @pre the axis rests */
 void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *params);
-/* Forgets what the laws learnt on the way: integral, drag, scatter of the load.
+/* Forgets what the touch watch learnt: scatter and ripple of the load are those of hall shape and cogging.
+ * @pre the axis rests */
+void fl_axis_unlearn_touch(fl_axis_t *a, const fl_axis_params_t *params);
+/* Forgets what the laws learnt on the way: integral, drag, scatter and ripple of the load.
  * @pre the axis rests */
 void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *params);
 /* Power-up state, fl_axis_configure included.

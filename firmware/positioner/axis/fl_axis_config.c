@@ -60,10 +60,16 @@ static fl_collision_config_t collision_config(const fl_axis_params_t *p, float m
 static fl_touch_config_t touch_config(const fl_axis_params_t *p, float margin_rad) {
     const bool whole = p->use_break_away * p->use_speed * p->use_inertia == 1.0f;
     const float wider_Nm = p->k_p * fl_max(margin_rad, 0.0f);
+    const fl_observer_gains_t gains = fl_touch_gains(p->drag / p->inertia);
     const fl_touch_config_t cfg = {
         .inertia = p->inertia,
         .inertia_inverse = 1.0f / p->inertia,
         .drag = p->drag,
+        .gain_e = gains.e,
+        .gain_v = gains.v,
+        .gain_a = gains.a,
+        .doubt_Nms = FL_TOUCH_DOUBT * p->drag,
+        .surge_kg_m2 = FL_TOUCH_INERTIA * p->inertia,
         .threshold_Nm = whole && p->touch_torque > 0.0f ? p->touch_torque + wider_Nm : 1e9f,
     };
     return cfg;
@@ -156,10 +162,15 @@ void fl_axis_configure(fl_axis_t *a, const fl_axis_params_t *p) {
     a->law = law;
 }
 
+void fl_axis_unlearn_touch(fl_axis_t *a, const fl_axis_params_t *p) {
+    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque,
+                                        .share = FL_TOUCH_SHARE_FIRST};
+}
+
 void fl_axis_unlearn(fl_axis_t *a, const fl_axis_params_t *p) {
     a->drive.servo = (fl_servo_state_t){0.0f, 0.0f, FL_DOUBT_FIRST, 1.0f};
-    a->drive.touch = (fl_touch_state_t){.scatter_Nm = FL_TOUCH_SCATTER_FIRST * p->touch_torque};
-    a->drive.teeth = (fl_teeth_state_t){0, 0};
+    fl_axis_unlearn_touch(a, p);
+    a->drive.teeth = (fl_teeth_state_t){0, 0, 0};
     a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
 }
 

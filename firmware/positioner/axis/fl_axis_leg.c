@@ -43,7 +43,12 @@ FL_COLD void fl_axis_begin(fl_axis_t *a) {
     fl_smooth_reset(&a->smooth, a->raw_cnt);
     a->drive.servo.integral_Nm = a->drive.servo.direction = 0.0f;
     a->drive.regulator = (fl_regulator_state_t){{0.0f, 0.0f, 0.0f}, 0.0f};
-    a->drive.touch = (fl_touch_state_t){.scatter_Nm = a->drive.touch.scatter_Nm};
+    const fl_touch_state_t *t = &a->drive.touch;
+    a->drive.touch = (fl_touch_state_t){.scatter_Nm = t->scatter_Nm,
+                                        .dip_Nm = t->dip_Nm,
+                                        .share = t->share,
+                                        .sure = t->sure,
+                                        .ripple = t->ripple};
     a->fresh = false;
     a->start_cnt = a->position_cnt;
     for (int i = 0; i < 2; ++i) a->start_adc_cnt[i] = a->adc_cnt[i];

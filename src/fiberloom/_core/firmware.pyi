@@ -53,9 +53,9 @@ def regulator(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), orde
     Law 1 along rows of command_cnt, measured_cnt, speed_rad_s, acceleration_rad_s2: (torque_Nm, feedforward_Nm, watched_Nm, voltage, load_Nm, gap below the rotor in counts).
     """
 
-def touch(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]:
+def touch(params: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 7))]:
     """
-    (rise_Nm, limit_Nm, touched) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt, from a leg's start.
+    (rise_Nm, limit_Nm, touched, four coefficients of fl_ripple.h in Nm) along rows of error_rad, beyond_Nm, excess_Nms, speed_rad_s, direction, acceleration_rad_s2, drag_doubt, touching, sine and cosine of the rotor, from power-up.
     """
 
 def smooth(raw_cnt: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], start_cnt: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]: ...

@@ -18,6 +18,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.twin import Reply, Twin
 from fiberloom.twin.units import Units
+from fiberloom.twin.wear import worn
 from fiberloom.typing import Floats, Records
 from fiberloom.units import COUNTS_PER_DEG, GEAR, TICK_S, deg_to_rad, rpm_to_deg_s
 
@@ -39,6 +40,35 @@ def greased(units: Units, rng: Rng) -> Units:
     for name in ("viscous_motor", "viscous_gear"):
         plant[name] *= factor
     return replace(units, plant=plant)
+
+
+WORN_CYCLES = 100.0
+NOISY = (1.0, 2.0)
+"""rms noise of the hall channels over the nominal one, assumed."""
+WEAK = (0.5, 1.0)
+"""Amplitude of one hall channel over the nominal one, as its calibration found it, assumed;"""
+FADED = 0.02
+"""and up to so much weaker since then, assumed."""
+
+
+def aged(units: Units, seed: int, rng: Rng) -> Units:
+    """The same units: a third worn by up to 100 cycles, a third with noisy hall channels, a third with a weak
+    one.
+
+    `seed` draws the wear, `rng` who has what and how much. The firmware knows of the weak channel only what a
+    calibration found before it faded further, and nothing of the rest.
+    """
+    n = len(units)
+    kind, channel = rng.integers(0, 3, n), rng.integers(0, 2, n)
+    units = worn(units, np.where(kind == 0, rng.uniform(0.0, WORN_CYCLES, n), 0.0), seed)
+    plant, firmware = units.plant.copy(), units.firmware.copy()
+    plant["hall_noise"] *= np.where(kind == 1, rng.uniform(*NOISY, n), 1.0)[:, None]
+    weak, faded = rng.uniform(*WEAK, n), rng.uniform(1.0 - FADED, 1.0, n)
+    for k, name in enumerate(("hall_amplitude_a", "hall_amplitude_b")):
+        has = (kind == 2) & (channel == k)
+        firmware[name] *= np.where(has, weak, 1.0)[:, None]
+        plant[name] *= np.where(has, weak * faded, 1.0)[:, None]
+    return replace(units, plant=plant, firmware=firmware)
 
 
 # -- legal moves ----------------------------------------------------------------------------------
@@ -65,13 +95,13 @@ class LegalTrial:
 def legal_moves(
     plane: FocalPlane, *, moves: int, seed: int, touch: bool = True, threads: int = 2, law: int = 0
 ) -> LegalTrial:
-    """Random legal moves of a `plane` without neighbours, over unit scatter and temperature.
+    """Random legal moves of a `plane` without neighbours, over unit scatter, temperature, wear and noise.
 
     `moves`: of each positioner, both axes at once; `seed` draws units and moves; `threads` of the twin.
     Without `touch` Eq. 22 watches alone. `law`: the control law of all axes (0 or 1, docs/firmware.md).
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
-    units = greased(draw_units(plane, seed), rng)
+    units = aged(greased(draw_units(plane, seed), rng), seed, rng)
     units.firmware["law"] = law
     if not touch:
         units.firmware["contact_torque"] = units.firmware["touch_torque"] = 0.0
@@ -100,7 +130,8 @@ def miscounted(twin: Twin) -> list[int]:
     after a move upwards. Half a motor turn either way is allowed for the rest.
     """
     twin.send([(encode(int(i), Command.GET_ACTUAL_POSITION, 1), b"") for i in twin.plane.positioner_id])
-    told = {decode(r.id).positioner: struct.unpack("<ii", r.data) for r in twin.run(TICK_S)}
+    asked = [r for r in twin.run(TICK_S) if decode(r.id).command == Command.GET_ACTUAL_POSITION]
+    told = {decode(r.id).positioner: struct.unpack("<ii", r.data) for r in asked}
     truth, wrong = twin.truth(), []
     for row, number in enumerate(twin.plane.positioner_id):
         for axis in (0, 1):
@@ -205,11 +236,13 @@ def _collided(replies: list[Reply]) -> dict[int, float]:
 # -- what a motor shows of its load ---------------------------------------------------------------
 
 
-def cruise(plane: FocalPlane, *, axis: int, seed: int) -> Floats:
+def cruise(plane: FocalPlane, *, axis: int, seed: int, ripple: bool = True) -> Floats:
     """Raw load beyond the model of each unit, every tick of a second at 2000 rpm, Nm: (units, ticks).
 
-    From nothing but what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive
-    resists. The feedforward is that of the last tick's drag, learnt for two seconds before.
+    Units and temperatures of a `plane` are drawn from the `seed`; `axis`: 0 alpha, 1 beta. From nothing but
+    what the firmware has: J e'' + T - T_ff + c e', differences for derivatives; positive resists. The
+    feedforward is that of the last tick's drag, learnt for two seconds before. Without `ripple` what repeats
+    with the rotor's turn in that second, orders 1, 2 and 4, is taken off.
     """
     rng = np.random.default_rng([seed, 0xC4])
     units = greased(draw_units(plane, seed), rng)
@@ -220,7 +253,26 @@ def cruise(plane: FocalPlane, *, axis: int, seed: int) -> Floats:
     twin.run(3.0)
     scopes = [twin.scope(row, axis) for row in range(len(plane))]
     twin.run(1.0)
-    return np.array([_load_Nm(s.take(), units.firmware[row, axis]) for row, s in enumerate(scopes)])
+    logs = [scope.take() for scope in scopes]
+    loads = [_load_Nm(log, units.firmware[row, axis]) for row, log in enumerate(logs)]
+    if not ripple:
+        loads = [
+            load - ripple_of(load, log["motor_rad"][1:-1]) for load, log in zip(loads, logs, strict=True)
+        ]
+    return np.array(loads)
+
+
+RIPPLE_ORDERS = (1, 2, 4)
+"""Of the rotor's turn, all that cogging and hall sensors have; fl_ripple.h learns 1 and 2."""
+
+
+def ripple_of(load_Nm: Floats, rotor_rad: Floats) -> Floats:
+    """The part of a load (T,) that repeats with the angle of the rotor (T,), by least squares; Nm."""
+    waves = [f(order * rotor_rad) for order in RIPPLE_ORDERS for f in (np.sin, np.cos)]
+    design = np.column_stack([*waves, np.ones_like(rotor_rad)])
+    found = np.linalg.lstsq(design, load_Nm, rcond=None)[0]
+    part: Floats = design[:, :-1] @ found[:-1]
+    return part
 
 
 def _load_Nm(log: Records, firmware: Records) -> Floats:

@@ -35,6 +35,8 @@ KINDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 """Which axes move at full speed when two neighbours meet: (alpha, beta) of the first and of the second."""
 
 SYNC_S = 0.002
+THREADS = 2
+"""Of the twin; what it finds does not depend on them."""
 _RUN_UP_S = (0.7, 2.5)  # after the start: full speed is reached, the gaps are closed
 _CLEAR_MM = 0.5  # before that
 _MIDDLE_DEG = 180.0
@@ -132,23 +134,24 @@ def meetings(
     seed: int,
     host_s: float | None = None,
     touch: bool = True,
-    threads: int = 2,
+    law: int = 0,
 ) -> list[Meeting]:
     """One meeting of every isolated pair of the `plane`, units and temperatures drawn from the `seed`.
 
     `kind`: which axes of which positioner move; `host_s`: time from a frame 18 until the host's stop
     (13) reaches the other; None without a host. Without `touch` Eq. 22 and the contact rule watch
-    alone. `threads` of the twin.
+    alone. `law`: the control law of all axes (0 or 1, docs/firmware.md).
     """
     rng = np.random.default_rng([seed, 0x3EE7, list(KINDS).index(kind)])
     pairs = isolated_pairs(plane)
     part = pairs_of(plane, pairs)
     units = greased(draw_units(part, seed), rng)
+    units.firmware["law"] = law
     if not touch:
         units.firmware["touch_torque"] = 0.0
     plans = [plan_meeting(part, np.array([2 * k, 2 * k + 1]), kind, rng) for k in range(len(pairs))]
     start = np.concatenate([p[0] for p in plans])
-    twin = Twin(part, units, seed=seed, threads=threads, start_deg=start)
+    twin = Twin(part, units, seed=seed, threads=THREADS, start_deg=start)
     return _Meetings(twin, kind, host_s).run(np.concatenate([p[1] for p in plans]))
 
 

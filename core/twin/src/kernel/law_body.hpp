@@ -17,7 +17,9 @@ static_assert(4 * (0 FL_LAW_SERVO(X)) == sizeof(fl_servo_config_t), "FL_LAW_SERV
 static_assert(4 * (0 FL_LAW_COLLISION(X)) == sizeof(fl_collision_config_t),
               "FL_LAW_COLLISION lists its fields");
 static_assert(4 * (0 FL_LAW_TOUCH(X)) == sizeof(fl_touch_config_t), "FL_LAW_TOUCH lists its fields");
-static_assert(4 * (0 FL_LAW_OBSERVER(X)) == sizeof(fl_touch_state_t), "FL_LAW_OBSERVER lists its fields");
+static_assert(4 * (0 FL_LAW_OBSERVER(X)) + sizeof(fl_ripple_state_t) == sizeof(fl_touch_state_t),
+              "FL_LAW_OBSERVER lists its fields");
+static_assert(4 * (0 FL_LAW_RIPPLE(X)) == sizeof(fl_ripple_state_t), "FL_LAW_RIPPLE lists its fields");
 static_assert(4 * (0 FL_LAW_TEETH(X)) == sizeof(fl_teeth_config_t), "FL_LAW_TEETH lists its fields");
 static_assert(4 * (0 FL_LAW_REGULATOR(X)) == sizeof(fl_regulator_config_t),
               "FL_LAW_REGULATOR lists its fields");
@@ -69,8 +71,11 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
 #define X(type, name) b.state.name[i],
     const fl_servo_state_t servo = {FL_LAW_STATE(X)};
 #undef X
+#define X(type, name) b.ripple.name[i],
+    const fl_ripple_state_t ripple = {FL_LAW_RIPPLE(X)};
+#undef X
 #define X(type, name) b.observer.name[i],
-    const fl_touch_state_t touch = {FL_LAW_OBSERVER(X)};
+    const fl_touch_state_t touch = {FL_LAW_OBSERVER(X) ripple};
 #undef X
 #define X(type, name) b.gap.name[i],
     const fl_teeth_state_t teeth = {FL_LAW_GAP(X)};
@@ -98,6 +103,9 @@ template <fl_law_t Law, bool some> void drive_lanes(LawBatch &b) {
 #undef X
 #define X(type, name) b.observer.name[i] = mine ? state.touch.name : b.observer.name[i];
         FL_LAW_OBSERVER(X)
+#undef X
+#define X(type, name) b.ripple.name[i] = mine ? state.touch.ripple.name : b.ripple.name[i];
+        FL_LAW_RIPPLE(X)
 #undef X
 #define X(type, name) b.gap.name[i] = mine ? state.teeth.name : b.gap.name[i];
         if (Law == FL_LAW_CONTACT) {

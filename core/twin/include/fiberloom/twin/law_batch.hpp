@@ -20,7 +20,9 @@
     X(float, spring_rate) X(float, cogging) X(int32_t, cogging_phase_cnt)
 #define FL_LAW_COLLISION(X) \
     X(float, threshold_Nm) X(float, contact_Nm) X(float, drag) X(float, drag_share) X(int32_t, error_min_cnt)
-#define FL_LAW_TOUCH(X) X(float, inertia) X(float, inertia_inverse) X(float, drag) X(float, threshold_Nm)
+#define FL_LAW_TOUCH(X) \
+    X(float, inertia) X(float, inertia_inverse) X(float, drag) X(float, gain_e) X(float, gain_v) \
+    X(float, gain_a) X(float, doubt_Nms) X(float, surge_kg_m2) X(float, threshold_Nm)
 #define FL_LAW_TEETH(X) \
     X(float, mean_cnt) X(float, once_cnt) X(float, twice_cnt) X(float, thrice_cnt) X(float, pairing_cnt) \
     X(int32_t, once_phase_cnt) X(int32_t, twice_phase_cnt) X(int32_t, thrice_phase_cnt) \
@@ -28,13 +30,17 @@
 #define FL_LAW_REGULATOR(X) \
     X(float, k_e) X(float, k_v) X(float, gain_e) X(float, gain_v) X(float, gain_a) X(float, inertia) \
     X(float, inertia_inverse) X(float, drag) X(float, gap_coulomb) X(float, gap_drag)
-#define FL_LAW_GAP(X) X(int32_t, gear_cnt) X(int32_t, known)
+#define FL_LAW_GAP(X) X(int32_t, gear_cnt) X(int32_t, known) X(int32_t, touching)
 #define FL_LAW_SEEN(X) X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2)
 #define FL_LAW_STATE(X) \
     X(float, integral_Nm) X(float, direction) X(float, drag_doubt) X(float, drag_scale)
 #define FL_LAW_OBSERVER(X) \
     X(float, error_rad) X(float, rate_rad_s) X(float, load_rad_s2) X(float, mean_Nm) X(float, mean_speed_rad_s) X(float, follow) \
-    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, scatter_Nm) X(float, unrest_Nm) X(float, way_rad) X(float, rise_Nm) X(float, limit_Nm)
+    X(float, late_1_rad_s) X(float, late_2_rad_s) X(float, late_3_rad_s) X(float, surge_rad_s2) X(float, scatter_Nm) X(float, dip_Nm) X(float, calm) X(float, share) X(float, unrest_Nm) X(float, way_rad) X(float, closed_s) X(float, sure) X(float, rise_Nm) X(float, limit_Nm)
+#define FL_LAW_RIPPLE(X) \
+    X(float, once_sin_Nm) X(float, once_cos_Nm) X(float, twice_sin_Nm) X(float, twice_cos_Nm) \
+    X(float, error_rad) X(float, step_rad) X(float, beyond_Nm) X(float, sum_Nm) X(float, sin) X(float, cos) \
+    X(float, twice_sin) X(float, twice_cos)
 #define FL_LAW_INPUT(X) \
     X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
     X(float, acceleration_rad_s2) X(int32_t, settling)
@@ -76,6 +82,9 @@ struct alignas(64) LawBatch {
     struct {
         FL_LAW_OBSERVER(X)
     } observer;
+    struct {
+        FL_LAW_RIPPLE(X)
+    } ripple;
     struct {
         FL_LAW_GAP(X)
     } gap;

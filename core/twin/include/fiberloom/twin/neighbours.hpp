@@ -53,6 +53,9 @@ struct Contact {
     Vec2 force_N;   // on the keeper
 };
 
+// Whether one of the contacts is with the other body.
+bool in_touch(const std::vector<Contact> &contacts, uint32_t other);
+
 // Contact forces of all arms of a focal plane.
 class Neighbours {
   public:

@@ -132,7 +132,7 @@ class Twin {
 
     void scope(size_t positioner, int axis, bool on);
     std::vector<ScopeSample> take_scope(size_t positioner, int axis);
-    // First moments of contact since the last call.
+    // First moments of contact since the last call; what bounces for 40 ms is one contact.
     std::vector<Touch> take_touches();
 
   private:
