@@ -104,8 +104,30 @@ def test_singular_arms_converge_and_do_not_run_away(fold_deg):
     _, _, command = observe(goal, 30, True, 9, loop)
     sigma = np.sqrt(np.einsum("nii->ni", loop._spread(BLIND_UM)))
     assert (np.abs(command - goal) < 6 * sigma).all()
-    spread = np.einsum("nii->ni", loop.offsets.covariance_deg2)
+    spread = np.einsum("nii->ni", loop.offsets.covariance)
     assert (spread > 0).all()
+
+
+@pytest.mark.parametrize(("place_um", "least_um", "most_um"), [(3.0, 0.0, 0.6), (0.0, 2.5, 3.0)])
+@pytest.mark.parametrize("beta_deg", [8.0, 172.0])
+def test_a_nearly_straight_arm_that_is_too_long_is_corrected(beta_deg, place_um, least_um, most_um):
+    """Its fibre is 3 um farther out than known: no small offset of an angle moves it so (place_um = 0)."""
+    rng = np.random.default_rng(3)
+    goal = np.column_stack([rng.uniform(10.0, 350.0, PLANE.n), np.full(PLANE.n, beta_deg)])
+    goal[:, 1] -= np.rad2deg(PLANE.arms[:, 4])
+    loop = CorrectionLoop(PLANE, goal, noise=CorrectionNoise(slope=0.0, place_um=place_um))
+    out = PLANE.forward(*goal.T) - PLANE.centres_mm
+    longer = 0.003 * out / np.hypot(*out.T)[:, None]
+    command, everyone = goal, np.ones(PLANE.n, dtype=bool)
+    for _ in range(3):
+        true = PLANE.forward(*command.T) + longer
+        command = loop.update(command, true + isotropic(rng, CAMERA_UM, PLANE.n), everyone)
+    left = rms(1e3 * np.hypot(*(true - loop.target_mm).T))
+    print(
+        f"\nbeta {beta_deg:.0f} deg, 3 um too long, place {place_um} um: {left:.2f} um after two corrections"
+    )
+    assert least_um < left < most_um
+    assert np.abs(command - goal).max() < 1.0
 
 
 @pytest.mark.parametrize("fold_deg", [0.0, 180.0])
@@ -167,11 +189,11 @@ def test_two_images_weigh_as_one_of_half_the_variance():
     z = rng.normal(size=(2, 20, 2))
     after = prior
     for image in z:
-        left = image - np.einsum("nij,nj->ni", h, after.mean_deg)
+        left = image - np.einsum("nij,nj->ni", h, after.mean)
         after, _ = weigh(after, left, h, 0.5)
     at_once, _ = weigh(prior, z.mean(axis=0), h, 0.25)
-    np.testing.assert_allclose(after.mean_deg, at_once.mean_deg, atol=1e-12)
-    np.testing.assert_allclose(after.covariance_deg2, at_once.covariance_deg2, atol=1e-12)
+    np.testing.assert_allclose(after.mean, at_once.mean, atol=1e-12)
+    np.testing.assert_allclose(after.covariance, at_once.covariance, atol=1e-12)
 
 
 @settings(deadline=None)
@@ -182,8 +204,8 @@ def test_what_an_image_does_not_tell_is_left_alone(x, y, noise):
     prior = Offsets(np.zeros((1, 2)), np.eye(2)[None])
     after, _ = weigh(prior, np.array([[x, y]]), h, noise)
     blind = np.array([1.0, -1.0])
-    assert abs(after.mean_deg[0] @ blind) < 1e-9
-    assert blind @ after.covariance_deg2[0] @ blind == pytest.approx(2.0, abs=1e-9)
+    assert abs(after.mean[0] @ blind) < 1e-9
+    assert blind @ after.covariance[0] @ blind == pytest.approx(2.0, abs=1e-9)
 
 
 def test_the_surprise_of_plain_noise_is_two_on_average():

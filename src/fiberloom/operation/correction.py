@@ -6,9 +6,10 @@ Plain (Eq. 25, from the first correction on): shift the command by what the last
 
 which settles at the camera's noise s in truth, and at sqrt(2) s as measured. Filtered: the error of
 a positioner is nearly the same after every small move, so all images so far are weighed (Eq. 31 over
-the moves). The state is the offset of the two arm angles from the reported ones, with its covariance:
-a Kalman filter. Where the Jacobian of the fibre is singular (beta near 0 or 180 deg) its gain does not
-change the direction that the image does not measure.
+the moves). The state is the offset of the two arm angles from the reported ones, and by how much the fibre
+is off besides, with their covariance: a Kalman filter. An arm that is some um longer than it is known to be
+is off by that wherever its angles are; where it is nearly stretched or folded (beta near 0 or 180 deg) no
+small offset of an angle moves the fibre so, and a filter of angles alone would not correct it.
 
 The filter's noise is that of the camera and that of one arrival, both 2-D rms. An arrival's scatter
 is new after every move: it adds to the image's noise, not to the offset. After k images the fibre
@@ -41,6 +42,8 @@ _MEDIAN = 2.0 * np.log(2.0)
 _FACTORS, _FEWEST = (0.05, 400.0), 20
 # Predictions count for it where the noise of the image is at least this share of what is expected of the way.
 _MOSTLY_NOISE = 4.0
+# A degree that an arm turns for what its fibre is off is dear as this miss, um; steps of Gauss and Newton.
+_UM_PER_DEG, _AIMS = 1.0, 3
 # A command for the plain update keeps this far inside the reach of the arms.
 _INSIDE_MM = 1e-6
 
@@ -79,17 +82,32 @@ class Seen:
 
 @dataclass(frozen=True)
 class Offsets:
-    """Estimated offset of the true arm angles from the reported ones."""
+    """Estimated offset of what is true from what is reported and known: k numbers of each positioner.
 
-    mean_deg: Floats
-    """(N, 2) alpha and beta."""
-    covariance_deg2: Floats
-    """(N, 2, 2)."""
+    In the loop four: the angles alpha and beta in deg, and what the fibre is off besides, x and y in mm.
+    """
+
+    mean: Floats
+    """(N, k)."""
+    covariance: Floats
+    """(N, k, k)."""
+
+    @property
+    def angles_deg(self) -> Floats:
+        """(N, 2) alpha and beta."""
+        return self.mean[:, :2]
+
+    @property
+    def place_mm(self) -> Floats:
+        """(N, 2) what the fibre is off besides."""
+        return self.mean[:, 2:]
 
 
 def predict(offsets: Offsets, drift_deg2: Floats) -> Offsets:
-    """Offsets after one more move: the same mean; the covariance grows by `drift_deg2` (N, 2, 2)."""
-    return Offsets(offsets.mean_deg, offsets.covariance_deg2 + drift_deg2)
+    """Offsets after one more move: the same mean; angles are less known by `drift_deg2` (N, 2, 2)."""
+    covariance = offsets.covariance.copy()
+    covariance[:, :2, :2] += drift_deg2
+    return Offsets(offsets.mean, covariance)
 
 
 def weigh(
@@ -97,21 +115,21 @@ def weigh(
 ) -> tuple[Offsets, Floats]:
     """The Kalman update of the offsets of N positioners by measured positions.
 
-    `offsets`: the estimate before; `innovation_mm`: (N, 2) measured less expected positions, finite;
-    `jacobian`: (N, 2, 2) mm/deg, positions by angles; `noise_mm2`: the variance per coordinate, above 0,
-    or the covariances (N, 2, 2). Returns the offsets after, and (N,) the square of each innovation in
-    units of its own covariance, 2 on average.
+    `offsets`: the estimate before, k numbers of each; `innovation_mm`: (N, 2) measured less expected
+    positions, finite; `jacobian`: (N, 2, k), positions by these numbers; `noise_mm2`: the variance per
+    coordinate, above 0, or the covariances (N, 2, 2). Returns the offsets after, and (N,) the square of
+    each innovation in units of its own covariance, 2 on average.
     """
-    p, h = offsets.covariance_deg2, jacobian
+    p, h = offsets.covariance, jacobian
     noise = noise_mm2 * np.eye(2) if np.ndim(noise_mm2) == 0 else noise_mm2
     ph = p @ h.transpose(0, 2, 1)
     inverse = np.linalg.inv(h @ ph + noise)
     gain = ph @ inverse
     surprise = np.einsum("ni,nij,nj->n", innovation_mm, inverse, innovation_mm)
-    keep = np.eye(2) - gain @ h
+    keep = np.eye(p.shape[-1]) - gain @ h
     # Joseph's form: stays positive definite whatever the rounding
     covariance = keep @ p @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
-    mean = offsets.mean_deg + np.einsum("nij,nj->ni", gain, innovation_mm)
+    mean = offsets.mean + np.einsum("nij,nj->ni", gain, innovation_mm)
     return Offsets(mean, covariance), surprise
 
 
@@ -139,7 +157,7 @@ class CorrectionLoop:
         spread = self._spread(self.noise.blind_um)
         if sigma_deg is not None:
             spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
-        self._begun = Offsets(np.zeros((plane.n, 2)), spread)
+        self._begun = Offsets(np.zeros((plane.n, 4)), self._with_place(spread))
         self._images: list[Seen] = []
         self._last_deg = np.full((plane.n, 2), np.nan)
         """(N, 2) angles that each positioner reported at its last image; NaN before the first."""
@@ -163,13 +181,31 @@ class CorrectionLoop:
         for all.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
-        wanted = self.goal_deg - self.offsets.mean_deg
         if self.filtered:
             self._learn(rows, believed_deg, measured_mm, noise_mm2)
-            wanted[rows] = (self.goal_deg - self.offsets.mean_deg)[rows]
-        else:
+        wanted = self._aim_deg() - self.offsets.angles_deg
+        if not self.filtered:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
+
+    def _aim_deg(self) -> Floats:
+        """(N, 2) true angles at which the fibre is nearest to its target, with what it is off besides.
+
+        Least squares, in which a way costs as much as a miss of `_UM_PER_DEG` for each degree: where it is
+        stretched or folded an arm does not go far for little.
+        """
+        aim_deg = self.goal_deg.copy()
+        off = np.flatnonzero(self.offsets.place_mm.any(axis=1))
+        dear = (_UM_PER_DEG * MM_PER_UM) ** 2 * np.eye(2)
+        for _ in range(_AIMS if len(off) else 0):
+            at_deg = aim_deg[off]
+            miss_mm = self.plane.forward(*at_deg.T, index=off) + self.offsets.place_mm[off]
+            miss_mm -= self.target_mm[off]
+            h = self.plane.jacobian(*at_deg.T, index=off)
+            slope = np.einsum("nki,nk->ni", h, miss_mm) + (at_deg - self.goal_deg[off]) * np.diag(dear)
+            bend = h.transpose(0, 2, 1) @ h + dear
+            aim_deg[off] -= np.linalg.solve(bend, slope[..., None])[..., 0]
+        return aim_deg
 
     def _learn(
         self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats, noise_mm2: Floats | None
@@ -200,7 +236,7 @@ class CorrectionLoop:
 
     def _filtered(self, factor: float) -> tuple[Offsets, Floats]:
         """The offsets after all images, and the squared misses of predictions that tell of the noise."""
-        offsets = Offsets(self._begun.mean_deg.copy(), self._begun.covariance_deg2.copy())
+        offsets = Offsets(self._begun.mean.copy(), self._begun.covariance.copy())
         told: list[Floats] = [np.empty(0)]
         before = np.zeros(self.plane.n, dtype=bool)
         for seen in self._images:
@@ -223,16 +259,16 @@ class CorrectionLoop:
         # above zero, so that a camera without noise gives no division by zero
         arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
         noise_mm2 = factor * seen.noise_mm2 + arrival_um2 * MM_PER_UM**2 * np.eye(2)
-        kept = Offsets(offsets.mean_deg[rows], offsets.covariance_deg2[rows])
+        kept = Offsets(offsets.mean[rows], offsets.covariance[rows])
         before = predict(kept, self._drift(seen))
         after, surprise = self._weigh(before, seen, noise_mm2)
         shaken = surprise > _SURPRISE
         if shaken.any():
-            fresh = before.covariance_deg2.copy()
-            fresh[shaken] = self._spread(self.noise.blind_um)[rows][shaken]
-            after, _ = self._weigh(Offsets(before.mean_deg, fresh), seen, noise_mm2)
-        offsets.mean_deg[rows] = after.mean_deg
-        offsets.covariance_deg2[rows] = after.covariance_deg2
+            fresh = before.covariance.copy()
+            fresh[shaken] = self._with_place(self._spread(self.noise.blind_um)[rows][shaken])
+            after, _ = self._weigh(Offsets(before.mean, fresh), seen, noise_mm2)
+        offsets.mean[rows] = after.mean
+        offsets.covariance[rows] = after.covariance
         return surprise
 
     def _drift(self, seen: Seen) -> Floats:
@@ -242,9 +278,11 @@ class CorrectionLoop:
         return drift
 
     def _weigh(self, before: Offsets, seen: Seen, noise_mm2: Floats) -> tuple[Offsets, Floats]:
-        at = seen.believed_deg + before.mean_deg
-        expected = self.plane.forward(at[:, 0], at[:, 1], index=seen.rows)
-        jacobian = self.plane.jacobian(at[:, 0], at[:, 1], index=seen.rows)
+        at = seen.believed_deg + before.angles_deg
+        expected = self.plane.forward(at[:, 0], at[:, 1], index=seen.rows) + before.place_mm
+        by_angles = self.plane.jacobian(at[:, 0], at[:, 1], index=seen.rows)
+        by_place = np.broadcast_to(np.eye(2), by_angles.shape)
+        jacobian = np.concatenate([by_angles, by_place], axis=2)
         return weigh(before, seen.measured_mm - expected, jacobian, noise_mm2)
 
     def _plain(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> Floats:
@@ -274,6 +312,13 @@ class CorrectionLoop:
         """(N, 2, 2) deg^2 of angles that scatter the fibre by this rms, half by each axis."""
         sigma_deg = rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / self._lever_mm())
         return sigma_deg[:, :, None] ** 2 * np.eye(2)
+
+    def _with_place(self, spread_deg2: Floats) -> Floats:
+        """(n, 4, 4) covariance of angles (n, 2, 2), and of what the fibre is off besides."""
+        whole = np.zeros((len(spread_deg2), 4, 4))
+        whole[:, :2, :2] = spread_deg2
+        whole[:, 2:, 2:] = 0.5 * (self.noise.place_um * MM_PER_UM) ** 2 * np.eye(2)
+        return whole
 
     def _lever_mm(self) -> Floats:
         """(N, 2) by which the fibre moves with each axis, mm a radian."""

@@ -11,7 +11,8 @@ What the camera proves is declared; what it cannot prove is searched, where the 
 4. One that the image does not show searches its datum, as `fiberloom home` does. It is folded but for some
    motor turns, if it says that its position was restored; else it may be anywhere, and its whole reach has to
    be free. So does one that is seen where no turns explain it. And so do all where the layout itself is not
-   known yet: an image says nothing of turns then. They unfold nevertheless, which shows what does not follow.
+   known yet: an image says no number of turns for certain then. They unfold nevertheless, which shows what
+   does not follow.
 
 What none of this reaches stays an obstacle, as the begin check has it.
 """
@@ -173,7 +174,7 @@ class _Referencing:
     async def run(self) -> Referenced:
         """References all that can be."""
         await self._presume_the_dark()
-        for _ in range(TRIES if self.layout_known else 0):
+        for _ in range(TRIES):
             if not await self._tell_those_elsewhere():
                 break
         await declare_seen_right(self.motion)
