@@ -305,7 +305,7 @@ def test_what_repeats_is_no_touch_before_it_is_learnt():
 
 
 def test_what_comes_and_goes_with_the_rotor_is_no_touch_where_it_is_not_learnt():
-    """A channel that fades while the motor drives slower than the ripple is learnt at: 8 uNm within a second."""
+    """A channel fades while the motor drives slower than the ripple is learnt at: 8 uNm within a second."""
     speed = W0_RAD_S * np.repeat([1.0, 0.85], [4000, 4000])
     fades = np.clip((np.arange(8000) - 5000) / 2000, 0.0, 1.0)
     watch, _ = learnt_from(rows_of(speed, lambda angle: 8e-6 * fades * np.sin(2 * angle)))

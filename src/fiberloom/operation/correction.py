@@ -88,9 +88,9 @@ class Offsets:
     """
 
     mean: Floats
-    """(N, k)."""
+    """(N, k) deg and mm."""
     covariance: Floats
-    """(N, k, k)."""
+    """(N, k, k) deg^2, deg mm and mm^2."""
 
     @property
     def angles_deg(self) -> Floats:

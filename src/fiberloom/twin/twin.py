@@ -223,7 +223,7 @@ class Twin:
         return Scope(self._core, index, axis)
 
     def touches(self) -> list[Touch]:
-        """First moments of contact between bodies since the last call; what bounces for 40 ms is one contact."""
+        """First moments of contact since the last call; what bounces for 40 ms is one contact."""
         n, ids = len(self.plane), self.plane.positioner_id
         return [
             Touch(t, int(ids[i]), int(ids[j]) if j < n else None) for t, i, j in self._core.take_touches()
