@@ -116,9 +116,9 @@ def weigh(
     """The Kalman update of the offsets of N positioners by measured positions.
 
     `offsets`: the estimate before, k numbers of each; `innovation_mm`: (N, 2) measured less expected
-    positions, finite; `jacobian`: (N, 2, k), positions by these numbers; `noise_mm2`: the variance per
-    coordinate, above 0, or the covariances (N, 2, 2). Returns the offsets after, and (N,) the square of
-    each innovation in units of its own covariance, 2 on average.
+    positions, finite; `jacobian`: (N, 2, k) mm/deg and mm/mm, positions by these; `noise_mm2`: the variance
+    per coordinate, above 0, or the covariances (N, 2, 2). Returns the offsets after, mixed units as in
+    `Offsets`, and (N,) the square of each innovation in units of its own covariance, 2 on average.
     """
     p, h = offsets.covariance, jacobian
     noise = noise_mm2 * np.eye(2) if np.ndim(noise_mm2) == 0 else noise_mm2
