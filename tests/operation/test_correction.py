@@ -139,6 +139,34 @@ def test_the_plain_update_survives_singular_arms(fold_deg):
     assert rms(true[3:]).max() < 2 * BLIND_UM
 
 
+def left_um(rests, seed, camera_um=0.3, repeat_um=0.35):
+    """True errors (6, N) in um, and the share that does not move, with four images of each place."""
+    goal, rng = goals(seed), np.random.default_rng(seed)
+    noise = CorrectionNoise(camera_um=camera_um, repeatability_um=repeat_um, slope=0.0)
+    loop = CorrectionLoop(PLANE, goal, noise=noise)
+    offset = rng.normal(size=(PLANE.n, 2)) * np.sqrt(np.einsum("nii->ni", loop._spread(BLIND_UM)))
+    command, arrived, true = goal.copy(), isotropic(rng, repeat_um, PLANE.n), []
+    for _ in range(6):
+        xy = PLANE.forward(*(command + offset).T) + arrived
+        true.append(1e3 * np.hypot(*(xy - loop.target_mm).T))
+        wanted = loop.update(command, xy + isotropic(rng, camera_um, PLANE.n), np.ones(PLANE.n, bool))
+        stay = loop.rests[:, None] & rests
+        command = np.where(stay, command, wanted)
+        arrived = np.where(stay, arrived, isotropic(rng, repeat_um, PLANE.n))
+    return np.array(true), stay.mean()
+
+
+def test_what_would_come_no_nearer_is_not_moved():
+    """An arrival scatters by 0.35 um: a third and more stay, and the field is nearer for it."""
+    rest, go = (np.concatenate([left_um(on, s)[0] for s in range(2)], axis=1) for on in (True, False))
+    share = left_um(True, 0)[1]
+    print(
+        f"\nrests: {rms(rest)[5]:.3f} um after five corrections, {share:.0%} not moved; else {rms(go)[5]:.3f}"
+    )
+    assert rms(rest)[5] < 0.92 * rms(go)[5]
+    assert share > 0.3
+
+
 def test_a_slip_is_followed_at_once():
     goal = goals()
     jump = np.zeros((PLANE.n, 2))

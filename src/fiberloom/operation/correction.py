@@ -162,6 +162,9 @@ class CorrectionLoop:
         self._last_deg = np.full((plane.n, 2), np.nan)
         """(N, 2) angles that each positioner reported at its last image; NaN before the first."""
         self.offsets = self._begun
+        self.rests: Flags = np.zeros(plane.n, dtype=bool)
+        """(N,) whose fibre is so near to its target by all images that another arrival, which scatters, would
+        bring it no nearer."""
         self.camera_factor = 1.0
         """By how much the variance of the camera is larger than it tells, as its images show; a ratio."""
 
@@ -184,9 +187,30 @@ class CorrectionLoop:
         if self.filtered:
             self._learn(rows, believed_deg, measured_mm, noise_mm2)
         wanted = self._aim_deg() - self.offsets.angles_deg
-        if not self.filtered:
+        self.rests[:] = False
+        if self.filtered:
+            self.rests[rows] = self._good_enough(self._images[-1], wanted[rows])
+        else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
+
+    def _good_enough(self, seen: Seen, wanted_deg: Floats) -> Flags:
+        """(n,) of an image whose squared miss is expected to be no larger where they stay.
+
+        Where they stay the arrival that was seen remains, as far as the image tells it apart from its own
+        noise; where they go, to `wanted_deg` (n, 2), there is a new one, and what the gears do on the way.
+        """
+        rows, arrival_mm2 = seen.rows, 0.5 * (self.noise.repeatability_um * MM_PER_UM) ** 2
+        at = seen.believed_deg + self.offsets.angles_deg[rows]
+        place_mm = self.plane.forward(at[:, 0], at[:, 1], index=rows) + self.offsets.place_mm[rows]
+        noise = self.camera_factor * seen.noise_mm2 + max(arrival_mm2, 1e-18) * np.eye(2)
+        share = arrival_mm2 * np.linalg.inv(noise)
+        arrived_mm = np.einsum("nij,nj->ni", share, seen.measured_mm - place_mm)
+        stay_mm2 = ((place_mm + arrived_mm - self.target_mm[rows]) ** 2).sum(axis=1)
+        stay_mm2 += arrival_mm2 * (2.0 - np.einsum("nii->n", share))
+        way_mm = np.deg2rad(wanted_deg - seen.believed_deg) * self._lever_mm()[rows]
+        go_mm2 = 2.0 * arrival_mm2 + ((self.noise.slope * way_mm) ** 2).sum(axis=1)
+        return np.asarray(stay_mm2 <= go_mm2, dtype=np.bool_)
 
     def _aim_deg(self) -> Floats:
         """(N, 2) true angles at which the fibre is nearest to its target, with what it is off besides.
@@ -199,9 +223,9 @@ class CorrectionLoop:
         dear = (_UM_PER_DEG * MM_PER_UM) ** 2 * np.eye(2)
         for _ in range(_AIMS if len(off) else 0):
             at_deg = aim_deg[off]
-            miss_mm = self.plane.forward(*at_deg.T, index=off) + self.offsets.place_mm[off]
+            miss_mm = self.plane.forward(at_deg[:, 0], at_deg[:, 1], index=off) + self.offsets.place_mm[off]
             miss_mm -= self.target_mm[off]
-            h = self.plane.jacobian(*at_deg.T, index=off)
+            h = self.plane.jacobian(at_deg[:, 0], at_deg[:, 1], index=off)
             slope = np.einsum("nki,nk->ni", h, miss_mm) + (at_deg - self.goal_deg[off]) * np.diag(dear)
             bend = h.transpose(0, 2, 1) @ h + dear
             aim_deg[off] -= np.linalg.solve(bend, slope[..., None])[..., 0]

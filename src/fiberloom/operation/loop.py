@@ -132,14 +132,15 @@ class Loop:
         """Moves every healthy positioner with a target by what the last image shows.
 
         `corrections`: the state of the filter; `number`: of the move, the blind move is 1. A positioner
-        that the stop rule does not move again stays; a correction is made of whole steps.
+        that the stop rule does not move again stays, and so does one that would come no nearer; a correction
+        is made of whole steps.
         """
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(here_deg, image.xy_mm, self.correctable & image.seen, image.noise_mm2)
         self._tell_noise(corrections)
         step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
-        goal_deg = np.where(self._arrived[:, None], here_deg, goal_deg)
+        goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
         await self._small_move(number, f"correction {number - 1}", goal_deg)
 
     def _tell_noise(self, corrections: CorrectionLoop) -> None:
