@@ -139,6 +139,26 @@ def test_the_plain_update_survives_singular_arms(fold_deg):
     assert rms(true[3:]).max() < 2 * BLIND_UM
 
 
+@pytest.mark.parametrize(("fibre", "least_um", "most_um"), [("BOSS", 0.0, 1.0), ("", 3.0, 20.0)])
+def test_the_science_fibre_is_aimed(fibre, least_um, most_um):
+    """Arms 20 um too long: angles change by half a degree, and the way between the fibres turns with them."""
+    goal, rng = goals(4), np.random.default_rng(4)
+    goal[:, 1] = rng.choice([15.0, 165.0], PLANE.n)
+    loop = CorrectionLoop(PLANE, goal, fibre=np.full(PLANE.n, fibre), noise=CorrectionNoise(slope=0.0))
+    out = PLANE.forward(*goal.T) - PLANE.centres_mm
+    longer = 0.02 * out / np.hypot(*out.T)[:, None]
+    command, star = goal, PLANE.forward(*goal.T, "BOSS")
+    for _ in range(5):
+        science = PLANE.forward(*command.T, "BOSS") + longer
+        seen = PLANE.forward(*command.T) + longer + isotropic(rng, CAMERA_UM, PLANE.n)
+        command = loop.update(command, seen, np.ones(PLANE.n, dtype=bool))
+    left = rms(1e3 * np.hypot(*(science - star).T))
+    print(f"\naimed {fibre or 'metrology'}: science fibres {left:.2f} um off")
+    assert least_um < left < most_um
+    on_goal = 1e3 * np.hypot(*(loop.metrology_goal_mm - PLANE.forward(*command.T) - longer).T)
+    assert rms(on_goal) < 1.5  # the camera's goal is where the metrology fibre will be
+
+
 def left_um(rests, seed, camera_um=0.3, repeat_um=0.35):
     """True errors (6, N) in um, and the share that does not move, with four images of each place."""
     goal, rng = goals(seed), np.random.default_rng(seed)

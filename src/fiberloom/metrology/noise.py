@@ -21,9 +21,9 @@ class CorrectionNoise:
     """Scatter of arrivals at the same command."""
     blind_um: float = 10.0
     """Error before the first image."""
-    place_um: float = 3.0
+    place_um: float = 6.0
     """What a fibre is off that no offset of its angles explains: lengths of the arms, the camera's frame.
-    A calibrated focal plane of the twin with all its errors on has 2 to 3 um of it."""
+    On the twin 6 and 10 um do as well, with arms that are calibrated and with arms of a table."""
     drift_um: float = 0.0
     """How much the offset itself changes from move to move."""
     slope: float = 0.1

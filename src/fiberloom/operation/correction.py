@@ -15,6 +15,10 @@ The filter's noise is that of the camera and that of one arrival, both 2-D rms. 
 is new after every move: it adds to the image's noise, not to the offset. After k images the fibre
 is then off by sqrt((s^2 + q^2)/k + q^2): 0.37 um for k = 5, s = 0.669 um, q = 0.2 um.
 
+The camera sees the metrology fibre, and the science fibre goes on target. Where angles change to make up for
+what the fibre is off, the way from the one to the other turns along: by 11 um for a degree of SDSS-V. So the
+science fibre is aimed, and the goal of the metrology fibre follows.
+
 How noisy the camera is, its images tell themselves: from the second one on each fibre's place is predicted,
 and hundreds of predictions miss by as much as the noise is. The filter goes through all images again with
 the noise with which half of its predictions miss by less than they should.
@@ -22,7 +26,9 @@ the noise with which half of its predictions miss by less than they should.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +45,11 @@ _SURPRISE = 25.0
 # The median of such a square: of a chi square with two degrees of freedom.
 _MEDIAN = 2.0 * np.log(2.0)
 # The camera's variance, over what is said of it: at least and at most. Fewer predictions than this tell none.
-_FACTORS, _FEWEST = (0.05, 400.0), 20
+_FACTORS, _TRIED, _FEWEST = (0.05, 400.0), 10, 20
 # Predictions count for it where the noise of the image is at least this share of what is expected of the way.
 _MOSTLY_NOISE = 4.0
-# A degree that an arm turns for what its fibre is off is dear as this miss, um; steps of Gauss and Newton.
-_UM_PER_DEG, _AIMS = 1.0, 3
+# A degree that an arm turns is dear as a miss of 3 um; steps of Gauss and Newton.
+_DEAR_MM2_DEG2, _AIMS = (3.0 * MM_PER_UM) ** 2, 3
 # A command for the plain update keeps this far inside the reach of the arms.
 _INSIDE_MM = 1e-6
 
@@ -141,19 +147,28 @@ class CorrectionLoop:
         plane: FocalPlane,
         goal_deg: Floats,
         *,
+        fibre: NDArray[np.str_] | None = None,
         filtered: bool = True,
         noise: CorrectionNoise | None = None,
         sigma_deg: Floats | None = None,
     ) -> None:
         """`plane`: layout of N positioners; `goal_deg`: (N, 2) angles that bring the fibres on target.
 
+        `fibre`: (N,) names of the fibres that go on target, "" or None: that which the camera sees.
         `filtered`: the Kalman filter, else Eq. 25; `noise`: of camera and arrivals, um rms, by default
         that of the plane; `sigma_deg`: (N, 2) standard errors of the maps at the goals, by default from
         `noise.blind_um`.
         """
         self.plane, self.goal_deg, self.filtered = plane, goal_deg, filtered
         self.noise = noise or CorrectionNoise.of(plane)
-        self.target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
+        self._fibre = np.full(plane.n, "") if fibre is None else np.asarray(fibre)
+        every = np.arange(plane.n)
+        self.target_mm = self._of_fibre(plane.forward, goal_deg, every)
+        """(N, 2) where the fibres shall be."""
+        self.metrology_goal_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
+        """(N, 2) where the camera is to see the metrology fibres then, by all that is known so far."""
+        self._aim_deg: Floats = goal_deg.astype(np.float64)
+        """(N, 2) true angles that bring the fibres on target, with what they are off besides."""
         spread = self._spread(self.noise.blind_um)
         if sigma_deg is not None:
             spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
@@ -184,52 +199,65 @@ class CorrectionLoop:
         for all.
         """
         rows = np.flatnonzero(active & np.isfinite(measured_mm).all(axis=1))
+        self.rests[:] = False
         if self.filtered:
             self._learn(rows, believed_deg, measured_mm, noise_mm2)
-        wanted = self._aim_deg() - self.offsets.angles_deg
-        self.rests[:] = False
+            self._take_aim(rows)
+        wanted = self._aim_deg - self.offsets.angles_deg
         if self.filtered:
             self.rests[rows] = self._good_enough(self._images[-1], wanted[rows])
         else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
 
+    def _take_aim(self, rows: NDArray[np.intp]) -> None:
+        """Where what the fibre is off besides its angles is made up for by them.
+
+        Least squares of the miss, in which a degree of each angle is dear: where an arm is stretched or
+        folded it does not go far for little.
+        """
+        last_deg, place_mm = self._aim_deg[rows], self.offsets.place_mm[rows]
+        aim_deg = last_deg.copy()
+        for _ in range(_AIMS):
+            h = self._of_fibre(self.plane.jacobian, aim_deg, rows)
+            miss_mm = self._of_fibre(self.plane.forward, aim_deg, rows) + place_mm - self.target_mm[rows]
+            slope = np.einsum("nki,nk->ni", h, miss_mm) + _DEAR_MM2_DEG2 * (aim_deg - last_deg)
+            bend = h.transpose(0, 2, 1) @ h + _DEAR_MM2_DEG2 * np.eye(2)
+            aim_deg -= np.linalg.solve(bend, slope[..., None])[..., 0]
+        self._aim_deg[rows] = aim_deg
+        seen_mm = self.plane.forward(aim_deg[:, 0], aim_deg[:, 1], index=rows)
+        self.metrology_goal_mm[rows] = seen_mm + place_mm
+
+    def _of_fibre(self, what: Callable[..., Floats], true_deg: Floats, rows: NDArray[np.intp]) -> Floats:
+        """Place or Jacobian of the fibre of each positioner in `rows` (n,) that goes on target."""
+        out = what(true_deg[:, 0], true_deg[:, 1], index=rows)
+        names = self._fibre[rows]
+        for name in np.unique(names[names != ""]).tolist():
+            at = np.flatnonzero(names == name)
+            out[at] = what(true_deg[at, 0], true_deg[at, 1], name, index=rows[at])
+        return out
+
     def _good_enough(self, seen: Seen, wanted_deg: Floats) -> Flags:
         """(n,) of an image whose squared miss is expected to be no larger where they stay.
 
         Where they stay the arrival that was seen remains, as far as the image tells it apart from its own
-        noise; where they go, to `wanted_deg` (n, 2), there is a new one, and what the gears do on the way.
+        noise; where they go, to `wanted_deg` (n, 2), there is a new one.
         """
         rows, arrival_mm2 = seen.rows, 0.5 * (self.noise.repeatability_um * MM_PER_UM) ** 2
-        at = seen.believed_deg + self.offsets.angles_deg[rows]
-        place_mm = self.plane.forward(at[:, 0], at[:, 1], index=rows) + self.offsets.place_mm[rows]
+        offset_deg, place_mm = self.offsets.angles_deg[rows], self.offsets.place_mm[rows]
+        here_deg = seen.believed_deg + offset_deg
         noise = self.camera_factor * seen.noise_mm2 + max(arrival_mm2, 1e-18) * np.eye(2)
         share = arrival_mm2 * np.linalg.inv(noise)
-        arrived_mm = np.einsum("nij,nj->ni", share, seen.measured_mm - place_mm)
-        stay_mm2 = ((place_mm + arrived_mm - self.target_mm[rows]) ** 2).sum(axis=1)
+        left_mm = seen.measured_mm - self.plane.forward(here_deg[:, 0], here_deg[:, 1], index=rows) - place_mm
+        arrived_mm = np.einsum("nij,nj->ni", share, left_mm)
+        target_mm = self.target_mm[rows] - place_mm
+        stay_mm = self._of_fibre(self.plane.forward, here_deg, rows) + arrived_mm - target_mm
+        stay_mm2 = (stay_mm**2).sum(axis=1)
         stay_mm2 += arrival_mm2 * (2.0 - np.einsum("nii->n", share))
-        way_mm = np.deg2rad(wanted_deg - seen.believed_deg) * self._lever_mm()[rows]
-        go_mm2 = 2.0 * arrival_mm2 + ((self.noise.slope * way_mm) ** 2).sum(axis=1)
+        there_deg, way_deg = wanted_deg + offset_deg, wanted_deg - seen.believed_deg
+        go_mm2 = ((self._of_fibre(self.plane.forward, there_deg, rows) - target_mm) ** 2).sum(axis=1)
+        go_mm2 += 2.0 * arrival_mm2 + _DEAR_MM2_DEG2 * (way_deg**2).sum(axis=1)
         return np.asarray(stay_mm2 <= go_mm2, dtype=np.bool_)
-
-    def _aim_deg(self) -> Floats:
-        """(N, 2) true angles at which the fibre is nearest to its target, with what it is off besides.
-
-        Least squares, in which a way costs as much as a miss of `_UM_PER_DEG` for each degree: where it is
-        stretched or folded an arm does not go far for little.
-        """
-        aim_deg = self.goal_deg.copy()
-        off = np.flatnonzero(self.offsets.place_mm.any(axis=1))
-        dear = (_UM_PER_DEG * MM_PER_UM) ** 2 * np.eye(2)
-        for _ in range(_AIMS if len(off) else 0):
-            at_deg = aim_deg[off]
-            miss_mm = self.plane.forward(at_deg[:, 0], at_deg[:, 1], index=off) + self.offsets.place_mm[off]
-            miss_mm -= self.target_mm[off]
-            h = self.plane.jacobian(at_deg[:, 0], at_deg[:, 1], index=off)
-            slope = np.einsum("nki,nk->ni", h, miss_mm) + (at_deg - self.goal_deg[off]) * np.diag(dear)
-            bend = h.transpose(0, 2, 1) @ h + dear
-            aim_deg[off] -= np.linalg.solve(bend, slope[..., None])[..., 0]
-        return aim_deg
 
     def _learn(
         self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats, noise_mm2: Floats | None
@@ -249,14 +277,16 @@ class CorrectionLoop:
             square = self._filtered(float(np.exp(log_factor)))[1]
             return float(np.median(square)) - _MEDIAN if len(square) >= _FEWEST else 0.0
 
-        low, high = np.log(_FACTORS)
         if too_far(0.0) == 0.0:
             return 1.0
-        if too_far(low) <= 0.0:
+        # the least that will do: with a much noisier camera nothing is learnt, and predictions miss again
+        tried = np.log(np.geomspace(*_FACTORS, _TRIED))
+        if too_far(float(tried[0])) <= 0.0:
             return _FACTORS[0]
-        if too_far(high) >= 0.0:
-            return _FACTORS[1]
-        return float(np.exp(brentq(too_far, low, high, xtol=0.02)))
+        for low, high in pairwise(tried.tolist()):
+            if too_far(high) <= 0.0:
+                return float(np.exp(brentq(too_far, low, high, xtol=0.02)))
+        return _FACTORS[1]
 
     def _filtered(self, factor: float) -> tuple[Offsets, Floats]:
         """The offsets after all images, and the squared misses of predictions that tell of the noise."""
@@ -312,7 +342,7 @@ class CorrectionLoop:
     def _plain(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> Floats:
         alpha_deg, beta_deg = believed_deg[rows].T
         here = self.plane.forward(alpha_deg, beta_deg, index=rows)
-        command = plain_update(here, self.target_mm[rows], measured_mm[rows])
+        command = plain_update(here, self.metrology_goal_mm[rows], measured_mm[rows])
         found = self.plane.inverse(self._within_reach(command, rows), index=rows)
         angles = np.column_stack([found.alpha_deg, found.beta_deg])
         # the same turn as before, and no move where the limits do not allow one

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,11 @@ class Loop:
         self.motion.images = self.settings.images
         await self.blind_move()
         corrections = CorrectionLoop(
-            self.plane, self.goal_deg, filtered=self.settings.filtered, sigma_deg=self._expected_deg()
+            self.plane,
+            self.goal_deg,
+            fibre=self.goals.fibre,
+            filtered=self.settings.filtered,
+            sigma_deg=self._expected_deg(),
         )
         for number in range(2, self.settings.moves + 1):
             if self.settings.stop.satisfied(self._open_um()):
@@ -141,6 +145,7 @@ class Loop:
         step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
         goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
+        self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm.copy())
         await self._small_move(number, f"correction {number - 1}", goal_deg)
 
     def _tell_noise(self, corrections: CorrectionLoop) -> None:

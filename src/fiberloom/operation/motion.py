@@ -303,6 +303,7 @@ class FieldMotion:
             wire_deg=self.state.wire_deg.copy(),
             measurement=image,
             measured_error_um=error_um,
+            metrology_goal_mm=made.goals.metrology_mm,
             **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),
             interrupted=bool(interrupted.any()),
@@ -425,7 +426,10 @@ class FieldMotion:
         return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
 
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
-        miss_mm = np.hypot(*(image.xy_mm - self.state.metrology_mm(goals.angles_deg)).T)
+        goal_mm = goals.metrology_mm
+        if goal_mm is None:
+            goal_mm = self.state.metrology_mm(goals.angles_deg)
+        miss_mm = np.hypot(*(image.xy_mm - goal_mm).T)
         return np.where(goals.has_target & image.seen, UM_PER_MM * miss_mm, np.nan)
 
 

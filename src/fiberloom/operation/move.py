@@ -29,6 +29,9 @@ class Goals:
     """(N,) name of the fibre that goes to the target."""
     has_target: Flags
     """(N,) False: the positioner is only moved out of the way."""
+    metrology_mm: Floats | None = None
+    """(N, 2) where the camera is to see the metrology fibres with the science fibres on target, as far as
+    images have told; None: where it is at these angles."""
 
     @classmethod
     def of(cls, assignment: Assignment) -> Goals:
@@ -65,6 +68,8 @@ class Move:
     """Stopped before its end, because a positioner collided or did not move."""
     comparison: bool = False
     """Not part of the observation: a move by another model, for comparison."""
+    metrology_goal_mm: Floats | None = None
+    """(N, 2) where the camera was to see the metrology fibres; None: at the angles of the goals."""
     true_metrology_mm: Floats | None = None
     """(N, 2) the metrology fibre, at the image; a twin only."""
     true_image_mm: Floats | None = None

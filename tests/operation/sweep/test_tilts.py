@@ -115,11 +115,11 @@ def test_the_parts_of_the_error_add_up(observed):
     final, lead = seen.final, seen.lead_mm()
     science = final.true_mm - seen.target_mm()
     later = final.true_mm - final.true_image_mm + lead
-    loop = final.measurement.xy_mm - seen.metrology_goal_mm()
-    camera = final.true_metrology_mm - seen.metrology_goal_mm() - seen.frame_mm() - loop
+    loop = final.measurement.xy_mm - seen.metrology_goal_mm(final)
+    camera = final.true_metrology_mm - seen.metrology_goal_mm(final) - seen.frame_mm() - loop
     rows = seen.counted(final)
     fibre = (final.true_image_mm - final.true_metrology_mm) - (
-        seen.target_mm() + lead - seen.metrology_goal_mm() - seen.frame_mm()
+        seen.target_mm() + lead - seen.metrology_goal_mm(final) - seen.frame_mm()
     )
     np.testing.assert_allclose((loop + camera + fibre + later)[rows], science[rows], atol=1e-12)
     rms_um = 1e3 * np.sqrt((fibre[rows] ** 2).sum(axis=1).mean())

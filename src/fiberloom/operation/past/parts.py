@@ -23,8 +23,8 @@ from fiberloom.typing import Array
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
-TRUTHS = ("true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
-"""What a twin knows of a move."""
+PLACES = ("metrology_goal_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
+"""Where fibres were to be in a move, and what a twin knows of where they were."""
 
 _POINT = "point "
 _PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
@@ -81,7 +81,7 @@ def assignment_of(part: RunPart) -> Assignment:
 def packed_move(move: Move) -> bytes:
     """What a move has beside its measurements: plan, truth, what the image left open."""
     plan = move.plan
-    known = {name: getattr(move, name) for name in TRUTHS} | {"ambiguous": move.measurement.ambiguous}
+    known = {name: getattr(move, name) for name in PLACES} | {"ambiguous": move.measurement.ambiguous}
     head = {
         "instrument": plan.instrument,
         "collision_buffer_mm": plan.collision_buffer_mm,

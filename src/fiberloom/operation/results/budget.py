@@ -36,14 +36,14 @@ def budget(observed: ObservedField) -> dict[str, Any]:
     rows = observed.counted(move) & move.measurement.seen & (observed.assignment.target >= 0)
     if move.true_mm is None or move.true_metrology_mm is None:
         return _expected(observed, move, rows)
-    metrology = move.true_metrology_mm - observed.metrology_goal_mm() - observed.frame_mm()
+    metrology = move.true_metrology_mm - observed.metrology_goal_mm(move) - observed.frame_mm()
     return _in_truth(observed, rows, metrology, move.true_mm - observed.target_mm())
 
 
 def _in_truth(observed: ObservedField, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
     """By true errors (N, 2), mm: metrology fibre at the image, science fibre in the exposure."""
     star_mm, sagged = observed.target_mm(), _sagged_mm(observed)
-    loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm()
+    loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm(observed.final)
     left = guided(science[rows], star_mm[rows], np.ones(int(rows.sum()), dtype=bool))
     return {
         "known": IN_TRUTH,
@@ -69,7 +69,7 @@ def _expected(observed: ObservedField, move: Move, rows: Flags) -> dict[str, Any
     camera = None if noise is None else _rms_um(np.sqrt(np.einsum("nii->ni", noise[rows])))
     return {
         "known": EXPECTED,
-        "loop_um": _rms_um((move.measurement.xy_mm - observed.metrology_goal_mm())[rows]),
+        "loop_um": _rms_um((move.measurement.xy_mm - observed.metrology_goal_mm(move))[rows]),
         "camera_um": camera,
         "fibre_um": observed.about.get("fibre_calibration", {}).get("formal_um"),
         "gravity_um": _expected_sag_um(observed),

@@ -60,8 +60,14 @@ class ObservedField:
         xy[has] = np.stack([self.targets.x_mm[chosen], self.targets.y_mm[chosen]], axis=1)
         return xy
 
-    def metrology_goal_mm(self) -> Floats:
-        """Where the metrology fibre of each positioner is when the science fibre is on its target.
+    def metrology_goal_mm(self, move: Move | None = None) -> Floats:
+        """Where the camera is to see the metrology fibre of each positioner with the science fibre on target.
+
+        Parameters
+        ----------
+        move : Move, optional
+            One of `moves`: as far as the images before it have told how each arm is off. When left out:
+            at the angles of the assignment.
 
         Returns
         -------
@@ -76,7 +82,10 @@ class ObservedField:
         >>> seen.metrology_goal_mm().shape
         (7, 2)
         """
-        return metrology_goals_mm(self.plane, self.assignment)
+        goal_mm = metrology_goals_mm(self.plane, self.assignment)
+        if move is None or move.metrology_goal_mm is None:
+            return goal_mm
+        return np.where(np.isfinite(goal_mm), move.metrology_goal_mm, np.nan)
 
     def true_error_um(self, move: Move) -> Floats | None:
         """True distance of the science fibres from their targets.
@@ -154,7 +163,7 @@ class ObservedField:
         >>> len(seen.true_metrology_error_um(seen.final))
         7
         """
-        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm() + self.frame_mm())
+        return _apart_um(move.true_metrology_mm, self.metrology_goal_mm(move) + self.frame_mm())
 
     def frame_mm(self) -> Floats:
         """From where the camera is to see a fibre to where that is: how far its frame is known to be off.
