@@ -55,7 +55,7 @@ def test_a_motor_follows_at_full_speed(at_C):
 
 
 def test_far_in_the_cold_the_telescope_s_speed_keeps_grease_from_looking_like_a_collision(tmp_path):
-    """Grease x4.8 is beyond what the firmware learns; at 1000 rpm its drag is within it. Grease x3.4 is not."""
+    """Grease x4.8 is beyond what the firmware learns, x3.4 is not; at 1000 rpm its drag is within it."""
     care = PLANE.instrument.care.model_dump() | {"cold": [{"below_C": 0.0, "speed_rpm": 1000.0}]}
     slow = PLANE.instrument.model_copy(update={"care": Care.model_validate(care)})
     maps = tmp_path / "maps.npz"
