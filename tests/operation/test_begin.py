@@ -177,3 +177,15 @@ def test_an_arm_folded_onto_its_axis_needs_its_datum_on_record(name):
         found = begin_check(equal, report)
         assert found.certain.all() == vouched
         assert set(found.standing) == {Standing.RIGHT if vouched else Standing.BLIND}
+
+
+def test_a_layout_that_is_not_known_is_allowed_to_those_with_a_datum():
+    """0.35 mm off, folded: of an angle it would be three times as much stretched, of a layout it is all."""
+    folded = PLANE.park_deg.copy()
+    seen = image(folded)
+    seen.x_mm[3] += 0.35
+    allowed = [
+        begin_check(PLANE, Report(folded, ~NOBODY, seen, vouched), 0.5, layout_mm).certain[3]
+        for vouched, layout_mm in ((NOBODY, 0.5), (~NOBODY, 0.0), (~NOBODY, 0.5))
+    ]
+    assert allowed == [False, False, True]

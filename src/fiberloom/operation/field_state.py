@@ -180,7 +180,7 @@ class FieldState:
                 "check the back-illumination"
             )
         report = Report(self.here_deg, answered, image, vouched)
-        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm)
+        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):

@@ -101,3 +101,18 @@ def test_one_turn_of_alpha_against_one_of_beta_moves_the_fibre_alike_everywhere(
     for place_deg in (FOLDED, *UNFOLDED):
         moved_mm = PLANE.forward(*(place_deg + np.array([1.0, -1.0]) * TURN_DEG)) - PLANE.forward(*place_deg)
         np.testing.assert_allclose(np.hypot(*moved_mm.T), turn_mm, rtol=1e-3)
+
+
+def test_of_one_that_is_off_the_likeliest_turns_are_told_though_none_would_be_likelier():
+    """With a layout known to 75 um five turns of beta, folded, 0.46 mm, are as likely as none."""
+    turns = np.zeros((N, 2), dtype=int)
+    turns[4] = (0, 5)
+    reported_deg = np.tile(FOLDED, (N, 1))
+    seen_mm = PLANE.forward(*(reported_deg + turns * TURN_DEG).T)
+    seen_mm += np.random.default_rng(2).normal(0.0, 0.075, (N, 2))
+    counter = TurnCounter(PLANE)
+    counter.add(reported_deg, seen_mm)
+    told, miss_mm = counter.nearest(reported_deg, seen_mm, some=True)
+    assert told.any(axis=1).all()
+    assert abs(told[4, 1]) >= 3
+    assert miss_mm[4] < 0.15

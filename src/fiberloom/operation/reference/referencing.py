@@ -204,7 +204,8 @@ class _Referencing:
         reported_deg = self.motion.reported_deg
         counter = TurnCounter(self._plane)
         counter.add(reported_deg, image.xy_mm)
-        turns, miss_mm = counter.nearest(reported_deg, image.xy_mm)
+        # of a layout that is not known an image does not prove turns; without any these stay where they are
+        turns, miss_mm = counter.nearest(reported_deg, image.xy_mm, some=not self.layout_known)
         rows = np.flatnonzero(asked & (miss_mm < EXPLAINED_MM) & turns.any(axis=1))
         await self._tell_turns(rows, turns[rows])
         self.guessed[rows] = True

@@ -97,12 +97,13 @@ class TurnCounter:
             miss_mm[:, k] = np.hypot(*(seen_mm - place_mm).T)
         return miss_mm
 
-    def nearest(self, reported_deg: Floats, seen_mm: Floats) -> tuple[Ints, Floats]:
+    def nearest(self, reported_deg: Floats, seen_mm: Floats, some: bool = False) -> tuple[Ints, Floats]:
         """The turns (N, 2) that are likeliest by what was added, and by how much they miss, (N,) in mm.
 
-        `reported_deg` and `seen_mm` as of `add`.
+        `reported_deg` and `seen_mm` as of `add`; `some`: of those that are off, which is known.
         """
-        best = self._weight.argmax(axis=1)
+        first = 1 if some else 0  # the first hypothesis is no turn
+        best = first + self._weight[:, first:].argmax(axis=1)
         miss_mm = self._misses_mm(reported_deg, seen_mm)[np.arange(len(best)), best]
         return self.tried[best], np.nan_to_num(miss_mm, nan=np.inf)
 

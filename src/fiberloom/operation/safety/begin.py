@@ -106,7 +106,9 @@ class Beginning:
         return [i for i, s in enumerate(self.standing) if s is Standing.OVERLAPS]
 
 
-def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_MM) -> Beginning:
+def begin_check(
+    plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_MM, layout_mm: float = 0.0
+) -> Beginning:
     """Who may move, where the others are, and what to do about them.
 
     Parameters
@@ -117,6 +119,9 @@ def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_M
         Angles in deg as reported, who answered, an image, and whose datum is on record.
     allowed_mm : float
         How far an arm may be from where it reports, anywhere in its range.
+    layout_mm : float
+        By how much the layout may be off besides, the same wherever an arm points: allowed to those whose
+        datum is on record.
 
     Returns
     -------
@@ -128,6 +133,7 @@ def begin_check(plane: FocalPlane, report: Report, allowed_mm: float = ALLOWED_M
     standing, probability, partner = _named(plane, report, reported_mm)
     miss_mm = np.hypot(*(seen_mm - reported_mm).T)
     most_mm = allowed_miss_mm(plane, reported_mm, allowed_mm)
+    most_mm = np.where(report.vouched, most_mm + layout_mm, most_mm)
     # so near the alpha axis that nothing can be seen of alpha: the record of its datum has to say it
     blind = most_mm < 3.0 * SCATTER_MM
     near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, most_mm)
