@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from wire import COLLISION, commands, goto
+from wire import COLLISION, STOP, commands, goto
 
 from fiberloom._core import geometry
+from fiberloom.bus.identifier import encode
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Twin, draw_units
 
@@ -91,6 +92,16 @@ def test_a_fiducial_is_hit_too():
     # the bending of beta by some newtons at 10 N/mm
     meets = 100.0 - np.rad2deg(np.arcsin(3.5 / 19.0))
     assert meets - 0.5 < twin.truth()[0, 0] < meets + 1.0
+    # pressing on, and springing back, it is the same contact; come again it is another
+    twin.run(1.0)
+    twin.send([(encode(IDS[0], STOP, 1), b"")])
+    goto(twin, IDS[0], 60.0, 0.5)
+    twin.run(10.0)
+    assert twin.truth()[0, 0] < 61.0
+    assert twin.touches() == []
+    goto(twin, IDS[0], 140.0, 0.5)
+    twin.run(8.0)
+    assert [t.other for t in twin.touches()] == [None]
 
 
 def test_every_first_touch_is_found_at_its_sync_point():
