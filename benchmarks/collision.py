@@ -58,8 +58,11 @@ def plane_of(n: int) -> FocalPlane:
 
 def study_legal(asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     """Legal moves, with the contact and touch watches on, and with Eq. 22 alone."""
+    studied = {"all watches": True}
+    if not asked.all:
+        studied["Eq. 22 alone"] = False
     found = {}
-    for name, watches in list({"all watches": True, "Eq. 22 alone": False}.items())[: 1 if asked.all else 2]:
+    for name, watches in studied.items():
         trial = legal_moves(
             plane_of(asked.units), moves=asked.moves, seed=asked.seed, touch=watches, law=asked.law
         )

@@ -151,9 +151,8 @@ static inline bool fl_touch_watches(fl_touch_state_t *st, const fl_touch_in_t *i
     return far || st->sure * st->closed_s > FL_TOUCH_MET_S;
 }
 
-/* Inlined here and below, as fl_drive_end is: 40 instructions a tick and axis less.
- *
- * What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met. */
+/* What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met.
+ * This and what follows is inlined, as fl_drive_end is: 40 instructions a tick and axis less. */
 static inline __attribute__((always_inline)) float
 fl_touch_ripple(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch_in_t *in) {
     const fl_ripple_in_t now = {in->error_rad, in->beyond_Nm,   cfg->drag + in->excess_Nms,

@@ -12,7 +12,8 @@ PATTERNS = ROOT / "core" / "bindings" / "stubs.txt"
 
 
 def test_the_stubs_are_those_of_the_compiled_module(tmp_path):
-    pytest.importorskip("nanobind.stubgen", reason="nanobind, which makes the stubs, is not installed")
+    missing = "nanobind is not installed: `pip install nanobind` for the stubs"
+    pytest.importorskip("nanobind.stubgen", reason=missing)
     command = [sys.executable, "-m", "nanobind.stubgen", "--quiet", "--recursive"]
     command += ["--module", "fiberloom._core", "--pattern-file", str(PATTERNS), "--output-dir", str(tmp_path)]
     subprocess.run(command, check=True, timeout=120)

@@ -17,7 +17,7 @@ struct Sent {
     size_t sender; // index of the positioner
 };
 
-struct Touched { // by another body, now or lately
+struct LastTouch { // by another body, now or lately
     uint32_t other;
     uint64_t forget_tick; // never, while they touch
 };
@@ -79,7 +79,7 @@ class Positioner {
     Push push, user_push;
     std::unique_ptr<ArmLoads> loads; // none: nothing pulls at its arms
     std::vector<Contact> contacts;
-    std::vector<Touched> touched;
+    std::vector<LastTouch> touched;
 
   private:
     // True when the fault of this frame's START has taken the firmware's place.

@@ -183,15 +183,15 @@ void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
     if (p.contacts.empty() && p.touched.empty()) return;
-    for (Touched &t : p.touched) {
+    for (LastTouch &t : p.touched) {
         if (in_touch(p.contacts, t.other))
             t.forget_tick = UINT64_MAX;
         else if (t.forget_tick == UINT64_MAX)
             t.forget_tick = now + bounce_ticks;
     }
-    std::erase_if(p.touched, [this](const Touched &t) { return t.forget_tick <= now; });
+    std::erase_if(p.touched, [this](const LastTouch &t) { return t.forget_tick <= now; });
     for (const Contact &c : p.contacts) {
-        const auto same = [&c](const Touched &t) { return t.other == c.other; };
+        const auto same = [&c](const LastTouch &t) { return t.other == c.other; };
         if (std::any_of(p.touched.begin(), p.touched.end(), same)) continue;
         p.touched.push_back({c.other, UINT64_MAX});
         if (i < c.other) outbox.touches.push_back({now, static_cast<uint32_t>(i), c.other});

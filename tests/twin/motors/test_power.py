@@ -67,9 +67,9 @@ def test_a_shorted_motor_heats_itself_and_takes_nothing():
 
 def test_the_electrical_side_is_mujoco_s_motor():
     """Commutated at 90 degrees a delta is a DC motor of K = 2 lambda/sqrt(3) and 8 R/9 (tests/twin/plant)."""
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: `pip install mujoco`")
     if not hasattr(mujoco.mjtGain, "mjGAIN_DCMOTOR"):
-        pytest.skip("this mujoco has no dcmotor actuator")
+        pytest.skip("this mujoco has no dcmotor actuator: 4.0 or later has")
     micro = 1e6
     constant = 2.0 / np.sqrt(3.0) * float(PAPER["flux_linkage"])
     resistance = 8.0 / 9.0 * float(PAPER["coil_resistance"])
