@@ -1,5 +1,7 @@
 #include "goals/goal_feasibility.hpp"
 
+#include "motion/near_pairs.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -30,25 +32,21 @@ GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const S
     find_near();
 }
 
-// Pairs of arms that can touch: sorted by x, so that thousands of positioners cost no square.
+// Pairs of arms that can touch.
 void GoalFeasibility::find_near() {
     near_.resize(goals_.size());
-    List<PositionerIndex> order;
-    for (const PositionerIndex i : places()) order.push_back(i);
-    std::sort(order.begin(), order.end(), [&](PositionerIndex i, PositionerIndex j) {
-        return std::pair(arm(i).centre_mm.x, i) < std::pair(arm(j).centre_mm.x, j);
-    });
+    List<Vec2> centres;
     double widest = 0.0;
-    for (const PositionerIndex i : places()) widest = std::max(widest, reach_mm(i));
-    for (int p = 0; p < order.size(); ++p)
-        for (int q = p + 1; q < order.size(); ++q) {
-            const PositionerIndex i = order[p], j = order[q];
-            const Vec2 gap = arm(j).centre_mm - arm(i).centre_mm;
-            if (gap.x > 2.0 * widest + need_mm_) break;
-            if (length(gap) >= reach_mm(i) + reach_mm(j) + need_mm_) continue;
-            near_[i].push_back(j);
-            near_[j].push_back(i);
-        }
+    for (const PositionerIndex i : places()) {
+        centres.push_back(arm(i).centre_mm);
+        widest = std::max(widest, 2.0 * reach_mm(i) + need_mm_);
+    }
+    for (const NearPair &pair : near_pairs(centres, widest)) {
+        const PositionerIndex i(pair.first), j(pair.second);
+        if (pair.gap_mm >= reach_mm(i) + reach_mm(j) + need_mm_) continue;
+        near_[i].push_back(j);
+        near_[j].push_back(i);
+    }
     for (auto &list : near_) std::sort(list.begin(), list.end());
 }
 

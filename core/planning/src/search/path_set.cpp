@@ -1,5 +1,7 @@
 #include "search/path_set.hpp"
 
+#include "motion/near_pairs.hpp"
+
 #include <algorithm>
 #include <utility>
 
@@ -29,16 +31,23 @@ void PathSet::add(Robot robot) {
 }
 
 void PathSet::find_neighbours() {
+    List<Vec2> centres;
+    double widest = 0.0;
+    for (const Member &m : members_) {
+        centres.push_back(m.robot.centre());
+        widest = std::max(widest, 2.0 * m.robot.reach_mm() + need_mm_);
+    }
+    List<List<std::pair<double, PathIndex>>, PathIndex> near(size());
+    for (const NearPair &pair : near_pairs(centres, widest)) {
+        const PathIndex i(pair.first), j(pair.second);
+        if (pair.gap_mm >= at(i).robot.reach_mm() + at(j).robot.reach_mm() + need_mm_) continue;
+        near[i].emplace_back(pair.gap_mm, j);
+        near[j].emplace_back(pair.gap_mm, i);
+    }
     for (const PathIndex i : places()) {
-        List<std::pair<double, PathIndex>> near;
-        for (const PathIndex j : places()) {
-            const double gap = length(at(i).robot.centre() - at(j).robot.centre());
-            if (j != i && gap < at(i).robot.reach_mm() + at(j).robot.reach_mm() + need_mm_)
-                near.emplace_back(gap, j);
-        }
-        std::sort(near.begin(), near.end());
+        std::sort(near[i].begin(), near[i].end());
         at(i).neighbours.clear();
-        for (const auto &[gap, j] : near) at(i).neighbours.push_back(j);
+        for (const auto &[gap, j] : near[i]) at(i).neighbours.push_back(j);
     }
 }
 
@@ -65,6 +74,7 @@ void PathSet::extend(int steps) {
 }
 
 void PathSet::set_path(PathIndex i, const List<Cell> &path) {
+    note(i);
     Member &m = at(i);
     m.path = path;
     m.swept.resize(path.size());
@@ -170,6 +180,27 @@ int PathSet::conflicts() const {
     int sum = 0;
     for (const Member &m : members_) sum += m.conflicts.size();
     return sum / 2;
+}
+
+void PathSet::note_changes() {
+    noting_ = true;
+    changed_.clear();
+}
+
+void PathSet::note(PathIndex i) {
+    const auto same = [i](const SavedPath &saved) { return saved.index == i; };
+    if (noting_ && std::none_of(changed_.begin(), changed_.end(), same)) changed_.push_back(save(i));
+}
+
+void PathSet::end_changes(bool keep) {
+    noting_ = false;
+    if (keep) return;
+    List<PathIndex> back;
+    for (SavedPath &saved : changed_) {
+        back.push_back(saved.index);
+        restore(std::move(saved));
+    }
+    for (const PathIndex i : back) count_conflicts(i);
 }
 
 SavedPath PathSet::save(PathIndex i) const { return {i, at(i).path, at(i).swept, at(i).still}; }

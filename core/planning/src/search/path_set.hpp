@@ -81,6 +81,11 @@ class PathSet {
     void count_conflicts(PathIndex i);
     int conflicts() const; // pairs
 
+    // From now on what changes is noted ...
+    void note_changes();
+    // ... until here; unless they are kept, all paths are as they were, with their conflicts.
+    void end_changes(bool keep);
+
     SavedPath save(PathIndex i) const;
     void restore(SavedPath saved);
 
@@ -90,11 +95,14 @@ class PathSet {
     void extend(int steps);
     const SweptArm *swept_at(const Member &member, int step) const;
     void forget_conflicts(PathIndex i);
+    void note(PathIndex i);
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;
     int steps_;
     List<Member, PathIndex> members_;
+    List<SavedPath> changed_; // while noting: those that have changed, as they were
+    bool noting_ = false;
     MovingObstacles moving_;
     MovingObstacles joint_moving_[JointSearch::most];
 };

@@ -1,6 +1,7 @@
 #include "search/repair.hpp"
 
 #include <algorithm>
+#include <utility>
 
 namespace fl::planning {
 namespace {
@@ -11,10 +12,11 @@ constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
 constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
 constexpr int longest_hold = 24;    // steps
 constexpr int most_joint_nodes = 60000;
-constexpr int tidy_excess = 60; // cost above the least
-constexpr int joint_every = 6;  // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;    // a deadline grows by the first one over this
-constexpr int hurry_rounds = 32;
+constexpr int tidy_excess = 60;     // cost above the least
+constexpr int joint_every = 6;      // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;        // a deadline grows by the first one over this
+constexpr int hurry_rounds = 32;    // repairs for one that hurries
+constexpr int most_hurries = 64;    // attempts of one to arrive earlier
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -295,43 +297,44 @@ void Repair::joint_round(Pair pair) {
     judge(pair, group, all ? now : group.conflicts);
 }
 
-int Repair::arrival() const {
-    int last = 0;
-    for (const PathIndex i : paths_.places()) last = std::max(last, paths_.arrival(i));
+PathIndex Repair::last_to_arrive() const {
+    PathIndex last(0);
+    for (const PathIndex i : paths_.places())
+        if (paths_.arrival(i) > paths_.arrival(last)) last = i;
     return last;
 }
 
-// Those that were given more time in need may do with less of it: halves what is above the wish.
+// Those that were given more time in need may do with less of it. One at a time, the last to arrive: halves
+// what it is above the wish. What one knot cannot do without costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
-    for (int low = wanted_steps; arrival() > low;) {
-        List<SavedPath> before;
-        List<int, PathIndex> deadlines;
-        for (const PathIndex i : paths_.places()) {
-            before.push_back(paths_.save(i));
-            deadlines.push_back(paths_.at(i).deadline);
-        }
-        const int deadline = (low + arrival()) / 2;
-        if (squeeze(deadline)) continue;
-        for (SavedPath &saved : before) paths_.restore(std::move(saved));
-        for (const PathIndex i : paths_.places()) {
-            paths_.at(i).deadline = deadlines[i];
-            paths_.count_conflicts(i);
-        }
-        low = deadline + 1;
+    int low = wanted_steps;
+    for (int k = 0; k < most_hurries && paths_.size() > 0; ++k) {
+        const PathIndex last = last_to_arrive();
+        const int arrival = paths_.arrival(last);
+        if (arrival <= low) return;
+        const int deadline = (low + arrival) / 2;
+        if (!squeeze(last, deadline)) low = deadline + 1;
     }
 }
 
-bool Repair::squeeze(int deadline) {
+// One by an earlier deadline, and those in its way as late as they are, at most; all as before if that fails.
+bool Repair::squeeze(PathIndex last, int deadline) {
     for (const PathIndex i : paths_.places()) {
-        paths_.at(i).deadline = std::min(paths_.at(i).deadline, deadline);
+        paths_.at(i).deadline = std::min(paths_.at(i).deadline, std::max(paths_.arrival(i), deadline));
         paths_.at(i).tries = 0;
-        if (paths_.arrival(i) <= deadline) continue;
-        ++statistics_.searches;
-        if (!paths_.seek(i, {}, any_cost, {}, search_)) return false;
-        paths_.count_conflicts(i);
     }
-    return rounds(static_cast<int>(settings_.effort * hurry_rounds));
+    const int before = std::exchange(paths_.at(last).deadline, deadline);
+    paths_.note_changes();
+    ++statistics_.searches;
+    bool done = paths_.seek(last, {}, any_cost, {}, search_);
+    if (done) {
+        paths_.count_conflicts(last);
+        done = rounds(static_cast<int>(settings_.effort * hurry_rounds));
+    }
+    paths_.end_changes(done);
+    if (!done) paths_.at(last).deadline = before;
+    return done;
 }
 
 int Repair::path_cost(const Member &member, const Costs &costs) const {

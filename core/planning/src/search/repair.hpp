@@ -51,8 +51,8 @@ class Repair {
     bool replan(const List<PathIndex> &members, int most);
     void take_back(Group &group);
     void judge(Pair pair, const Group &group, int conflicts_now);
-    bool squeeze(int deadline);
-    int arrival() const;
+    bool squeeze(PathIndex last, int deadline);
+    PathIndex last_to_arrive() const;
     bool rounds(int most);
     std::int64_t most_in_vain() const;
     void give_time(Pair pair);
