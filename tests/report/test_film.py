@@ -13,10 +13,10 @@ from fiberloom._core import geometry
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
 from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, random_pair, verify
-from fiberloom.report.film import film, scene
+from fiberloom.report.film import film, moments
 from fiberloom.report.film.film import Picture, film_title, write_film
 from fiberloom.report.film.formats import require_film
-from fiberloom.report.film.scene import FEWEST, FINER, MOST, NEAR_MM, Scene
+from fiberloom.report.film.moments import FEWEST, FINER, MOST, NEAR_MM, Moments
 
 
 def nothing(done, total):
@@ -29,7 +29,7 @@ def moved(patch):
     start_deg, goal_deg = random_pair(patch, 0)
     made = plan(patch, start_deg, goal_deg)
     assert made.refused == {}
-    return Scene(patch, made, goal_deg), start_deg, verify(patch, made, goal_deg=goal_deg)
+    return Moments(patch, made, goal_deg), start_deg, verify(patch, made, goal_deg=goal_deg)
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +40,18 @@ def stuck(sdssv):
     plane = plane.with_offline([int(plane.positioner_id[5])], start_deg[[5]])
     made = plan(plane, start_deg, goal_deg, settings=PlanSettings(collision_buffer_mm=2.3))
     assert made.refused
-    return Scene(plane, made, goal_deg), verify(plane, made)
+    return Moments(plane, made, goal_deg), verify(plane, made)
 
 
 @pytest.fixture
 def brief(monkeypatch, sdssv):
     """Seven positioners; four pictures, the last one three times."""
-    monkeypatch.setattr(scene, "FEWEST", 3)
-    monkeypatch.setattr(scene, "MOST", 3)
+    monkeypatch.setattr(moments, "FEWEST", 3)
+    monkeypatch.setattr(moments, "MOST", 3)
     monkeypatch.setattr(film, "LAST_S", 0.2)
     plane = generate(sdssv, 0, 7)
     goal_deg = plane.park_deg - [-20.0, 40.0]
-    return Scene(plane, plan(plane, plane.park_deg, goal_deg), goal_deg)
+    return Moments(plane, plan(plane, plane.park_deg, goal_deg), goal_deg)
 
 
 def still(plane):
@@ -89,7 +89,7 @@ def test_a_film_has_as_many_pictures_as_its_motion_is_long(moved, duration_s, st
 
 def test_without_motion_there_is_one_picture(sdssv):
     plane = generate(sdssv, 0, 3)
-    shown = Scene(plane, still(plane), plane.park_deg)
+    shown = Moments(plane, still(plane), plane.park_deg)
     assert (len(shown.pictures), shown.moving.any(), shown.arrived.all()) == (1, False, True)
 
 
@@ -152,7 +152,7 @@ def test_the_title_says_the_result(moved, stuck, sdssv):
     assert film_title(shown, verify(shown.plane, fast)).endswith("NOT VERIFIED")
     alone = generate(sdssv, 0, 1)
     alone = replace(alone, fiducials=alone.fiducials[:0], guide_cameras=alone.guide_cameras[:0])
-    none = Scene(alone, still(alone), alone.park_deg)
+    none = Moments(alone, still(alone), alone.park_deg)
     assert "no neighbours" in film_title(none, verify(alone, none.plan))
     Picture(none, "nothing but one arm").figure.canvas.draw()
 

@@ -185,11 +185,11 @@ class _Planned:
     def film(self, path: Path, wait: Waiting) -> None:
         """Writes the motion as a film."""
         from fiberloom.report.film.film import film_title, write_film
-        from fiberloom.report.film.scene import Scene
+        from fiberloom.report.film.moments import Moments
 
         wait.say("drawing the film")
-        scene = Scene(self.plane, self.plan, self.goal_deg)
-        write_film(path, scene, film_title(scene, self.checked), wait.count)
+        shown = Moments(self.plane, self.plan, self.goal_deg)
+        write_film(path, shown, film_title(shown, self.checked), wait.count)
 
 
 def plan(options: PlanOptions) -> int:

@@ -9,7 +9,7 @@ from fiberloom import planning
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import PlanSettings, random_pair, read_configuration, write_configuration
-from fiberloom.report.film import film, scene
+from fiberloom.report.film import film, moments
 
 N = 7
 
@@ -158,8 +158,8 @@ def test_arms_that_overlap_at_the_start_are_told_and_what_to_do(fl, tmp_path):
 
 @pytest.fixture
 def brief(monkeypatch):
-    monkeypatch.setattr(scene, "FEWEST", 2)
-    monkeypatch.setattr(scene, "MOST", 2)
+    monkeypatch.setattr(moments, "FEWEST", 2)
+    monkeypatch.setattr(moments, "MOST", 2)
     monkeypatch.setattr(film, "LAST_S", 0.0)
 
 

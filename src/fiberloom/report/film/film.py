@@ -24,7 +24,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning import Verification
 from fiberloom.report.film.formats import GIF, require_film
-from fiberloom.report.film.scene import NEAR_MM, Scene
+from fiberloom.report.film.moments import NEAR_MM, Moments
 from fiberloom.wholefile import whole
 
 SIZE_IN, DPI = (9.0, 10.0), 100
@@ -46,33 +46,33 @@ _IN_A_ROW = 6
 _INCH_PT = 72.0
 
 
-def write_film(path: Path, scene: Scene, title: str, progress: Callable[[int, int], None]) -> None:
-    """Write the motion of a scene as .gif or .mp4.
+def write_film(path: Path, shown: Moments, title: str, progress: Callable[[int, int], None]) -> None:
+    """Write a plan at its moments as .gif or .mp4.
 
-    `path`: file to write; `title`: the result, as of `film_title`; `progress`: called with how many pictures
-    are drawn, of how many. InputError where it cannot be made or written.
+    `path`: file to write; `shown`: the plan; `title`: the result, as of `film_title`; `progress`: called with
+    how many pictures are drawn, of how many. InputError where it cannot be made or written.
     """
     require_film("film", path)
-    picture = Picture(scene, title)
-    shown = [*scene.pictures, *[scene.pictures[-1]] * round(LAST_S * PICTURES_PER_S)]
+    picture = Picture(shown, title)
+    order = [*shown.pictures, *[shown.pictures[-1]] * round(LAST_S * PICTURES_PER_S)]
     with _writing(path, picture.figure) as writer:
-        for done, moment in enumerate(shown, 1):
+        for done, moment in enumerate(order, 1):
             picture.show(int(moment))
             writer.grab_frame()
-            progress(done, len(shown))
+            progress(done, len(order))
 
 
-def film_title(scene: Scene, checked: Verification) -> str:
+def film_title(shown: Moments, checked: Verification) -> str:
     """What the motion comes to, in a line."""
-    n, refused = scene.plane.n, int(scene.refused.sum())
+    n, refused = shown.plane.n, int(shown.refused.sum())
     who = f"{n - refused} of {n} positioners arrive" if refused else f"{n} positioners"
     gap = "no neighbours"
-    if checked.contacts:
-        gap = f"{len(checked.contacts)} pairs overlap and stay"
+    if overlaps := len(checked.contacts):
+        gap = f"{overlaps} pairs overlap and stay" if overlaps > 1 else "a pair overlaps and stays"
     elif np.isfinite(checked.min_clearance_mm):
         gap = f"least gap {checked.min_clearance_mm:.3f} mm beyond the buffer"
     proof = "verified" if checked.ok else "NOT VERIFIED"
-    return f"{who}, {scene.plan.duration_s:.1f} s of motion, {gap}, {proof}"
+    return f"{who}, {shown.plan.duration_s:.1f} s of motion, {gap}, {proof}"
 
 
 @contextmanager
@@ -143,19 +143,19 @@ def _palette() -> NDArray[np.uint8]:
 
 
 class Picture:
-    """The figure of a scene; `show` sets it to a moment."""
+    """The figure of a plan; `show` sets it to a moment."""
 
-    def __init__(self, scene: Scene, title: str) -> None:
-        self.scene = scene
+    def __init__(self, shown: Moments, title: str) -> None:
+        self.shown = shown
         self.figure = Figure(figsize=SIZE_IN)
         size_pt = min(_TITLE_PT, _TITLE_PT * _TITLE_LETTERS / len(title))
         self.figure.text(0.5, 0.985, title, ha="center", va="top", fontsize=size_pt, weight="bold")
         self.field = self.figure.add_axes(_FIELD)
-        self.pt_per_mm = _frame(self.field, scene)
+        self.pt_per_mm = _frame(self.field, shown)
         self.fiducials, self.cameras = self._draw_obstacles()
-        self.alpha_arms = self._lines(ALPHA, 1.0 if scene.plane.n > 100 else 2.0, 2)
-        self.buffers = self._lines(ALONE, self._pt(2.0 * scene.plan.collision_buffer_mm), 1)
-        body_mm = 2.0 * BODY_SHARE * scene.plane.collision_buffer_mm
+        self.alpha_arms = self._lines(ALPHA, 1.0 if shown.plane.n > 100 else 2.0, 2)
+        self.buffers = self._lines(ALONE, self._pt(2.0 * shown.plan.collision_buffer_mm), 1)
+        body_mm = 2.0 * BODY_SHARE * shown.plane.collision_buffer_mm
         self.beta_arms = self._lines(RESTING, self._pt(0.6 * body_mm), 3)
         self.goals = self._draw_goals()
         self._name_refused()
@@ -165,28 +165,28 @@ class Picture:
         self.show(0)
 
     def show(self, moment: int) -> None:
-        """Sets arms, colours and clock to a moment of the scene."""
-        scene, (alpha_deg, beta_deg) = self.scene, self.scene.angles_deg[moment].T
-        elbows = scene.plane.elbows_mm(alpha_deg)
-        self.alpha_arms.set_segments([*np.stack([scene.plane.centres_mm, elbows], axis=1)])
-        lines = [*scene.plane.beta_segments(alpha_deg, beta_deg).reshape(-1, 2, 2)]
+        """Sets arms, colours and clock to a moment, by its number."""
+        shown, (alpha_deg, beta_deg) = self.shown, self.shown.angles_deg[moment].T
+        elbows = shown.plane.elbows_mm(alpha_deg)
+        self.alpha_arms.set_segments([*np.stack([shown.plane.centres_mm, elbows], axis=1)])
+        lines = [*shown.plane.beta_segments(alpha_deg, beta_deg).reshape(-1, 2, 2)]
         self.buffers.set_segments(lines)
         self.beta_arms.set_segments(lines)
-        near, n = scene.near[moment], scene.plane.n
-        self.buffers.set_color(list(np.where(near[:n], NEAR, np.where(scene.refused, STRANDED, ALONE))))
+        near, n = shown.near[moment], shown.plane.n
+        self.buffers.set_color(list(np.where(near[:n], NEAR, np.where(shown.refused, STRANDED, ALONE))))
         self.beta_arms.set_color(list(self._colours(moment)))
-        obstacles, discs = list(np.where(near[n:], NEAR, OBSTACLE)), len(scene.plane.fiducials)
+        obstacles, discs = list(np.where(near[n:], NEAR, OBSTACLE)), len(shown.plane.fiducials)
         self.fiducials.set_color(obstacles[:discs])
         self.cameras.set_color(obstacles[discs:])
-        self.goals.set_facecolor(list(np.where(scene.arrived[moment], ARRIVED, "white")))
-        time_s = scene.time_s[moment]
-        self.clock.set_text(f"{time_s:.1f} s   {int(scene.moving[moment].sum())} in motion")
+        self.goals.set_facecolor(list(np.where(shown.arrived[moment], ARRIVED, "white")))
+        time_s = shown.time_s[moment]
+        self.clock.set_text(f"{time_s:.1f} s   {int(shown.moving[moment].sum())} in motion")
         for line in self.now:
             line.set_xdata([time_s, time_s])
 
     def _colours(self, moment: int) -> NDArray[np.str_]:
-        scene = self.scene
-        state = [scene.plane.offline, scene.refused, scene.moving[moment], scene.arrived[moment]]
+        shown = self.shown
+        state = [shown.plane.offline, shown.refused, shown.moving[moment], shown.arrived[moment]]
         return np.asarray(np.select(state, [OFFLINE, REFUSED, MOVING, ARRIVED], RESTING))
 
     def _pt(self, mm: float, least: float = 0.8) -> float:
@@ -199,7 +199,7 @@ class Picture:
 
     def _draw_obstacles(self) -> tuple[PathCollection, LineCollection]:
         """Fiducials as discs, guide cameras as lines with round ends, as large as they are."""
-        plane = self.scene.plane
+        plane = self.shown.plane
         x, y, radius = plane.fiducials.T
         discs = self.field.scatter(x, y, s=(2.0 * radius * self.pt_per_mm) ** 2, linewidths=0, zorder=0)
         cameras = self._lines(OBSTACLE, 1.0, 0)
@@ -208,30 +208,30 @@ class Picture:
         return discs, cameras
 
     def _draw_goals(self) -> PathCollection:
-        plane, goal_deg = self.scene.plane, self.scene.goal_deg
+        plane, goal_deg = self.shown.plane, self.shown.goal_deg
         x, y = np.where(plane.offline, np.nan, plane.forward(goal_deg[:, 0], goal_deg[:, 1]).T)
-        edge = list(np.where(self.scene.refused, REFUSED, GOAL))
+        edge = list(np.where(self.shown.refused, REFUSED, GOAL))
         size_pt = self._pt(1.6, least=2.6)
         return self.field.scatter(x, y, s=size_pt**2, facecolor="white", edgecolor=edge, lw=0.8, zorder=5)
 
     def _name_refused(self) -> None:
-        scene = self.scene
-        for row in np.flatnonzero(scene.refused)[:_MOST_NAMED]:
+        shown = self.shown
+        for row in np.flatnonzero(shown.refused)[:_MOST_NAMED]:
             self.field.annotate(
-                str(scene.plane.positioner_id[row]), scene.plane.centres_mm[row], color=REFUSED,
+                str(shown.plane.positioner_id[row]), shown.plane.centres_mm[row], color=REFUSED,
                 fontsize=8, weight="bold", ha="center", va="center", zorder=6,
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8},
             )  # fmt: skip
 
     def _draw_curves(self) -> list[Line2D]:
         """Who is in motion and the least gap against time; the lines that say what time it is."""
-        scene, end_s = self.scene, max(self.scene.plan.duration_s, 0.1)
+        shown, end_s = self.shown, max(self.shown.plan.duration_s, 0.1)
         above, below = (self.figure.add_axes(box) for box in _CURVES)
-        above.fill_between(scene.time_s, scene.moving.sum(axis=1), step="mid", color=MOVING, alpha=0.35)
+        above.fill_between(shown.time_s, shown.moving.sum(axis=1), step="mid", color=MOVING, alpha=0.35)
         above.set(ylim=(0, None), xticklabels=[])
-        gap_mm = scene.least_gap_mm
+        gap_mm = shown.least_gap_mm
         below.axhspan(0.0, NEAR_MM, color=NEAR, alpha=0.2, linewidth=0)
-        below.plot(scene.time_s, gap_mm, color=CURVE, linewidth=1.2)
+        below.plot(shown.time_s, gap_mm, color=CURVE, linewidth=1.2)
         top_mm = max(1.2 * NEAR_MM, 1.05 * float(gap_mm[np.isfinite(gap_mm)].max(initial=0.0)))
         below.set(ylim=(min(0.0, 1.05 * float(gap_mm.min())), top_mm))
         below.set_xlabel("time [s]", fontsize=9, labelpad=1)
@@ -243,12 +243,12 @@ class Picture:
         return [axes.axvline(0.0, color="black", linewidth=1.2) for axes in (above, below)]
 
     def _draw_legend(self) -> None:
-        scene = self.scene
+        shown = self.shown
         said = [(MOVING, "in motion"), (RESTING, "waiting"), (ARRIVED, "at its goal")]
-        said += [(REFUSED, "does not arrive")] if scene.refused.any() else []
-        said += [(OFFLINE, "offline")] if scene.plane.offline.any() else []
+        said += [(REFUSED, "does not arrive")] if shown.refused.any() else []
+        said += [(OFFLINE, "offline")] if shown.plane.offline.any() else []
         said += [(NEAR, f"less than {NEAR_MM:g} mm beyond the buffers")]
-        said += [(OBSTACLE, "fiducial, guide camera")] if len(scene.bodies.obstacles) else []
+        said += [(OBSTACLE, "fiducial, guide camera")] if len(shown.bodies.obstacles) else []
         marks = [Line2D([], [], color=c, linewidth=6, solid_capstyle="round", label=t) for c, t in said]
         marks.append(Line2D([], [], linestyle="", marker="o", mfc="white", mec=GOAL, label="goal"))
         top, columns = (0.96, len(marks)) if len(marks) <= _IN_A_ROW else (0.968, 4)
@@ -258,9 +258,9 @@ class Picture:
         )  # fmt: skip
 
 
-def _frame(axes: Axes, scene: Scene) -> float:
+def _frame(axes: Axes, shown: Moments) -> float:
     """Shows what the arms reach, x and y alike; points of the page in a mm."""
-    plane = scene.plane
+    plane = shown.plane
     margin_mm = 1.15 * float(plane.body_reach_mm.max(initial=1.0))
     low, high = plane.centres_mm.min(axis=0) - margin_mm, plane.centres_mm.max(axis=0) + margin_mm
     width_pt, height_pt = (_INCH_PT * s * f for s, f in zip(SIZE_IN, _FIELD[2:], strict=True))

@@ -29,7 +29,7 @@ _STILL_DEG = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Moments:
     """A plan at T moments. Arrays have the N positioners of the plane in its order."""
 
     plane: FocalPlane
