@@ -213,6 +213,18 @@ def test_colours_say_who_moves_who_is_near_and_who_does_not_arrive(stuck):
     np.testing.assert_array_equal(filled, plain)
 
 
+def test_obstacles_that_arms_come_near_are_marked(moved):
+    shown = moved[0]
+    obstacles = shown.near[:, shown.plane.n :]
+    moment = int(shown.pictures[obstacles[shown.pictures].sum(axis=1).argmax()])
+    assert obstacles[moment].any()
+    picture = Picture(shown, "title")
+    picture.show(moment)
+    colours = [*picture.fiducials.get_facecolors(), *picture.cameras.get_colors()]
+    expected = np.where(obstacles[moment], film.NEAR, film.OBSTACLE)
+    assert [to_hex(c) for c in colours] == expected.tolist()
+
+
 def test_the_clock_runs(moved):
     picture, shown = Picture(moved[0], "title"), moved[0]
     moment = int(shown.pictures[30])
