@@ -100,23 +100,32 @@ def test_the_least_gap_is_the_verifiers_but_for_sampling(moved):
     assert checked.min_clearance_mm - 1e-4 < least_mm < checked.min_clearance_mm + 0.05
 
 
-def test_arms_that_are_near_are_marked_and_no_others(moved):
-    shown = moved[0]
+def gaps_beyond_buffers_mm(shown, moment):
+    """(N, N + K) between all bodies, one pair at a time; inf of a body to itself."""
+    lines = shown.plane.beta_segments(*shown.angles_deg[moment].T)
     radius, n = shown.plan.collision_buffer_mm, shown.plane.n
-    for moment in shown.pictures[::20]:
-        lines = shown.plane.beta_segments(*shown.angles_deg[moment].T)
-        expected = set()
-        for row in range(n):
-            mine = np.tile(lines[row], (n - 1, 1))
-            others = np.delete(np.arange(n), row)
-            gaps = geometry.segment_distance(mine, lines[others]) - 2.0 * radius
-            expected |= {row} if gaps.min() < NEAR_MM else set()
-        obstacles = shown.bodies.obstacles
-        for k, body in enumerate(obstacles):
-            gaps = geometry.segment_distance(lines, np.tile(body[:4], (n, 1))) - radius - body[4]
-            expected |= {*np.flatnonzero(gaps < NEAR_MM)} | ({n + k} if gaps.min() < NEAR_MM else set())
-        assert set(np.flatnonzero(shown.near[moment])) == expected
+    obstacles = shown.bodies.obstacles
+    others = np.vstack([lines, obstacles[:, :4]])
+    radii = np.concatenate([np.full(n, radius), obstacles[:, 4]])
+    gaps = np.array([geometry.segment_distance(np.tile(mine, (len(others), 1)), others) for mine in lines])
+    gaps -= radius + radii
+    gaps[np.arange(n), np.arange(n)] = np.inf
+    return gaps
+
+
+def test_arms_that_are_near_are_marked_and_the_least_gap_is_of_all_bodies(moved):
+    shown, at_obstacle = moved[0], 0
+    n = shown.plane.n
+    for moment in shown.pictures[::5]:
+        gaps = gaps_beyond_buffers_mm(shown, moment)
+        close = gaps < NEAR_MM
+        expected = close.any(axis=0)
+        expected[:n] |= close.any(axis=1)
+        np.testing.assert_array_equal(shown.near[moment], expected)
+        assert shown.least_gap_mm[moment] == pytest.approx(gaps.min(), abs=1e-9)
+        at_obstacle += gaps[:, n:].min() < gaps[:, :n].min()
     assert shown.near.any()
+    assert at_obstacle  # or they are not looked at
 
 
 def test_pairs_that_overlap_and_stay_do_not_hide_the_least_gap(stuck):
