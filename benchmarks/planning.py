@@ -3,8 +3,8 @@
     python benchmarks/planning.py --pairs 5 --buffer 2.0 2.5 --layout DIR --out planning.json
 
 Each pair is drawn so that every positioner stands free with 0.2 mm to spare at both ends and, alone,
-gets from one to the other. The bound is the largest way of an axis (approach included) at the speed
-planned with. Every plan is verified; the verifier's time is given apart. One thread.
+gets from one to the other. The bound is that of `fiberloom.planning.bound_s`. Every plan is verified; the
+verifier's time is given apart. One thread.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
-from fiberloom.planning import PlanSettings, plan, random_pair, verify
+from fiberloom.planning import PlanSettings, bound_s, plan, random_pair, verify
 from fiberloom.version import __version__
 
 INSTRUMENT = load_instrument("sdssv")
@@ -82,16 +82,14 @@ def one_pair(plane: FocalPlane, buffer_mm: float, seed: int, deadline: float) ->
     made = plan(plane, start_deg, goal_deg, seed=seed, settings=settings)
     begin = time.thread_time()
     found = verify(plane, made, start_deg=start_deg, goal_deg=goal_deg)
-    speed_deg_s = settings.of(plane).speed_deg_s
-    approach_deg = plane.instrument.alpha.approach_deg
-    way_deg = np.abs(goal_deg + approach_deg - start_deg).max() + approach_deg
+    least_s = bound_s(plane, start_deg, goal_deg, settings=settings)
     return {
         "seed": seed,
         "solved": not made.refused,
         "verified": found.ok,
         "refused": list(made.refused.values()),
         "motion_s": made.duration_s,
-        "ratio": made.duration_s / (way_deg / speed_deg_s),
+        "ratio": made.duration_s / least_s,
         "plan_cpu_s": made.cpu_s,
         "verify_cpu_s": time.thread_time() - begin,
         "clearance_mm": found.min_clearance_mm,

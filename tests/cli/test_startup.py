@@ -70,6 +70,8 @@ def test_help_loads_nothing_heavy(words, folder):
         ("observe good.csv --layout nowhere", "nowhere: no such directory"),
         ("assign bad.csv", "no column x_mm"),
         ("plan --start a.csv --goal good.csv", "a.csv: no such file"),
+        ("plan --start good.csv --goal good.csv --animate x.avi", "--animate x.avi: a film is"),
+        ("plan --start good.csv --goal good.csv --buffer 0", "--buffer 0: must be a finite number"),
         ("verify t.json", "t.json"),
         ("twin --faults dark=1", "cannot act on dark"),
         ("twin --listen 19228", "HOST:PORT"),

@@ -13,6 +13,7 @@ from fiberloom.planning import (
     Plan,
     PlanSettings,
     Trajectory,
+    bound_s,
     plan,
     plan_corrections,
     random_configuration,
@@ -42,9 +43,27 @@ def test_a_hundred_positioners_go_directly_from_a_to_b(seed):
     plane, start_deg, goal_deg, made = solved(100, seed)
     assert made.refused == {}
     assert_sound(plane, start_deg, goal_deg, made)
-    bound_s = (np.abs(goal_deg - start_deg).max() + APPROACH_DEG) / 11.7
-    assert made.duration_s < 1.5 * bound_s
+    least_s = bound_s(plane, start_deg, goal_deg)
+    assert least_s < made.duration_s < 1.5 * least_s
     np.testing.assert_allclose(made.end_deg, goal_deg, atol=1e-8)
+
+
+def test_the_bound_is_the_longest_way_of_one_axis_with_its_approach():
+    plane = field(7)
+    start_deg = np.tile([100.0, 180.0], (7, 1))
+    goal_deg = start_deg.copy()
+    assert bound_s(plane, start_deg, goal_deg) == 0.0
+    # down: the place above the goal is nearer, then the approach
+    goal_deg[1, 1] -= 58.5
+    assert bound_s(plane, start_deg, goal_deg) == pytest.approx(58.5 / 11.7, rel=1e-12)
+    # up: beyond the goal and back
+    goal_deg[4, 0] += 117.0
+    assert bound_s(plane, start_deg, goal_deg) == pytest.approx((117.0 + 2 * APPROACH_DEG) / 11.7, rel=1e-12)
+    fourth = int(plane.positioner_id[4])
+    assert bound_s(plane, start_deg, goal_deg, refused=[fourth]) == pytest.approx(5.0, rel=1e-12)
+    assert bound_s(plane.with_offline([fourth]), start_deg, goal_deg) == pytest.approx(5.0, rel=1e-12)
+    half = PlanSettings(speed_deg_s=5.85)
+    assert bound_s(plane, start_deg, goal_deg, settings=half, refused={fourth: "why"}) == pytest.approx(10.0)
 
 
 def test_dense_sampling_in_numpy_agrees_with_the_verifier():

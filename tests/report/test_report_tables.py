@@ -100,6 +100,8 @@ def test_a_report_is_two_columns_a_list_of_them_one_table(capsys):
     print_report([{"row_id": 1, "off_um": 2.0}, {"row_id": 2, "off_um": 0.123456}])
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip(" ─")]
     assert lines == [["row", "id", "off", "um"], ["1", "2"], ["2", "0.1235"]]
+    print_report({"not_known": None})
+    assert capsys.readouterr().out.split() == ["not", "known", "-"]
     print_report([])
     assert capsys.readouterr().out == "nothing to show\n"
 
@@ -194,6 +196,8 @@ def test_a_folder_is_proven_to_be_writable_and_left_empty(tmp_path):
     (tmp_path / "file").write_text("kept")
     with pytest.raises(InputError, match=r"--out .*file.*: cannot write there .*; choose another folder"):
         prepare_folder(tmp_path / "file" / "below")
+    with pytest.raises(InputError, match=r"^--animate .*file.*: cannot write there"):
+        prepare_folder(tmp_path / "file" / "below", "--animate")
 
 
 def test_a_file_is_proven_to_be_writable_and_keeps_its_content(tmp_path):

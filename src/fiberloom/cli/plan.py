@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.options import JsonOptions, PlaneOptions, naming, require_file, require_folder
-from fiberloom.cli.terminal import waiting
+from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.assignment import Assignment
     from fiberloom.instruments import FocalPlane
-    from fiberloom.planning import Plan
+    from fiberloom.planning import Plan, PlanSettings, Verification
     from fiberloom.targets import TargetList
+    from fiberloom.typing import Floats
 
 TargetsArgument = Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS confSummary file.")]
 
@@ -93,7 +95,101 @@ class PlanOptions(PlaneOptions, JsonOptions):
 
     start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")]
     goal: Annotated[Path, typer.Option(help="Configuration CSV to reach.")]
+    buffer: Annotated[
+        float | None, typer.Option(help="Collision buffer to plan with, mm; default: the instrument's.")
+    ] = None
     out: Annotated[Path, typer.Option(help="Trajectories to write.")] = Path("trajectories.json")
+    animate: Annotated[
+        Path | None, typer.Option(help="Film of the motion to write, .gif or .mp4 (needs ffmpeg).")
+    ] = None
+
+    def check(self) -> None:
+        """Raises InputError for what can be found wrong without a slow import."""
+        require_file(self.start)
+        require_file(self.goal)
+        self.check_plane()
+        _require_buffer(self.buffer)
+        if self.animate is not None:
+            from fiberloom.report.film.formats import require_film
+
+            require_film("--animate", self.animate)
+
+    def prepare(self) -> None:
+        """Makes the folders of what is written, before anything long is started."""
+        from fiberloom.report.folder import prepare_folder
+
+        prepare_folder(self.out.parent)
+        if self.animate is not None:
+            prepare_folder(self.animate.parent, "--animate")
+
+
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """A plan with what it was made from, and what the verifier says of it."""
+
+    plane: FocalPlane
+    start_deg: Floats
+    goal_deg: Floats
+    settings: PlanSettings
+    plan: Plan
+    checked: Verification
+
+    def report(self) -> dict[str, Any]:
+        """What a plan comes to, for operators and for machines."""
+        from fiberloom.planning import bound_s
+
+        n, made = self.plane.n, self.plan
+        ends, refused = (self.start_deg, self.goal_deg), made.refused
+        least_s = bound_s(self.plane, *ends, settings=self.settings, refused=refused)
+        points = [len(robot.time_s) for robot in made.robots]
+        gap_mm = self.checked.min_clearance_mm
+        return {
+            "robots": n,
+            "arrived": n - len(refused),
+            "not_arrived": [why for _, why in sorted(refused.items())],
+            "notes": self.notes(),
+            "buffer_mm": made.collision_buffer_mm,
+            "bound_s": least_s,
+            "motion_s": made.duration_s,
+            "motion_over_bound": made.duration_s / least_s if least_s else None,
+            "cpu_s": made.cpu_s,
+            "points_per_axis_mean": sum(points) / n,
+            "points_per_axis_worst": max(points),
+            "min_clearance_mm": gap_mm if math.isfinite(gap_mm) else None,
+            "verified": self.checked.ok,
+        }
+
+    def notes(self) -> list[str]:
+        """What an operator should know before the trajectories are sent."""
+        from fiberloom.planning.trajectories import least_buffer_mm
+
+        plane, has_mm = self.plane, self.plan.collision_buffer_mm
+        notes = []
+        if has_mm < plane.collision_buffer_mm:
+            only = has_mm < least_buffer_mm(plane) - 1e-9
+            hint = f"; `fiberloom verify` takes the file with --buffer {has_mm:g} only" if only else ""
+            notes.append(
+                f"planned with a buffer of {has_mm:g} mm, below the {plane.collision_buffer_mm:g} mm of "
+                f"{plane.instrument.name}: arms come nearer than the instrument allows{hint}"
+            )
+        if plane.offline.any():
+            names = ", ".join(map(str, plane.positioner_id[plane.offline]))
+            notes.append(f"offline, stay where they are: positioner {names}")
+        if self.checked.contacts:
+            notes += _some([f"overlap, and stay: {contact}" for contact in self.checked.contacts])
+            wide = has_mm > plane.collision_buffer_mm
+            recover = "`fiberloom recover` takes arms apart that touch"
+            notes.append("a smaller --buffer may let them move" if wide else recover)
+        return notes
+
+    def film(self, path: Path, wait: Waiting) -> None:
+        """Writes the motion as a film."""
+        from fiberloom.report.film.film import film_title, write_film
+        from fiberloom.report.film.moments import Moments
+
+        wait.say("drawing the film")
+        shown = Moments(self.plane, self.plan, self.goal_deg)
+        write_film(path, shown, film_title(shown, self.checked), wait.count)
 
 
 def plan(options: PlanOptions) -> int:
@@ -101,43 +197,48 @@ def plan(options: PlanOptions) -> int:
 
     Exit code 1 where a positioner does not arrive, or the plan is not verified and not written.
     """
-    require_file(options.start)
-    require_file(options.goal)
-    options.check_plane()
+    options.check()
     from fiberloom import planning
 
     plane = options.plane()
     start_deg, goal_deg = (planning.read_configuration(f, plane) for f in (options.start, options.goal))
-    require_folder(options.out.parent)
+    options.prepare()
     with waiting(options.as_json) as wait:
-
-        def told(stage: str, done: int, total: int) -> None:
-            wait.say(stage)
-            wait.count(done, total)
-
-        wait.say(f"planning {plane.n} trajectories")
-        settings = planning.PlanSettings(progress=told)
-        planned = planning.plan(plane, start_deg, goal_deg, seed=options.seed, settings=settings)
-        wait.say("verifying them in continuous time")
-        checked = planning.verify(plane, planned)
-    if not checked.ok:
-        options.show(_verdict([planned], [checked]) | {"trajectories": "not written"})
+        found = _planned(options, plane, (start_deg, goal_deg), wait)
+    if not found.checked.ok:
+        options.show(_verdict([found.plan], [found.checked]) | {"trajectories": "not written"})
         return 1
     from fiberloom.report.outputs import marks
 
-    planned.save(options.out, **marks(plane, options.seed))
-    options.show(
-        {
-            "robots": len(plane),
-            "arrived": len(plane) - len(planned.refused),
-            "not_arrived": list(planned.refused.values()),
-            "motion_s": planned.duration_s,
-            "cpu_s": planned.cpu_s,
-            "verified": checked.ok,
-            "trajectories": str(options.out),
-        }
-    )
-    return 1 if planned.refused else 0
+    found.plan.save(options.out, **marks(plane, options.seed))
+    report = found.report() | {"trajectories": str(options.out)}
+    if options.animate is not None:
+        try:
+            with waiting(options.as_json) as wait:
+                found.film(options.animate, wait)
+        except InputError:  # the trajectories are there all the same
+            options.show(report | {"film": "not made"})
+            raise
+        report["film"] = str(options.animate)
+    options.show(report)
+    return 1 if found.plan.refused else 0
+
+
+def _planned(options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats], wait: Waiting) -> _Planned:
+    """Plans, and has the verifier check the plan with the same buffer."""
+    from fiberloom import planning
+
+    def told(stage: str, done: int, total: int) -> None:
+        wait.say(stage)
+        wait.count(done, total)
+
+    wait.say(f"planning {plane.n} trajectories")
+    settings = planning.PlanSettings(collision_buffer_mm=options.buffer, progress=told).of(plane)
+    made = planning.plan(plane, *ends, seed=options.seed, settings=settings)
+    wait.say("verifying them in continuous time")
+    limits = planning.MotionLimits(collision_buffer_mm=settings.collision_buffer_mm)
+    checked = planning.verify(plane, made, goal_deg=ends[1], limits=limits)
+    return _Planned(plane, *ends, settings, made, checked)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,11 +261,10 @@ def verify(options: VerifyOptions) -> int:
     """
     require_file(options.trajectories)
     options.check_plane()
+    _require_buffer(options.buffer)
     from fiberloom import planning
 
     plane, asked_mm = options.plane(), options.buffer
-    if asked_mm is not None and not 0.0 < asked_mm < float("inf"):
-        raise InputError(f"--buffer {asked_mm:g}: must be above 0 mm")
     plans = planning.read_plans(options.trajectories, plane, buffer_mm=asked_mm)
     limits = planning.MotionLimits(collision_buffer_mm=asked_mm)
     verdict = _verdict(plans, [planning.verify(plane, p, limits=limits) for p in plans])
@@ -176,6 +276,12 @@ def verify(options: VerifyOptions) -> int:
     }
     options.show(verdict)
     return 0 if verdict["verified"] else 1
+
+
+def _require_buffer(asked_mm: float | None) -> None:
+    """Raises InputError for a buffer that no arm can have."""
+    if asked_mm is not None and not 0.0 < asked_mm < math.inf:
+        raise InputError(f"--buffer {asked_mm:g}: must be a finite number above 0 mm")
 
 
 def _verdict(plans: Sequence[Plan], checks: Sequence[Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fiberloom.lazy import on_use
 
 if TYPE_CHECKING:
+    from fiberloom.planning.bound import bound_s
     from fiberloom.planning.configuration import read_configuration, write_configuration
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
@@ -26,6 +27,7 @@ __all__ = [
     "Untangled",
     "Verification",
     "Violation",
+    "bound_s",
     "plan",
     "plan_corrections",
     "random_configuration",

@@ -97,11 +97,18 @@ class Surroundings:
         rows = np.repeat(np.arange(self.plane.n), [len(k) for k in later])
         return rows, np.concatenate([np.zeros(0, dtype=np.int64), *later])
 
-    def overlapping(self, here_rad: Floats) -> dict[tuple[int, int], float]:
-        """Pairs (row, body) that overlap, row < body, and by how much in mm."""
+    def gaps_of_pairs_mm(self, here_rad: Floats) -> tuple[Ints, Ints, Floats]:
+        """Rows (P,), bodies after them that their arms can touch, and their signed gaps in mm.
+
+        `here_rad` (N, 2): where all arms are.
+        """
         rows, others = self._pairs
         theirs, radii = self._bodies(others, here_rad)
-        gaps = signed_distance_mm(self._arms_mm(rows, here_rad), theirs) - radii
+        return rows, others, signed_distance_mm(self._arms_mm(rows, here_rad), theirs) - radii
+
+    def overlapping(self, here_rad: Floats) -> dict[tuple[int, int], float]:
+        """Pairs (row, body) that overlap, row < body, and by how much in mm."""
+        rows, others, gaps = self.gaps_of_pairs_mm(here_rad)
         found = np.flatnonzero(gaps < -TOUCHING_MM)
         return {(int(rows[k]), int(others[k])): -float(gaps[k]) for k in found}
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.planning.bodies import (
     CollisionBodies,
     angles_rad,
@@ -28,6 +29,9 @@ transmission is not linear; 12 deg/s become 11.7, 2000 rpm of the motor."""
 
 DECIMALS_DEG = 9
 """Angles are rounded to this before they are verified: the JSON form says exactly what was."""
+
+_ANGLE_DEG = 1e-6
+"""Angles that differ by less are the same to an operator."""
 
 _RETRIES = 3
 _UNVERIFIED = "its motion did not pass the verifier; please report this"
@@ -214,12 +218,25 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
         settings,
     )
     names = task.plane.positioner_id
-    why = {int(names[i]): _reason(names, i, text, other) for i, text, other in refused}
+    why = {
+        int(names[i]): _reason(names, i, text, other) + _beyond_travel(task, i) for i, text, other in refused
+    }
     return _assembled(task, motions, unsafe | why, statistics)
 
 
 def _reason(names: Ints, row: int, why: str, other: int) -> str:
     return f"positioner {names[row]}: {why}" + (f" (positioner {names[other]})" if other >= 0 else "")
+
+
+def _beyond_travel(task: _Task, row: int) -> str:
+    """The axes on which a goal, or its approach, is out of reach: what they would need, what they have."""
+    needed = rad_to_deg(np.column_stack([task.goal[row], task.goal[row] + task.approach[row]]))
+    travel = rad_to_deg(travel_rad(task.plane))
+    return "".join(
+        f"; {axis} needs {low:g} to {high:g} deg, and has {least:g} to {most:g} deg"
+        for axis, (low, high), (least, most) in zip(AXES, needed, travel, strict=True)
+        if low < least - _ANGLE_DEG or high > most + _ANGLE_DEG
+    )
 
 
 def _assembled(

@@ -11,8 +11,11 @@ from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
 
 
-def prepare_folder(out: Path) -> Path:
-    """Make the folder and prove that it can be written, before anything long is started."""
+def prepare_folder(out: Path, option: str = "--out") -> Path:
+    """Make the folder and prove that it can be written, before anything long is started.
+
+    `option`: what named it, for the message of the InputError.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         probe = out / f".write-test-{uuid.uuid4().hex}"
@@ -20,7 +23,7 @@ def prepare_folder(out: Path) -> Path:
         probe.unlink()
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(f"--out {out}: cannot write there ({reason}); choose another folder") from None
+        raise InputError(f"{option} {out}: cannot write there ({reason}); choose another folder") from None
     return out
 
 

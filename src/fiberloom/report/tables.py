@@ -66,6 +66,8 @@ def _estimate_cells(row: Mapping[str, Any], known: bool) -> list[str]:
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return "-"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):

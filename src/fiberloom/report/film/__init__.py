@@ -1,0 +1,1 @@
+"""A plan as a film: the arms of all positioners, and a clock."""
