@@ -90,8 +90,7 @@ def job_of(
 
 
 def asked(plane: FocalPlane, job: dict[str, Any], limit_s: float, python: Path = PYTHON) -> Answer:
-    """One reconfiguration; one that takes longer than `limit_s` of real time has failed for all."""
-    everybody = plane.positioner_id.tolist()
+    """One reconfiguration; where it takes longer than `limit_s` of real time, nobody arrives."""
     with tempfile.TemporaryDirectory() as folder:
         names = [Path(folder) / name for name in ("job.json", "out.json")]
         names[0].write_text(json.dumps(job))
@@ -102,10 +101,16 @@ def asked(plane: FocalPlane, job: dict[str, Any], limit_s: float, python: Path =
                 words, env=alone, capture_output=True, text=True, check=False, timeout=limit_s
             )
         except subprocess.TimeoutExpired:
-            return Answer(dict.fromkeys(everybody, f"not ready after {limit_s:g} s"), 0.0, 0.0, None, None)
-        if done.returncode:
-            raise RuntimeError(f"kaiju: {done.stderr.strip().splitlines()[-1:]}")
+            return _none(plane, f"not ready after {limit_s:g} s")
+        if done.returncode:  # its memory grows with positioners and time: some GB for thousands
+            said = done.stderr.strip().splitlines()[-1:]
+            return _none(plane, f"ended with {done.returncode} {' '.join(said)}".strip())
         return answer_of(plane, json.loads(names[1].read_text()), job["buffer_mm"])
+
+
+def _none(plane: FocalPlane, reason: str) -> Answer:
+    """Nobody arrives."""
+    return Answer(dict.fromkeys(plane.positioner_id.tolist(), reason), 0.0, 0.0, None, None)
 
 
 def answer_of(plane: FocalPlane, out: dict[str, Any], buffer_mm: float) -> Answer:

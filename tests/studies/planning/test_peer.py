@@ -65,6 +65,23 @@ def test_why_there_is_no_peer(tmp_path):
     assert peer.why_not(python) == "kaiju cannot be built: no compiler"
 
 
+@pytest.mark.parametrize(
+    ("script", "limit_s", "why"),
+    [
+        ("exit 9", 60.0, "ended with 9"),
+        ("echo oh >&2; exit 1", 60.0, "oh"),
+        ("exec sleep 60", 0.2, "not ready"),
+    ],
+)
+def test_a_peer_that_dies_or_hangs_has_failed_for_all(tmp_path, script, limit_s, why):
+    python = tmp_path / "python"
+    python.write_text(f"#!/bin/sh\n{script}\n")
+    python.chmod(0o755)
+    answer = peer.asked(PLANE, {"buffer_mm": 2.0}, limit_s, python)
+    assert set(answer.failed) == set(PLANE.positioner_id.tolist())
+    assert all(why in reason for reason in answer.failed.values())
+
+
 @pytest.mark.parametrize(("more", "code"), [((), 3), (("--alone",), 0)])
 def test_no_comparison_is_told_and_not_pretended(tmp_path, monkeypatch, capsys, more, code):
     monkeypatch.setattr(peer, "why_not", lambda: "it is not there")
