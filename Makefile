@@ -180,7 +180,7 @@ campaign-faults: setup
 # Who does not arrive, motion over its bound, CPU time, points; the verifier against an independent one.
 campaign-planning: setup
 	$(BIN)/python -m benchmarks.planning.campaign --pairs $(PAIRS) --buffer $(BUFFERS) --workers $(JOBS) \
-	    $(if $(ARRAY),--array $(ARRAY)) --out runs/planning
+	    $(if $(ARRAY),--array "$(ARRAY)") --out runs/planning
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup

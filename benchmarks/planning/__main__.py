@@ -71,6 +71,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--layout", type=Path, help="calibration tables; those beside the checkout if left out"
     )
+    parser.add_argument("--generated", action="store_true", help="without the real array")
     parser.add_argument("--alone", action="store_true", help="without kaiju")
     parser.add_argument(
         "--limit", type=float, default=1800.0, help="s of real time that kaiju has for a pair"
@@ -82,8 +83,8 @@ def arguments() -> argparse.Namespace:
 
 def arrays_of(asked: argparse.Namespace) -> list[tuple[str, FocalPlane]]:
     """The focal planes to plan for."""
-    layout = asked.layout or pairs.real_layout()
-    if layout is None:
+    layout = None if asked.generated else asked.layout or pairs.real_layout()
+    if layout is None and not asked.generated:
         print(f"no real array: there is no {pairs.REAL}, and no --layout; generated ones only")
     names = [] if layout is None else [(layout.name, str(layout))]
     names += [(f"hexagon {n}", f"hexagon {n}") for n in asked.hexagon]

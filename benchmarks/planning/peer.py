@@ -27,7 +27,7 @@ WORKER = Path(__file__).with_name("peer_worker.py")
 POINTS = {"met": METROLOGY, "boss": "BOSS", "ap": "APOGEE"}
 DECIMALS_S = 9
 """Times that differ by less are the same."""
-Path_ = dict[str, list[list[float]]]
+Axes = dict[str, list[list[float]]]
 """Of one robot: for alpha and beta times in s and angles in deg."""
 
 
@@ -124,7 +124,7 @@ def answer_of(plane: FocalPlane, out: dict[str, Any], buffer_mm: float) -> Answe
     return Answer({}, *cpu, sent, raw, out["version"])
 
 
-def as_plan(plane: FocalPlane, legs: list[dict[str, Path_]], buffer_mm: float) -> Plan:
+def as_plan(plane: FocalPlane, legs: list[dict[str, Axes]], buffer_mm: float) -> Plan:
     """Forth along the first leg, back along the second: one trajectory per positioner."""
     end_s = sum(max(axis[0][-1] for path in leg.values() for axis in path.values()) for leg in legs)
     robots = []
