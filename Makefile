@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 JAEGER := .venv-jaeger
+KAIJU  := .venv-kaiju
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 JOBS   ?= 2
@@ -10,12 +11,14 @@ FRAMES ?= 20000000
 FUZZED ?= 100000
 STEPS  ?= 10000000
 SEEDS  ?= 0:1000
+PAIRS  ?= 0:1000
+BUFFERS ?= 2.0 2.5
 # Shows how far a long step is; all that it prints is in build/*.log.
 PROGRESS := $(PYTHON) tools/setup/progress.py
 # everything that a checkout builds stays below it, calibrations too
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
-.PHONY: help setup run test jaeger test-jaeger check sanitized races bench campaign campaign-faults identification
+.PHONY: help setup run test jaeger test-jaeger check sanitized races bench campaign campaign-faults campaign-planning identification kaiju
 .PHONY: reproduce firmware-report wheels docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
@@ -26,10 +29,14 @@ help:
 	@echo "              moves without a false collision or a lost count, threads under"
 	@echo "              the thread sanitizer, linters"
 	@echo "make test-jaeger  the real jaeger (SDSS-V) drives the twin; sets it up in .venv-jaeger"
+	@echo "make kaiju    the planner of SDSS-V, in .venv-kaiju: what \`make bench\` compares ours with"
 	@echo "make bench    what is fast, measured; JSON into build/bench/"
 	@echo "make campaign the long studies: lifetimes; resumes where it was interrupted; JSON into runs/"
 	@echo "make campaign-faults  a thousand fields with random faults: what is told, missed, made worse; resumes;"
 	@echo "              SEEDS=0:100 for some; exit code 3: too few seeds to judge every goal"
+	@echo "make campaign-planning  a thousand pairs A to B at each buffer: who does not arrive, motion, CPU, points, and"
+	@echo "              the verifier against an independent one; resumes; PAIRS=0:20 for some, ARRAY=DIR for another"
+	@echo "              array; exit code 3: too few pairs"
 	@echo "make reproduce  the paper's figures on the twin, ours beside theirs, into runs/reproduce/"
 	@echo "make firmware-report  flash, RAM, stack, instructions per tick on a Cortex-M4F, against the aims"
 	@echo "make identification  fifty units identified in full, against what they are"
@@ -96,6 +103,16 @@ $(JAEGER)/.installed: tests/real_jaeger/requirements.txt
 test-jaeger: setup jaeger
 	$(BIN)/pytest -m jaeger
 
+# The planner of SDSS-V, in an environment of its own: it wants numpy 1. Where it cannot be built, the
+# benchmark says why and goes on alone.
+kaiju: $(KAIJU)/.installed
+
+$(KAIJU)/.installed: benchmarks/planning/requirements-kaiju.txt benchmarks/planning/peer_build.py
+	$(PYTHON) -m venv $(KAIJU)
+	$(KAIJU)/bin/pip install --quiet -r benchmarks/planning/requirements-kaiju.txt
+	$(KAIJU)/bin/python benchmarks/planning/peer_build.py
+	@touch $@
+
 # The dispatcher under address and undefined-behaviour sanitizers, and without a heap to allocate from.
 check: lint
 	cmake -S . -B build/checks -G Ninja -DFIBERLOOM_PYTHON=OFF -DFIBERLOOM_CHECKS=ON
@@ -143,7 +160,8 @@ bench: setup
 	$(BIN)/python benchmarks/startup.py --out build/bench/startup.json
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
-	$(BIN)/python benchmarks/planning.py --out build/bench/planning.json
+	-$(MAKE) kaiju
+	$(BIN)/python -m benchmarks.planning --buffer 2.0 2.5 --out build/bench/planning.json || test $$? = 3
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json
 	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
 	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
@@ -158,6 +176,11 @@ campaign: setup
 # Hang, crash, gross false good, contact with anything known: none; what is missed and flagged for nothing.
 campaign-faults: setup
 	$(BIN)/python -m benchmarks.faults --seeds $(SEEDS) --workers $(JOBS) --out runs/faults
+
+# Who does not arrive, motion over its bound, CPU time, points; the verifier against an independent one.
+campaign-planning: setup
+	$(BIN)/python -m benchmarks.planning.campaign --pairs $(PAIRS) --buffer $(BUFFERS) --workers $(JOBS) \
+	    $(if $(ARRAY),--array "$(ARRAY)") --out runs/planning
 
 # FIGURES="16 19" for some; REPRODUCE="--full" for the paper's own sizes.
 reproduce: setup
@@ -224,4 +247,4 @@ stubs: inplace
 	    --module fiberloom._core --pattern-file core/bindings/stubs.txt --output-dir src/fiberloom
 
 clean:
-	rm -rf build .venv .venv-jaeger .cache site
+	rm -rf build .venv .venv-jaeger .venv-kaiju .cache site

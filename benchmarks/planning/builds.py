@@ -1,0 +1,56 @@
+"""Which build a result is of. Results of different builds are not mixed in one folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+from functools import cache
+from pathlib import Path
+
+from fiberloom import _core
+from fiberloom.errors import InputError
+
+BUILD = "build.json"
+Mark = dict[str, str]
+
+
+@cache
+def mark_of_build() -> Mark:
+    """The compiled core and planning's Python by their content; the commit, to be found again."""
+    core = Path(_core.__file__)
+    package = core.parent
+    files = [core, *sorted((package / "planning").glob("*.py"))]
+    mark = hashlib.sha256()
+    for file in files:
+        mark.update(file.read_bytes())
+    words = ["git", "rev-parse", "--short", "HEAD"]
+    asked = subprocess.run(words, cwd=package, capture_output=True, text=True, check=False)
+    return {"build": mark.hexdigest()[:12], "commit": asked.stdout.strip() or "unknown"}
+
+
+def claim(folder: Path, array: str, anew: bool = False, mark: Mark | None = None) -> None:
+    """Makes the folder one of this build and array. InputError where it holds results of another.
+
+    `anew` renames such a folder and begins an empty one.
+    """
+    mine = (mark or mark_of_build()) | {"array": array}
+    path = folder / BUILD
+    if path.exists():
+        theirs = json.loads(path.read_text())
+        differs = [key for key in ("build", "array") if theirs.get(key) != mine[key]]
+        if not differs:
+            return
+        if not anew:
+            raise InputError(
+                f"{folder}: holds results of another {' and '.join(differs)} ({theirs['build']}, commit "
+                f"{theirs['commit']}; this is {mine['build']}); --anew puts them aside, or name another --out"
+            )
+        folder.rename(_free_name(folder))
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(mine) + "\n")
+
+
+def _free_name(folder: Path) -> Path:
+    names = (folder.with_name(f"before-{k}-{folder.name}") for k in range(1, 10_000))
+    return next(name for name in names if not name.exists())

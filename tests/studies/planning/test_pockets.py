@@ -1,0 +1,98 @@
+"""The flood proves pockets, and only pockets."""
+
+import numpy as np
+import pytest
+from benchmarks.planning import pairs
+from benchmarks.planning.bodies import Bodies, read_bodies
+from benchmarks.planning.campaign import pocketed
+from benchmarks.planning.pockets import Way, flood
+
+from fiberloom.instruments import write_layout
+
+BUFFER_MM = 2.0
+STOPS_DEG = np.array([[-4.0, 364.0], [-4.0, 364.0]])
+
+
+def made(centres, discs) -> Bodies:
+    """Nominal arms at these places, among discs (distance from 0 in mm, direction in deg) of 1 mm."""
+    n = len(centres)
+    places = [r * np.exp(1j * np.radians(d)) for r, d in discs]
+    obstacles = np.array([[p.real, p.imag, p.real, p.imag, 1.0] for p in places]).reshape(-1, 5)
+    arms = np.array(centres, dtype=complex), np.full(n, 7.4), np.zeros(n), np.zeros(n)
+    return Bodies(np.arange(1, n + 1), *arms, (0.0, 14.7276), obstacles, STOPS_DEG)
+
+
+def way(discs, start, goal) -> Way:
+    ends = np.array(start, dtype=float), np.array(goal, dtype=float)
+    return flood(made([0.0], discs), 0, ends, BUFFER_MM).way
+
+
+WALL = [(6.0, 90.0)]
+"""The elbow passes it at 1.4 mm: no alpha near 90 deg is possible, whatever beta."""
+
+
+def test_a_wall_across_alpha_parts_both_sides():
+    assert way(WALL, (180.0, 120.0), (20.0, 120.0)) == Way.NONE
+    assert way([], (180.0, 120.0), (20.0, 120.0)) == Way.THERE
+    assert way(WALL, (180.0, 60.0), (300.0, 60.0)) == Way.THERE
+
+
+def test_alpha_does_not_turn_through_its_stops():
+    """On the circle there would be a way round: alpha 20 and 340 deg are 40 deg apart."""
+    walls = [(6.0, 90.0), (6.0, 270.0)]
+    assert way(walls, (20.0, 120.0), (340.0, 120.0)) == Way.NONE
+
+
+def test_a_gap_narrower_than_a_coarse_cell_is_decided_by_finer_ones():
+    """Elbow and disc leave 0.13 mm; the arm in a coarse cell is anywhere within 0.16 mm."""
+    near = 7.4 + 3.13
+    bodies = made([0.0], [(near, 90.0)])
+    ends = np.array([150.0, 178.0]), np.array([30.0, 178.0])
+    found = flood(bodies, 0, ends, BUFFER_MM)
+    assert found.way == Way.THERE
+    assert found.cell_deg < 0.5
+    closed = flood(made([0.0], [(near - 0.15, 90.0)]), 0, ends, BUFFER_MM)
+    assert closed.way != Way.THERE
+
+
+def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
+    """The first has its elbow between two discs; the second's goal lies across that elbow."""
+    bodies = made([0.0, -22.0], [(6.0, 150.0), (6.0, 210.0)])
+    start = np.array([[180.0, 180.0], [90.0, 170.0]])
+    goal = np.array([[20.0, 120.0], [268.1, 122.0]])
+    found = pocketed(bodies, [1, 2], (start, goal), BUFFER_MM)
+    assert set(found) == {1, 2}
+    assert "alone" in found[1]
+    assert "beside 1" in found[2]
+    # while the first is not in a pocket, it can make way: the second is no case of it
+    assert pocketed(bodies, [2], (start, goal), BUFFER_MM) == {}
+    free = made([0.0, -22.0], [])
+    assert pocketed(free, [1, 2], (start, goal), BUFFER_MM) == {}
+
+
+def test_the_bodies_of_a_written_layout_are_those_of_the_plane(tmp_path):
+    plane = pairs.array_of("hexagon 19")
+    write_layout(plane, tmp_path)
+    same_bodies(read_bodies(tmp_path), plane)
+
+
+def test_the_bodies_of_the_real_tables_are_those_of_the_plane():
+    folder = pairs.real_layout()
+    if folder is None:
+        pytest.skip(f"no {pairs.REAL} beside the checkout: the real tables are not public")
+    same_bodies(read_bodies(folder), pairs.array_of(str(folder)))
+
+
+def same_bodies(bodies, plane):
+    """To rounding: degrees in tables."""
+    np.testing.assert_allclose(bodies.centre, plane.arms[:, 0] + 1j * plane.arms[:, 1], atol=1e-12)
+    np.testing.assert_allclose(bodies.l_alpha, plane.arms[:, 2], atol=1e-12)
+    turns = np.exp(1j * bodies.alpha_off), np.exp(1j * plane.arms[:, 3])
+    np.testing.assert_allclose(*turns, atol=1e-12)
+    np.testing.assert_allclose(bodies.beta_off, plane.arms[:, 4], atol=1e-12)
+    ours = np.vstack([plane.fiducials[:, [0, 1, 0, 1, 2]], plane.guide_cameras])
+    swapped = ours[:, [2, 3, 0, 1, 4]]
+    apart = np.minimum(np.abs(bodies.obstacles - ours), np.abs(bodies.obstacles - swapped)).max(axis=1)
+    assert (np.sort(apart) < 1e-9).all()
+    np.testing.assert_array_equal(bodies.stops_deg, plane.hard_stops_deg)
+    assert bodies.segment == plane.beta_segment_mm
