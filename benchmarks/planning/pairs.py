@@ -6,8 +6,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
 from fiberloom.planning import MotionLimits, Plan, PlanSettings, Verification, plan, random_pair, verify
 from fiberloom.typing import Floats

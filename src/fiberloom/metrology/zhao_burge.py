@@ -12,7 +12,9 @@ The gradients are taken of polynomials in x and y, exactly. Terms are numbered a
 (`polid`): 0..26 = S2..S28, 27..32 = T4, T7, T8, T11, T12, T13. Polids 0 and 1 are shifts, 2 is a
 change of scale, 27 a rotation, 9 = S11 the third-order and 20 = S22 the fifth-order radial term.
 Ours is one more, 33 = S37, the seventh-order radial term: the inverse of a third-order distortion has
-one, 0.6 um rms for the 0.64 mm of SDSS-V's camera.
+one, 0.6 um rms for the 0.64 mm of SDSS-V's camera. Terms 34..56 are the rest of the seventh degree and below:
+S29..S36, T16..T19, T22..T26, T29..T34. No camera fits them, its fiducials are too few; hundreds of stars tell
+them (`calibration.fibres.frame`).
 """
 
 from __future__ import annotations
@@ -29,11 +31,14 @@ from fiberloom.typing import Floats
 Ints = NDArray[np.intp]
 
 N_TERMS = 34
+"""That a camera may fit."""
+N_WIDE_TERMS = 57
+"""With those that only the stars of whole fields tell."""
 DEFAULT_TERMS = (0, 1, 2, 3, 4, 5, 6, 9, 20, 27, 28, 29, 30)
 """What SDSS-V and DESI fit."""
 SIMILARITY_TERMS = (0, 1, 2, 27)
-_S_INDEX = (*range(2, 29), 37)
-_T_INDEX = (4, 7, 8, 11, 12, 13)
+_S_INDEX = (*range(2, 29), 37, *range(29, 37))
+_T_INDEX = (4, 7, 8, 11, 12, 13, *range(16, 20), *range(22, 27), *range(29, 35))
 _DEGREE = 8
 
 
@@ -91,20 +96,20 @@ def _gradient(c: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _coefficients() -> Floats:
-    """(34, 2, 9, 9): x^a y^b of both components of every term."""
+    """(57, 2, 9, 9): x^a y^b of both components of every term."""
     s = [_gradient(_scalar(j)) for j in _S_INDEX]
     t = [(dy, -dx) for dx, dy in (_gradient(_scalar(j)) for j in _T_INDEX)]
-    return np.array([*s[:27], *t, *s[27:]])
+    return np.array([*s[:27], *t[:6], *s[27:], *t[6:]])
 
 
 @cache
 def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
-    """Powers of x, powers of y (both (p,)), and coefficients (34, 2 or 4, p) of fields (order 0) or
+    """Powers of x, powers of y (both (p,)), and coefficients (57, 2 or 4, p) of fields (order 0) or
     of their derivatives (1: component, then axis)."""
     c = _coefficients()
     if order:
         c = np.array([[_gradient(part) for part in pair] for pair in c])
-        c = c.reshape(N_TERMS, 4, *c.shape[3:])
+        c = c.reshape(len(c), 4, *c.shape[3:])
     a, b = np.nonzero((c != 0).any(axis=(0, 1)))
     return a, b, c[:, :, a, b]
 

@@ -10,7 +10,15 @@ from stars import GAUSSIAN, Conditions, drawn_field, drawn_offsets, rms
 import fiberloom as fl
 from fiberloom.calibration.fibres.combine import combine
 from fiberloom.calibration.fibres.estimate import estimate
-from fiberloom.calibration.fibres.frame import TERMS, FrameOffset, radius_of
+from fiberloom.calibration.fibres.frame import (
+    FAR_UM,
+    FRAME_UM,
+    OF_CAMERA,
+    TERMS,
+    FrameOffset,
+    _sum,
+    radius_of,
+)
 from fiberloom.calibration.fibres.guider import guided
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.errors import InputError
@@ -18,12 +26,14 @@ from fiberloom.errors import InputError
 MARKS = {"version": "0", "seed": 0, "instrument": "sdssv", "config_hash": "cafe", "utc": "2026-01-01"}
 RADIUS_MM = 425.0
 """All of the square in which fields are drawn."""
-N = 120
+N = 240
 
 
-def drawn_frame(seed, each_um):
+def drawn_frame(seed, each_um, far_um=0.5):
+    """Sizes of the terms of a camera, and of those beyond."""
     rng = np.random.default_rng(seed)
-    return FrameOffset(RADIUS_MM, each_um * rng.standard_normal(len(TERMS)), np.eye(len(TERMS)))
+    rms_um = np.where(np.arange(len(TERMS)) < OF_CAMERA, each_um, far_um)
+    return FrameOffset(RADIUS_MM, rms_um * rng.standard_normal(len(TERMS)), np.eye(len(TERMS)))
 
 
 def drawn_night(frame, seed=5, n=3):
@@ -60,7 +70,7 @@ def test_the_frame_of_the_camera_is_found_with_its_error(frame, night):
 def test_offsets_are_as_good_as_with_a_right_frame(night):
     """And not at all so where the frame is taken for right."""
     offset, fields = night
-    none = drawn_frame(1, 0.0)
+    none = drawn_frame(1, 0.0, 0.0)
     right, right_fields = drawn_night(none)
     error = rms(combine(fields, radius_mm=RADIUS_MM).offset_um - offset)
     assert error < 1.2 * rms(combine(right_fields, radius_mm=RADIUS_MM).offset_um - right)
@@ -68,19 +78,39 @@ def test_offsets_are_as_good_as_with_a_right_frame(night):
     assert rms(combine(blind, radius_mm=RADIUS_MM).offset_um - offset) > 2.0 * error
 
 
+def test_what_the_lens_bends_beyond_the_terms_of_a_camera_is_found():
+    """A field that is smooth over 150 mm, as a lens in the cold makes it, without what 34 terms take."""
+    frame = drawn_frame(1, 0.0, 1.0)
+    offset, fields = drawn_night(frame)
+    found = combine(fields, radius_mm=RADIUS_MM)
+    none, right_fields = drawn_night(drawn_frame(1, 0.0, 0.0))
+    right = rms(combine(right_fields, radius_mm=RADIUS_MM).offset_um - none)
+    error = rms(found.offset_um - offset)
+    print(f"{frame.rms_um:.1f} um beyond 34 terms: offsets {error:.2f} um, else {right:.2f}")
+    assert rms(found.frame.size_um - frame.size_um) < 0.3 * frame.rms_um
+    assert error < 1.2 * right
+
+
+def test_a_frame_that_is_far_worse_than_expected_is_not_held_back():
+    frame = drawn_frame(1, 15.0, 5.0)
+    found = combine(drawn_night(frame)[1], radius_mm=RADIUS_MM).frame
+    assert rms(found.size_um - frame.size_um) < 0.05 * frame.rms_um
+
+
 def test_fields_together_do_not_scatter_by_a_wrong_frame(night):
     assert combine(night[1], radius_mm=RADIUS_MM).place_um < 0.8
 
 
 def test_a_right_frame_is_not_made_wrong():
-    found = combine(drawn_night(drawn_frame(1, 0.0))[1], radius_mm=RADIUS_MM).frame
+    found = combine(drawn_night(drawn_frame(1, 0.0, 0.0))[1], radius_mm=RADIUS_MM).frame
     assert found.rms_um < 0.6
 
 
 def test_one_field_tells_no_frame_and_says_so(night):
     """Offsets fixed to the arms and a field fixed in the plane are one vector per fibre there."""
     found = combine(night[1][:1], radius_mm=RADIUS_MM).frame
-    assert np.sqrt(np.diag(found.covariance_um2)).min() > 1.0
+    unknown = np.where(np.arange(len(TERMS)) < OF_CAMERA, FRAME_UM, FAR_UM)
+    assert np.sqrt(np.diag(found.covariance_um2)) == pytest.approx(unknown, rel=1e-3)
 
 
 # file and use
@@ -121,6 +151,17 @@ def test_the_frame_comes_back_from_the_file(plane, frame, tmp_path):
     assert (read.radius_mm, read.covariance_um2.tolist()) == (RADIUS_MM, frame.covariance_um2.tolist())
 
 
+def test_a_file_from_before_the_terms_beyond_a_cameras_is_read(frame):
+    meta = frame.to_meta()
+    older = {name: meta[name] for name in ("terms", "radius_mm", "size_um", "covariance_um2")}
+    older["terms"], older["size_um"] = older["terms"][:OF_CAMERA], older["size_um"][:OF_CAMERA]
+    older["covariance_um2"] = [row[:OF_CAMERA] for row in older["covariance_um2"][:OF_CAMERA]]
+    read = FrameOffset.of_meta(older | {"sum": _sum(older)})
+    assert read.size_um[:OF_CAMERA] == pytest.approx(frame.size_um[:OF_CAMERA], abs=0.0)
+    assert not read.size_um[OF_CAMERA:].any()
+    assert np.diag(read.covariance_um2)[OF_CAMERA:] == pytest.approx(FAR_UM**2)
+
+
 def test_a_frame_that_was_changed_in_the_file_is_refused(plane, frame, tmp_path):
     path = tmp_path / "a.ecsv"
     offsets_with(plane, frame).write(path, MARKS)
@@ -133,10 +174,10 @@ def test_a_frame_that_was_changed_in_the_file_is_refused(plane, frame, tmp_path)
     ("change", "said"),
     [
         ({"radius_mm": 0.0}, "radius"),
-        ({"size_um": np.full(len(TERMS), np.nan)}, "30 sizes"),
-        ({"size_um": np.zeros(9)}, "30 sizes"),
+        ({"size_um": np.full(len(TERMS), np.nan)}, "53 sizes"),
+        ({"size_um": np.zeros(9)}, "53 sizes"),
         ({"covariance_um2": -np.eye(len(TERMS))}, "covariance"),
-        ({"covariance_um2": np.full((30, 30), np.nan)}, "covariance"),
+        ({"covariance_um2": np.full((53, 53), np.nan)}, "covariance"),
     ],
 )
 def test_a_frame_that_cannot_be_is_refused(frame, change, said):
@@ -145,10 +186,10 @@ def test_a_frame_that_cannot_be_is_refused(frame, change, said):
 
 
 def test_nights_are_weighed_by_what_they_know(frame):
-    other = replace(frame, size_um=frame.size_um + 1.0, covariance_um2=3.0 * np.eye(30))
+    other = replace(frame, size_um=frame.size_um + 1.0, covariance_um2=3.0 * np.eye(53))
     both = FrameOffset.mean([frame, other])
     assert both.size_um == pytest.approx(frame.size_um + 0.25)
-    assert both.covariance_um2 == pytest.approx(0.75 * np.eye(30))
+    assert both.covariance_um2 == pytest.approx(0.75 * np.eye(53))
     with pytest.raises(InputError, match="different layouts"):
         FrameOffset.mean([frame, replace(frame, radius_mm=400.0)])
 

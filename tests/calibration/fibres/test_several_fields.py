@@ -7,11 +7,11 @@ import pytest
 from stars import GAUSSIAN, Conditions, drawn_field, drawn_offsets, formal, rms
 
 import fiberloom as fl
-from fiberloom.calibration.fibres.combine import FRAME_UM, combine
+from fiberloom.calibration.fibres.combine import combine
 from fiberloom.calibration.fibres.dithered import DitheredField, hexagon
 from fiberloom.calibration.fibres.estimate import estimate
 from fiberloom.calibration.fibres.exposures_file import read_all, read_exposures, write_exposures
-from fiberloom.calibration.fibres.frame import FrameOffset
+from fiberloom.calibration.fibres.frame import FAR_UM, FRAME_UM, OF_CAMERA, FrameOffset
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY
@@ -53,7 +53,8 @@ def test_one_field_keeps_in_the_covariance_what_it_cannot_tell(night):
     frame = found.turned.swapaxes(-1, -2) @ FrameOffset.basis(found.fibre_mm, RADIUS_MM).transpose(1, 2, 0)
     guider_um2 = found.mode_um**2 + FRAME_UM**2
     expected = found.covariance_um2 + guider_um2 * found.modes @ found.modes.swapaxes(-1, -2)
-    expected += FRAME_UM**2 * frame @ frame.swapaxes(-1, -2)
+    frame *= np.where(np.arange(frame.shape[-1]) < OF_CAMERA, FRAME_UM, FAR_UM)
+    expected += frame @ frame.swapaxes(-1, -2)
     assert formal(one.covariance_um2) == pytest.approx(formal(expected), rel=1e-3)
     assert formal(one.covariance_um2) > 2.0 * formal(combine(night[2]).covariance_um2)
 

@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2 as chi2_of
 
 from fiberloom.calibration.fibres.estimate import FieldOffsets
-from fiberloom.calibration.fibres.frame import TERMS, FrameOffset
+from fiberloom.calibration.fibres.frame import FAR_UM, FRAME_UM, OF_CAMERA, TERMS, FrameOffset
 from fiberloom.calibration.fibres.model import MODES
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats, Ints
@@ -31,8 +31,8 @@ PLACE_UM = 0.5
 """Least error per coordinate of where a fibre is against its star in one field, beyond photons: SDSS-V's
 metrology camera alone has 0.669 um in two dimensions."""
 _MOST_PLACE_UM = 20.0
-FRAME_UM = 1.5
-"""Rms that a term of the camera's frame is expected to have; 61 fiducials of 8 um make 1 um of each."""
+_FACTORS = np.geomspace(0.1, 10.0, 13)
+_WITHIN = 3.0
 _UNLIKELY = (1e-5, 1e-3)
 """Chance below which two fields, or three and more, disagree on a fibre. Of three one is left
 out, which costs little where it was right; of two both are."""
@@ -199,11 +199,12 @@ class _Solution:
         np.add.at(self.shared, e.fibre_of, felt)
         pulled = np.zeros((e.n_fibres, 2))
         np.add.at(pulled, e.fibre_of, np.einsum("kij,kj->ki", self.weight, e.d))
-        matrix = np.einsum("kip,kiq->pq", e.patterns, felt, optimize=True) + np.diag(e.expected_um**-2.0)
+        matrix = np.einsum("kip,kiq->pq", e.patterns, felt, optimize=True)
         matrix -= np.einsum("nip,nij,njq->pq", self.shared, self.own, self.shared, optimize=True)
-        self.wide: Floats = np.linalg.inv(matrix)
         right = np.einsum("kip,ki->p", felt, e.d)
         right -= np.einsum("nip,nij,nj->p", self.shared, self.own, pulled, optimize=True)
+        expected_um = _likeliest_um(matrix, right, e.expected_um)
+        self.wide: Floats = np.linalg.inv(matrix + np.diag(expected_um**-2.0))
         self.size = self.wide @ right
         self.offset = np.einsum("nij,nj->ni", self.own, pulled - self.shared @ self.size)
 
@@ -243,7 +244,7 @@ class _Solution:
 
 
 def _patterns(field: FieldOffsets, number: int, n_fields: int, radius_mm: float) -> Floats:
-    """(K, 2, 4 F + 30) what fibres have in common: the guider's of each field, and the camera's frame."""
+    """(K, 2, 4 F + 53) what fibres have in common: the guider's of each field, and the camera's frame."""
     frame = FrameOffset.basis(field.fibre_mm, radius_mm).transpose(1, 2, 0)
     guider = np.zeros((len(frame), 2, n_fields, MODES))
     guider[:, :, number] = field.modes
@@ -252,9 +253,37 @@ def _patterns(field: FieldOffsets, number: int, n_fields: int, radius_mm: float)
 
 
 def _expected_um(fields: Sequence[FieldOffsets]) -> Floats:
-    """(4 F + 30,) rms that each may have. What the guider takes of the frame's terms adds to its own."""
+    """(4 F + 53,) rms that each may have. What the guider takes of the frame's terms adds to its own."""
     guider = [max(np.hypot(f.mode_um, FRAME_UM), 1e-6) for f in fields]
-    return np.concatenate([np.repeat(guider, MODES), np.full(len(TERMS), FRAME_UM)])
+    frame = np.where(np.arange(len(TERMS)) < OF_CAMERA, FRAME_UM, FAR_UM)
+    return np.concatenate([np.repeat(guider, MODES), frame])
+
+
+def _likeliest_um(matrix: Floats, right: Floats, expected_um: Floats) -> Floats:
+    """`expected_um` with the sizes of the frame that the fields themselves make likeliest.
+
+    A frame that is right is not made wrong by 53 terms of noise, and one that is worse than expected is not
+    held back. The evidence of the data by the rms of the camera's terms, and by that of the others; the
+    expectation is known within a factor of `_WITHIN`, so that it stays where one field tells nothing.
+    """
+    n, best = len(expected_um) - len(TERMS), expected_um
+    for part in (slice(n, n + OF_CAMERA), slice(n + OF_CAMERA, None)):
+        tried = []
+        for factor in _FACTORS:
+            sizes_um = best.copy()
+            sizes_um[part] = factor * expected_um[part]
+            tried.append(
+                (_evidence(matrix, right, sizes_um) - 0.5 * (np.log(factor) / np.log(_WITHIN)) ** 2, sizes_um)
+            )
+        best = max(tried, key=lambda one: one[0])[1]
+    return best
+
+
+def _evidence(matrix: Floats, right: Floats, expected_um: Floats) -> float:
+    """Log of how likely the data are where the patterns have these sizes; up to a constant."""
+    root = expected_um[:, None] * matrix * expected_um + np.eye(len(right))
+    seen = expected_um * right
+    return float(0.5 * seen @ np.linalg.solve(root, seen) - 0.5 * np.linalg.slogdet(root)[1])
 
 
 def _keys(field: FieldOffsets) -> list[tuple[int, str]]:

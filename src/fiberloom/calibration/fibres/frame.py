@@ -1,9 +1,9 @@
 """By how much the camera's frame is off, place by place: its fiducials are not where their table says.
 
 The transformation goes through the fiducials as nearly as its Zhao-Burge terms allow, so that what is wrong
-with their table shows at the fibres as a field of these very terms, the same in every image. So does what
-the lens bends beyond the terms that so few fiducials can tell. Shift, rotation and scale of it are the
-guider's, which puts the stars there: they are left out.
+with their table shows at the fibres as a field of these very terms, the same in every image. What the lens
+bends beyond them (in the cold, for one) is as fixed: hundreds of stars tell terms that so few fiducials
+cannot. Shift, rotation and scale of it are the guider's, which puts the stars there: they are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,12 @@ from fiberloom.metrology import zhao_burge
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM
 
-TERMS = tuple(t for t in range(zhao_burge.N_TERMS) if t not in zhao_burge.SIMILARITY_TERMS)
+TERMS = tuple(t for t in range(zhao_burge.N_WIDE_TERMS) if t not in zhao_burge.SIMILARITY_TERMS)
+OF_CAMERA = zhao_burge.N_TERMS - len(zhao_burge.SIMILARITY_TERMS)
+"""The first terms, those of a camera; files from before the others have no more."""
+FRAME_UM, FAR_UM = 1.5, 0.5
+"""Rms that a term of the camera's frame is expected to have: 61 fiducials of 8 um make 1 um of each; and a
+term of what the lens has beyond them."""
 _MOST_UM = 1000.0
 """Of a term: beyond it no image would have been matched."""
 _MOST_RADIUS_MM = 1e4
@@ -41,9 +46,9 @@ class FrameOffset:
     radius_mm: float
     """R: it scales the terms."""
     size_um: Floats
-    """(30,) c: rms over the disc of radius R of each of the `TERMS`."""
+    """(53,) c: rms over the disc of radius R of each of the `TERMS`."""
     covariance_um2: Floats
-    """(30, 30) of it."""
+    """(53, 53) of it."""
 
     def __post_init__(self) -> None:
         n = len(TERMS)
@@ -64,7 +69,7 @@ class FrameOffset:
 
     @staticmethod
     def basis(xy_mm: Floats, radius_mm: float) -> Floats:
-        """(30, N, 2) the terms at places (N, 2), of no unit: um per um."""
+        """(53, N, 2) the terms at places (N, 2), of no unit: um per um."""
         return zhao_burge.basis(xy_mm / radius_mm, TERMS)
 
     @property
@@ -85,13 +90,16 @@ class FrameOffset:
     @classmethod
     def of_meta(cls, meta: Mapping[str, Any]) -> FrameOffset:
         """Of the head of a file; InputError for one that holds nonsense."""
-        if meta.get("terms") != list(TERMS):
+        terms = meta.get("terms")
+        if terms not in (list(TERMS), list(TERMS[:OF_CAMERA])):
             raise InputError(f"camera frame: its terms are not {', '.join(map(str, TERMS))}")
         if meta.get("sum") != _sum({name: value for name, value in meta.items() if name != "sum"}):
             raise InputError("camera frame: its numbers are not as they were written")
         try:
-            numbers = [np.array(meta[name], dtype=np.float64) for name in ("size_um", "covariance_um2")]
-            return cls(float(meta["radius_mm"]), *numbers)
+            size, wide = (np.array(meta[name], dtype=np.float64) for name in ("size_um", "covariance_um2"))
+            if len(terms) == OF_CAMERA:
+                size, wide = _widened(size, wide)
+            return cls(float(meta["radius_mm"]), size, wide)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"camera frame: {error}") from None
 
@@ -104,6 +112,17 @@ class FrameOffset:
         wide: Floats = np.linalg.inv(np.sum(weights, axis=0))
         pulled = sum(w @ night.size_um for w, night in zip(weights, nights, strict=True))
         return cls(nights[0].radius_mm, wide @ pulled, wide)
+
+
+def _widened(size_um: Floats, covariance_um2: Floats) -> tuple[Floats, Floats]:
+    """With the terms beyond a camera's, of which nothing is known."""
+    more = len(TERMS) - OF_CAMERA
+    if size_um.shape != (OF_CAMERA,) or covariance_um2.shape != (OF_CAMERA, OF_CAMERA):
+        raise ValueError(f"not {OF_CAMERA} sizes")
+    wide = np.zeros((len(TERMS), len(TERMS)))
+    wide[:OF_CAMERA, :OF_CAMERA] = covariance_um2
+    wide[OF_CAMERA:, OF_CAMERA:] = FAR_UM**2 * np.eye(more)
+    return np.concatenate([size_um, np.zeros(more)]), wide
 
 
 def _sum(numbers: Mapping[str, Any]) -> str:
