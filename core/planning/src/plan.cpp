@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 namespace fl::planning {
@@ -28,6 +29,7 @@ class Planner {
   private:
     PathSet assemble();
     bool find_paths();
+    void take_over(PathSet &paths) const;
     void give_up_some(const PathSet &paths);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
@@ -38,12 +40,14 @@ class Planner {
     Clock clock_;
     GoalFeasibility goals_;
     List<PositionerIndex, PathIndex> positioner_of_;
+    std::optional<PathSet> before_;                      // of the round before, until one was given up ...
+    List<PositionerIndex, PathIndex> positioner_before_; // ... and whose its paths are
     std::vector<Motion> motions_;
     Statistics statistics_;
 };
 
 PathSet Planner::assemble() {
-    positioner_of_.clear();
+    positioner_before_ = std::exchange(positioner_of_, {});
     int bound = 0, alone = 0;
     List<Robot> robots;
     for (const PositionerIndex i : goals_.places()) {
@@ -63,26 +67,40 @@ PathSet Planner::assemble() {
     return paths;
 }
 
+// The ways of those that go from and to the same places as in the round before.
+void Planner::take_over(PathSet &paths) const {
+    if (!before_) return;
+    List<PathIndex, PositionerIndex> place(goals_.places().end().place, PathIndex());
+    for (const PathIndex m : before_->places()) place[positioner_before_[m]] = m;
+    for (const PathIndex m : paths.places())
+        if (const PathIndex old = place[positioner_of_[m]]; old != PathIndex())
+            paths.take_over(m, before_->at(old));
+}
+
 bool Planner::find_paths() {
     PathSet paths = assemble();
+    const int wanted = paths.steps();
+    const int last = static_cast<int>(settings_.last_deadline * wanted) + 20;
+    take_over(paths);
     Repair repair(paths, settings_, statistics_);
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {
         statistics_.expansions += repair.expansions();
         goals_.settle();
+        before_ = std::move(paths);
         return false;
     }
-    const int last = static_cast<int>(settings_.last_deadline * paths.steps()) + 20;
-    const int wanted = paths.steps();
     const bool free = repair.run(last);
     if (free) repair.hurry(wanted);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
-    if (free)
+    if (free) {
         keep(paths);
-    else
+    } else {
         give_up_some(paths);
+        before_ = std::move(paths);
+    }
     return free;
 }
 

@@ -43,6 +43,11 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
             turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
 }
 
+bool AxisGrid::same_as(const AxisGrid &other) const {
+    return start_ == other.start_ && goal_ == other.goal_ && size() == other.size() &&
+           std::equal(lines_.begin(), lines_.end(), other.lines_.begin());
+}
+
 double AxisGrid::slot_angle(int line, int slot) const {
     const double here = angle(line);
     const double below = angle(std::max(line - 1, 0)) - here,

@@ -35,6 +35,7 @@ class AxisGrid {
     int start() const { return start_; }
     int goal() const { return goal_; }
     double angle(int line) const { return lines_[line]; }
+    bool same_as(const AxisGrid &other) const;
 
     // The angle k quarters after mid-step minus two: k = 2 is the moment the raw motion is on the line.
     double angle(int line, VelocityChange change, int k) const;

@@ -58,6 +58,10 @@ class Robot {
         const int a = c.alpha - alpha_.goal(), b = c.beta - beta_.goal();
         return std::max(a < 0 ? -a : a, b < 0 ? -b : b);
     }
+    // Whether the cells of another have the same angles.
+    bool same_grid(const Robot &other) const {
+        return alpha_.same_as(other.alpha_) && beta_.same_as(other.beta_);
+    }
     int travel_steps() const { return steps_to_goal(start()); }
     bool inside(Cell c) const {
         return c.alpha >= 0 && c.beta >= 0 && c.alpha < alpha_.size() && c.beta < beta_.size();

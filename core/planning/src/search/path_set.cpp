@@ -90,6 +90,19 @@ void PathSet::keep_still(PathIndex i) {
     at(i).still = true;
 }
 
+void PathSet::take_over(PathIndex i, const Member &before) {
+    Member &m = at(i);
+    const bool has_one = before.presence == Presence::path && !before.path.empty();
+    if (!has_one || before.still || m.still || !m.robot.same_grid(before.robot)) return;
+    for (int k = 0; k < before.path.size(); ++k)
+        if (!m.robot.clear(before.path[k], changes_at(before.path, k))) return;
+    allow(i, std::max(m.deadline, before.deadline));
+    if (before.path.size() > steps_ + 1) extend(before.path.size() - 1 - steps_);
+    List<Cell> path = before.path;
+    path.resize(steps_ + 1, path.back());
+    set_path(i, path);
+}
+
 const SweptArm *PathSet::swept_at(const Member &m, int step) const {
     if (m.presence == Presence::path) return &m.swept[step];
     if (m.presence == Presence::absent) return nullptr;

@@ -77,6 +77,8 @@ class PathSet {
     bool seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search);
     void set_path(PathIndex i, const List<Cell> &path);
     void keep_still(PathIndex i);
+    // Gives it the path that it had in another set, if it has the same places and no body at rest in its way.
+    void take_over(PathIndex i, const Member &before);
     // Counts anew with which paths this one conflicts.
     void count_conflicts(PathIndex i);
     int conflicts() const; // pairs

@@ -47,7 +47,8 @@ List<PathIndex> Repair::first_paths() {
     const int most = longest_first_path * (paths_.steps() + longest_hold);
     int found = 0;
     for (const PathIndex i : order) {
-        if (!paths_.at(i).still && !first_path(i, most)) without.push_back(i);
+        const bool has_one = paths_.at(i).presence == Presence::path; // still, or taken over
+        if (!has_one && !first_path(i, most)) without.push_back(i);
         settings_.watch("finding paths", ++found, paths_.size());
     }
     if (!without.empty()) return without;
