@@ -66,6 +66,15 @@ class Point(Table):
     """Share of the positioners that carry this fibre."""
 
 
+APPROACH_BEYOND_MOTOR_DEG = 90.0
+"""Motor degrees that an approach has beyond the largest backlash at least; commissioning refuses other units. So
+far may a rotor at rest fall back inside its backlash (docs/calibration.md)."""
+
+APPROACH_BEYOND_SHARE = 0.2
+"""And at least this share of the backlash: where the slope of the gear is 0.15 too small, which acceptance lets
+pass, 1 / 0.85 of the backlash is needed at the output."""
+
+
 class Axis(Table):
     """One rotation axis: how far it turns and what turns it."""
 
@@ -108,6 +117,18 @@ class Axis(Table):
         if high - low > 720.0:
             raise ValueError(f"target_range_deg {[low, high]}: more than two turns are not supported")
         return self
+
+    @property
+    def least_approach_deg(self) -> float:
+        """The lowest approach that closes the largest backlash with a margin; never above the usual one.
+
+        Margin: `APPROACH_BEYOND_MOTOR_DEG` and `APPROACH_BEYOND_SHARE`, whichever is more. Where no backlash is
+        known, no approach may be shortened.
+        """
+        if self.backlash_deg == 0.0:
+            return self.approach_deg
+        margin = max(APPROACH_BEYOND_SHARE * self.backlash_deg, APPROACH_BEYOND_MOTOR_DEG / self.gear)
+        return min(self.approach_deg, self.backlash_deg + margin)
 
 
 class Positioner(Table):
@@ -507,6 +528,11 @@ class Instrument(Table):
     def approach_deg(self) -> float:
         """From how far above both axes come to their goals: the larger approach of the two."""
         return max(axis.approach_deg for axis in self.axes)
+
+    @property
+    def least_approach_deg(self) -> float:
+        """To which height an approach may be shortened: on both axes it still closes the backlash."""
+        return max(axis.least_approach_deg for axis in self.axes)
 
     @property
     def science_fibres(self) -> tuple[str, ...]:

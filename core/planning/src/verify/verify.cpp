@@ -64,6 +64,15 @@ class Encounter {
     Gap best_;
 };
 
+// Where an axis is at a moment; where it begins and ends before and after its motion.
+double axis_at(const Motion &m, double Angles::*axis, double time_s) {
+    int k = 1;
+    while (k < count(m.time_s) && m.time_s[k] < time_s) ++k;
+    if (k >= count(m.time_s)) return m.angles.back().*axis;
+    const double part = std::max(0.0, (time_s - m.time_s[k - 1]) / (m.time_s[k] - m.time_s[k - 1]));
+    return m.angles[k - 1].*axis + part * (m.angles[k].*axis - m.angles[k - 1].*axis);
+}
+
 Fault at_rest(Fault fault) { return fault == Fault::robots ? Fault::contact : Fault::obstacle_contact; }
 
 class Verifier {
@@ -79,6 +88,7 @@ class Verifier {
             check_axes(i);
             check_ends(i);
         }
+        for (const Approach &said : rules_.approaches) check_said(said);
         check_pairs();
         check_obstacles();
         return out_;
@@ -96,6 +106,8 @@ class Verifier {
     void check_ends(int i);
     void check_end(Fault fault, int i, Angles is, Angles should, double time_s);
     void check_approach(int i);
+    void check_said(const Approach &said);
+    double off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const;
     void check_pairs();
     void check_pair(int i, int j);
     void check_obstacles();
@@ -184,6 +196,27 @@ void Verifier::check_approach(int i) {
     const double missing = rules_.approach_rad[i] - height;
     if (missing > 2.0 * rules_.rounding_rad)
         report(Fault::approach, i, -1, motions_[i].time_s.back(), missing);
+}
+
+// By how much an axis is not where its last leg shall begin, rises afterwards, or is not at its end in time.
+double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const {
+    const double goal = m.angles.back().*axis;
+    double off = std::max({0.0, -leg.height_rad, leg.end_s - m.time_s.back() - 1e-9, -leg.begin_s});
+    double low = axis_at(m, axis, leg.begin_s);
+    off = std::max(off, std::abs(low - goal - leg.height_rad));
+    for (int k = 0; k < count(m.angles); ++k) {
+        if (m.time_s[k] <= leg.begin_s) continue;
+        off = std::max(off, m.angles[k].*axis - low);
+        low = m.angles[k].*axis;
+    }
+    return std::max(off, std::abs(axis_at(m, axis, leg.end_s) - goal));
+}
+
+void Verifier::check_said(const Approach &said) {
+    const Motion &m = motions_[said.robot];
+    const double off = std::max(off_last_leg(m, &Angles::alpha_rad, said.alpha),
+                                off_last_leg(m, &Angles::beta_rad, said.beta));
+    if (!(off <= 2.0 * rules_.rounding_rad)) report(Fault::approach, said.robot, -1, said.alpha.begin_s, off);
 }
 
 void Verifier::note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest) {
