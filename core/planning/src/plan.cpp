@@ -12,13 +12,13 @@ namespace {
 
 constexpr int give_up_rounds = 20;
 
-LastLeg last_leg(double height_rad, int turn, const Clock &clock, int steps) {
-    return {height_rad, turn_begins_s(clock, steps, turn), turn_begins_s(clock, steps, turn + 1)};
+LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
+    return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
+            turn_begins_s(clock, steps, axis.turn + 1)};
 }
 
 Approach approach_of(PositionerIndex i, const Descent &descent, const Clock &clock, int steps) {
-    return {i.value(), last_leg(descent.above.alpha_rad, descent.alpha_turn, clock, steps),
-            last_leg(descent.above.beta_rad, descent.beta_turn, clock, steps)};
+    return {i.value(), last_leg(descent.alpha, clock, steps), last_leg(descent.beta, clock, steps)};
 }
 
 // The facade's work: settle the goals, find paths for all, give up those for which there is none.

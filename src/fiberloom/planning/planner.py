@@ -62,7 +62,7 @@ class PlanSettings:
     """Scales how many repairs are tried before a positioner is given up."""
     least_approach_deg: float | None = None
     """To this an approach may be shortened that would touch something, on one axis or both."""
-    approach_turns: int = 3
+    approach_turns: int = 4
     """In so many turns positioners may come down to their goals where together they would touch; each one
     that is used lengthens the plan by an approach. 1: all together."""
     progress: Progress = _silent

@@ -31,7 +31,7 @@ class Approach:
     height_deg: tuple[float, float]
     """From how far above the goal the last leg of each axis comes."""
     begin_s: tuple[float, float]
-    """When it begins; the axis rests above its goal before."""
+    """When it begins; from then on the axis does not rise."""
     end_s: tuple[float, float]
 
     def __str__(self) -> str:

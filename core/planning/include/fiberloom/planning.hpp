@@ -49,7 +49,7 @@ struct Settings {
     double first_deadline = 1.05; // of the time the longest path needs
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up
-    int approach_turns = 3;       // in so many turns positioners may come down to their goals, if they must
+    int approach_turns = 4;       // in so many turns positioners may come down to their goals, if they must
     std::uint64_t seed = 0;
     Watch watch = [](const char *, int, int) {};
 };
@@ -79,6 +79,8 @@ struct Clock {
     Clock(const Settings &settings, const Task &task);
     // Duration of a step, s.
     double step_s() const { return 4 * quarter_s; }
+    // The highest approach that may begin in the turn after one in which the axis has gone up to it.
+    double highest_hook_rad(double acceleration_rad_s2) const;
 };
 
 // The last leg of one axis: down to the goal from a height above it, between two moments.

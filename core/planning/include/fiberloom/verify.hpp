@@ -58,7 +58,8 @@ struct Rules {
     std::vector<Angles> goal;
     std::vector<std::uint8_t> arrives;
     std::vector<double> approach_rad;
-    // Of those that say in which way they come to their goals; heights of approach_rad count as well.
+    // Of those that say in which way they come to their goals, at most one each: last legs as they say, and
+    // from no less than approach_rad.
     std::vector<Approach> approaches{};
 };
 

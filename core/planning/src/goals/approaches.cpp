@@ -6,12 +6,12 @@
 namespace fl::planning {
 namespace {
 
-constexpr int most_tests = 20'000; // of pairs of descents in one group; a pair of positioners has 1296
+constexpr int most_tests = 50'000; // of pairs of descents in one group; two positioners have 14641
+constexpr int largest_group = 4;   // of positioners that change their descents together
 
 } // namespace
 
 struct GoalFeasibility::Open {
-    PositionerIndex robot;
     List<RatedDescent> ways;
     List<Legs> legs; // of each way
 };
@@ -65,17 +65,18 @@ template <class Open> class Combination {
 
 Descent GoalFeasibility::usual(PositionerIndex i) const {
     const double height = row(task_.approach_rad, i);
-    return {{height, height}};
+    return {{height}, {height}};
 }
 
 Descent GoalFeasibility::lowest(PositionerIndex i) const {
     if (task_.least_approach_rad.empty()) return usual(i);
     const double height = row(task_.least_approach_rad, i);
-    return {{height, height}};
+    return {{height}, {height}};
 }
 
 List<RatedDescent> GoalFeasibility::descents_of(PositionerIndex i) const {
-    return descents(usual(i).above.alpha_rad, lowest(i).above.alpha_rad, settings_.approach_turns);
+    return descents({usual(i).alpha.height_rad, lowest(i).alpha.height_rad, settings_.approach_turns,
+                     clock_.highest_hook_rad(settings_.acceleration_rad_s2)});
 }
 
 void GoalFeasibility::take(PositionerIndex i, const Descent &descent) {
@@ -88,7 +89,7 @@ bool GoalFeasibility::find_descent(PositionerIndex i) {
     if (away(i)) return false;
     List<Angles> unreachable;
     for (const auto &[descent, cost] : descents_of(i)) {
-        const Angles above = descent.above;
+        const Angles above = descent.above(0);
         const bool known = std::any_of(unreachable.begin(), unreachable.end(), [&](Angles a) {
             return a.alpha_rad == above.alpha_rad && a.beta_rad == above.beta_rad;
         });
@@ -124,21 +125,24 @@ Refusal GoalFeasibility::meeting(PositionerIndex i, PositionerIndex j) const {
     return Refusal::approach_taken;
 }
 
-bool GoalFeasibility::clear_of_others(PositionerIndex i, const Legs &legs,
-                                      const List<PositionerIndex> &group) const {
-    return std::all_of(near(i).begin(), near(i).end(), [&](PositionerIndex j) {
-        return away(j) || group.contains(j) || stay_apart(legs, goals_[j].legs, need_mm_);
-    });
+// Whom outside of a group the legs of one of its members touch.
+List<PositionerIndex> GoalFeasibility::blockers(PositionerIndex i, const Legs &legs,
+                                                const List<PositionerIndex> &group) const {
+    List<PositionerIndex> out;
+    for (const PositionerIndex j : near(i))
+        if (!away(j) && !group.contains(j) && !stay_apart(legs, goals_[j].legs, need_mm_)) out.push_back(j);
+    return out;
 }
 
-// What a positioner of a group may do: it touches nobody outside of the group, and nothing that is at rest.
-GoalFeasibility::Open GoalFeasibility::open(PositionerIndex i, const List<PositionerIndex> &group) {
+// What a positioner of a group may do past all that is at rest; and past all others, if they are there.
+GoalFeasibility::Open GoalFeasibility::open(PositionerIndex i, const List<PositionerIndex> &group,
+                                            bool alone) {
     const Descent before = descent(i);
-    Open out{i, {}, {}};
+    Open out{{}, {}};
     for (const RatedDescent &way : descents_of(i)) {
         if (!inside_travel(goals_[i].angles, way.descent)) continue;
         const Legs legs(body(i), goals_[i].angles, way.descent);
-        if (!clear_of_others(i, legs, group) || blocked(i, legs).any) continue;
+        if ((!alone && !blockers(i, legs, group).empty()) || blocked(i, legs).any) continue;
         set_goal(i, goals_[i].angles, way.descent);
         if (!find_path_alone(i)) continue;
         out.ways.push_back(way);
@@ -148,27 +152,28 @@ GoalFeasibility::Open GoalFeasibility::open(PositionerIndex i, const List<Positi
     return out;
 }
 
+List<GoalFeasibility::Open> GoalFeasibility::open_all(const List<PositionerIndex> &group, bool alone) {
+    List<Open> all;
+    for (const PositionerIndex i : group) all.push_back(open(i, group, alone));
+    return all;
+}
+
 // New descents for all of a group, such that none of them touches anything; false: there are none.
 bool GoalFeasibility::rearrange(const List<PositionerIndex> &group) {
-    List<Open> all;
-    for (const PositionerIndex i : group) {
-        all.push_back(open(i, group));
-        if (all.back().ways.empty()) return false;
-    }
+    const List<Open> all = open_all(group, false);
     const List<int> ways = Combination<Open>(all, need_mm_).cheapest();
     for (int k = 0; k < ways.size(); ++k) take(group[k], all[k].ways[ways[k]].descent);
     return !ways.empty();
 }
 
-// With one more neighbour if the two alone cannot do it.
-bool GoalFeasibility::rearrange_round(PositionerIndex i, PositionerIndex j) {
-    List<PositionerIndex> around = near(i);
-    for (const PositionerIndex k : near(j)) around.push_back(k);
-    std::sort(around.begin(), around.end());
-    around.erase_if([&](PositionerIndex k) { return away(k) || k == i || k == j; });
-    for (int k = 0; k < around.size(); ++k)
-        if ((k == 0 || around[k] != around[k - 1]) && rearrange({i, j, around[k]})) return true;
-    return false;
+// Together with those that are in the way of what the group would do if it were alone.
+bool GoalFeasibility::rearrange_with_blockers(const List<PositionerIndex> &group) {
+    const List<Open> all = open_all(group, true);
+    const List<int> ways = Combination<Open>(all, need_mm_).cheapest();
+    List<PositionerIndex> wider = group;
+    for (int k = 0; k < ways.size(); ++k)
+        for (const PositionerIndex j : blockers(group[k], all[k].legs[ways[k]], wider)) wider.push_back(j);
+    return wider.size() > group.size() && wider.size() <= largest_group && rearrange(wider);
 }
 
 // Takes one pair apart that touches; each success leaves fewer such pairs.
@@ -176,9 +181,8 @@ bool GoalFeasibility::rearrange_some(const List<List<PositionerIndex>, Positione
     for (const bool wider : {false, true})
         for (const PositionerIndex i : places())
             for (const PositionerIndex j : rivals[i]) {
-                const auto rest = [&](PositionerIndex k) { return Legs(body(k), goals_[k].angles); };
-                if (j < i || !stay_apart(rest(i), rest(j), need_mm_)) continue; // the goals themselves
-                if (wider ? rearrange_round(i, j) : rearrange({i, j})) return true;
+                if (j < i || meeting(i, j) == Refusal::goal_taken) continue;
+                if (wider ? rearrange_with_blockers({i, j}) : rearrange({i, j})) return true;
             }
     return false;
 }

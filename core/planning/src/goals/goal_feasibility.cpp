@@ -119,14 +119,14 @@ bool GoalFeasibility::inside_travel(Angles place) const {
 }
 
 bool GoalFeasibility::inside_travel(Angles place, const Descent &descent) const {
-    const Angles high{place.alpha_rad + descent.above.alpha_rad, place.beta_rad + descent.above.beta_rad};
-    return inside_travel(place) && inside_travel(high);
+    return inside_travel(place) && inside_travel({place.alpha_rad + descent.alpha.height_rad,
+                                                  place.beta_rad + descent.beta.height_rad});
 }
 
 AxisGrid GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) const {
     const Limits &t = task_.travel;
     const bool alpha = axis == &Angles::alpha_rad;
-    return AxisGrid({start(i).*axis, goals_[i].angles.*axis + descent(i).above.*axis,
+    return AxisGrid({start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
                      alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
                      alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad},
                     step_rad);

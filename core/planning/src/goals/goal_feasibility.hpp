@@ -93,10 +93,12 @@ class GoalFeasibility {
     bool give_up(PositionerIndex i);
     Refusal meeting(PositionerIndex i, PositionerIndex j) const;
     bool rearrange_some(const List<List<PositionerIndex>, PositionerIndex> &rivals);
-    bool rearrange_round(PositionerIndex i, PositionerIndex j);
+    bool rearrange_with_blockers(const List<PositionerIndex> &group);
     bool rearrange(const List<PositionerIndex> &group);
-    Open open(PositionerIndex i, const List<PositionerIndex> &group);
-    bool clear_of_others(PositionerIndex i, const Legs &legs, const List<PositionerIndex> &group) const;
+    List<Open> open_all(const List<PositionerIndex> &group, bool alone);
+    Open open(PositionerIndex i, const List<PositionerIndex> &group, bool alone);
+    List<PositionerIndex> blockers(PositionerIndex i, const Legs &legs,
+                                   const List<PositionerIndex> &group) const;
     void take(PositionerIndex i, const Descent &descent);
     void relax();
 

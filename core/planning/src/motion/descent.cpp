@@ -6,26 +6,37 @@ namespace fl::planning {
 namespace {
 
 // A turn costs every positioner time, so it costs more than whatever else there is.
-constexpr int turn_cost = 8, apart_cost = 4, short_cost = 1;
+constexpr int turn_cost = 16, apart_cost = 4, hook_cost = 2, short_cost = 1;
 
 int cost(const Descent &d, double usual_rad) {
-    const int low = (d.above.alpha_rad < usual_rad) + (d.above.beta_rad < usual_rad);
-    return turn_cost * d.last_turn() + apart_cost * (d.alpha_turn != d.beta_turn) + short_cost * low;
+    int out = turn_cost * d.last_turn() + apart_cost * (d.alpha.turn != d.beta.turn);
+    for (const AxisDescent &axis : {d.alpha, d.beta})
+        out += short_cost * (axis.height_rad < usual_rad) + hook_cost * axis.waits_at_goal;
+    return out;
+}
+
+List<AxisDescent> axis_descents(const DescentRules &rules) {
+    List<double> heights{rules.usual_rad};
+    if (rules.least_rad < rules.usual_rad) heights.push_back(rules.least_rad);
+    List<AxisDescent> out;
+    for (const double height : heights)
+        for (int turn = 0; turn < rules.turns; ++turn) {
+            out.push_back({height, turn, false});
+            if (turn > 0 && height == rules.least_rad && height <= rules.highest_hook_rad)
+                out.push_back({height, turn, true});
+        }
+    return out;
 }
 
 } // namespace
 
-List<RatedDescent> descents(double usual_rad, double least_rad, int turns) {
-    List<double> heights{usual_rad};
-    if (least_rad < usual_rad) heights.push_back(least_rad);
-    if (usual_rad == 0.0) turns = 1;
+List<RatedDescent> descents(const DescentRules &rules) {
+    if (rules.usual_rad == 0.0) return {{}};
+    const List<AxisDescent> axis = axis_descents(rules);
     List<RatedDescent> out;
-    for (const double alpha : heights)
-        for (const double beta : heights)
-            for (int turn = 0; turn < turns * turns; ++turn) {
-                const Descent d{{alpha, beta}, turn % turns, turn / turns};
-                out.push_back({d, cost(d, usual_rad)});
-            }
+    for (const AxisDescent &alpha : axis)
+        for (const AxisDescent &beta : axis)
+            out.push_back({{alpha, beta}, cost({alpha, beta}, rules.usual_rad)});
     std::stable_sort(out.begin(), out.end(),
                      [](const RatedDescent &p, const RatedDescent &q) { return p.cost < q.cost; });
     return out;
@@ -48,9 +59,9 @@ SweptArm approach_leg(const ArmBody &body, Angles goal, Angles from, Angles to) 
 Legs::Legs(const ArmBody &body, Angles rest) : rest_(approach_leg(body, rest, {}, {})) {}
 
 Legs::Legs(const ArmBody &body, Angles goal, const Descent &descent) : Legs(body, goal) {
-    if (descent.above.alpha_rad == 0.0 && descent.above.beta_rad == 0.0) return;
+    if (descent.alpha.height_rad == 0.0 && descent.beta.height_rad == 0.0) return;
     for (int turn = 0; turn <= descent.last_turn(); ++turn)
-        turns_.push_back(approach_leg(body, goal, descent.left(turn), descent.left(turn + 1)));
+        turns_.push_back(approach_leg(body, goal, descent.above(turn), descent.above(turn + 1)));
 }
 
 bool stay_apart(const Legs &p, const Legs &q, double need_mm) {

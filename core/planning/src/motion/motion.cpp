@@ -35,25 +35,23 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
 // The last cut corner of a path ends half a step after it.
 int end_quarters(int steps) { return 4 * steps + 2; }
 
-// What of a descent is left at a third of a turn; a third covers 1/4, 1/2, 1/4 of the leg.
-Angles left_at(const Descent &descent, int turn, int third) {
+// Where the axes are above the goal at a third of a turn; a third covers 1/4, 1/2, 1/4 of the leg.
+Angles above_at(const Descent &descent, int turn, int third) {
     constexpr double done[] = {0.0, 0.25, 0.75, 1.0};
-    return between(descent.left(turn), descent.left(turn + 1), done[third]);
+    return between(descent.above(turn), descent.above(turn + 1), done[third]);
 }
 
-// From the place above the goal down to it, beginning at a time that is given in quarters.
-void add_descent(Motion &motion, Angles high, const Descent &descent, const Clock &clock, int begin) {
+// From the end of the path down to the goal, beginning at a time that is given in quarters.
+void add_descent(Motion &motion, Angles goal, const Descent &descent, const Clock &clock, int begin) {
     const auto add = [&](int turn, int third) {
         const double time_s = (begin + (3 * turn + third) * clock.leg_quarters) * clock.quarter_s;
-        const Angles left = left_at(descent, turn, third);
+        const Angles above = above_at(descent, turn, third);
         if (motion.time_s.back() < time_s)
-            add_point(motion, time_s,
-                      {high.alpha_rad - (descent.above.alpha_rad - left.alpha_rad),
-                       high.beta_rad - (descent.above.beta_rad - left.beta_rad)});
+            add_point(motion, time_s, {goal.alpha_rad + above.alpha_rad, goal.beta_rad + above.beta_rad});
     };
     add(0, 0);
     for (int turn = 0; turn <= descent.last_turn(); ++turn)
-        if (descent.comes_down(turn))
+        if (descent.moves(turn))
             for (int third = 0; third <= 3; ++third) add(turn, third);
 }
 
@@ -82,6 +80,12 @@ double turn_begins_s(const Clock &clock, int steps, int turn) {
     return (end_quarters(steps) + 3 * turn * clock.leg_quarters) * clock.quarter_s;
 }
 
+// An axis that goes up in one turn and down in the next changes its speed by half the height in a third.
+double Clock::highest_hook_rad(double acceleration_rad_s2) const {
+    const double third_s = leg_quarters * quarter_s;
+    return 2.0 * within * acceleration_rad_s2 * third_s * third_s;
+}
+
 Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
                  const Descent &descent) {
     Motion motion;
@@ -95,7 +99,9 @@ Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Cl
         for (int k = step == 0 ? 2 : 1; k <= 3; ++k) // the first point is there already
             add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
     }
-    add_descent(motion, angles_at(robot, cell_at(path, steps), {}, 2), descent, clock, end_quarters(steps));
+    const Angles end = angles_at(robot, cell_at(path, steps), {}, 2), above = descent.above(0);
+    const Angles goal{end.alpha_rad - above.alpha_rad, end.beta_rad - above.beta_rad};
+    add_descent(motion, goal, descent, clock, end_quarters(steps));
     return motion;
 }
 

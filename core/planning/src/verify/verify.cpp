@@ -88,7 +88,6 @@ class Verifier {
             check_axes(i);
             check_ends(i);
         }
-        for (const Approach &said : rules_.approaches) check_said(said);
         check_pairs();
         check_obstacles();
         return out_;
@@ -184,7 +183,12 @@ void Verifier::check_ends(int i) {
     if (!rules_.start.empty()) check_end(Fault::start, i, m.angles.front(), rules_.start[i], 0.0);
     if (!rules_.goal.empty() && rules_.arrives[i] != 0)
         check_end(Fault::goal, i, m.angles.back(), rules_.goal[i], m.time_s.back());
-    if (!rules_.approach_rad.empty() && tracks_[i].moves()) check_approach(i);
+    const auto said = std::find_if(rules_.approaches.begin(), rules_.approaches.end(),
+                                   [i](const Approach &a) { return a.robot == i; });
+    if (said != rules_.approaches.end())
+        check_said(*said);
+    else if (!rules_.approach_rad.empty() && tracks_[i].moves())
+        check_approach(i);
 }
 
 // From the end back: as long as both axes fall, they must have come from approach_rad above.
@@ -212,11 +216,15 @@ double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastL
     return std::max(off, std::abs(axis_at(m, axis, leg.end_s) - goal));
 }
 
+// One that has told how it comes does so, from no less than what is asked for, whatever it did before.
 void Verifier::check_said(const Approach &said) {
     const Motion &m = motions_[said.robot];
-    const double off = std::max(off_last_leg(m, &Angles::alpha_rad, said.alpha),
-                                off_last_leg(m, &Angles::beta_rad, said.beta));
-    if (!(off <= 2.0 * rules_.rounding_rad)) report(Fault::approach, said.robot, -1, said.alpha.begin_s, off);
+    double off = std::max(off_last_leg(m, &Angles::alpha_rad, said.alpha),
+                          off_last_leg(m, &Angles::beta_rad, said.beta));
+    if (!rules_.approach_rad.empty())
+        off = std::max(off, rules_.approach_rad[said.robot] -
+                                std::min(said.alpha.height_rad, said.beta.height_rad));
+    if (!(off <= 2.0 * rules_.rounding_rad)) report(Fault::approach, said.robot, -1, m.time_s.back(), off);
 }
 
 void Verifier::note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest) {
