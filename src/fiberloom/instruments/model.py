@@ -67,12 +67,12 @@ class Point(Table):
 
 
 APPROACH_BEYOND_MOTOR_DEG = 90.0
-"""Motor degrees that an approach has beyond the largest backlash at least; commissioning refuses other units. So
-far may a rotor at rest fall back inside its backlash (docs/calibration.md)."""
+"""Motor degrees that an approach has beyond the largest backlash at least; commissioning refuses other units.
+So far may a rotor at rest fall back inside its backlash (docs/calibration.md)."""
 
 APPROACH_BEYOND_SHARE = 0.2
-"""And at least this share of the backlash: where the slope of the gear is 0.15 too small, which acceptance lets
-pass, 1 / 0.85 of the backlash is needed at the output."""
+"""And at least this share of the backlash: where the slope of the gear is 0.15 too small, which acceptance
+lets pass, 1 / 0.85 of the backlash is needed at the output."""
 
 
 class Axis(Table):
@@ -122,8 +122,8 @@ class Axis(Table):
     def least_approach_deg(self) -> float:
         """The lowest approach that closes the largest backlash with a margin; never above the usual one.
 
-        Margin: `APPROACH_BEYOND_MOTOR_DEG` and `APPROACH_BEYOND_SHARE`, whichever is more. Where no backlash is
-        known, no approach may be shortened.
+        Margin: `APPROACH_BEYOND_MOTOR_DEG` and `APPROACH_BEYOND_SHARE`, whichever is more. Where no backlash
+        is known, no approach may be shortened.
         """
         if self.backlash_deg == 0.0:
             return self.approach_deg

@@ -244,9 +244,11 @@ def _reason(plane: FocalPlane, row: int, why: str, other: int, obstacle: int) ->
 
 def _approach(*legs: Sequence[float]) -> Approach:
     """Of the last legs of alpha and beta: height in rad, begin and end in s."""
-    height, begin, end = zip(*legs, strict=True)
-    alpha, beta = np.round(rad_to_deg(height), DECIMALS_DEG).tolist()
-    return Approach((alpha, beta), (round(begin[0], 6), round(begin[1], 6)), (round(end[0], 6), round(end[1], 6)))
+    alpha, beta = (
+        (round(float(rad_to_deg(h)), DECIMALS_DEG), *np.round(times, 6).tolist()) for h, *times in legs
+    )
+    height, begin, end = zip(alpha, beta, strict=True)
+    return Approach(height, begin, end)
 
 
 def _assembled(

@@ -302,8 +302,9 @@ def _approaches(
     if approach_deg is None:
         return np.zeros(0)
     asked = approach_rad(plane, approach_deg)
-    own = plane.index_of(list(plan.approaches)) if plan.approaches else []
-    asked[own] = least_approach_rad(plane, asked, limits.least_approach_deg)[own]
+    if plan.approaches:
+        own = plane.index_of(list(plan.approaches))
+        asked[own] = least_approach_rad(plane, asked, limits.least_approach_deg)[own]
     return asked
 
 

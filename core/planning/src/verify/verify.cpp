@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace fl::planning {
@@ -204,6 +205,8 @@ void Verifier::check_approach(int i) {
 
 // By how much an axis is not where its last leg shall begin, rises afterwards, or is not at its end in time.
 double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const {
+    const bool sound = std::isfinite(leg.height_rad) && leg.begin_s < leg.end_s;
+    if (!sound) return std::numeric_limits<double>::infinity();
     const double goal = m.angles.back().*axis;
     double off = std::max({0.0, -leg.height_rad, leg.end_s - m.time_s.back() - 1e-9, -leg.begin_s});
     double low = axis_at(m, axis, leg.begin_s);

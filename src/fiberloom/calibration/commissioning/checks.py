@@ -118,8 +118,9 @@ def _approach(name: str, v: Mapping[str, float], found: Quantities) -> CrossChec
     backlash = found.get(BACKLASH.format(name))
     value = backlash.value if backlash is not None else None
     left = None if value is None else v["approach"] - value
-    return CrossCheck(f"{name} approach beyond the largest backlash", left, APPROACH_BEYOND_MOTOR_DEG, None, "motor deg",
-                      "the gear's backlash is too large for the approach: refuse the unit")  # fmt: skip
+    remedy = "the gear's backlash is too large for the approach: refuse the unit"
+    return CrossCheck(f"{name} approach beyond the largest backlash", left, APPROACH_BEYOND_MOTOR_DEG, None,
+                      "motor deg", remedy)  # fmt: skip
 
 
 def _bend(name: str, v: Mapping[str, float], found: Quantities) -> CrossCheck:
