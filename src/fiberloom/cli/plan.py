@@ -131,6 +131,7 @@ def plan(options: PlanOptions) -> int:
             "robots": len(plane),
             "arrived": len(plane) - len(planned.refused),
             "not_arrived": list(planned.refused.values()),
+            "own_approach": {str(number): str(own) for number, own in planned.approaches.items()},
             "motion_s": planned.duration_s,
             "cpu_s": planned.cpu_s,
             "verified": checked.ok,

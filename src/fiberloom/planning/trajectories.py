@@ -42,6 +42,15 @@ class Approach:
         """As in the JSON file."""
         return {key: list(getattr(self, key)) for key in _LEGS}
 
+    @classmethod
+    def from_dict(cls, document: Any, where: str = "approach") -> "Approach":
+        """From the object of the JSON file; InputError where it is not sound."""
+        pairs = [_array(document, key, where).tolist() for key in _LEGS]
+        if any(len(pair) != 2 for pair in pairs):
+            raise InputError(f"{where}: {', '.join(_LEGS)} hold two numbers each, for alpha and beta")
+        height, begin, end = ((pair[0], pair[1]) for pair in pairs)
+        return cls(height, begin, end)
+
 
 _LEGS = ("height_deg", "begin_s", "end_s")
 
@@ -342,17 +351,9 @@ def _robot(entry: Any, where: str) -> Trajectory:
             f"{where}: {len(time_s)} times, {len(alpha_deg)} alphas, {len(beta_deg)} betas; "
             "there must be as many of each, at least one"
         )
-    approach = _approach(entry["approach"], where) if entry.get("approach") is not None else None
+    told = entry.get("approach")
+    approach = None if told is None else Approach.from_dict(told, f"{where}, approach")
     return Trajectory(number, time_s, alpha_deg, beta_deg, approach)
-
-
-def _approach(entry: Any, where: str) -> Approach:
-    where = f"{where}, approach"
-    pairs = [_array(entry, key, where).tolist() for key in _LEGS]
-    if any(len(pair) != 2 for pair in pairs):
-        raise InputError(f"{where}: {', '.join(_LEGS)} hold two numbers each, for alpha and beta")
-    height, begin, end = ((pair[0], pair[1]) for pair in pairs)
-    return Approach(height, begin, end)
 
 
 def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:

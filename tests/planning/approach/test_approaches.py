@@ -141,7 +141,7 @@ def with_disc(goal_deg: np.ndarray, above_deg: float, gap_mm: float):
     """One positioner, and a disc beside its arm so far above the goal, by so much from touching."""
     plane = bare(1)
     arm, segment = plane.arms[0], plane.beta_segment_mm[1]
-    alpha, beta = np.radians(goal_deg + above_deg) + [arm[3], arm[4]]
+    alpha, beta = np.radians(goal_deg + above_deg) + arm[3:]
     elbow = arm[0] + 1j * arm[1] + arm[2] * np.exp(1j * alpha)
     along = np.exp(1j * (alpha + beta))
     disc = elbow + segment * along + 1j * along * (RADIUS_MM + 1.0 + gap_mm)

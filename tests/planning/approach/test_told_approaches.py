@@ -8,8 +8,7 @@ import pytest
 from made import LEAST_DEG, USUAL_DEG, bare, facing
 
 from fiberloom.errors import InputError
-from fiberloom.planning import MotionLimits, Plan, Trajectory, plan, verify
-from fiberloom.planning.trajectories import Approach
+from fiberloom.planning import Approach, MotionLimits, Plan, Trajectory, plan, verify
 
 FREE = bare(2).select([0])
 ANY = MotionLimits(speed_deg_s=1e9, acceleration_deg_s2=1e12)

@@ -205,12 +205,13 @@ void Verifier::check_approach(int i) {
 
 // By how much an axis is not where its last leg shall begin, rises afterwards, or is not at its end in time.
 double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const {
-    const bool sound = std::isfinite(leg.height_rad) && leg.begin_s < leg.end_s;
+    const double rounding_s = 1e-9;
+    const bool sound = leg.height_rad >= 0.0 && leg.height_rad < 1e9 && leg.begin_s >= 0.0 &&
+                       leg.begin_s < leg.end_s && leg.end_s <= m.time_s.back() + rounding_s;
     if (!sound) return std::numeric_limits<double>::infinity();
     const double goal = m.angles.back().*axis;
-    double off = std::max({0.0, -leg.height_rad, leg.end_s - m.time_s.back() - 1e-9, -leg.begin_s});
     double low = axis_at(m, axis, leg.begin_s);
-    off = std::max(off, std::abs(low - goal - leg.height_rad));
+    double off = std::abs(low - goal - leg.height_rad);
     for (int k = 0; k < count(m.angles); ++k) {
         if (m.time_s[k] <= leg.begin_s) continue;
         off = std::max(off, m.angles[k].*axis - low);
