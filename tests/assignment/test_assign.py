@@ -246,12 +246,12 @@ def test_demanded_places_may_use_the_margin_up(small):
     assert served == sorted(served, reverse=True)
     for f in found:
         assert f.clearance_mm.min() >= 0.0
-    # somewhere on the way the margin is used up and the approach shrinks, but not below the
-    # backlash of 0.244 deg and 90 of the motor's
+    # somewhere on the way the margin is used up and the approach shrinks, but not below 1.2 times
+    # the backlash of 0.244 deg
     tight = [f for f in found if f.n_assigned == 2 and f.clearance_mm.min() < MARGIN_MM]
     assert tight
-    assert min(f.approach_deg.min() for f in found) == pytest.approx(0.244 + 90.0 / 1024.0)
-    assert any("approach of 0.332 deg" in note for f in found for note in f.notes)
+    assert min(f.approach_deg.min() for f in found) == pytest.approx(1.2 * 0.244)
+    assert any("approach of 0.293 deg" in note for f in found for note in f.notes)
     assert "would touch a neighbour" in " ".join(found[-1].unassigned.values())
 
 

@@ -66,13 +66,9 @@ class Point(Table):
     """Share of the positioners that carry this fibre."""
 
 
-APPROACH_BEYOND_MOTOR_DEG = 90.0
-"""Motor degrees that an approach has beyond the largest backlash at least; commissioning refuses other units.
-So far may a rotor at rest fall back inside its backlash (docs/calibration.md)."""
-
-APPROACH_BEYOND_SHARE = 0.2
-"""And at least this share of the backlash: where the slope of the gear is 0.15 too small, which acceptance
-lets pass, 1 / 0.85 of the backlash is needed at the output."""
+OVER_BACKLASH = 1.2
+"""The shortest approach over the largest backlash. Where the slope of the gear is 0.15 too small, the worst
+that acceptance lets pass, 1 / 0.85 of the backlash is needed at the output; gears of the twin need 1.16."""
 
 
 class Axis(Table):
@@ -120,15 +116,13 @@ class Axis(Table):
 
     @property
     def least_approach_deg(self) -> float:
-        """The lowest approach that closes the largest backlash with a margin; never above the usual one.
+        """The shortest approach that still closes the largest backlash; never above the usual one.
 
-        Margin: `APPROACH_BEYOND_MOTOR_DEG` and `APPROACH_BEYOND_SHARE`, whichever is more. Where no backlash
-        is known, no approach may be shortened.
+        Where no backlash is known, no approach may be shortened.
         """
         if self.backlash_deg == 0.0:
             return self.approach_deg
-        margin = max(APPROACH_BEYOND_SHARE * self.backlash_deg, APPROACH_BEYOND_MOTOR_DEG / self.gear)
-        return min(self.approach_deg, self.backlash_deg + margin)
+        return min(self.approach_deg, OVER_BACKLASH * self.backlash_deg)
 
 
 class Positioner(Table):

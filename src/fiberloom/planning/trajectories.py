@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fiberloom.errors import InputError
 from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.wholefile import write_whole
 
@@ -35,11 +36,11 @@ class Approach:
     end_s: tuple[float, float]
 
     def __str__(self) -> str:
-        legs = zip(("alpha", "beta"), self.height_deg, self.begin_s, strict=True)
+        legs = zip(AXES, self.height_deg, self.begin_s, strict=True)
         return ", ".join(f"{axis} from {height:.3g} deg at {begin:.2f} s" for axis, height, begin in legs)
 
     def to_dict(self) -> dict[str, list[float]]:
-        """As in the JSON file."""
+        """As in the JSON file: deg and s."""
         return {key: list(getattr(self, key)) for key in _LEGS}
 
     @classmethod

@@ -12,8 +12,8 @@ from fiberloom.planning import Plan, Trajectory
 
 SDSSV = load_instrument("sdssv")
 USUAL_DEG = 0.82
-LEAST_DEG = 0.244 + 90.0 / 1024.0
-"""The largest backlash of SDSS-V and 90 degrees of its motor."""
+LEAST_DEG = 1.2 * 0.244
+"""The largest backlash of SDSS-V and a fifth."""
 RADIUS_MM = 2.0
 
 

@@ -7,7 +7,9 @@ import pytest
 from made import LEAST_DEG, RADIUS_MM, SDSSV, USUAL_DEG, bare, facing, last_falls
 
 from fiberloom._core import planning as core
+from fiberloom._core import twin
 from fiberloom.planning import MotionLimits, Plan, PlanSettings, plan, random_pair, verify
+from fiberloom.twin.gears import draw_gear
 
 TOGETHER = PlanSettings(approach_turns=1)
 WHOLE = PlanSettings(least_approach_deg=USUAL_DEG)
@@ -25,11 +27,23 @@ def checked(plane, goal_deg, settings: PlanSettings | None = None) -> Plan:
     return made
 
 
-def test_the_least_approach_is_the_backlash_and_what_calibration_asks_beyond_it():
+def test_the_least_approach_closes_the_backlash_of_every_gear_that_is_accepted():
     assert SDSSV.least_approach_deg == pytest.approx(LEAST_DEG)
     assert SDSSV.least_approach_deg > 0.244 / 0.85  # the slope that acceptance lets pass
     assert SDSSV.alpha.model_copy(update={"backlash_deg": 0.0}).least_approach_deg == USUAL_DEG
-    assert SDSSV.alpha.model_copy(update={"gear": 1.0}).least_approach_deg == USUAL_DEG
+    assert SDSSV.alpha.model_copy(update={"backlash_deg": 0.8}).least_approach_deg == USUAL_DEG
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_least_approach_closes_the_backlash_of_gears_of_the_twin(seed):
+    """From above with the gear at the wrong contact, the motor goes down by the backlash and more."""
+    at = np.linspace(0.0, 360.0, 36001)
+    for axis in (0, 1):
+        gear = draw_gear(axis, np.random.default_rng([seed, axis]))
+        row = np.frombuffer(gear.tobytes(), dtype=np.float64)
+        low, backlash = (np.degrees(x) for x in twin.transmission(row, 1024.0, np.radians(at)))
+        high, _ = twin.transmission(row, 1024.0, np.radians(at + LEAST_DEG))
+        assert (np.degrees(high) - low - backlash).min() > 0.0
 
 
 def test_most_goals_whose_usual_approaches_touch_are_reached():

@@ -61,12 +61,14 @@ def test_who_rises_after_its_last_leg_has_begun_is_found():
 
 
 def test_what_does_not_close_the_backlash_is_found_where_the_approach_is_asked_for():
-    low = [(t, 50.0 + (a - 50.0) * 0.8, 60.0 + (b - 60.0) * 0.8) for t, a, b in ALPHA_FIRST]
-    said = replace(SAID, height_deg=(0.32, 0.32))
+    low = [(t, 50.0 + (a - 50.0) * 0.7, 60.0 + (b - 60.0) * 0.7) for t, a, b in ALPHA_FIRST]
+    said = replace(SAID, height_deg=(0.28, 0.28))
     assert kinds(told(said, low)) == set()
     assert kinds(told(said, low), approach_deg=USUAL_DEG) == {"approach"}
-    assert kinds(told(said, low), approach_deg=0.3) == set()  # the caller's own figure is lower
-    found = verify(FREE, told(said, low), approach_deg=USUAL_DEG, limits=replace(ANY, least_approach_deg=0.3))
+    assert kinds(told(said, low), approach_deg=0.27) == set()  # the caller's own figure is lower
+    found = verify(
+        FREE, told(said, low), approach_deg=USUAL_DEG, limits=replace(ANY, least_approach_deg=0.27)
+    )
     assert found.ok
 
 

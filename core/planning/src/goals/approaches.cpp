@@ -12,6 +12,7 @@ constexpr int largest_group = 4;   // of positioners that change their descents 
 } // namespace
 
 struct GoalFeasibility::Open {
+    PositionerIndex robot;
     List<RatedDescent> ways;
     List<Legs> legs; // of each way
 };
@@ -19,9 +20,9 @@ struct GoalFeasibility::Open {
 namespace {
 
 // One descent for each positioner of a group, so that none of them touch: the cheapest together.
-template <class Open> class Combination {
+template <class Open, class Apart> class Combination {
   public:
-    Combination(const List<Open> &open, double need_mm) : open_(open), need_mm_(need_mm) {}
+    Combination(const List<Open> &open, Apart apart) : open_(open), apart_(apart) {}
 
     // One way of each; empty: none was found.
     List<int> cheapest() {
@@ -30,10 +31,10 @@ template <class Open> class Combination {
     }
 
   private:
-    bool clear(const Legs &legs) {
+    bool clear(const Open &next, int way) {
         for (int k = 0; k < chosen_.size(); ++k) {
             ++tests_;
-            if (!stay_apart(open_[k].legs[chosen_[k]], legs, need_mm_)) return false;
+            if (!apart_(open_[k].robot, open_[k].legs[chosen_[k]], next.robot, next.legs[way])) return false;
         }
         return true;
     }
@@ -48,7 +49,7 @@ template <class Open> class Combination {
         for (int way = 0; way < next.ways.size() && tests_ < most_tests; ++way) {
             const int now = cost + next.ways[way].cost;
             if (!best_.empty() && now >= best_cost_) return; // the others cost more still
-            if (!clear(next.legs[way])) continue;
+            if (!clear(next, way)) continue;
             chosen_.push_back(way);
             choose(now);
             chosen_.pop_back();
@@ -56,7 +57,7 @@ template <class Open> class Combination {
     }
 
     const List<Open> &open_;
-    double need_mm_;
+    Apart apart_;
     int tests_ = 0, best_cost_ = 0;
     List<int> chosen_, best_;
 };
@@ -130,7 +131,7 @@ List<PositionerIndex> GoalFeasibility::blockers(PositionerIndex i, const Legs &l
                                                 const List<PositionerIndex> &group) const {
     List<PositionerIndex> out;
     for (const PositionerIndex j : near(i))
-        if (!away(j) && !group.contains(j) && !stay_apart(legs, goals_[j].legs, need_mm_)) out.push_back(j);
+        if (!away(j) && !group.contains(j) && !apart(i, legs, j, goals_[j].legs)) out.push_back(j);
     return out;
 }
 
@@ -138,7 +139,7 @@ List<PositionerIndex> GoalFeasibility::blockers(PositionerIndex i, const Legs &l
 GoalFeasibility::Open GoalFeasibility::open(PositionerIndex i, const List<PositionerIndex> &group,
                                             bool alone) {
     const Descent before = descent(i);
-    Open out{{}, {}};
+    Open out{i, {}, {}};
     for (const RatedDescent &way : descents_of(i)) {
         if (!inside_travel(goals_[i].angles, way.descent)) continue;
         const Legs legs(body(i), goals_[i].angles, way.descent);
@@ -158,10 +159,18 @@ List<GoalFeasibility::Open> GoalFeasibility::open_all(const List<PositionerIndex
     return all;
 }
 
+// A way for each; empty: there are none that go together.
+List<int> GoalFeasibility::cheapest(const List<Open> &all) const {
+    const auto clear = [this](PositionerIndex i, const Legs &mine, PositionerIndex j, const Legs &theirs) {
+        return apart(i, mine, j, theirs);
+    };
+    return Combination(all, clear).cheapest();
+}
+
 // New descents for all of a group, such that none of them touches anything; false: there are none.
 bool GoalFeasibility::rearrange(const List<PositionerIndex> &group) {
     const List<Open> all = open_all(group, false);
-    const List<int> ways = Combination<Open>(all, need_mm_).cheapest();
+    const List<int> ways = cheapest(all);
     for (int k = 0; k < ways.size(); ++k) take(group[k], all[k].ways[ways[k]].descent);
     return !ways.empty();
 }
@@ -169,7 +178,7 @@ bool GoalFeasibility::rearrange(const List<PositionerIndex> &group) {
 // Together with those that are in the way of what the group would do if it were alone.
 bool GoalFeasibility::rearrange_with_blockers(const List<PositionerIndex> &group) {
     const List<Open> all = open_all(group, true);
-    const List<int> ways = Combination<Open>(all, need_mm_).cheapest();
+    const List<int> ways = cheapest(all);
     List<PositionerIndex> wider = group;
     for (int k = 0; k < ways.size(); ++k)
         for (const PositionerIndex j : blockers(group[k], all[k].legs[ways[k]], wider)) wider.push_back(j);

@@ -161,8 +161,22 @@ bool GoalFeasibility::settle_alone(PositionerIndex i) {
     return true;
 }
 
+// Of a step on the grid: so much nearer to another than it is may an arm seem while it comes to rest.
+double GoalFeasibility::bulge_mm(PositionerIndex i) const {
+    return step_bulge_mm(body(i), clock_.grid_rad / goals_[i].finer);
+}
+
+// Whether two stay apart on their legs, and the places where these begin can be come to one after the other.
+bool GoalFeasibility::apart(PositionerIndex i, const Legs &mine, PositionerIndex j,
+                            const Legs &theirs) const {
+    if (!stay_apart(mine, theirs, need_mm_)) return false;
+    if (goals_[i].still || goals_[j].still) return true;
+    const double room_mm = std::min(bulge_mm(i), bulge_mm(j));
+    return distance(mine.at(0).at[0], theirs.at(0).at[0]) >= need_mm_ + room_mm;
+}
+
 bool GoalFeasibility::legs_touch(PositionerIndex i, PositionerIndex j) const {
-    return !away(i) && !away(j) && !stay_apart(goals_[i].legs, goals_[j].legs, need_mm_);
+    return !away(i) && !away(j) && !apart(i, goals_[i].legs, j, goals_[j].legs);
 }
 
 // One that rests at its goal in the way of another's approach must make the approach with it.

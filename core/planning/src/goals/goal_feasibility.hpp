@@ -78,6 +78,8 @@ class GoalFeasibility {
     AxisGrid grid(PositionerIndex i, double Angles::*axis, double step_rad) const;
     Blocked blocked(PositionerIndex i, const Legs &legs) const;
     Blocked blocked(PositionerIndex i, const SweptArm &leg) const;
+    double bulge_mm(PositionerIndex i) const;
+    bool apart(PositionerIndex i, const Legs &mine, PositionerIndex j, const Legs &theirs) const;
     bool legs_touch(PositionerIndex i, PositionerIndex j) const;
     bool settle_alone(PositionerIndex i);
     bool settle_each();
@@ -95,6 +97,7 @@ class GoalFeasibility {
     bool rearrange_some(const List<List<PositionerIndex>, PositionerIndex> &rivals);
     bool rearrange_with_blockers(const List<PositionerIndex> &group);
     bool rearrange(const List<PositionerIndex> &group);
+    List<int> cheapest(const List<Open> &all) const;
     List<Open> open_all(const List<PositionerIndex> &group, bool alone);
     Open open(PositionerIndex i, const List<PositionerIndex> &group, bool alone);
     List<PositionerIndex> blockers(PositionerIndex i, const Legs &legs,

@@ -10,7 +10,6 @@ import numpy as np
 from fiberloom.bus.parameters import AxisParameters
 from fiberloom.calibration.commissioning.derive import FACTORY, CrossCheck, Derivation
 from fiberloom.calibration.commissioning.measured import BACKLASH, PUSHED_DRAG, Quantities
-from fiberloom.instruments.model import APPROACH_BEYOND_MOTOR_DEG
 from fiberloom.units import AXES, GEAR, RAD_PER_DEG
 
 RAD_S_PER_RPM = np.pi / 30.0
@@ -24,6 +23,8 @@ model may take the rest."""
 OWN_FRICTION_SHARE, OWN_PHASE_RAD = 0.15, 0.1
 """By how much the positioner's own cogging calibration (47) may differ: it reaches 4 % and a mrad. The phase
 differs from unit to unit by any angle: results of another unit do not pass."""
+FALL_BACK_DEG = 90.0
+"""Motor degrees by which a rotor at rest may fall back inside its backlash (docs/calibration.md)."""
 BEND_DEG = 0.6
 """Of the arm, when the torque reaches contact_torque: the nominal axes give by 0.20 and 0.27."""
 
@@ -118,9 +119,8 @@ def _approach(name: str, v: Mapping[str, float], found: Quantities) -> CrossChec
     backlash = found.get(BACKLASH.format(name))
     value = backlash.value if backlash is not None else None
     left = None if value is None else v["approach"] - value
-    remedy = "the gear's backlash is too large for the approach: refuse the unit"
-    return CrossCheck(f"{name} approach beyond the largest backlash", left, APPROACH_BEYOND_MOTOR_DEG, None,
-                      "motor deg", remedy)  # fmt: skip
+    return CrossCheck(f"{name} approach beyond the largest backlash", left, FALL_BACK_DEG, None, "motor deg",
+                      "the gear's backlash is too large for the approach: refuse the unit")  # fmt: skip
 
 
 def _bend(name: str, v: Mapping[str, float], found: Quantities) -> CrossCheck:

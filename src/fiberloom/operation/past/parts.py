@@ -102,13 +102,13 @@ def plan_of(part: RunPart) -> Plan:
     """The plan of a move's part."""
     head, arrays = part.head, part.arrays
     ends = np.cumsum(arrays["n_points"])[:-1]
-    cut = [np.split(arrays[key], ends) for key in KEYS]
-    robots = zip(arrays["positioner_id"].tolist(), *cut, strict=True)
+    time_s, alpha, beta = (np.split(arrays[key], ends) for key in KEYS)
+    robots = zip(arrays["positioner_id"].tolist(), time_s, alpha, beta, strict=True)
     own = {positioner: Approach.from_dict(told) for positioner, told in head.get("approaches", [])}
     return Plan(
         head["instrument"],
         head["collision_buffer_mm"],
-        tuple(Trajectory(*robot, own.get(robot[0])) for robot in robots),
+        tuple(Trajectory(i, t, a, b, own.get(i)) for i, t, a, b in robots),
         {int(positioner): why for positioner, why in head["refused"]},
         head["cpu_s"],
     )
