@@ -47,7 +47,7 @@ def test_the_least_approach_closes_the_backlash_of_gears_of_the_twin(seed):
 
 
 def test_most_goals_whose_usual_approaches_touch_are_reached():
-    """All forty were refused; now five are: of some the approach of each crosses the goal of the other."""
+    """All forty were refused; now three are: the approach of each crosses the goal of the other."""
     plane, arrived = bare(2), 0
     for goal_deg in facing(1)[:40]:
         assert len(checked(plane, goal_deg, AS_BEFORE).refused) == 1
@@ -56,7 +56,7 @@ def test_most_goals_whose_usual_approaches_touch_are_reached():
         if not made.refused:
             assert made.approaches
             np.testing.assert_allclose(made.end_deg, goal_deg, atol=1e-8)
-    assert arrived >= 34
+    assert arrived >= 37
 
 
 def offsets(made: Plan) -> list[tuple[int, int]]:

@@ -49,15 +49,15 @@ def test_random_places_without_a_margin(real, seed):
     goal_deg = random_configuration(real, seed, margin_mm=0.0, approach_deg=0.0)
     before, after = before_and_after(f"random places, seed {seed}", real, goal_deg)
     assert len(before.refused) >= 3
-    assert len(after.refused) - kept(after) <= 4
-    assert len(after.refused) < len(before.refused)
+    assert len(after.refused) <= 2
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_targets_assigned_without_regard_to_approaches(real, seed):
     found = assign(real, random_targets(real, 3000, seed), approach_deg=0.0, margin_mm=0.0)
     before, after = before_and_after(f"assigned, seed {seed}", real, found.goal_deg)
-    assert len(after.refused) < len(before.refused)
+    assert len(before.refused) >= 8
+    assert len(after.refused) <= 2
 
 
 def test_the_configuration_of_a_real_exposure(shared_sdssv):
