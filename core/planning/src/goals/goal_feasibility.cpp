@@ -169,6 +169,7 @@ double GoalFeasibility::bulge_mm(PositionerIndex i) const {
 // Whether two stay apart on their legs, and the places where these begin can be come to one after the other.
 bool GoalFeasibility::apart(PositionerIndex i, const Legs &mine, PositionerIndex j,
                             const Legs &theirs) const {
+    if (j < i) return apart(j, theirs, i, mine); // the last bit of a distance depends on the order
     if (!stay_apart(mine, theirs, need_mm_)) return false;
     if (goals_[i].still || goals_[j].still) return true;
     const double room_mm = std::min(bulge_mm(i), bulge_mm(j));
@@ -200,7 +201,11 @@ bool GoalFeasibility::settle_pairs() {
     const auto worst = std::max_element(rivals.begin(), rivals.end(),
                                         [](const auto &p, const auto &q) { return p.size() < q.size(); });
     if (worst == rivals.end() || worst->empty()) return true;
-    if (rearrange_some(rivals)) return false;
+    // each time fewer pairs touch, so that this is no limit that is met; but settling has to end
+    if (rearranged_ < goals_.size() && rearrange_some(rivals)) {
+        ++rearranged_;
+        return false;
+    }
     const PositionerIndex loser(static_cast<int>(worst - rivals.begin()));
     move_away(loser, meeting(loser, worst->front()), {true, worst->front()});
     return false;

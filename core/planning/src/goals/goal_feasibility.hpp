@@ -113,6 +113,7 @@ class GoalFeasibility {
     List<Goal, PositionerIndex> goals_;
     List<List<PositionerIndex>, PositionerIndex> near_;
     std::vector<Refused> refused_;
+    int rearranged_ = 0; // groups that have got new descents
 };
 
 } // namespace fl::planning
