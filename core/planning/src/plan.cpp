@@ -162,9 +162,9 @@ const char *to_string(Refusal reason) {
     case Refusal::approach_beyond_travel:
         return "its goal with the shortest approach lies beyond the travel of its axes";
     case Refusal::goal_blocked:
-        return "its goal touches {other}";
+        return "its goal touches {still}";
     case Refusal::approach_blocked:
-        return "its approach touches {other}";
+        return "its approach touches {still}";
     case Refusal::goal_taken:
         return "its goal touches the goal of {other}";
     case Refusal::approach_at_goal:

@@ -236,10 +236,10 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
 def _reason(plane: FocalPlane, row: int, why: str, other: int, obstacle: int) -> str:
     """The sentence on a positioner, with the name of the body that it meets."""
     body = f"positioner {plane.positioner_id[other]}" if other >= 0 else ""
-    if obstacle >= 0:
-        body = obstacle_name(plane, obstacle)
-    told = why.format(other=body) if "{other}" in why else f"{why} ({body})" if body else why
-    return f"positioner {plane.positioner_id[row]}: {told}"
+    still = obstacle_name(plane, obstacle) if obstacle >= 0 else f"{body}, which does not move"
+    told = why.format(other=body or still, still=still)
+    named = told != why or not body
+    return f"positioner {plane.positioner_id[row]}: {told}" + ("" if named else f" ({body})")
 
 
 def _approach(*legs: Sequence[float]) -> Approach:

@@ -111,7 +111,8 @@ enum class Refusal {
     start_blocked
 };
 
-// The reason as the end of a sentence that begins with the positioner's name; {other}: what it meets.
+// The reason as the end of a sentence that begins with the positioner's name. {other} and {still}: what it
+// meets, the latter something that does not move.
 const char *to_string(Refusal reason);
 
 // A positioner (row) that does not arrive, and what it meets: another positioner or an obstacle; -1: neither.
