@@ -117,6 +117,13 @@ void task_init(Task *self, Pairs start, Pairs goal, Input1<double> approach, Fla
         Task{angles_of(start), angles_of(goal), vector_of(approach), flags_of(fixed), limits_of(travel)};
 }
 
+void task_may_shorten(Task &task, Input1<double> least) {
+    need_rows("least", least.shape(0), task.approach_rad.size());
+    task.least_approach_rad = vector_of(least);
+    for (size_t i = 0; i < task.approach_rad.size(); ++i)
+        task.least_approach_rad[i] = std::min(task.least_approach_rad[i], task.approach_rad[i]);
+}
+
 void settings_init(Settings *self, double speed, double acceleration, double grid) {
     new (self) Settings(settings_of(speed, acceleration, grid));
 }
@@ -134,10 +141,15 @@ Dict dict_of(const Statistics &s) {
 }
 
 using Motions = std::vector<Output<double, -1, 3>>;
-using Refusals = std::vector<std::tuple<int, std::string, int>>;
+using Refusals = std::vector<std::tuple<int, std::string, int, int>>;
+using LastLegs = std::vector<std::tuple<int, std::array<double, 3>, std::array<double, 3>>>;
 
-std::tuple<Motions, Refusals, Dict> plan_all(const Bodies &bodies, const Task &task,
-                                             const Settings &settings) {
+std::array<double, 3> array_of(const LastLeg &leg) { return {leg.height_rad, leg.begin_s, leg.end_s}; }
+
+LastLeg last_leg_of(const std::array<double, 3> &leg) { return {leg[0], leg[1], leg[2]}; }
+
+std::tuple<Motions, Refusals, Dict, LastLegs> plan_all(const Bodies &bodies, const Task &task,
+                                                       const Settings &settings) {
     need_rows("start", task.start.size(), bodies.arms.size());
     PlanResult result;
     {
@@ -147,8 +159,12 @@ std::tuple<Motions, Refusals, Dict> plan_all(const Bodies &bodies, const Task &t
     Motions motions;
     Refusals refused;
     for (const Motion &m : result.motions) motions.push_back(points_of(m));
-    for (const Refused &r : result.refused) refused.emplace_back(r.robot, to_string(r.reason), r.other);
-    return {motions, refused, dict_of(result.statistics)};
+    for (const Refused &r : result.refused)
+        refused.emplace_back(r.robot, to_string(r.reason), r.other, r.obstacle);
+    LastLegs legs;
+    for (const Approach &a : result.approaches)
+        legs.emplace_back(a.robot, array_of(a.alpha), array_of(a.beta));
+    return {motions, refused, dict_of(result.statistics), legs};
 }
 
 void bind_plan(nb::module_ &m) {
@@ -164,7 +180,9 @@ void bind_plan(nb::module_ &m) {
             nb::arg("travel"),
             "start, goal (N, 2) in rad; approach (N,): rad above the goal, on both axes, from which the last "
             "leg starts; fixed (N,): cannot move; travel [[alpha_min, alpha_max], [beta_min, beta_max]] in "
-            "rad. ValueError where the numbers of rows differ.");
+            "rad. ValueError where the numbers of rows differ.")
+        .def("may_shorten", &task_may_shorten, nb::arg("least"),
+             "Approaches that would touch may be shortened to this, rad (N,). Without it none may.");
     nb::class_<Settings>(m, "Settings", "Speeds, and how hard the planner tries.")
         .def("__init__", &settings_init, nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
              nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
@@ -172,6 +190,8 @@ void bind_plan(nb::module_ &m) {
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")
+        .def_rw("approach_turns", &Settings::approach_turns,
+                "positioners may come down to their goals in so many turns, if they must; 1: all together")
         .def_rw("seed", &Settings::seed)
         .def(
             "tell", [](Settings &self, Watch watch) { self.watch = std::move(watch); }, nb::arg("watch"),
@@ -179,14 +199,15 @@ void bind_plan(nb::module_ &m) {
             "done, and of how many. It must not raise.");
     m.def(
         "plan", &plan_all, nb::arg("bodies"), nb::arg("task"), nb::arg("settings"),
-        "Motions (list of (n, 3): time_s, alpha_rad, beta_rad), positioners that do not arrive (index, why, "
-        "other or -1), statistics.");
+        "Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, "
+        "other or -1, obstacle or -1); statistics; positioners that do not come to their goals as all others "
+        "do (index, last leg of alpha, of beta: height in rad, begin and end in s).");
 }
 
 // --- its verification --------------------------------------------------------------------------
 
 void rules_init(Rules *self, double speed, double acceleration, double rounding, Travel travel) {
-    new (self) Rules{speed, acceleration, limits_of(travel), rounding, false, {}, {}, {}, {}};
+    new (self) Rules{speed, acceleration, limits_of(travel), rounding, false, {}, {}, {}, {}, {}};
 }
 
 void rules_expect(Rules &rules, Pairs start, Pairs goal, Flags arrives, Input1<double> approach) {
@@ -195,6 +216,11 @@ void rules_expect(Rules &rules, Pairs start, Pairs goal, Flags arrives, Input1<d
     rules.goal = angles_of(goal);
     rules.arrives = flags_of(arrives);
     rules.approach_rad = vector_of(approach);
+}
+
+void rules_say(Rules &rules, int robot, const std::array<double, 3> &alpha,
+               const std::array<double, 3> &beta) {
+    rules.approaches.push_back({robot, last_leg_of(alpha), last_leg_of(beta)});
 }
 
 Dict dict_of(const Gap &g) {
@@ -226,6 +252,9 @@ Dict verify_all(const Bodies &bodies, const std::vector<Points> &motions, const 
     if (!rules.start.empty()) need_rows("start", rules.start.size(), n);
     if (!rules.goal.empty()) need_rows("goal", rules.goal.size(), n);
     if (!rules.approach_rad.empty()) need_rows("approach", rules.approach_rad.size(), n);
+    for (const Approach &said : rules.approaches)
+        if (said.robot < 0 || static_cast<size_t>(said.robot) >= n)
+            throw nb::index_error("an approach of no positioner");
     std::vector<Motion> all;
     for (const Points &rows : motions) all.push_back(motion_from(rows));
     Verification result;
@@ -246,6 +275,10 @@ void bind_verify(nb::module_ &m) {
              nb::arg("approach"),
              "Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the "
              "approach, rad (N,). Empty: not checked.")
+        .def("say", &rules_say, nb::arg("robot"), nb::arg("alpha"), nb::arg("beta"),
+             "Also check the last legs of one positioner (index): height above its end in rad, begin and end "
+             "in "
+             "s.")
         .def_rw("separating", &Rules::separating,
                 "bodies that overlap at the start may move if they only move apart");
     m.def("verify", &verify_all, nb::arg("bodies"), nb::arg("motions"), nb::arg("rules"),

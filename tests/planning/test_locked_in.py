@@ -21,6 +21,7 @@ def test_what_is_in_vain_ends():
     plane = FocalPlane.of("sdssv", n=37, seed=2).select(ROWS)
     plane = replace(plane, fiducials=np.vstack([plane.fiducials, LOST_MM]))
     made = plan(plane, HERE_DEG, GOAL_DEG, seed=2, approach_deg=0.82)
-    assert any("no way past its neighbours was found" in why for why in made.refused.values())
+    assert "its goal touches fiducial 62" in made.refused[278]  # and no way to the place it was sent to
+    assert made.statistics["repairs"] > 50
     assert len(made.refused) <= 3
     assert made.statistics["expansions"] < 20_000_000

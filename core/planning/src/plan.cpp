@@ -13,6 +13,15 @@ namespace {
 
 constexpr int give_up_rounds = 20;
 
+LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
+    return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
+            turn_begins_s(clock, steps, axis.turn + 1)};
+}
+
+Approach approach_of(PositionerIndex i, const Descent &descent, const Clock &clock, int steps) {
+    return {i.value(), last_leg(descent.alpha, clock, steps), last_leg(descent.beta, clock, steps)};
+}
+
 // The facade's work: settle the goals, find paths for all, give up those for which there is none.
 class Planner {
   public:
@@ -22,7 +31,7 @@ class Planner {
     PlanResult run() {
         goals_.settle();
         for (int round = 0; round < give_up_rounds; ++round)
-            if (find_paths()) return {motions_, goals_.refused(), statistics_};
+            if (find_paths()) return {motions_, goals_.refused(), statistics_, approaches_};
         return none_moves();
     }
 
@@ -43,6 +52,7 @@ class Planner {
     std::optional<PathSet> before_;                      // of the round before, until one was given up ...
     List<PositionerIndex, PathIndex> positioner_before_; // ... and whose its paths are
     std::vector<Motion> motions_;
+    std::vector<Approach> approaches_;
     Statistics statistics_;
 };
 
@@ -140,8 +150,10 @@ void Planner::keep(const PathSet &paths) {
     for (const Angles &start : task_.start) motions.push_back({{0.0}, {start}});
     for (const PathIndex m : paths.places()) {
         const PositionerIndex i = positioner_of_[m];
-        if (!paths.at(m).still)
-            motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, goals_.approach(i));
+        if (paths.at(m).still) continue;
+        const Descent &descent = goals_.descent(i);
+        motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, descent);
+        if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, last));
     }
     motions_.assign(motions.begin(), motions.end());
 }
@@ -164,17 +176,27 @@ PlanResult Planner::none_moves() {
 const char *to_string(Refusal reason) {
     switch (reason) {
     case Refusal::goal_beyond_travel:
-        return "its goal with the approach lies beyond the travel of its axes";
+        return "its goal lies beyond the travel of its axes";
+    case Refusal::approach_beyond_travel:
+        return "its goal with the shortest approach lies beyond the travel of its axes";
     case Refusal::goal_blocked:
-        return "its goal touches something that does not move";
+        return "its goal touches {still}";
+    case Refusal::approach_blocked:
+        return "its approach touches {still}";
     case Refusal::goal_taken:
-        return "its goal touches the goal of another positioner";
+        return "its goal touches the goal of {other}";
+    case Refusal::approach_at_goal:
+        return "its approach touches the goal of {other}";
+    case Refusal::goal_on_approach:
+        return "its goal touches the approach of {other}";
+    case Refusal::approach_taken:
+        return "its approach touches the approach of {other}";
     case Refusal::no_way_alone:
         return "it cannot pass what stands still around it, even alone";
     case Refusal::no_way:
         return "no way past its neighbours was found";
     case Refusal::start_blocked:
-        return "it touches something before it moves";
+        return "it touches {other} before it moves";
     }
     return "";
 }

@@ -28,6 +28,11 @@ class Task:
         start, goal (N, 2) in rad; approach (N,): rad above the goal, on both axes, from which the last leg starts; fixed (N,): cannot move; travel [[alpha_min, alpha_max], [beta_min, beta_max]] in rad. ValueError where the numbers of rows differ.
         """
 
+    def may_shorten(self, least: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Approaches that would touch may be shortened to this, rad (N,). Without it none may.
+        """
+
 class Settings:
     """Speeds, and how hard the planner tries."""
 
@@ -63,6 +68,15 @@ class Settings:
     def effort(self, arg: float, /) -> None: ...
 
     @property
+    def approach_turns(self) -> int:
+        """
+        positioners may come down to their goals in so many turns, if they must; 1: all together
+        """
+
+    @approach_turns.setter
+    def approach_turns(self, arg: int, /) -> None: ...
+
+    @property
     def seed(self) -> int: ...
 
     @seed.setter
@@ -73,9 +87,9 @@ class Settings:
         While a plan is made, `watch` is called with the name of a stage, how many of its parts are done, and of how many. It must not raise.
         """
 
-def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int]], dict[str, Any]]:
+def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int, int]], dict[str, Any], list[tuple[int, list[float], list[float]]]]:
     """
-    Motions (list of (n, 3): time_s, alpha_rad, beta_rad), positioners that do not arrive (index, why, other or -1), statistics.
+    Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, other or -1, obstacle or -1); statistics; positioners that do not come to their goals as all others do (index, last leg of alpha, of beta: height in rad, begin and end in s).
     """
 
 class Rules:
@@ -89,6 +103,11 @@ class Rules:
     def expect(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], arrives: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu', writable=False)], approach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
         Also check where motions start and end, rad (N, 2), the goal only where `arrives`, and the approach, rad (N,). Empty: not checked.
+        """
+
+    def say(self, robot: int, alpha: Sequence[float], beta: Sequence[float]) -> None:
+        """
+        Also check the last legs of one positioner (index): height above its end in rad, begin and end in s.
         """
 
     @property

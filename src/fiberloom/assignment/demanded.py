@@ -14,15 +14,6 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.typing import Floats, Ints
 
-OVER_BACKLASH = 1.2
-"""The shortest approach still closes the largest backlash, with a fifth to spare."""
-
-
-def least_approach_deg(plane: FocalPlane, approach_deg: float) -> float:
-    """The shortest overshoot that closes every backlash; never more than the usual one."""
-    backlash = max(axis.backlash_deg for axis in plane.instrument.axes)
-    return min(approach_deg, OVER_BACKLASH * backlash) if backlash else approach_deg
-
 
 def place_demanded(
     placement: Placement, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
@@ -42,7 +33,8 @@ def place_demanded(
         escape=Escape(plane, obstacles(plane, 0.0)),
     )
     approach = np.full(len(found), rules.approach_deg)
-    approach[_crowded(plane, found, approach, bare)] = least_approach_deg(plane, bare.approach_deg)
+    least_deg = min(bare.approach_deg, plane.instrument.least_approach_deg)
+    approach[_crowded(plane, found, approach, bare)] = least_deg
     segments = sweep(plane, found.positioner, found.goal_deg, approach)
     block = screen(plane, found, segments, approach, bare)
     ok = np.flatnonzero(block == Block.NONE)

@@ -147,6 +147,7 @@ class _Planned:
             "robots": n,
             "arrived": n - len(refused),
             "not_arrived": [why for _, why in sorted(refused.items())],
+            "own_approach": {str(number): str(own) for number, own in made.approaches.items()},
             "notes": self.notes(),
             "buffer_mm": made.collision_buffer_mm,
             "bound_s": least_s,

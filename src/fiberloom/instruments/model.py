@@ -66,6 +66,11 @@ class Point(Table):
     """Share of the positioners that carry this fibre."""
 
 
+OVER_BACKLASH = 1.2
+"""The shortest approach over the largest backlash. Where the slope of the gear is 0.15 too small, the worst
+that acceptance lets pass, 1 / 0.85 of the backlash is needed at the output; gears of the twin need 1.16."""
+
+
 class Axis(Table):
     """One rotation axis: how far it turns and what turns it."""
 
@@ -108,6 +113,16 @@ class Axis(Table):
         if high - low > 720.0:
             raise ValueError(f"target_range_deg {[low, high]}: more than two turns are not supported")
         return self
+
+    @property
+    def least_approach_deg(self) -> float:
+        """The shortest approach that still closes the largest backlash; never above the usual one.
+
+        Where no backlash is known, no approach may be shortened.
+        """
+        if self.backlash_deg == 0.0:
+            return self.approach_deg
+        return min(self.approach_deg, OVER_BACKLASH * self.backlash_deg)
 
 
 class Positioner(Table):
@@ -507,6 +522,11 @@ class Instrument(Table):
     def approach_deg(self) -> float:
         """From how far above both axes come to their goals: the larger approach of the two."""
         return max(axis.approach_deg for axis in self.axes)
+
+    @property
+    def least_approach_deg(self) -> float:
+        """To which height an approach may be shortened: on both axes it still closes the backlash."""
+        return max(axis.least_approach_deg for axis in self.axes)
 
     @property
     def science_fibres(self) -> tuple[str, ...]:

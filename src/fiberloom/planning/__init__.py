@@ -13,11 +13,12 @@ if TYPE_CHECKING:
     from fiberloom.planning.configuration import read_configuration, write_configuration
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
-    from fiberloom.planning.trajectories import Plan, Trajectory, read_plans
+    from fiberloom.planning.trajectories import Approach, Plan, Trajectory, read_plans
     from fiberloom.planning.untangling import Stage, Untangled, UntangleSettings, untangle
     from fiberloom.planning.verification import MotionLimits, Verification, Violation, verify
 
 __all__ = [
+    "Approach",
     "MotionLimits",
     "Plan",
     "PlanSettings",

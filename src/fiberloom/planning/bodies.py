@@ -68,6 +68,12 @@ def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
         )
 
 
+def obstacle_name(plane: FocalPlane, index: int) -> str:
+    """The name of an obstacle by its index in `CollisionBodies.obstacles`."""
+    fixed = len(plane.fiducials)
+    return f"fiducial {index}" if index < fixed else f"guide camera {index - fixed}"
+
+
 def travel_rad(plane: FocalPlane) -> Floats:
     """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
     stops, range_deg = plane.hard_stops_deg, plane.limits_deg
@@ -126,3 +132,9 @@ def approach_rad(plane: FocalPlane, approach_deg: ArrayLike | None) -> Floats:
     if not (np.isfinite(approach) & (approach >= 0.0)).all():
         raise InputError("approach_deg: must be finite and not below 0")
     return np.ascontiguousarray(deg_to_rad(approach))
+
+
+def least_approach_rad(plane: FocalPlane, approach: Floats, least_deg: float | None = None) -> Floats:
+    """(N,) rad to which approaches (N,) may be shortened; `least_deg`: the instrument's when left out."""
+    least = plane.instrument.least_approach_deg if least_deg is None else least_deg
+    return np.minimum(approach, float(deg_to_rad(least)))

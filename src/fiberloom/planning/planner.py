@@ -1,8 +1,9 @@
 """Plans whole fields and small corrections; what leaves here has passed the verifier."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from fiberloom.planning.bodies import (
     CollisionBodies,
     angles_rad,
     approach_rad,
+    least_approach_rad,
+    obstacle_name,
     require_within_stops,
     travel_rad,
 )
-from fiberloom.planning.trajectories import Plan, Trajectory
+from fiberloom.planning.trajectories import Approach, Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, Verification, verify
-from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.typing import Flags, Floats
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 SPEED_SHARE = 0.975
@@ -61,6 +64,11 @@ class PlanSettings:
     """Beyond this over the first, a positioner that still meets another is given up."""
     effort: float = 1.0
     """Scales how many repairs are tried before a positioner is given up."""
+    least_approach_deg: float | None = None
+    """To this an approach may be shortened that would touch something, on one axis or both."""
+    approach_turns: int = 4
+    """In so many turns positioners may come down to their goals where together they would touch; each one
+    that is used lengthens the plan by an approach. 1: all together."""
     progress: Progress = _silent
     """Called while a plan is made: the name of a stage, how many of its parts are done, of how many."""
 
@@ -72,6 +80,9 @@ class PlanSettings:
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
             acceleration_deg_s2=self.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes),
             collision_buffer_mm=self.collision_buffer_mm or plane.collision_buffer_mm,
+            least_approach_deg=plane.instrument.least_approach_deg
+            if self.least_approach_deg is None
+            else self.least_approach_deg,
         )
 
     @property
@@ -128,7 +139,11 @@ class _Task:
             start_deg=rad_to_deg(self.start),
             goal_deg=rad_to_deg(self.goal),
             approach_deg=rad_to_deg(self.approach),
-            limits=MotionLimits(self.settings.speed_deg_s, self.settings.acceleration_deg_s2),
+            limits=MotionLimits(
+                self.settings.speed_deg_s,
+                self.settings.acceleration_deg_s2,
+                least_approach_deg=self.settings.least_approach_deg,
+            ),
         )
 
 
@@ -209,43 +224,67 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     settings.first_deadline = chosen.first_deadline
     settings.last_deadline = chosen.last_deadline
     settings.effort = chosen.effort
+    settings.approach_turns = chosen.approach_turns
     settings.seed = seed
     if chosen.progress is not _silent:
         settings.tell(chosen.progress)
-    motions, refused, statistics = core.plan(
-        core.Bodies(*task.bodies.arguments),
-        core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane)),
-        settings,
-    )
+    asked = core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane))
+    asked.may_shorten(least_approach_rad(task.plane, task.approach, chosen.least_approach_deg))
+    motions, refused, statistics, own = core.plan(core.Bodies(*task.bodies.arguments), asked, settings)
     names = task.plane.positioner_id
     why = {
-        int(names[i]): _reason(names, i, text, other) + _beyond_travel(task, i) for i, text, other in refused
+        int(names[i]): _reason(task.plane, i, text, *met) + _beyond_travel(task, i, text)
+        for i, text, *met in refused
     }
-    return _assembled(task, motions, unsafe | why, statistics)
+    approaches = {row: _approach(alpha, beta) for row, alpha, beta in own}
+    return _assembled(task, motions, unsafe | why, statistics, approaches)
 
 
-def _reason(names: Ints, row: int, why: str, other: int) -> str:
-    return f"positioner {names[row]}: {why}" + (f" (positioner {names[other]})" if other >= 0 else "")
+def _reason(plane: FocalPlane, row: int, why: str, other: int, obstacle: int) -> str:
+    """The sentence on a positioner, with the name of the body that it meets."""
+    body = f"positioner {plane.positioner_id[other]}" if other >= 0 else ""
+    still = obstacle_name(plane, obstacle) if obstacle >= 0 else f"{body}, which does not move"
+    told = why.format(other=body or still, still=still)
+    named = told != why or not body
+    return f"positioner {plane.positioner_id[row]}: {told}" + ("" if named else f" ({body})")
 
 
-def _beyond_travel(task: _Task, row: int) -> str:
-    """The axes on which a goal, or its approach, is out of reach: what they would need, what they have."""
-    needed = rad_to_deg(np.column_stack([task.goal[row], task.goal[row] + task.approach[row]]))
+def _approach(*legs: Sequence[float]) -> Approach:
+    """Of the last legs of alpha and beta: height in rad, begin and end in s."""
+    alpha, beta = (
+        (round(float(rad_to_deg(h)), DECIMALS_DEG), *np.round(times, 6).tolist()) for h, *times in legs
+    )
+    height, begin, end = zip(alpha, beta, strict=True)
+    return Approach(height, begin, end)
+
+
+def _beyond_travel(task: _Task, row: int, why: str) -> str:
+    """The axes on which a goal with its shortest approach is out of reach: what they would need, and have."""
+    if "beyond the travel" not in why:
+        return ""
+    least = least_approach_rad(task.plane, task.approach, task.settings.least_approach_deg)
+    needed = rad_to_deg(np.column_stack([task.goal[row], task.goal[row] + least[row]]))
     travel = rad_to_deg(travel_rad(task.plane))
     return "".join(
-        f"; {axis} needs {low:g} to {high:g} deg, and has {least:g} to {most:g} deg"
-        for axis, (low, high), (least, most) in zip(AXES, needed, travel, strict=True)
-        if low < least - _ANGLE_DEG or high > most + _ANGLE_DEG
+        f"; {axis} needs {low:g} to {high:g} deg, and has {first:g} to {last:g} deg"
+        for axis, (low, high), (first, last) in zip(AXES, needed, travel, strict=True)
+        if low < first - _ANGLE_DEG or high > last + _ANGLE_DEG
     )
 
 
 def _assembled(
-    task: _Task, motions: list[Floats], refused: dict[int, str], statistics: dict[str, Any]
+    task: _Task,
+    motions: list[Floats],
+    refused: dict[int, str],
+    statistics: dict[str, Any],
+    approaches: Mapping[int, Approach] = MappingProxyType({}),
 ) -> Plan:
+    """A plan of motions in rad; `approaches` by row."""
     robots = []
-    for number, points in zip(task.plane.positioner_id, motions, strict=True):
+    for row, (number, points) in enumerate(zip(task.plane.positioner_id, motions, strict=True)):
         alpha_deg, beta_deg = np.round(rad_to_deg(points[:, 1:]), DECIMALS_DEG).T
-        robots.append(Trajectory(int(number), np.round(points[:, 0], 6), alpha_deg, beta_deg))
+        times = np.round(points[:, 0], 6)
+        robots.append(Trajectory(int(number), times, alpha_deg, beta_deg, approaches.get(row)))
     return Plan(
         instrument=task.plane.instrument.name,
         collision_buffer_mm=task.bodies.radius_mm,

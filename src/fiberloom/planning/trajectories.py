@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fiberloom.errors import InputError
 from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import AXES
 from fiberloom.typing import Floats
 from fiberloom.wholefile import write_whole
 
@@ -24,6 +25,37 @@ MOST_S = 1e5
 MOST_BUFFER_MM = 1e4
 
 
+@dataclass(frozen=True)
+class Approach:
+    """How a positioner comes to its goal where it does not come as all others: alpha, then beta."""
+
+    height_deg: tuple[float, float]
+    """From how far above the goal the last leg of each axis comes."""
+    begin_s: tuple[float, float]
+    """When it begins; from then on the axis does not rise."""
+    end_s: tuple[float, float]
+
+    def __str__(self) -> str:
+        legs = zip(AXES, self.height_deg, self.begin_s, strict=True)
+        return ", ".join(f"{axis} from {height:.3g} deg at {begin:.2f} s" for axis, height, begin in legs)
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """As in the JSON file: deg and s."""
+        return {key: list(getattr(self, key)) for key in _LEGS}
+
+    @classmethod
+    def from_dict(cls, document: Any, where: str = "approach") -> "Approach":
+        """From the object of the JSON file; InputError where it is not sound."""
+        pairs = [_array(document, key, where).tolist() for key in _LEGS]
+        if any(len(pair) != 2 for pair in pairs):
+            raise InputError(f"{where}: {', '.join(_LEGS)} hold two numbers each, for alpha and beta")
+        height, begin, end = ((pair[0], pair[1]) for pair in pairs)
+        return cls(height, begin, end)
+
+
+_LEGS = ("height_deg", "begin_s", "end_s")
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The trajectory of one positioner: linear between points; one point if it does not move."""
@@ -32,6 +64,8 @@ class Trajectory:
     time_s: Floats
     alpha_deg: Floats
     beta_deg: Floats
+    approach: Approach | None = None
+    """Its own way to the goal; None: as all others."""
 
     @property
     def moves(self) -> bool:
@@ -52,7 +86,8 @@ class Trajectory:
     def to_dict(self) -> dict[str, Any]:
         """As in the JSON file."""
         arrays = {k: getattr(self, k).tolist() for k in KEYS}
-        return {"positioner_id": self.positioner_id} | arrays
+        own = {} if self.approach is None else {"approach": self.approach.to_dict()}
+        return {"positioner_id": self.positioner_id} | arrays | own
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +124,12 @@ class Plan:
     def duration_s(self) -> float:
         """When the last positioner has arrived."""
         return max((float(r.time_s[-1]) for r in self.robots), default=0.0)
+
+    @property
+    def approaches(self) -> dict[int, Approach]:
+        """By positioner_id, of those that come to their goals in a way of their own: less high, later, or one
+        axis after the other, because the usual approach would touch something."""
+        return {r.positioner_id: r.approach for r in self.robots if r.approach is not None}
 
     @property
     def end_deg(self) -> Floats:
@@ -311,7 +352,9 @@ def _robot(entry: Any, where: str) -> Trajectory:
             f"{where}: {len(time_s)} times, {len(alpha_deg)} alphas, {len(beta_deg)} betas; "
             "there must be as many of each, at least one"
         )
-    return Trajectory(number, time_s, alpha_deg, beta_deg)
+    told = entry.get("approach")
+    approach = None if told is None else Approach.from_dict(told, f"{where}, approach")
+    return Trajectory(number, time_s, alpha_deg, beta_deg, approach)
 
 
 def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:
@@ -322,7 +365,7 @@ def _array(entry: Mapping[str, Any], key: str, where: str) -> Floats:
         raise InputError(f"{where}: '{key}' must be a list of numbers") from None
     if array.ndim != 1 or not np.isfinite(array).all():
         raise InputError(f"{where}: '{key}' must be a flat list of finite numbers")
-    most, unit = (MOST_S, "s") if key == "time_s" else (MOST_DEG, "deg")
+    most, unit = (MOST_S, "s") if key.endswith("_s") else (MOST_DEG, "deg")
     far = np.flatnonzero(np.abs(array) > most)
     if len(far):
         raise InputError(f"{where}: '{key}' holds {array[far[0]]:g} {unit}; at most {most:g} {unit} is sound")

@@ -16,9 +16,11 @@ from fiberloom.planning.bodies import (
     angles_rad,
     approach_rad,
     beyond_stops_deg,
+    least_approach_rad,
+    obstacle_name,
     travel_rad,
 )
-from fiberloom.planning.trajectories import KEYS, MOST_DEG, Plan, Trajectory
+from fiberloom.planning.trajectories import KEYS, MOST_DEG, Approach, Plan, Trajectory
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -34,7 +36,7 @@ _WHAT = {
     "acceleration": "changes speed {depth:.4g} deg/s2 too fast",
     "start": "begins {depth:.4g} deg from where it is",
     "goal": "ends {depth:.4g} deg from its goal",
-    "approach": "ends with an approach that is {depth:.4g} deg too short",
+    "approach": "ends with an approach that is {depth:.4g} deg too short, or not the one that the plan tells",
     "closing": "overlaps positioner {other} and comes {depth:.4g} mm nearer to it",
     "obstacle_closing": "overlaps {other} and comes {depth:.4g} mm nearer to it",
 }
@@ -114,6 +116,8 @@ class MotionLimits:
     """Radius of the beta arms."""
     separating: bool = False
     """Bodies that overlap at the start may move if they only move apart. Otherwise they may not move."""
+    least_approach_deg: float | None = None
+    """To which height the approaches of single positioners may be shortened, if the plan tells it."""
 
 
 def verify(
@@ -140,7 +144,8 @@ def verify(
     start_deg, goal_deg : array_like, optional
         (N, 2) deg; checked where given, goals not for positioners that the plan refuses.
     approach_deg : array_like, optional
-        One number or (N,), deg; checked where given.
+        One number or (N,), deg; checked where given, down to the least height for positioners that the plan
+        says come in a way of their own. What the plan says of them is always checked.
     limits : MotionLimits, optional
         Of speed (deg/s) and acceleration (deg/s2), the instrument's when left out; radius of the beta arms
         (mm), the plan's own when left out; whether bodies that overlap at the start may separate: their gap
@@ -182,9 +187,11 @@ def verify(
         nothing if start_deg is None else angles_rad("start_deg", start_deg, plane),
         nothing if goal_deg is None else angles_rad("goal_deg", goal_deg, plane),
         _arrives(plane, plan),
-        np.zeros(0) if approach_deg is None else approach_rad(plane, approach_deg),
+        _approaches(plane, plan, approach_deg, limits),
     )
     rules.separating = limits.separating
+    for number, own in plan.approaches.items():
+        rules.say(int(plane.index_of([number])[0]), *_last_legs(own))
     points = _Points.of(plane, plan)
     found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, points), rules)
     return Verification(
@@ -288,6 +295,25 @@ def _refuse_endless(plane: FocalPlane, points: _Points) -> None:
         )
 
 
+def _approaches(
+    plane: FocalPlane, plan: Plan, approach_deg: ArrayLike | None, limits: MotionLimits
+) -> Floats:
+    """(N,) rad from which positioners have to come at least; empty: not asked for."""
+    if approach_deg is None:
+        return np.zeros(0)
+    asked = approach_rad(plane, approach_deg)
+    if plan.approaches:
+        own = plane.index_of(list(plan.approaches))
+        asked[own] = least_approach_rad(plane, asked, limits.least_approach_deg)[own]
+    return asked
+
+
+def _last_legs(own: Approach) -> Iterator[tuple[float, float, float]]:
+    """Of alpha and beta: height in rad, begin and end in s."""
+    for height_deg, begin_s, end_s in zip(own.height_deg, own.begin_s, own.end_s, strict=True):
+        yield float(deg_to_rad(height_deg)), begin_s, end_s
+
+
 def _arrives(plane: FocalPlane, plan: Plan) -> Flags:
     arrives = ~plane.offline
     if plan.refused:
@@ -301,11 +327,6 @@ def _violation(plane: FocalPlane, kind: str, row: int, other: int, time_s: float
     if bodies and kind in _WITH_ROBOTS and other >= 0:
         name = str(plane.positioner_id[other])
     elif bodies:
-        name = _obstacle(plane, other)
+        name = obstacle_name(plane, other)
     size = depth if bodies else float(rad_to_deg(depth))
     return Violation(kind, int(plane.positioner_id[row]), name, time_s, size)
-
-
-def _obstacle(plane: FocalPlane, index: int) -> str:
-    fixed = len(plane.fiducials)
-    return f"fiducial {index}" if index < fixed else f"guide camera {index - fixed}"

@@ -49,6 +49,7 @@ struct Settings {
     double first_deadline = 1.05; // of the time the longest path needs
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up
+    int approach_turns = 4;       // in so many turns positioners may come down to their goals, if they must
     std::uint64_t seed = 0;
     Watch watch = [](const char *, int, int) {};
 };
@@ -60,6 +61,8 @@ struct Task {
     std::vector<double> approach_rad; // how far above the goal the last leg starts, on both axes
     std::vector<std::uint8_t> fixed;  // not 0: cannot move
     Limits travel{};
+    // An approach that would touch may be shortened to this; empty: no approach may.
+    std::vector<double> least_approach_rad{};
 };
 
 // The common clock of a plan. A step lasts four quarters; all times are multiples of a quarter, and
@@ -76,19 +79,48 @@ struct Clock {
     Clock(const Settings &settings, const Task &task);
     // Duration of a step, s.
     double step_s() const { return 4 * quarter_s; }
+    // The highest approach that may begin in the turn after one in which the axis has gone up to it.
+    double highest_hook_rad(double acceleration_rad_s2) const;
+};
+
+// The last leg of one axis: down to the goal from a height above it, between two moments.
+struct LastLeg {
+    double height_rad = 0.0;
+    double begin_s = 0.0;
+    double end_s = 0.0;
+};
+
+// How a positioner (row) comes to its goal from above, if not as all others do.
+struct Approach {
+    int robot = -1;
+    LastLeg alpha, beta;
 };
 
 // Why a positioner does not arrive.
-enum class Refusal { goal_beyond_travel, goal_blocked, goal_taken, no_way_alone, no_way, start_blocked };
+enum class Refusal {
+    goal_beyond_travel,
+    approach_beyond_travel,
+    goal_blocked,
+    approach_blocked,
+    goal_taken,
+    approach_at_goal,
+    goal_on_approach,
+    approach_taken,
+    no_way_alone,
+    no_way,
+    start_blocked
+};
 
-// The reason as the end of a sentence that begins with the positioner's name.
+// The reason as the end of a sentence that begins with the positioner's name. {other} and {still}: what it
+// meets, the latter something that does not move.
 const char *to_string(Refusal reason);
 
-// A positioner (row) that does not arrive, and the positioner in its way, -1 if there is none.
+// A positioner (row) that does not arrive, and what it meets: another positioner or an obstacle; -1: neither.
 struct Refused {
     int robot = -1;
     Refusal reason = Refusal::no_way;
     int other = -1;
+    int obstacle = -1;
 };
 
 // What a plan took.
@@ -102,18 +134,20 @@ struct Statistics {
     double step_s = 0.0;
 };
 
-// One motion for each row of the task, the rows that do not arrive, and what the plan took.
+// One motion for each row of the task, the rows that do not arrive, what the plan took, and the rows that
+// come to their goals in a way of their own.
 struct PlanResult {
     std::vector<Motion> motions;
     std::vector<Refused> refused;
     Statistics statistics;
+    std::vector<Approach> approaches{};
 };
 
 // Plans for all positioners at once. One that cannot arrive is named in `refused` and gets a place where it
 // blocks no other; in the worst case none moves. The same arguments give the same bits. The caller verifies
 // what comes back (verify.hpp).
-// @pre start, goal, approach_rad and fixed have as many rows as bodies.arms; approach_rad is not negative; as
-// for Clock.
+// @pre start, goal, approach_rad and fixed have as many rows as bodies.arms, least_approach_rad as many or
+// none; approach_rad is not negative, and not below least_approach_rad; as for Clock.
 PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings);
 
 } // namespace fl::planning

@@ -26,7 +26,7 @@ enum class Fault {
     acceleration,     // speed changes faster than allowed
     start,            // does not begin where the positioner is
     goal,             // does not end where it shall
-    approach,         // does not end with the approach
+    approach,         // does not end with the approach, or not in the way that was said
     closing,          // two positioners that overlap at the start come nearer to each other
     obstacle_closing, // one that overlaps a fiducial or guide camera at the start comes nearer to it
 };
@@ -58,6 +58,9 @@ struct Rules {
     std::vector<Angles> goal;
     std::vector<std::uint8_t> arrives;
     std::vector<double> approach_rad;
+    // Of those that say in which way they come to their goals, at most one each: last legs as they say, and
+    // from no less than approach_rad.
+    std::vector<Approach> approaches{};
 };
 
 // The smallest gap between surfaces found, true to 1e-4 mm, and where: a positioner (row), and the other or
@@ -82,7 +85,8 @@ struct Verification {
 // Checks points, speeds, accelerations, travel and ends of every motion, and the gaps of all bodies in
 // continuous time. Motions whose points are not sound (Fault::points) end the check: nothing else has a
 // meaning then.
-// @pre one motion for each of bodies.arms, and as many rows in the rules that are not empty.
+// @pre one motion for each of bodies.arms, and as many rows in the rules that are not empty; approaches of
+// some of them.
 Verification verify(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules);
 
 } // namespace fl::planning

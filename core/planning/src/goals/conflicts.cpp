@@ -1,5 +1,5 @@
 #include "fiberloom/conflicts.hpp"
-#include "motion/motion.hpp"
+#include "motion/descent.hpp"
 
 #include <algorithm>
 #include <utility>
@@ -8,7 +8,7 @@ namespace fl::planning {
 namespace {
 
 SweptArm leg(const Bodies &bodies, const Arm &arm, Angles goal, double approach_rad) {
-    return approach_leg(arm_body(bodies, arm), goal, approach_rad);
+    return approach_leg(arm_body(bodies, arm), goal, {approach_rad, approach_rad}, {});
 }
 
 } // namespace

@@ -24,8 +24,9 @@ GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const S
       need_mm_(2.0 * bodies.radius_mm + settings.clearance_mm), goals_(static_cast<int>(bodies.arms.size())) {
     for (const PositionerIndex i : places()) {
         const Angles from = start(i), to = row(task.goal, i);
-        goals_[i].angles = to;
+        set_goal(i, to, usual(i));
         goals_[i].stuck = row(task.fixed, i) != 0;
+        if (goals_[i].stuck) goals_[i].legs = Legs(body(i), from);
         goals_[i].still =
             std::abs(from.alpha_rad - to.alpha_rad) + std::abs(from.beta_rad - to.beta_rad) < 1e-12;
     }
@@ -50,30 +51,54 @@ void GoalFeasibility::find_near() {
     for (auto &list : near_) std::sort(list.begin(), list.end());
 }
 
-SweptArm GoalFeasibility::leg(PositionerIndex i, Angles goal, bool rests) const {
-    return approach_leg(arm_body(bodies_, arm(i)), goal, rests ? 0.0 : approach(i));
+// Also of one that is not to move: it may be asked to step aside, and comes back so.
+void GoalFeasibility::set_goal(PositionerIndex i, Angles angles, const Descent &descent) {
+    goals_[i].angles = angles;
+    goals_[i].descent = descent;
+    goals_[i].legs = Legs(body(i), angles, descent);
 }
 
 GoalFeasibility::Blocked GoalFeasibility::blocked(PositionerIndex i, const SweptArm &leg) const {
-    for (const Capsule &o : bodies_.obstacles)
+    for (int k = 0; k < static_cast<int>(bodies_.obstacles.size()); ++k) {
+        const Capsule &o = bodies_.obstacles[static_cast<size_t>(k)];
         if (!stay_apart(leg, resting_arm(o.line), bodies_.radius_mm + o.radius_mm + settings_.clearance_mm))
-            return {true, std::nullopt};
+            return {true, std::nullopt, k};
+    }
     for (const PositionerIndex j : near(i))
-        if (goals_[j].stuck && !stay_apart(leg, this->leg(j, start(j), true), need_mm_)) return {true, j};
+        if (goals_[j].stuck && !stay_apart(leg, goals_[j].legs.rest(), need_mm_)) return {true, j};
     return {};
+}
+
+GoalFeasibility::Blocked GoalFeasibility::blocked(PositionerIndex i, const Legs &legs) const {
+    Blocked found = blocked(i, legs.rest());
+    for (int turn = 0; turn < legs.turns() && !found.any; ++turn) found = blocked(i, legs.at(turn));
+    return found;
 }
 
 // A positioner that touches something before it moves stays where it is: nothing can be promised for it.
 void GoalFeasibility::freeze_tangled() {
+    List<PositionerIndex> tangled;
     for (const PositionerIndex i : places()) {
         if (goals_[i].stuck) continue;
-        const SweptArm here = leg(i, start(i), true);
+        const Legs here(body(i), start(i));
         Blocked found = blocked(i, here);
         for (const PositionerIndex j : near(i))
-            if (!found.any && !stay_apart(here, leg(j, start(j), true), need_mm_)) found = {true, j};
-        if (found.any) refused_.push_back({i.value(), Refusal::start_blocked, number_or_none(found.by)});
+            if (!found.any && !stay_apart(here, Legs(body(j), start(j)), need_mm_)) found = {true, j};
+        if (!found.any) continue;
+        tangled.push_back(i);
+        refuse(i, Refusal::start_blocked, found);
     }
-    for (const Refused &r : refused_) freeze(PositionerIndex(r.robot));
+    for (const PositionerIndex i : tangled) freeze(i);
+}
+
+bool GoalFeasibility::is_refused(PositionerIndex i) const {
+    return std::any_of(refused_.begin(), refused_.end(),
+                       [&](const Refused &r) { return r.robot == i.value(); });
+}
+
+// Only the first reason counts: the others follow from it.
+void GoalFeasibility::refuse(PositionerIndex i, Refusal why, const Blocked &by) {
+    if (!is_refused(i)) refused_.push_back({i.value(), why, number_or_none(by.by), by.obstacle});
 }
 
 void GoalFeasibility::freeze(PositionerIndex i) {
@@ -81,20 +106,25 @@ void GoalFeasibility::freeze(PositionerIndex i) {
     goal.stuck = goal.still = goal.settled = true;
     goal.gone = false;
     goal.angles = start(i);
+    goal.legs = Legs(body(i), start(i));
     for (const PositionerIndex j : near(i)) goals_[j].settled = goals_[j].stuck; // to be looked at again
 }
 
-bool GoalFeasibility::inside_travel(PositionerIndex i, Angles goal) const {
+bool GoalFeasibility::inside_travel(Angles place) const {
     const Limits &t = task_.travel;
-    const double high = approach(i);
-    return goal.alpha_rad >= t.alpha_min_rad && goal.beta_rad >= t.beta_min_rad &&
-           goal.alpha_rad + high <= t.alpha_max_rad && goal.beta_rad + high <= t.beta_max_rad;
+    return place.alpha_rad >= t.alpha_min_rad && place.beta_rad >= t.beta_min_rad &&
+           place.alpha_rad <= t.alpha_max_rad && place.beta_rad <= t.beta_max_rad;
+}
+
+bool GoalFeasibility::inside_travel(Angles place, const Descent &descent) const {
+    return inside_travel(place) && inside_travel({place.alpha_rad + descent.alpha.height_rad,
+                                                  place.beta_rad + descent.beta.height_rad});
 }
 
 AxisGrid GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) const {
     const Limits &t = task_.travel;
     const bool alpha = axis == &Angles::alpha_rad;
-    return AxisGrid({start(i).*axis, goals_[i].angles.*axis + approach(i),
+    return AxisGrid({start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
                      alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
                      alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad},
                     step_rad);
@@ -107,7 +137,7 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) const {
     for (const Capsule &o : bodies_.obstacles)
         robot.add_obstacle(o.line, bodies_.radius_mm + o.radius_mm + settings_.clearance_mm);
     for (const PositionerIndex j : near(i))
-        if (goals_[j].stuck) robot.add_obstacle(leg(j, start(j), true).at[0], need_mm_);
+        if (goals_[j].stuck) robot.add_obstacle(goals_[j].legs.rest().at[0], need_mm_);
     return robot;
 }
 
@@ -122,39 +152,45 @@ bool GoalFeasibility::find_path_alone(PositionerIndex i) {
 
 // Whether the goal can be held as far as everything that does not move is concerned.
 bool GoalFeasibility::settle_alone(PositionerIndex i) {
-    Goal &goal = goals_[i];
-    goal.settled = true;
-    const bool inside = inside_travel(i, goal.angles);
-    const Blocked found = inside ? blocked(i, leg(i, goal.angles, false)) : Blocked{};
-    if (goal.still) {
-        // it may be asked to step aside and come back, if it can
-        if (!inside || found.any || !find_path_alone(i)) freeze(i);
-        return true;
-    }
-    if (!inside) return send_to_safe_place(i, Refusal::goal_beyond_travel, {});
-    if (found.any) return send_to_safe_place(i, Refusal::goal_blocked, found.by);
-    return find_path_alone(i) || send_to_safe_place(i, Refusal::no_way_alone, {});
+    goals_[i].settled = true;
+    if (find_descent(i)) return true;
+    if (!goals_[i].still) return give_up(i);
+    freeze(i); // otherwise it could be asked to step aside and come back
+    return true;
 }
 
-bool GoalFeasibility::legs_touch(PositionerIndex i, bool i_rests, PositionerIndex j, bool j_rests) const {
-    return !stay_apart(leg(i, goals_[i].angles, i_rests), leg(j, goals_[j].angles, j_rests), need_mm_);
+// Of a step on the grid: so much nearer to another than it is may an arm seem while it comes to rest.
+double GoalFeasibility::bulge_mm(PositionerIndex i) const {
+    return step_bulge_mm(body(i), clock_.grid_rad / goals_[i].finer);
+}
+
+// Whether two stay apart on their legs, and the places where these begin can be come to one after the other.
+bool GoalFeasibility::apart(PositionerIndex i, const Legs &mine, PositionerIndex j,
+                            const Legs &theirs) const {
+    if (j < i) return apart(j, theirs, i, mine); // the last bit of a distance depends on the order
+    if (!stay_apart(mine, theirs, need_mm_)) return false;
+    if (goals_[i].still || goals_[j].still) return true;
+    const double room_mm = std::min(bulge_mm(i), bulge_mm(j));
+    return distance(mine.at(0).at[0], theirs.at(0).at[0]) >= need_mm_ + room_mm;
 }
 
 bool GoalFeasibility::legs_touch(PositionerIndex i, PositionerIndex j) const {
-    const auto away = [this](PositionerIndex k) { return goals_[k].stuck || goals_[k].gone; };
-    return !away(i) && !away(j) && legs_touch(i, false, j, false);
+    return !away(i) && !away(j) && !apart(i, goals_[i].legs, j, goals_[j].legs);
 }
 
 // One that rests at its goal in the way of another's approach must make the approach with it.
 void GoalFeasibility::wake_still(PositionerIndex i, PositionerIndex j) {
     if (!goals_[i].still && !goals_[j].still) return;
     if (goals_[i].stuck || goals_[j].stuck) return;
-    if (legs_touch(i, goals_[i].still, j, false) || legs_touch(i, false, j, goals_[j].still))
-        goals_[i].still = goals_[j].still = false;
+    const auto touches_resting = [&](PositionerIndex resting, PositionerIndex other) {
+        const Legs rest(body(resting), goals_[resting].angles);
+        return goals_[resting].still && !stay_apart(rest, goals_[other].legs, need_mm_);
+    };
+    if (touches_resting(i, j) || touches_resting(j, i)) goals_[i].still = goals_[j].still = false;
 }
 
-// Of two goals that cannot both be had, the positioner with more such rivals gives up its own. True if all
-// goals go together.
+// Pairs that touch while they come to their goals take other ways down. Where that does not help, the
+// positioner with more such rivals gives up its goal. True if all goals go together.
 bool GoalFeasibility::settle_pairs() {
     List<List<PositionerIndex>, PositionerIndex> rivals(goals_.size());
     for (const PositionerIndex i : places())
@@ -163,8 +199,13 @@ bool GoalFeasibility::settle_pairs() {
     const auto worst = std::max_element(rivals.begin(), rivals.end(),
                                         [](const auto &p, const auto &q) { return p.size() < q.size(); });
     if (worst == rivals.end() || worst->empty()) return true;
-    send_to_safe_place(PositionerIndex(static_cast<int>(worst - rivals.begin())), Refusal::goal_taken,
-                       worst->front());
+    // each time fewer pairs touch, so that this is no limit that is met; but settling has to end
+    if (rearranged_ < goals_.size() && rearrange_some(rivals)) {
+        ++rearranged_;
+        return false;
+    }
+    const PositionerIndex loser(static_cast<int>(worst - rivals.begin()));
+    move_away(loser, meeting(loser, worst->front()), {true, worst->front()});
     return false;
 }
 
@@ -182,29 +223,29 @@ bool GoalFeasibility::settle_each() {
 void GoalFeasibility::settle() {
     freeze_tangled();
     while (settle_each() || !settle_pairs()) {}
+    relax();
     for (const PositionerIndex i : places())
         for (const PositionerIndex j : near(i)) wake_still(i, j);
 }
 
-bool GoalFeasibility::safe(PositionerIndex i, Angles place, bool rests) const {
-    if (!rests && !inside_travel(i, place)) return false;
-    const SweptArm mine = leg(i, place, rests);
-    if (blocked(i, mine).any) return false;
+bool GoalFeasibility::safe(PositionerIndex i, const Legs &legs) const {
+    if (blocked(i, legs).any) return false;
     return std::all_of(near(i).begin(), near(i).end(), [&](PositionerIndex j) {
-        return goals_[j].stuck || goals_[j].gone ||
-               stay_apart(mine, leg(j, goals_[j].angles, false), need_mm_);
+        return away(j) || stay_apart(legs, goals_[j].legs, need_mm_);
     });
 }
 
 bool GoalFeasibility::try_place(PositionerIndex i, Angles place, bool rests) {
-    if (!safe(i, place, rests)) return false;
+    const Legs legs(body(i), place, usual(i));
+    const bool comes = inside_travel(place, usual(i)) && safe(i, legs);
+    if (rests ? !safe(i, Legs(body(i), place)) : !comes) return false;
     Goal &goal = goals_[i];
-    goal.angles = place;
+    set_goal(i, place, usual(i));
     goal.still = rests;
     if (!rests && !find_path_alone(i)) return false;
     if (rests) {
         // it shall not be asked to move unless its approach is clear as well
-        if (!safe(i, place, false) || !find_path_alone(i)) freeze(i);
+        if (!comes || !find_path_alone(i)) freeze(i);
     }
     goal.settled = true;
     goal.gone = false;
@@ -224,9 +265,9 @@ List<Angles> GoalFeasibility::folded_places(PositionerIndex i) const {
     return out;
 }
 
-bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
-                                         std::optional<PositionerIndex> other) {
-    refused_.push_back({i.value(), why, number_or_none(other)});
+// Gives up a goal; another place that cannot be held is replaced in the same way.
+bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &by) {
+    refuse(i, why, by);
     goals_[i].gone = true;
     if (try_place(i, start(i), true)) return true;
     for (const Angles place : folded_places(i))
@@ -235,13 +276,13 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     return false;
 }
 
-void GoalFeasibility::has_no_way(PositionerIndex i) {
-    const bool again =
-        std::any_of(refused_.begin(), refused_.end(), [&](const Refused &r) { return r.robot == i.value(); });
-    if (again)
-        freeze(i);
-    else
-        send_to_safe_place(i, Refusal::no_way_alone, {});
+bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
+                                         std::optional<PositionerIndex> other) {
+    if (!is_refused(i)) return move_away(i, why, {true, other});
+    freeze(i);
+    return false;
 }
+
+void GoalFeasibility::has_no_way(PositionerIndex i) { send_to_safe_place(i, Refusal::no_way_alone, {}); }
 
 } // namespace fl::planning

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "fiberloom/planning.hpp"
-#include "motion/motion.hpp"
+#include "motion/descent.hpp"
 #include "motion/robot.hpp"
 
 #include <optional>
@@ -20,14 +20,17 @@ class GoalFeasibility {
     Places<PositionerIndex> places() const { return goals_.places(); }
     bool moves(PositionerIndex i) const { return !goals_[i].stuck; }
     bool still(PositionerIndex i) const { return goals_[i].still; }
-    double approach(PositionerIndex i) const { return row(task_.approach_rad, i); }
+    // How a positioner comes to its goal, and whether not as all others do.
+    const Descent &descent(PositionerIndex i) const { return goals_[i].descent; }
+    bool descends_otherwise(PositionerIndex i) const { return !(descent(i) == usual(i)); }
     int steps_alone(PositionerIndex i) const { return goals_[i].steps_alone; }
     double need_mm() const { return need_mm_; }
     const std::vector<Refused> &refused() const { return refused_; }
 
     // The positioner on its grid, with all bodies at rest around it.
     Robot make_robot(PositionerIndex i) const;
-    // Sends a positioner to a place that blocks no other; false if there is none it can reach.
+    // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
+    // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
     // One for which the search has found no way, though it seemed to have one; again: it stays where it is.
     void has_no_way(PositionerIndex i);
@@ -35,6 +38,8 @@ class GoalFeasibility {
   private:
     struct Goal {
         Angles angles;
+        Descent descent;      // to the angles
+        Legs legs;            // of the descent; of one that stays where it is: at rest
         bool stuck = false;   // stays where it is whatever happens
         bool still = false;   // is at its goal and need not move
         bool settled = false; // the goal can be held
@@ -42,34 +47,63 @@ class GoalFeasibility {
         int finer = 1;        // its grid is finer by this factor
         int steps_alone = 0;
     };
-    // What is at rest in the way of a leg; no positioner: a fiducial or guide camera.
+    // What is at rest in the way: a positioner that does not move, or an obstacle.
     struct Blocked {
         bool any = false;
         std::optional<PositionerIndex> by;
+        int obstacle = -1;
     };
+    // Descents that positioners may make while all others keep theirs.
+    struct Open;
 
     const Arm &arm(PositionerIndex i) const { return row(bodies_.arms, i); }
+    ArmBody body(PositionerIndex i) const { return arm_body(bodies_, arm(i)); }
     Angles start(PositionerIndex i) const { return row(task_.start, i); }
     const List<PositionerIndex> &near(PositionerIndex i) const { return near_[i]; }
-    double reach_mm(PositionerIndex i) const { return arm_body(bodies_, arm(i)).reach_mm(); }
+    double reach_mm(PositionerIndex i) const { return body(i).reach_mm(); }
+    bool away(PositionerIndex i) const { return goals_[i].stuck || goals_[i].gone; }
+    Descent usual(PositionerIndex i) const;
+    Descent lowest(PositionerIndex i) const;
+    List<RatedDescent> descents_of(PositionerIndex i) const;
 
     void find_near();
     void freeze_tangled();
     void freeze(PositionerIndex i);
-    bool inside_travel(PositionerIndex i, Angles goal) const;
-    SweptArm leg(PositionerIndex i, Angles goal, bool rests) const;
+    bool is_refused(PositionerIndex i) const;
+    void refuse(PositionerIndex i, Refusal why, const Blocked &by);
+    bool move_away(PositionerIndex i, Refusal why, const Blocked &by);
+    void set_goal(PositionerIndex i, Angles angles, const Descent &descent);
+    bool inside_travel(Angles place) const;
+    bool inside_travel(Angles place, const Descent &descent) const;
     AxisGrid grid(PositionerIndex i, double Angles::*axis, double step_rad) const;
+    Blocked blocked(PositionerIndex i, const Legs &legs) const;
     Blocked blocked(PositionerIndex i, const SweptArm &leg) const;
+    double bulge_mm(PositionerIndex i) const;
+    bool apart(PositionerIndex i, const Legs &mine, PositionerIndex j, const Legs &theirs) const;
     bool legs_touch(PositionerIndex i, PositionerIndex j) const;
-    bool legs_touch(PositionerIndex i, bool i_rests, PositionerIndex j, bool j_rests) const;
     bool settle_alone(PositionerIndex i);
     bool settle_each();
     bool settle_pairs();
     void wake_still(PositionerIndex i, PositionerIndex j);
     bool find_path_alone(PositionerIndex i);
-    bool safe(PositionerIndex i, Angles place, bool rests) const;
+    bool safe(PositionerIndex i, const Legs &legs) const;
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
+
+    // approaches.cpp
+    bool find_descent(PositionerIndex i);
+    bool give_up(PositionerIndex i);
+    Refusal meeting(PositionerIndex i, PositionerIndex j) const;
+    bool rearrange_some(const List<List<PositionerIndex>, PositionerIndex> &rivals);
+    bool rearrange_with_blockers(const List<PositionerIndex> &group);
+    bool rearrange(const List<PositionerIndex> &group);
+    List<int> cheapest(const List<Open> &all) const;
+    List<Open> open_all(const List<PositionerIndex> &group, bool alone);
+    Open open(PositionerIndex i, const List<PositionerIndex> &group, bool alone);
+    List<PositionerIndex> blockers(PositionerIndex i, const Legs &legs,
+                                   const List<PositionerIndex> &group) const;
+    void take(PositionerIndex i, const Descent &descent);
+    void relax();
 
     const Bodies &bodies_;
     const Task &task_;
@@ -79,6 +113,7 @@ class GoalFeasibility {
     List<Goal, PositionerIndex> goals_;
     List<List<PositionerIndex>, PositionerIndex> near_;
     std::vector<Refused> refused_;
+    int rearranged_ = 0; // groups that have got new descents
 };
 
 } // namespace fl::planning

@@ -32,6 +32,29 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
             {before.beta - here.beta, after.beta - here.beta}};
 }
 
+// The last cut corner of a path ends half a step after it.
+int end_quarters(int steps) { return 4 * steps + 2; }
+
+// Where the axes are above the goal at a third of a turn; a third covers 1/4, 1/2, 1/4 of the leg.
+Angles above_at(const Descent &descent, int turn, int third) {
+    constexpr double done[] = {0.0, 0.25, 0.75, 1.0};
+    return between(descent.above(turn), descent.above(turn + 1), done[third]);
+}
+
+// From the end of the path down to the goal, beginning at a time that is given in quarters.
+void add_descent(Motion &motion, Angles goal, const Descent &descent, const Clock &clock, int begin) {
+    const auto add = [&](int turn, int third) {
+        const double time_s = (begin + (3 * turn + third) * clock.leg_quarters) * clock.quarter_s;
+        const Angles above = above_at(descent, turn, third);
+        if (motion.time_s.back() < time_s)
+            add_point(motion, time_s, {goal.alpha_rad + above.alpha_rad, goal.beta_rad + above.beta_rad});
+    };
+    add(0, 0);
+    for (int turn = 0; turn <= descent.last_turn(); ++turn)
+        if (descent.moves(turn))
+            for (int third = 0; third <= 3; ++third) add(turn, third);
+}
+
 } // namespace
 
 Clock::Clock(const Settings &s, const Task &task)
@@ -53,8 +76,18 @@ Clock::Clock(const Settings &s, double highest_approach_rad) {
     leg_quarters = std::max(1, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
 }
 
+double turn_begins_s(const Clock &clock, int steps, int turn) {
+    return (end_quarters(steps) + 3 * turn * clock.leg_quarters) * clock.quarter_s;
+}
+
+// An axis that goes up in one turn and down in the next changes its speed by half the height in a third.
+double Clock::highest_hook_rad(double acceleration_rad_s2) const {
+    const double third_s = leg_quarters * quarter_s;
+    return 2.0 * within * acceleration_rad_s2 * third_s * third_s;
+}
+
 Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
-                 double approach_rad) {
+                 const Descent &descent) {
     Motion motion;
     add_point(motion, 0.0, angles_at(robot, path[0], {}, 2));
     for (int step = 0; step <= steps; ++step) {
@@ -66,28 +99,10 @@ Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Cl
         for (int k = step == 0 ? 2 : 1; k <= 3; ++k) // the first point is there already
             add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
     }
-    const int end = 4 * steps + 2; // in quarters: the last cut corner ends here
-    const Angles high = angles_at(robot, cell_at(path, steps), {}, 2);
-    if (motion.time_s.back() < end * clock.quarter_s) add_point(motion, end * clock.quarter_s, high);
-    if (approach_rad == 0.0) return motion;
-    const double down[] = {0.25, 0.75, 1.0};
-    for (int k = 0; k < 3; ++k)
-        add_point(motion, (end + (k + 1) * clock.leg_quarters) * clock.quarter_s,
-                  {high.alpha_rad - down[k] * approach_rad, high.beta_rad - down[k] * approach_rad});
+    const Angles end = angles_at(robot, cell_at(path, steps), {}, 2), above = descent.above(0);
+    const Angles goal{end.alpha_rad - above.alpha_rad, end.beta_rad - above.beta_rad};
+    add_descent(motion, goal, descent, clock, end_quarters(steps));
     return motion;
-}
-
-SweptArm approach_leg(const ArmBody &body, Angles goal, double approach_rad) {
-    SweptArm leg;
-    for (int k = 0; k <= quarters; ++k) {
-        const double above = approach_rad * (quarters - k) / quarters;
-        leg.at[k] = body.line(turn(goal.alpha_rad + above + body.arm.alpha_off_rad),
-                              turn(goal.beta_rad + above + body.arm.beta_off_rad));
-    }
-    const double part = approach_rad / quarters;
-    leg.bulge_mm = (std::abs(body.arm.l_alpha_mm) + 4.0 * body.far_mm()) * part * part / 8.0;
-    measure_displacement_bound(leg);
-    return leg;
 }
 
 } // namespace fl::planning

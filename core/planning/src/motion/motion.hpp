@@ -2,16 +2,15 @@
 #pragma once
 
 #include "fiberloom/planning.hpp"
-#include "motion/robot.hpp"
+#include "motion/descent.hpp"
 
 namespace fl::planning {
 
-// The motion along a path of `steps` steps, and the approach after it: from the last cell down by
-// approach_rad on both axes.
+// The motion along a path of `steps` steps, and the descent after it, from the last cell.
 Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
-                 double approach_rad);
+                 const Descent &descent);
 
-// The approach as a step: from approach_rad above the goal, on both axes, to the goal.
-SweptArm approach_leg(const ArmBody &body, Angles goal, double approach_rad);
+// When a turn of the descents begins after a path of so many steps.
+double turn_begins_s(const Clock &clock, int steps, int turn);
 
 } // namespace fl::planning

@@ -20,9 +20,7 @@ double longest_way(VelocityChange change) {
 Robot::Robot(const ArmBody &body, AxisGrid alpha, AxisGrid beta, double step_rad)
     : body_(body), alpha_(std::move(alpha)), beta_(std::move(beta)) {
     const double far = body.far_mm(), l_a = std::abs(body.arm.l_alpha_mm);
-    const double quarter = step_rad / quarters;
-    // second derivative of the end's position over a quarter, at most: both axes at full speed
-    bulge_mm_ = (l_a * quarter * quarter + far * 4.0 * quarter * quarter) / 8.0;
+    bulge_mm_ = step_bulge_mm(body, step_rad);
     for (int code = 0; code < 81; ++code) {
         const VelocityChanges c{{code / 27 - 1, code / 9 % 3 - 1}, {code / 3 % 3 - 1, code % 3 - 1}};
         const double turn_alpha = longest_way(c.alpha), turn_beta = longest_way(c.beta);

@@ -42,6 +42,12 @@ struct ArmBody {
 
 inline ArmBody arm_body(const Bodies &bodies, const Arm &arm) { return {arm, bodies.from_mm, bodies.to_mm}; }
 
+// How far an end of the arm leaves the chord of a quarter of a step, at most: both axes at full speed.
+inline double step_bulge_mm(const ArmBody &body, double step_rad) {
+    const double quarter = step_rad / quarters;
+    return (std::abs(body.arm.l_alpha_mm) + 4.0 * body.far_mm()) * quarter * quarter / 8.0;
+}
+
 class Robot {
   public:
     // step_rad: widest step of the grids.

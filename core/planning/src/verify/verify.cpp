@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace fl::planning {
@@ -64,6 +65,15 @@ class Encounter {
     Gap best_;
 };
 
+// Where an axis is at a moment; where it begins and ends before and after its motion.
+double axis_at(const Motion &m, double Angles::*axis, double time_s) {
+    int k = 1;
+    while (k < count(m.time_s) && m.time_s[k] < time_s) ++k;
+    if (k >= count(m.time_s)) return m.angles.back().*axis;
+    const double part = std::max(0.0, (time_s - m.time_s[k - 1]) / (m.time_s[k] - m.time_s[k - 1]));
+    return m.angles[k - 1].*axis + part * (m.angles[k].*axis - m.angles[k - 1].*axis);
+}
+
 Fault at_rest(Fault fault) { return fault == Fault::robots ? Fault::contact : Fault::obstacle_contact; }
 
 class Verifier {
@@ -96,6 +106,8 @@ class Verifier {
     void check_ends(int i);
     void check_end(Fault fault, int i, Angles is, Angles should, double time_s);
     void check_approach(int i);
+    void check_said(const Approach &said);
+    double off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const;
     void check_pairs();
     void check_pair(int i, int j);
     void check_obstacles();
@@ -172,7 +184,12 @@ void Verifier::check_ends(int i) {
     if (!rules_.start.empty()) check_end(Fault::start, i, m.angles.front(), rules_.start[i], 0.0);
     if (!rules_.goal.empty() && rules_.arrives[i] != 0)
         check_end(Fault::goal, i, m.angles.back(), rules_.goal[i], m.time_s.back());
-    if (!rules_.approach_rad.empty() && tracks_[i].moves()) check_approach(i);
+    const auto said = std::find_if(rules_.approaches.begin(), rules_.approaches.end(),
+                                   [i](const Approach &a) { return a.robot == i; });
+    if (said != rules_.approaches.end())
+        check_said(*said);
+    else if (!rules_.approach_rad.empty() && tracks_[i].moves())
+        check_approach(i);
 }
 
 // From the end back: as long as both axes fall, they must have come from approach_rad above.
@@ -184,6 +201,34 @@ void Verifier::check_approach(int i) {
     const double missing = rules_.approach_rad[i] - height;
     if (missing > 2.0 * rules_.rounding_rad)
         report(Fault::approach, i, -1, motions_[i].time_s.back(), missing);
+}
+
+// By how much an axis is not where its last leg shall begin, rises afterwards, or is not at its end in time.
+double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const {
+    const double rounding_s = 1e-9;
+    const bool sound = leg.height_rad >= 0.0 && leg.height_rad < 1e9 && leg.begin_s >= 0.0 &&
+                       leg.begin_s < leg.end_s && leg.end_s <= m.time_s.back() + rounding_s;
+    if (!sound) return std::numeric_limits<double>::infinity();
+    const double goal = m.angles.back().*axis;
+    double low = axis_at(m, axis, leg.begin_s);
+    double off = std::abs(low - goal - leg.height_rad);
+    for (int k = 0; k < count(m.angles); ++k) {
+        if (m.time_s[k] <= leg.begin_s) continue;
+        off = std::max(off, m.angles[k].*axis - low);
+        low = m.angles[k].*axis;
+    }
+    return std::max(off, std::abs(axis_at(m, axis, leg.end_s) - goal));
+}
+
+// One that has told how it comes does so, from no less than what is asked for, whatever it did before.
+void Verifier::check_said(const Approach &said) {
+    const Motion &m = motions_[said.robot];
+    double off = std::max(off_last_leg(m, &Angles::alpha_rad, said.alpha),
+                          off_last_leg(m, &Angles::beta_rad, said.beta));
+    if (!rules_.approach_rad.empty())
+        off = std::max(off, rules_.approach_rad[said.robot] -
+                                std::min(said.alpha.height_rad, said.beta.height_rad));
+    if (!(off <= 2.0 * rules_.rounding_rad)) report(Fault::approach, said.robot, -1, m.time_s.back(), off);
 }
 
 void Verifier::note(Gap gap, int i, int other, Fault fault, bool moving, Gap &smallest) {

@@ -13,7 +13,7 @@ import numpy as np
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.operation.move import Move
-from fiberloom.planning import Plan, Trajectory
+from fiberloom.planning import Approach, Plan, Trajectory
 from fiberloom.planning.trajectories import KEYS
 from fiberloom.store import Run
 from fiberloom.store.parts import RunPart, pack
@@ -86,6 +86,7 @@ def packed_move(move: Move) -> bytes:
         "instrument": plan.instrument,
         "collision_buffer_mm": plan.collision_buffer_mm,
         "refused": list(plan.refused.items()),
+        "approaches": [[positioner, own.to_dict()] for positioner, own in plan.approaches.items()],
         "cpu_s": plan.cpu_s,
         "interrupted": move.interrupted,
         "comparison": move.comparison,
@@ -101,12 +102,13 @@ def plan_of(part: RunPart) -> Plan:
     """The plan of a move's part."""
     head, arrays = part.head, part.arrays
     ends = np.cumsum(arrays["n_points"])[:-1]
-    cut = [np.split(arrays[key], ends) for key in KEYS]
-    robots = zip(arrays["positioner_id"].tolist(), *cut, strict=True)
+    time_s, alpha, beta = (np.split(arrays[key], ends) for key in KEYS)
+    robots = zip(arrays["positioner_id"].tolist(), time_s, alpha, beta, strict=True)
+    own = {positioner: Approach.from_dict(told) for positioner, told in head.get("approaches", [])}
     return Plan(
         head["instrument"],
         head["collision_buffer_mm"],
-        tuple(Trajectory(*robot) for robot in robots),
+        tuple(Trajectory(i, t, a, b, own.get(i)) for i, t, a, b in robots),
         {int(positioner): why for positioner, why in head["refused"]},
         head["cpu_s"],
     )
