@@ -48,11 +48,12 @@ def test_the_twin_calibrates_its_fibres(made):
     report = json.loads((made / "fibres.json").read_text())
     first, *_, together = report["fields"]
     assert first["guided_rms_um"] > 7.0
-    assert together["guided_rms_um"] < 1.6
+    assert together["guided_rms_um"] < 1.3
     # the shift of the whole field is the guider's: no calibration on stars can know it
     assert first["n_guided_within"] < 8
     assert together["n_guided_within"] == together["stars"]
-    assert 1.0 < report["camera_frame_um"] < 12.0
+    # 19 fibres near the middle tell little of a frame: it is made no larger than they make likely
+    assert 0.0 < report["camera_frame_um"] < 3.0
     assert report["calibrated"] >= N - 1
     assert "seeing" in report["put_in"]
 

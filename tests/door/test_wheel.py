@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SNIPPET = ROOT / "tests" / "door" / "door_snippet.py"
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, BUILDER = PYPROJECT["project"], PYPROJECT["tool"]["cibuildwheel"]
-MODULES = {"SQLAlchemy": "sqlalchemy", "python-can": "can"}
+MODULES = {"SQLAlchemy": "sqlalchemy", "python-can": "can", "pillow": "PIL"}
 """Modules of dependencies whose names differ."""
 
 SYSTEM = {"libc", "libm", "libgcc_s", "libstdc++", "libpthread"}

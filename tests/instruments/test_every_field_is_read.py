@@ -257,8 +257,11 @@ def unread(modules: list[ast.Module], tables: dict[str, type[Table]] = TABLES) -
         reader = Reader(imported(tree), returned=gives)
         reader.visit(tree)
         seen |= reader.seen
-    for table, name in sorted(seen):
+    pending = sorted(seen)
+    while pending:
+        table, name = pending.pop()
         if table in TABLES and name not in TABLES[table].model_fields:
+            pending += sorted(read_by(f"{table}.{name}") - seen)
             seen |= read_by(f"{table}.{name}")
     return [f"{t}.{f}" for t, cls in tables.items() for f in cls.model_fields if (t, f) not in seen]
 
