@@ -12,15 +12,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import tempfile
 from functools import partial
 from pathlib import Path
 
-from fiberloom.errors import InputError
-
-from .campaign import Campaign, Line, arrays_of, observed
+from .campaign import Campaign, Line, arrays_of, interruptible, observed
 from .table import exit_code, seeds_with, table
 
 BAD = ("hang", "crash", "unreadable", "false_good", "false_success", "contacts", "false_flags")
@@ -29,20 +26,16 @@ BAD = ("hang", "crash", "unreadable", "false_good", "false_success", "contacts",
 def main() -> int:
     """Runs what the command line asks for."""
     asked = arguments()
-    for stop in (signal.SIGINT, signal.SIGTERM):  # a shell takes Ctrl-C from what it runs behind it
-        signal.signal(stop, signal.default_int_handler)
+    return interruptible(asked.out, partial(run, asked))
+
+
+def run(asked: argparse.Namespace) -> int:
+    """All seeds, then the table."""
     arrays = arrays_of(asked.positioners, asked.out)
     campaign = Campaign(asked.out, partial(observed, arrays), asked.workers, asked.deadline)
-    try:
-        if asked.again:
-            return _again(campaign, asked.again)
-        lines = list(campaign.run(seeds_of(asked.seeds), _tell).values())
-    except KeyboardInterrupt:
-        print(f"interrupted; what is done is kept in {asked.out}: run the same again", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+    if asked.again:
+        return _again(campaign, asked.again)
+    lines = list(campaign.run(seeds_of(asked.seeds), _tell).values())
     print("\n".join(table(lines)))
     return exit_code(lines)
 

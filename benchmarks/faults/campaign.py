@@ -10,6 +10,7 @@ import fcntl
 import json
 import os
 import signal
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -37,6 +38,20 @@ ARRAYS = 4
 Line = dict[str, Any]
 Work = Callable[[int, Path], Line]
 """What a seed does in its process: seed and a file for what it prints, to its line."""
+
+
+def interruptible(out: Path, work: Callable[[], int]) -> int:
+    """The exit code of `work`, which keeps its lines in `out`: 130 after Ctrl-C, 2 for bad input."""
+    for stop in (signal.SIGINT, signal.SIGTERM):  # a shell takes Ctrl-C from what it runs behind it
+        signal.signal(stop, signal.default_int_handler)
+    try:
+        return work()
+    except KeyboardInterrupt:
+        print(f"interrupted; what is done is kept in {out}: run the same again", file=sys.stderr)
+        return 130
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
 
 
 @dataclass

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.faults.campaign import Campaign
+from benchmarks.faults.campaign import Campaign, interruptible
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, write_layout
@@ -70,16 +69,7 @@ class Array:
 def main() -> int:
     """Runs what the command line asks for."""
     asked = arguments()
-    for stop in (signal.SIGINT, signal.SIGTERM):  # a shell takes Ctrl-C from what it runs behind it
-        signal.signal(stop, signal.default_int_handler)
-    try:
-        return run(asked)
-    except KeyboardInterrupt:
-        print(f"interrupted; what is done is kept in {asked.out}: run the same again", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+    return interruptible(asked.out, partial(run, asked))
 
 
 def run(asked: argparse.Namespace) -> int:

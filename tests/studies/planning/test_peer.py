@@ -118,7 +118,7 @@ def test_rows_count_failures_and_growth_is_a_power():
 
 def test_kaiju_itself():
     if reason := peer.why_not():
-        pytest.skip(f"{reason}; `make kaiju`")
+        pytest.skip(f"kaiju is not compared: {reason}")
     ends = pairs.ends_of(PLANE, 0, 2.0)
     answer = peer.asked(PLANE, peer.job_of(PLANE, ends, 2.0, pairs.speed_deg_s(PLANE), 0), 120.0)
     assert answer.failed == {}

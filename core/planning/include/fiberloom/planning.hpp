@@ -112,7 +112,7 @@ enum class Refusal {
 };
 
 // The reason as the end of a sentence that begins with the positioner's name. {other} and {still}: what it
-// meets, the latter something that does not move.
+// meets, the latter something that does not move; {axes}: what its axes would need beyond their travel.
 const char *to_string(Refusal reason);
 
 // A positioner (row) that does not arrive, and what it meets: another positioner or an obstacle; -1: neither.

@@ -1,8 +1,8 @@
 #include "fiberloom/conflicts.hpp"
 #include "motion/descent.hpp"
+#include "motion/near_pairs.hpp"
 
 #include <algorithm>
-#include <utility>
 
 namespace fl::planning {
 namespace {
@@ -16,20 +16,14 @@ SweptArm leg(const Bodies &bodies, const Arm &arm, Angles goal, double approach_
 std::vector<std::array<int, 2>> conflicts(const Bodies &bodies, const std::vector<Angles> &goals,
                                           double approach_rad) {
     List<SweptArm> legs;
-    List<std::pair<double, int>> by_x;
-    double widest = 0.0;
+    List<Reach> reaches;
     for (const Arm &arm : bodies.arms) {
         legs.push_back(leg(bodies, arm, row(goals, PositionerIndex(legs.size())), approach_rad));
-        by_x.emplace_back(arm.centre_mm.x, by_x.size());
-        widest = std::max(widest, arm_body(bodies, arm).reach_mm() + bodies.radius_mm);
+        reaches.push_back({arm.centre_mm, arm_body(bodies, arm).reach_mm()});
     }
-    std::sort(by_x.begin(), by_x.end());
     std::vector<std::array<int, 2>> out;
-    for (int a = 0; a < by_x.size(); ++a)
-        for (int b = a + 1; b < by_x.size() && by_x[b].first - by_x[a].first <= 2.0 * widest; ++b) {
-            const auto [i, j] = std::minmax(by_x[a].second, by_x[b].second);
-            if (!stay_apart(legs[i], legs[j], 2.0 * bodies.radius_mm)) out.push_back({i, j});
-        }
+    for (const auto &[i, j, gap] : near_pairs(reaches, 2.0 * bodies.radius_mm))
+        if (!stay_apart(legs[i], legs[j], 2.0 * bodies.radius_mm)) out.push_back({i, j});
     std::sort(out.begin(), out.end());
     return out;
 }

@@ -36,17 +36,11 @@ GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const S
 // Pairs of arms that can touch.
 void GoalFeasibility::find_near() {
     near_.resize(goals_.size());
-    List<Vec2> centres;
-    double widest = 0.0;
-    for (const PositionerIndex i : places()) {
-        centres.push_back(arm(i).centre_mm);
-        widest = std::max(widest, 2.0 * reach_mm(i) + need_mm_);
-    }
-    for (const NearPair &pair : near_pairs(centres, widest)) {
-        const PositionerIndex i(pair.first), j(pair.second);
-        if (pair.gap_mm >= reach_mm(i) + reach_mm(j) + need_mm_) continue;
-        near_[i].push_back(j);
-        near_[j].push_back(i);
+    List<Reach> reaches;
+    for (const PositionerIndex i : places()) reaches.push_back({arm(i).centre_mm, reach_mm(i)});
+    for (const NearPair &pair : near_pairs(reaches, need_mm_)) {
+        near_[PositionerIndex(pair.first)].push_back(PositionerIndex(pair.second));
+        near_[PositionerIndex(pair.second)].push_back(PositionerIndex(pair.first));
     }
     for (auto &list : near_) std::sort(list.begin(), list.end());
 }

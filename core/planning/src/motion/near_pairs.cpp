@@ -8,21 +8,21 @@ namespace {
 
 class Bins {
   public:
-    Bins(const List<Vec2> &centres, double widest_mm) : centres_(centres), size_mm_(widest_mm) {
-        Vec2 high = low_ = centres.front();
-        for (const Vec2 c : centres) {
+    Bins(const List<Reach> &bodies, double widest_mm) : bodies_(bodies), size_mm_(widest_mm) {
+        Vec2 high = low_ = bodies.front().centre_mm;
+        for (const auto &[c, far] : bodies) {
             low_ = {std::min(low_.x, c.x), std::min(low_.y, c.y)};
             high = {std::max(high.x, c.x), std::max(high.y, c.y)};
         }
-        // no more bins than centres, however far apart these are
-        const double most = std::sqrt(static_cast<double>(centres.size()));
+        // no more bins than bodies, however far apart these are
+        const double most = std::sqrt(static_cast<double>(bodies.size()));
         size_mm_ = std::max({size_mm_, (high.x - low_.x) / most, (high.y - low_.y) / most});
         columns_ = column(high.x) + 1;
         rows_ = line(high.y) + 1;
         sort();
     }
 
-    // The centres of a bin in ascending order; none outside.
+    // The bodies of a bin in ascending order; none outside.
     template <class Visit> void each(int column, int line, Visit visit) const {
         if (column < 0 || line < 0 || column >= columns_ || line >= rows_) return;
         const int bin = line * columns_ + column;
@@ -34,15 +34,15 @@ class Bins {
   private:
     void sort() {
         begins_.assign(columns_ * rows_ + 1, 0);
-        for (const Vec2 c : centres_) ++begins_[bin(c) + 1];
+        for (const Reach &body : bodies_) ++begins_[bin(body.centre_mm) + 1];
         for (int k = 1; k < begins_.size(); ++k) begins_[k] += begins_[k - 1];
         List<int> next = begins_;
-        sorted_.resize(centres_.size());
-        for (int k = 0; k < centres_.size(); ++k) sorted_[next[bin(centres_[k])]++] = k;
+        sorted_.resize(bodies_.size());
+        for (int k = 0; k < bodies_.size(); ++k) sorted_[next[bin(bodies_[k].centre_mm)]++] = k;
     }
     int bin(Vec2 c) const { return line(c.y) * columns_ + column(c.x); }
 
-    const List<Vec2> &centres_;
+    const List<Reach> &bodies_;
     double size_mm_;
     Vec2 low_;
     int columns_ = 0, rows_ = 0;
@@ -51,18 +51,21 @@ class Bins {
 
 } // namespace
 
-List<NearPair> near_pairs(const List<Vec2> &centres, double widest_mm) {
+List<NearPair> near_pairs(const List<Reach> &bodies, double need_mm) {
     List<NearPair> out;
-    if (centres.empty()) return out;
-    const Bins bins(centres, widest_mm);
-    for (int i = 0; i < centres.size(); ++i) {
-        const int column = bins.column(centres[i].x), line = bins.line(centres[i].y);
+    if (bodies.empty()) return out;
+    double farthest = 0.0;
+    for (const Reach &body : bodies) farthest = std::max(farthest, body.far_mm);
+    const Bins bins(bodies, 2.0 * farthest + need_mm);
+    for (int i = 0; i < bodies.size(); ++i) {
+        const auto &[centre, far] = bodies[i];
+        const int column = bins.column(centre.x), line = bins.line(centre.y);
+        const auto look = [&](int j) {
+            const double gap = length(centre - bodies[j].centre_mm);
+            if (j > i && gap < far + bodies[j].far_mm + need_mm) out.push_back({i, j, gap});
+        };
         for (int across = -1; across <= 1; ++across)
-            for (int up = -1; up <= 1; ++up)
-                bins.each(column + across, line + up, [&](int j) {
-                    const double gap = length(centres[i] - centres[j]);
-                    if (j > i && gap < widest_mm) out.push_back({i, j, gap});
-                });
+            for (int up = -1; up <= 1; ++up) bins.each(column + across, line + up, look);
     }
     return out;
 }

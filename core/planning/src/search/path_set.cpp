@@ -31,18 +31,12 @@ void PathSet::add(Robot robot) {
 }
 
 void PathSet::find_neighbours() {
-    List<Vec2> centres;
-    double widest = 0.0;
-    for (const Member &m : members_) {
-        centres.push_back(m.robot.centre());
-        widest = std::max(widest, 2.0 * m.robot.reach_mm() + need_mm_);
-    }
+    List<Reach> reaches;
+    for (const Member &m : members_) reaches.push_back({m.robot.centre(), m.robot.reach_mm()});
     List<List<std::pair<double, PathIndex>>, PathIndex> near(size());
-    for (const NearPair &pair : near_pairs(centres, widest)) {
-        const PathIndex i(pair.first), j(pair.second);
-        if (pair.gap_mm >= at(i).robot.reach_mm() + at(j).robot.reach_mm() + need_mm_) continue;
-        near[i].emplace_back(pair.gap_mm, j);
-        near[j].emplace_back(pair.gap_mm, i);
+    for (const NearPair &pair : near_pairs(reaches, need_mm_)) {
+        near[PathIndex(pair.first)].emplace_back(pair.gap_mm, PathIndex(pair.second));
+        near[PathIndex(pair.second)].emplace_back(pair.gap_mm, PathIndex(pair.first));
     }
     for (const PathIndex i : places()) {
         std::sort(near[i].begin(), near[i].end());

@@ -75,10 +75,10 @@ List<Repair::Pair> Repair::pairs() const {
     return out;
 }
 
-bool Repair::run(int last_steps) {
+bool Repair::run(int first_steps, int last_steps) {
     const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * paths_.size());
     last_steps_ = last_steps;
-    first_steps_ = paths_.steps();
+    first_steps_ = first_steps;
     return rounds(static_cast<int>(most));
 }
 

@@ -14,7 +14,8 @@ class Repair {
     // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
     List<PathIndex> first_paths();
     // Replans groups until no two paths conflict (true), or until effort or deadline are used up.
-    bool run(int last_steps);
+    // first_steps: the first deadline; a pair that resists gets a part of it as more time, up to last_steps.
+    bool run(int first_steps, int last_steps);
     // Looks for paths that end earlier, down to this many steps.
     void hurry(int wanted_steps);
     // Replans each positioner alone for a shorter, straighter path without conflicts.
