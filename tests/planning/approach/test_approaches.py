@@ -51,7 +51,7 @@ def test_most_goals_whose_usual_approaches_touch_are_reached():
     plane, arrived = bare(2), 0
     for goal_deg in facing(1)[:40]:
         assert len(checked(plane, goal_deg, AS_BEFORE).refused) == 1
-        made = checked(plane, goal_deg, PlanSettings(effort=0.02))
+        made = checked(plane, goal_deg, PlanSettings(effort=0.05))
         arrived += not made.refused
         if not made.refused:
             assert made.approaches

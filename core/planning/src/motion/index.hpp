@@ -54,7 +54,7 @@ template <class T, class I = int> class List : private std::vector<T> {
   public:
     using Base::Base;
     using Base::begin, Base::end, Base::data, Base::empty, Base::clear, Base::front, Base::back;
-    using Base::push_back, Base::emplace_back, Base::pop_back, Base::insert;
+    using Base::push_back, Base::emplace_back, Base::pop_back, Base::insert, Base::erase;
     using typename Base::value_type, typename Base::iterator, typename Base::const_iterator;
 
     List() = default;

@@ -19,14 +19,14 @@ bool MovingObstacles::extends_last(PathIndex path, int step, const SweptArm &swe
            same_place(before.swept->at[2], swept.at[2]);
 }
 
-void MovingObstacles::add(PathIndex path, int step, const SweptArm &swept, int cost) {
+void MovingObstacles::add(PathIndex path, int step, const SweptArm &swept, int cost, Cell cell, int slot) {
     if (extends_last(path, step, swept)) {
         visits_.back().last = step;
         return;
     }
     const Segment &mid = swept.at[2];
     const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
-    visits_.push_back({middle(mid.a, mid.b), radius, &swept, path, cost, step, step});
+    visits_.push_back({middle(mid.a, mid.b), radius, &swept, path, cost, cell, slot, step, step});
 }
 
 void MovingObstacles::sort(int steps) {

@@ -1,9 +1,7 @@
 // The other positioners near one positioner, step by step.
 #pragma once
 
-#include "motion/swept_arm.hpp"
-
-#include "motion/index.hpp"
+#include "motion/robot.hpp"
 
 namespace fl::planning {
 
@@ -16,13 +14,15 @@ class MovingObstacles {
         const SweptArm *swept = nullptr;
         PathIndex path;
         int cost = 0;
+        Cell cell;
+        int slot = 0; // of its list of neighbours
         int first = 0;
         int last = 0;
     };
 
     void clear() { visits_.clear(); }
     // In the order of steps for each positioner. cost: of touching it in this step.
-    void add(PathIndex path, int step, const SweptArm &swept, int cost);
+    void add(PathIndex path, int step, const SweptArm &swept, int cost, Cell cell, int slot);
     // After the last add: makes the lists by step.
     void sort(int steps);
 
@@ -35,6 +35,7 @@ class MovingObstacles {
     };
     View at(int step) const { return {by_step_.data() + ends_[step], by_step_.data() + ends_[step + 1]}; }
     const Visit &visit(int index) const { return visits_[index]; }
+    const List<Visit> &visits() const { return visits_; }
 
   private:
     bool extends_last(PathIndex path, int step, const SweptArm &swept) const;

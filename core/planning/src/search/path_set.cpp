@@ -12,6 +12,9 @@ namespace {
 // the others wait for nothing, shorter lets them plan through one that cannot leave in time.
 constexpr int waiting_steps = 8;
 
+// States that are looked at before a guide is made, which takes as long as some hundred more.
+constexpr int unguided = 200;
+
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
 
 VelocityChanges changes_at(const List<Cell> &path, int step) {
@@ -105,7 +108,7 @@ const SweptArm *PathSet::swept_at(const Member &m, int step) const {
     return step > m.deadline - wait ? &m.at_goal : nullptr;
 }
 
-void PathSet::gather_one(const Member &me, PathIndex other, MovingObstacles &moving) const {
+void PathSet::gather_one(const Member &me, PathIndex other, int slot, MovingObstacles &moving) const {
     const Segment centre{me.robot.centre(), me.robot.centre()};
     const Member &them = at(other);
     if (them.presence == Presence::absent) return;
@@ -114,13 +117,14 @@ void PathSet::gather_one(const Member &me, PathIndex other, MovingObstacles &mov
         if (swept == nullptr) continue;
         const double reach = me.robot.reach_mm() + need_mm_ + swept->displacement_bound_mm;
         if (squared_distance(centre, swept->at[2]) < reach * reach)
-            moving.add(other, step, *swept, them.cost);
+            moving.add(other, step, *swept, them.cost, cell_at(them, step), slot);
     }
 }
 
 void PathSet::gather(PathIndex i, MovingObstacles &moving) const {
     moving.clear();
-    for (const PathIndex j : at(i).neighbours) gather_one(at(i), j, moving);
+    int slot = 0;
+    for (const PathIndex j : at(i).neighbours) gather_one(at(i), j, slot++, moving);
     moving.sort(steps_);
 }
 
@@ -142,14 +146,53 @@ bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_n
     return search.run(request);
 }
 
+Cell PathSet::cell_at(const Member &m, int step) const {
+    if (m.presence == Presence::path) return m.path[step];
+    const int wait = std::clamp(m.deadline - m.robot.travel_steps(), 1, waiting_steps);
+    return step < wait ? m.robot.start() : m.robot.goal();
+}
+
+// What is likely to come, once a search without a guide has found nothing soon.
+void PathSet::guide(Request &request, BlockedCells &blocked) {
+    const Robot &robot = *request.robot;
+    const bool back = request.backward;
+    CostToGo::Request ask;
+    ask.robot = &robot;
+    ask.first = back ? robot.goal() : robot.start();
+    ask.last = back ? robot.start() : robot.goal();
+    ask.steps = steps_;
+    ask.hold = request.hold + (back ? steps_ - request.deadline : 0);
+    ask.last_step = back ? steps_ : request.deadline;
+    ask.move = request.costs->move;
+    ask.wait = request.costs->wait;
+    ask.beta = &request.costs->beta;
+    guide_.begin(ask);
+    for (const auto &visit : moving_.visits()) {
+        const Member &them = at(visit.path);
+        const CellBits *cells = blocked.by(robot, visit.slot, them.robot, visit.cell, need_mm_);
+        for (int step = visit.first; step <= visit.last; ++step)
+            guide_.block(back ? steps_ - step : step, cells, visit.cost);
+    }
+    guide_.find();
+    request.guide = &guide_;
+}
+
 bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search) {
     gather(i, moving_);
     Member &m = at(i);
-    const auto &path = search.run(
-        {&m.robot, &moving_, &costs, steps_, m.deadline, give_up, need_mm_, mode.backward, mode.hold});
-    if (path.empty()) return false;
+    Request request{&m.robot, &moving_, &costs,        steps_,   m.deadline,
+                    give_up,  need_mm_, mode.backward, mode.hold};
+    request.most_expansions = unguided;
+    const List<Cell> *path = &search.run(request);
+    if (search.undecided()) {
+        guide(request, m.blocked);
+        if (guide_.total() >= give_up) return false;
+        request.most_expansions = 0;
+        path = &search.run(request);
+    }
+    if (path->empty()) return false;
     m.still = false;
-    set_path(i, path);
+    set_path(i, *path);
     return true;
 }
 

@@ -37,7 +37,8 @@ struct Member {
     int cost = 1000;    // of touching it, per step
     bool still = false; // rests at its goal from the beginning to the end, without an approach
     int deadline = 0;   // the step by which it must have arrived
-    int tries = 0;      // repairs around it since the last one that helped
+    BlockedCells blocked;
+    int tries = 0; // repairs around it since the last one that helped
 };
 
 // In which direction of time a path is sought, and for how many steps it rests first.
@@ -93,7 +94,9 @@ class PathSet {
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
-    void gather_one(const Member &me, PathIndex other, MovingObstacles &moving) const;
+    void gather_one(const Member &me, PathIndex other, int slot, MovingObstacles &moving) const;
+    void guide(Request &request, BlockedCells &blocked);
+    Cell cell_at(const Member &member, int step) const;
     void extend(int steps);
     const SweptArm *swept_at(const Member &member, int step) const;
     void forget_conflicts(PathIndex i);
@@ -106,6 +109,7 @@ class PathSet {
     List<SavedPath> changed_; // while noting: those that have changed, as they were
     bool noting_ = false;
     MovingObstacles moving_;
+    CostToGo guide_;
     MovingObstacles joint_moving_[JointSearch::most];
 };
 

@@ -11,11 +11,12 @@ constexpr int conflict_cost = 1000; // per step
 constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
 constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
 constexpr int longest_hold = 24;    // steps
-constexpr int most_joint_nodes = 60000;
+constexpr int least_affordable = 4; // steps in conflict
+constexpr int most_joint_nodes = 20000;
 constexpr int tidy_excess = 60;     // cost above the least
-constexpr int joint_every = 6;      // of the repairs around a pair, one is a joint search
+constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;        // a deadline grows by the first one over this
-constexpr int hurry_rounds = 32;    // repairs for one that hurries
+constexpr int hurry_rounds = 100;   // repairs for one that hurries
 constexpr int most_hurries = 64;    // attempts of one to arrive earlier
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
@@ -168,14 +169,21 @@ Mode Repair::random_mode(const Robot &robot, int deadline) {
     return mode;
 }
 
-bool Repair::replan(const List<PathIndex> &members, int most) {
-    const bool dice = random_.chance(60);
+// False as soon as a path costs too much, or too many pairs are in conflict.
+bool Repair::replan(const List<PathIndex> &members, int most_cost, int most_pairs) {
+    List<PathIndex> to_come = members;
+    int pairs = 0;
+    const bool dice = random_.chance(85);
     for (const PathIndex i : members) {
         Member &m = paths_.at(i);
         const Costs costs = dice && random_.chance(50) ? random_costs(m.robot) : Costs{};
         ++statistics_.searches;
-        if (!paths_.seek(i, costs, most, random_mode(m.robot, m.deadline), search_)) return false;
+        if (!paths_.seek(i, costs, most_cost, random_mode(m.robot, m.deadline), search_)) return false;
         m.cost = conflict_cost;
+        to_come.erase(to_come.begin());
+        paths_.count_conflicts(i);
+        for (const PathConflict &c : m.conflicts) pairs += to_come.contains(c.other) ? 0 : 1;
+        if (pairs > most_pairs) return false;
     }
     return true;
 }
@@ -217,12 +225,13 @@ void Repair::give_time(Pair pair) {
     }
 }
 
-// A path with more conflicts than the whole group had is not worth looking for.
+// A path with more conflicts than the whole group had is not worth looking for, but where there are few: a
+// group may well trade its conflict for another.
 int Repair::affordable(const Group &group) const {
     int steps = 1;
     for (const PathIndex i : group.members)
         for (const PathConflict &c : paths_.at(i).conflicts) steps += c.steps;
-    return steps * conflict_cost + path_itself;
+    return std::max(steps, least_affordable) * conflict_cost + path_itself;
 }
 
 void Repair::round(Pair pair) {
@@ -230,7 +239,7 @@ void Repair::round(Pair pair) {
     Group group = choose(pair);
     const int most = affordable(group);
     forget_paths(group.members);
-    if (!replan(group.members, most)) {
+    if (!replan(group.members, most, group.conflicts)) {
         take_back(group);
         return judge(pair, group, group.conflicts);
     }
@@ -291,7 +300,7 @@ void Repair::joint_round(Pair pair) {
     save(group);
     set_joint(joint, group);
     forget_paths(others);
-    const bool all = replan(others, any_cost);
+    const bool all = replan(others, any_cost, group.conflicts);
     for (const PathIndex i : group.members) paths_.count_conflicts(i);
     const int now = touching(group);
     if (!all || now > group.conflicts) take_back(group);
@@ -370,7 +379,7 @@ void Repair::tidy_one(PathIndex i, const Costs &costs) {
 }
 
 void Repair::tidy() {
-    const Costs costs{2, 4, 1, {}}; // few corners: each costs three points on the bus
+    const Costs costs{2, 4, 1, {}, 1}; // few corners: each costs three points on the bus
     for (const PathIndex i : paths_.places()) paths_.at(i).cost = tidy_cost;
     for (const PathIndex i : paths_.places()) {
         tidy_one(i, costs);

@@ -49,7 +49,7 @@ class Repair {
     void forget_paths(const List<PathIndex> &members);
     Costs random_costs(const Robot &robot);
     Mode random_mode(const Robot &robot, int deadline);
-    bool replan(const List<PathIndex> &members, int most);
+    bool replan(const List<PathIndex> &members, int most_cost, int most_pairs);
     void take_back(Group &group);
     void judge(Pair pair, const Group &group, int conflicts_now);
     bool squeeze(PathIndex last, int deadline);

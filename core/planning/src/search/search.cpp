@@ -9,6 +9,15 @@ constexpr int most_buckets = 1 << 17; // costs above this are all the same: a hu
 
 VelocityChange reversed(VelocityChange c) { return {c.to, c.from}; }
 
+int sign(int x) { return (x > 0) - (x < 0); }
+
+// Of the speed of one axis: it must start towards its last line, if it does not run there, and stop.
+int axis_changes(int line, int last, int speed) {
+    const int way = sign(last - line);
+    if (way == 0) return speed == 0 ? 0 : 1;
+    return speed == way ? 1 : (speed == 0 ? 2 : 3);
+}
+
 } // namespace
 
 VelocityChanges changes_of(int move_in, int move_out, bool backward) {
@@ -32,8 +41,27 @@ Search::Node &Search::node(NodeId id) {
     return n;
 }
 
-int Search::heuristic(Cell c) const {
-    return ask_.costs->move * (std::abs(c.alpha - last_cell_.alpha) + std::abs(c.beta - last_cell_.beta));
+// Both axes towards the last cell.
+int Search::straight_move(Cell c) const {
+    return move_of(sign(last_cell_.alpha - c.alpha), sign(last_cell_.beta - c.beta));
+}
+
+int Search::changes_to_go(Cell c, int move) const {
+    return axis_changes(c.alpha, last_cell_.alpha, alpha_of(move)) +
+           axis_changes(c.beta, last_cell_.beta, beta_of(move));
+}
+
+// From a place that was reached by a move.
+int Search::least_to_come(Place at, int move) const {
+    const Cell c = at.cell;
+    const int changes = ask_.costs->velocity_change * changes_to_go(c, move);
+    if (ask_.guide != nullptr) return changes + ask_.guide->from(c, at.step);
+    const int lines = std::abs(c.alpha - last_cell_.alpha) + std::abs(c.beta - last_cell_.beta);
+    return changes + ask_.costs->move * lines;
+}
+
+int Search::total(int cost, int to_come) const {
+    return cost + (ask_.guide != nullptr ? ask_.costs->greed * to_come : to_come);
 }
 
 int Search::beta_cost(Cell c) const { return ask_.costs->beta.empty() ? 0 : ask_.costs->beta[c.beta]; }
@@ -47,11 +75,11 @@ void Search::push(NodeId id, int total) {
     ++open_;
 }
 
-// The open node of lowest total cost; false if there is none below the best path found.
+// The open node of lowest total cost; false if there is none below that of the path found.
 bool Search::pop(NodeId &id) {
     if (open_ == 0) return false;
     while (buckets_[lowest_].empty()) ++lowest_;
-    if (lowest_ >= best_) return false;
+    if (best_ < ask_.give_up && lowest_ >= best_) return false;
     id = buckets_[lowest_].back();
     buckets_[lowest_].pop_back();
     --open_;
@@ -176,19 +204,19 @@ void Search::relax(Place at, const Node &here, int move) {
     if (!turn.possible) return;
     const Place next{moved(at.cell, move), at.step + 1};
     if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
-    const int to_go = heuristic(next.cell);
+    const int to_come = least_to_come(next, move);
     int cost = here.cost + turn.cost + beta_cost(at.cell);
     if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
-    if (cost + to_go >= best_) return;
+    if (cost + to_come >= best_) return;
     const NodeId to = id(next);
     Node &m = node(to);
     if (m.closed || cost >= m.cost) return;
     if (!ask_.robot->clear(at.cell, turn.changes)) return;
     cost += encounters(at, turn.changes);
-    if (cost >= m.cost || cost + to_go >= best_) return;
+    if (cost >= m.cost || cost + to_come >= best_) return;
     m.cost = cost;
     m.move = static_cast<Move>(move);
-    push(to, cost + to_go);
+    push(to, total(cost, to_come));
 }
 
 void Search::expand(NodeId from) {
@@ -198,7 +226,12 @@ void Search::expand(NodeId from) {
     if (at.cell == last_cell_) finish(from, at);
     if (at.step == last_step_) return;
     const Node here = node(from);
-    for (int move = 0; move < 9; ++move) relax(at, here, move);
+    // of equals, the last is looked at first: straight to the end, and else on as before
+    const int straight = straight_move(at.cell);
+    for (int move = 0; move < 9; ++move)
+        if (move != here.move && move != straight) relax(at, here, move);
+    if (here.move != straight) relax(at, here, here.move);
+    relax(at, here, straight);
 }
 
 void Search::trace() {
@@ -219,12 +252,18 @@ const List<Cell> &Search::run(const Request &request) {
     begin();
     const NodeId first = id({first_cell(), ask_.hold});
     node(first).cost = hold_cost();
-    push(first, node(first).cost + heuristic(first_cell()));
+    push(first, total(node(first).cost, least_to_come({first_cell(), ask_.hold}, stay)));
+    const std::int64_t last = ask_.most_expansions > 0 ? expansions_ + ask_.most_expansions : -1;
+    undecided_ = false;
     for (NodeId from; pop(from);) {
         Node &n = node(from);
         if (n.closed) continue;
         n.closed = true;
         expand(from);
+        if (expansions_ == last) {
+            undecided_ = true;
+            return path_;
+        }
     }
     if (best_ < ask_.give_up) trace();
     return path_;

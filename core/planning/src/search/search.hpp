@@ -5,6 +5,7 @@
 #pragma once
 
 #include "motion/robot.hpp"
+#include "search/cost_to_go.hpp"
 #include "search/moving_obstacles.hpp"
 
 #include <cstdint>
@@ -16,6 +17,7 @@ using Move = std::uint8_t;
 inline constexpr Move stay = 4;
 inline int alpha_of(int move) { return move % 3 - 1; }
 inline int beta_of(int move) { return move / 3 - 1; }
+inline int move_of(int alpha, int beta) { return 3 * (beta + 1) + alpha + 1; }
 inline Cell moved(Cell c, int move) { return {c.alpha + alpha_of(move), c.beta + beta_of(move)}; }
 // Steps between two cells if nothing is between.
 inline int steps_between(Cell p, Cell q) {
@@ -30,6 +32,9 @@ struct Costs {
     int velocity_change = 1; // of an axis
     int wait = 2;            // a step on a cell that is not the goal: without it, floods are twice as wide
     List<int> beta;          // per step on a line of the beta grid; empty: nothing
+    // What is still to come counts so many times where a guide knows it: above 1 a path is found sooner, and
+    // may cost so many times the cheapest.
+    int greed = 2;
 };
 
 struct Request {
@@ -43,7 +48,10 @@ struct Request {
     // From the goal back in time: the same paths, but of equals it finds the one that moves last, not first.
     // Two positioners that interlock at their goals need one that comes early and waits, one that comes late.
     bool backward = false;
-    int hold = 0; // for so many steps it rests at the end where the search begins
+    int hold = 0;            // for so many steps it rests at the end where the search begins
+    int most_expansions = 0; // undecided beyond this; 0: no limit
+    // What is still to come, where it is known; without it, moves alone.
+    const CostToGo *guide = nullptr;
 };
 
 class Search {
@@ -52,6 +60,8 @@ class Search {
     // the next run.
     const List<Cell> &run(const Request &request);
     std::int64_t expansions() const { return expansions_; }
+    // Whether the last run was ended by most_expansions.
+    bool undecided() const { return undecided_; }
 
   private:
     using NodeId = Index<struct NodeKind>; // of a cell at a step
@@ -79,7 +89,10 @@ class Search {
     int hold_cost();
     Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
     int steps_to_go(Cell c) const { return steps_between(c, last_cell_); }
-    int heuristic(Cell c) const;
+    int least_to_come(Place at, int move) const;
+    int total(int cost, int to_come) const;
+    int changes_to_go(Cell c, int move) const;
+    int straight_move(Cell c) const;
     int beta_cost(Cell c) const;
     void expand(NodeId id);
     void finish(NodeId id, Place at);
@@ -109,6 +122,7 @@ class Search {
     NodeId last_;
     int best_ = 0;
     std::int64_t expansions_ = 0;
+    bool undecided_ = false;
 };
 
 } // namespace fl::planning

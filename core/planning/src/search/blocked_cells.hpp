@@ -1,0 +1,49 @@
+// Which cells of one positioner touch a neighbour that is at one of its own cells. They are kept: a neighbour
+// passes the same places on most of its paths.
+#pragma once
+
+#include "motion/robot.hpp"
+
+#include <cstdint>
+
+namespace fl::planning {
+
+// A bit for each cell of a robot, line by line of beta; each line begins with a word of its own.
+using CellBits = std::uint64_t;
+
+class BlockedCells {
+  public:
+    static constexpr int bits = 64;
+
+    static int words_per_line(const Robot &robot) { return (robot.alpha().size() + bits - 1) / bits; }
+    static int words(const Robot &robot) { return robot.beta().size() * words_per_line(robot); }
+
+    // The cells of `me`, always the same, less than need_mm from `neighbour`, the one at place `slot` among
+    // its neighbours, when that is at a cell. As precise as single precision. Valid until the next call.
+    const CellBits *by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm);
+
+  private:
+    // Directions from the centre of the robot.
+    struct Sector {
+        double middle_rad = 0.0, half_rad = 0.0;
+    };
+    // A line of cells: the centre lines of the arm, seen from its centre.
+    struct Line {
+        List<float> from_x, from_y, along_x, along_y; // at each line of alpha, mm
+        double far_mm = 0.0;
+        Sector first; // at the first line of alpha
+    };
+
+    static Sector sector(Segment line, double around_mm);
+    void lay_out(const Robot &me);
+    void look(const Robot &me, const Segment &line, double need_mm, CellBits *out);
+    void mark(const Line &cells, int begin, int end, const Segment &line, double need_mm, CellBits *out);
+
+    List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
+    List<CellBits> bits_;
+    List<Line> lines_;
+    List<double> alpha_rad_; // from the first line of alpha
+    List<int> touches_;
+};
+
+} // namespace fl::planning
