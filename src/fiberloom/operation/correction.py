@@ -11,6 +11,10 @@ is off besides, with their covariance: a Kalman filter. An arm that is some um l
 is off by that wherever its angles are; where it is nearly stretched or folded (beta near 0 or 180 deg) no
 small offset of an angle moves the fibre so, and a filter of angles alone would not correct it.
 
+What the map of a gear does not know ripples: over the way of a correction the offset of an angle changes in
+proportion to the way. So this slope is in the state too, one number for each axis: a correction that went too
+far tells it, and the next one goes as far as it should.
+
 The filter's noise is that of the camera and that of one arrival, both 2-D rms. An arrival's scatter
 is new after every move: it adds to the image's noise, not to the offset. After k images the fibre
 is then off by sqrt((s^2 + q^2)/k + q^2): 0.37 um for k = 5, s = 0.669 um, q = 0.2 um.
@@ -48,6 +52,8 @@ _MEDIAN = 2.0 * np.log(2.0)
 _FACTORS, _TRIED, _FEWEST = (0.05, 400.0), 10, 20
 # Predictions count for it where the noise of the image is at least this share of what is expected of the way.
 _MOSTLY_NOISE = 4.0
+# Over such a way the slope of a gear becomes another: a quarter of a period of order 204.
+_SLOPE_HOLDS_DEG = 0.4
 # A degree that an arm turns is dear as a miss of 3 um; steps of Gauss and Newton.
 _DEAR_MM2_DEG2, _AIMS = (3.0 * MM_PER_UM) ** 2, 3
 # A command for the plain update keeps this far inside the reach of the arms.
@@ -90,7 +96,8 @@ class Seen:
 class Offsets:
     """Estimated offset of what is true from what is reported and known: k numbers of each positioner.
 
-    In the loop four: the angles alpha and beta in deg, and what the fibre is off besides, x and y in mm.
+    In the loop six: the angles alpha and beta in deg, what the fibre is off besides, x and y in mm, and the
+    slope of each angle's offset over the angle, deg/deg.
     """
 
     mean: Floats
@@ -106,14 +113,24 @@ class Offsets:
     @property
     def place_mm(self) -> Floats:
         """(N, 2) what the fibre is off besides."""
-        return self.mean[:, 2:]
+        return self.mean[:, 2:4]
+
+    @property
+    def slope(self) -> Floats:
+        """(N, 2) of the offsets of alpha and beta over these angles."""
+        return self.mean[:, 4:]
 
 
-def predict(offsets: Offsets, drift_deg2: Floats) -> Offsets:
-    """Offsets after one more move: the same mean; angles are less known by `drift_deg2` (N, 2, 2)."""
-    covariance = offsets.covariance.copy()
-    covariance[:, :2, :2] += drift_deg2
-    return Offsets(offsets.mean, covariance)
+def predict(offsets: Offsets, way_deg: Floats, drift: Floats) -> Offsets:
+    """Offsets of N positioners after one more move.
+
+    `way_deg`: (N, 2) that the arms went: the angles' offsets have changed by their slope times it; `drift`:
+    (N, 6, 6) by which all is less known, units as in `Offsets`.
+    """
+    after = np.broadcast_to(np.eye(6), (len(way_deg), 6, 6)).copy()
+    after[:, [0, 1], [4, 5]] = way_deg
+    mean = np.einsum("nij,nj->ni", after, offsets.mean)
+    return Offsets(mean, after @ offsets.covariance @ after.transpose(0, 2, 1) + drift)
 
 
 def weigh(
@@ -172,7 +189,7 @@ class CorrectionLoop:
         spread = self._spread(self.noise.blind_um)
         if sigma_deg is not None:
             spread = sigma_deg[:, :, None] ** 2 * np.eye(2)
-        self._begun = Offsets(np.zeros((plane.n, 4)), self._with_place(spread))
+        self._begun = Offsets(np.zeros((plane.n, 6)), self._whole(spread))
         self._images: list[Seen] = []
         self._last_deg = np.full((plane.n, 2), np.nan)
         """(N, 2) angles that each positioner reported at its last image; NaN before the first."""
@@ -203,12 +220,18 @@ class CorrectionLoop:
         if self.filtered:
             self._learn(rows, believed_deg, measured_mm, noise_mm2)
             self._take_aim(rows)
-        wanted = self._aim_deg - self.offsets.angles_deg
+        wanted = self._commands()
         if self.filtered:
             self.rests[rows] = self._good_enough(self._images[-1], wanted[rows])
         else:
             wanted[rows] = self._plain(rows, believed_deg, measured_mm)
         return self._inside(wanted)
+
+    def _commands(self) -> Floats:
+        """(N, 2) angles to command, for the arms to come to the true angles that are aimed at."""
+        offset_deg = self.offsets.angles_deg
+        here_deg = np.where(np.isfinite(self._last_deg), self._last_deg, self._aim_deg - offset_deg)
+        return here_deg + (self._aim_deg - offset_deg - here_deg) / (1.0 + self.offsets.slope)
 
     def _take_aim(self, rows: NDArray[np.intp]) -> None:
         """Where what the fibre is off besides its angles is made up for by them.
@@ -254,7 +277,8 @@ class CorrectionLoop:
         stay_mm = self._of_fibre(self.plane.forward, here_deg, rows) + arrived_mm - target_mm
         stay_mm2 = (stay_mm**2).sum(axis=1)
         stay_mm2 += arrival_mm2 * (2.0 - np.einsum("nii->n", share))
-        there_deg, way_deg = wanted_deg + offset_deg, wanted_deg - seen.believed_deg
+        way_deg = wanted_deg - seen.believed_deg
+        there_deg = wanted_deg + offset_deg + self.offsets.slope[rows] * way_deg
         go_mm2 = ((self._of_fibre(self.plane.forward, there_deg, rows) - target_mm) ** 2).sum(axis=1)
         go_mm2 += 2.0 * arrival_mm2 + _DEAR_MM2_DEG2 * (way_deg**2).sum(axis=1)
         return np.asarray(stay_mm2 <= go_mm2, dtype=np.bool_)
@@ -314,21 +338,25 @@ class CorrectionLoop:
         arrival_um2 = max(0.5 * self.noise.repeatability_um**2, 1e-12)
         noise_mm2 = factor * seen.noise_mm2 + arrival_um2 * MM_PER_UM**2 * np.eye(2)
         kept = Offsets(offsets.mean[rows], offsets.covariance[rows])
-        before = predict(kept, self._drift(seen))
+        before = predict(kept, seen.way_deg, self._drift(seen))
         after, surprise = self._weigh(before, seen, noise_mm2)
         shaken = surprise > _SURPRISE
         if shaken.any():
             fresh = before.covariance.copy()
-            fresh[shaken] = self._with_place(self._spread(self.noise.blind_um)[rows][shaken])
+            fresh[shaken] = self._whole(self._spread(self.noise.blind_um)[rows][shaken])
             after, _ = self._weigh(Offsets(before.mean, fresh), seen, noise_mm2)
         offsets.mean[rows] = after.mean
         offsets.covariance[rows] = after.covariance
         return surprise
 
     def _drift(self, seen: Seen) -> Floats:
-        """(n, 2, 2) deg^2 by which the offsets have changed since the image before."""
-        along = (self.noise.slope * seen.way_deg)[:, :, None] ** 2 * np.eye(2)
-        drift: Floats = self._spread(self.noise.drift_um)[seen.rows] + along
+        """(n, 6, 6) by which the offsets are less known than at the image before."""
+        drift = np.zeros((len(seen.rows), 6, 6))
+        drift[:, :2, :2] = self._spread(self.noise.drift_um)[seen.rows]
+        # the slope is another at the end of the way, and has been so over a part of it
+        changed = self.noise.slope * np.minimum(1.0, np.abs(seen.way_deg) / _SLOPE_HOLDS_DEG)
+        drift[:, [0, 1], [0, 1]] += (changed * seen.way_deg) ** 2 / 3.0
+        drift[:, [4, 5], [4, 5]] = changed**2
         return drift
 
     def _weigh(self, before: Offsets, seen: Seen, noise_mm2: Floats) -> tuple[Offsets, Floats]:
@@ -336,7 +364,8 @@ class CorrectionLoop:
         expected = self.plane.forward(at[:, 0], at[:, 1], index=seen.rows) + before.place_mm
         by_angles = self.plane.jacobian(at[:, 0], at[:, 1], index=seen.rows)
         by_place = np.broadcast_to(np.eye(2), by_angles.shape)
-        jacobian = np.concatenate([by_angles, by_place], axis=2)
+        by_slope = np.zeros(by_angles.shape)  # what it has done since the image before is in the offset
+        jacobian = np.concatenate([by_angles, by_place, by_slope], axis=2)
         return weigh(before, seen.measured_mm - expected, jacobian, noise_mm2)
 
     def _plain(self, rows: NDArray[np.intp], believed_deg: Floats, measured_mm: Floats) -> Floats:
@@ -367,11 +396,12 @@ class CorrectionLoop:
         sigma_deg = rad_to_deg(rms_um * MM_PER_UM / np.sqrt(2.0) / self._lever_mm())
         return sigma_deg[:, :, None] ** 2 * np.eye(2)
 
-    def _with_place(self, spread_deg2: Floats) -> Floats:
-        """(n, 4, 4) covariance of angles (n, 2, 2), and of what the fibre is off besides."""
-        whole = np.zeros((len(spread_deg2), 4, 4))
+    def _whole(self, spread_deg2: Floats) -> Floats:
+        """(n, 6, 6) covariance of angles (n, 2, 2), of what the fibre is off besides, and of slopes."""
+        whole = np.zeros((len(spread_deg2), 6, 6))
         whole[:, :2, :2] = spread_deg2
-        whole[:, 2:, 2:] = 0.5 * (self.noise.place_um * MM_PER_UM) ** 2 * np.eye(2)
+        whole[:, 2:4, 2:4] = 0.5 * (self.noise.place_um * MM_PER_UM) ** 2 * np.eye(2)
+        whole[:, 4:, 4:] = self.noise.slope**2 * np.eye(2)
         return whole
 
     def _lever_mm(self) -> Floats:
