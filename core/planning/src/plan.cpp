@@ -102,7 +102,7 @@ bool Planner::find_paths() {
         return false;
     }
     const bool free = repair.run(wanted, last);
-    if (free) repair.hurry(wanted);
+    if (free) repair.hurry(statistics_.bound_steps);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
     if (free) {

@@ -76,8 +76,10 @@ def pairs_within(centres_mm: Floats, reach_mm: Floats, extra_mm: float) -> Ints:
 def rows_of(known: Ints, positioner_id: ArrayLike) -> Ints:
     """Rows of positioners among the `known` (N,); an InputError names the first that is not there."""
     wanted, n = np.asarray(positioner_id, dtype=np.int64), len(known)
-    if n == 0:
+    if n == 0 and wanted.size > 0:
         raise InputError(f"positioner {wanted.flat[0]}: the focal plane is empty")
+    if n == 0:
+        return np.zeros(wanted.shape, dtype=np.int64)
     order = np.argsort(known)
     rows: Ints = order[np.searchsorted(known, wanted, sorter=order).clip(max=n - 1)]
     wrong = known[rows] != wanted

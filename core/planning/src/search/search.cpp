@@ -9,11 +9,9 @@ constexpr int most_buckets = 1 << 17; // costs above this are all the same: a hu
 
 VelocityChange reversed(VelocityChange c) { return {c.to, c.from}; }
 
-int sign(int x) { return (x > 0) - (x < 0); }
-
 // Of the speed of one axis: it must start towards its last line, if it does not run there, and stop.
 int axis_changes(int line, int last, int speed) {
-    const int way = sign(last - line);
+    const int way = (last > line) - (last < line);
     if (way == 0) return speed == 0 ? 0 : 1;
     return speed == way ? 1 : (speed == 0 ? 2 : 3);
 }
@@ -39,11 +37,6 @@ Search::Node &Search::node(NodeId id) {
     Node &n = nodes_[id];
     if (n.round != round_) n = {round_, ask_.give_up, stay, false};
     return n;
-}
-
-// Both axes towards the last cell.
-int Search::straight_move(Cell c) const {
-    return move_of(sign(last_cell_.alpha - c.alpha), sign(last_cell_.beta - c.beta));
 }
 
 int Search::changes_to_go(Cell c, int move) const {
@@ -226,12 +219,9 @@ void Search::expand(NodeId from) {
     if (at.cell == last_cell_) finish(from, at);
     if (at.step == last_step_) return;
     const Node here = node(from);
-    // of equals, the last is looked at first: straight to the end, and else on as before
-    const int straight = straight_move(at.cell);
-    for (int move = 0; move < 9; ++move)
-        if (move != here.move && move != straight) relax(at, here, move);
-    if (here.move != straight) relax(at, here, here.move);
-    relax(at, here, straight);
+    // Of equals, the last is looked at first. So an arm unfolds as late as it can (beta stays or goes up),
+    // and is out of the way of others until then.
+    for (int move = 0; move < 9; ++move) relax(at, here, move);
 }
 
 void Search::trace() {

@@ -17,7 +17,6 @@ using Move = std::uint8_t;
 inline constexpr Move stay = 4;
 inline int alpha_of(int move) { return move % 3 - 1; }
 inline int beta_of(int move) { return move / 3 - 1; }
-inline int move_of(int alpha, int beta) { return 3 * (beta + 1) + alpha + 1; }
 inline Cell moved(Cell c, int move) { return {c.alpha + alpha_of(move), c.beta + beta_of(move)}; }
 // Steps between two cells if nothing is between.
 inline int steps_between(Cell p, Cell q) {
@@ -92,7 +91,6 @@ class Search {
     int least_to_come(Place at, int move) const;
     int total(int cost, int to_come) const;
     int changes_to_go(Cell c, int move) const;
-    int straight_move(Cell c) const;
     int beta_cost(Cell c) const;
     void expand(NodeId id);
     void finish(NodeId id, Place at);
