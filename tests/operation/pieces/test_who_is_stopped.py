@@ -113,8 +113,9 @@ def test_what_a_choice_says_of_contacts_the_whole_field_confirms():
         assert {pair_of(c) for c in choice.contacts} == {p for p in found if not p <= choice.stop}
         let_go.append(len(on.reachable) - len(choice.stop))
         touching += bool(choice.contacts)
+    print(f"\n{touching} of {len(let_go)} choices are not clear of contacts")
     assert max(let_go) >= 5
-    assert touching < 6
+    assert touching < 6  # 7 where arms unfold as soon as they can
 
 
 @pytest.mark.parametrize("now_s", [0.0, 0.01, 3.3, 1e3])
