@@ -22,7 +22,7 @@ export FIBERLOOM_CACHE := $(CURDIR)/.cache
 .PHONY: reproduce firmware-report wheels docs tutorial lint format inplace stubs lock clean figures coverage mutate
 
 help:
-	@echo "make run      set up, calibrate arms and fibres of 500 positioners of the twin (kept), observe a field"
+	@echo "make run      set up, calibrate arms, fibres and sag of 500 positioners of the twin (kept), observe a field"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, 100 000 damaged files for the readers,"
 	@echo "              20 000 images of any bytes, allocation guard, 10 000 legal"
@@ -58,34 +58,41 @@ NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
           $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
 $(VENV)/.dependencies: constraints.txt
-	@echo "1 of 6: an environment in $(VENV)"
+	@echo "1 of 7: an environment in $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PROGRESS) "2 of 6: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
+	@$(PROGRESS) "2 of 7: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
 	    $(BIN)/pip install -r constraints.txt
 	@touch $@
 
 $(STAMP): $(VENV)/.dependencies $(NATIVE)
-	@$(PROGRESS) "3 of 6: firmware, core and bindings" build/setup.log -- \
+	@$(PROGRESS) "3 of 7: firmware, core and bindings" build/setup.log -- \
 	    $(BIN)/pip install --verbose --no-build-isolation --no-deps --editable .
 	@touch $@
 
-# As at an observatory: first where arms and fibres are, once, then every field by that.
+# As at an observatory: first where arms and fibres are, and how arms sag, once; then every field by that.
 ARMS   := runs/focal-plane/arms.ecsv
 FIBRES := runs/fibres/fibres.ecsv
+SAG    := runs/gravity/gravity.ecsv
 TWIN   := --seed 0 --errors all --camera image
+# Where the telescope points at the images of the fibres, and how its rotator turns from then on, deg.
+POINTING := --zenith 45 --rotator 0 --turn 90 --swing 10
 
-run: setup $(FIBRES)
-	@echo "6 of 6: a field of 500 positioners"
-	$(BIN)/fiberloom observe examples/targets_sdssv.csv $(TWIN) --arms $(ARMS) --fibres $(FIBRES) \
-	    --moves 3 --compare-linear --out runs/first
+run: setup $(FIBRES) $(SAG)
+	@echo "7 of 7: a field of 500 positioners, 45 deg from the zenith; the rotator turns by 90 deg until the exposure"
+	$(BIN)/fiberloom observe examples/targets_sdssv.csv $(TWIN) $(POINTING) --arms $(ARMS) --fibres $(FIBRES) \
+	    --gravity $(SAG) --moves 3 --compare-linear --out runs/first
 
 $(ARMS): $(STAMP)
-	@echo "4 of 6: where arms and fiducials are, 500 positioners; the first time transmissions are calibrated too"
+	@echo "4 of 7: where arms and fiducials are, 500 positioners; the first time transmissions are calibrated too"
 	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --rotator 360 --out $(@D)
 
 $(FIBRES): $(ARMS)
-	@echo "5 of 6: where their science fibres are, by three fields of stars for each kind of fibre"
+	@echo "5 of 7: where their science fibres are, by three fields of stars for each kind of fibre"
 	$(BIN)/fiberloom calibrate fibres $(TWIN) --arms $(ARMS) --out $(@D)
+
+$(SAG): $(ARMS)
+	@echo "6 of 7: how arms sag, by images at six rotator angles in each of six configurations"
+	$(BIN)/fiberloom calibrate gravity $(TWIN) --arms $(ARMS) --out $(@D)
 
 # a file to a worker: what its tests share is prepared once
 test: setup

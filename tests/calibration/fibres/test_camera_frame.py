@@ -22,6 +22,7 @@ from fiberloom.calibration.fibres.frame import (
 from fiberloom.calibration.fibres.guider import guided
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.errors import InputError
+from fiberloom.studies.star_fields import stars as stars_of
 
 MARKS = {"version": "0", "seed": 0, "instrument": "sdssv", "config_hash": "cafe", "utc": "2026-01-01"}
 RADIUS_MM = 425.0
@@ -142,6 +143,22 @@ def test_fibres_that_are_seen_at_the_aims_are_on_their_targets(plane, frame):
     assert true_mm == pytest.approx(np.column_stack([targets.x_mm, targets.y_mm]), abs=1e-6)
     assert np.abs(aims.x_mm - targets.x_mm).max() > 1e-4
     assert offsets_with(plane, None).aims(targets) is targets
+
+
+def test_an_observation_with_a_frame_ends_where_the_frame_says(tmp_path):
+    """This twin's frame is right, so one that the host takes off puts each fibre beside its star by it."""
+    plane = fl.FocalPlane.of("sdssv", n=7)
+    small = FrameOffset(45.0, 12.0 * np.eye(len(TERMS))[0], 1e-2 * np.eye(len(TERMS)))
+    offsets_with(plane, small).write(tmp_path / "fibres.ecsv", MARKS)
+    targets = stars_of(plane, "BOSS", 3)
+    fl.Field.twin(plane, 0, camera="noise").run.calibrate(points=60).save(tmp_path / "maps.npz")
+    field = fl.Field.twin(plane, 0, camera="noise", calibration=tmp_path / "maps.npz")
+    seen = field.run.observe(targets, 2, out=tmp_path, fibres=tmp_path / "fibres.ecsv")
+    star_mm = np.column_stack([targets.x_mm, targets.y_mm])[seen.assignment.target]
+    off_um = 1e3 * (seen.final.true_mm - star_mm)
+    by_frame_um = -1e3 * small.at_mm(star_mm)
+    assert rms(by_frame_um) > 5.0
+    assert rms(off_um - by_frame_um) < 2.0
 
 
 def test_the_frame_comes_back_from_the_file(plane, frame, tmp_path):

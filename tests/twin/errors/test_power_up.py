@@ -141,6 +141,17 @@ def test_the_operator_has_no_datum_on_record_and_without_the_term_every_one():
     assert all(Status.DATUMS_INITIALIZED in b and Status.POSITION_RESTORED not in b for b in bits(on.truth))
 
 
+def test_the_reports_of_a_field_are_off_by_whole_turns_of_either_axis():
+    """`power=20` takes all: each report misses the arm by 1 to 5 turns of alpha, of beta, or of both."""
+    on = field_hardware(PLANE, UNITS, 0, errors=NO_ERRORS)
+    lost = field_hardware(PLANE, UNITS, 0, errors=TwinErrors.of(PLANE.instrument, "power=20"))
+    np.testing.assert_array_equal(lost.truth.truth(), on.truth.truth())  # arms stay where they are
+    turns = (reported_deg(lost.truth) - reported_deg(on.truth)) / TURN_DEG
+    np.testing.assert_allclose(turns, np.rint(turns), atol=2.0 / COUNTS_PER_DEG / TURN_DEG)
+    assert np.rint(turns).any(axis=1).all()
+    assert np.abs(turns).max() < 5.5
+
+
 def test_without_the_term_not_a_bit_is_another():
     def after(errors):
         twin = Twin(PLANE, UNITS, seed=1, threads=1)
