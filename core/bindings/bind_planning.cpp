@@ -137,6 +137,7 @@ Dict dict_of(const Statistics &s) {
     d["bound_steps"] = s.bound_steps;
     d["steps"] = s.steps;
     d["step_s"] = s.step_s;
+    d["cut_short"] = s.cut_short;
     return d;
 }
 
@@ -196,7 +197,12 @@ void bind_plan(nb::module_ &m) {
         .def(
             "tell", [](Settings &self, Watch watch) { self.watch = std::move(watch); }, nb::arg("watch"),
             "While a plan is made, `watch` is called with the name of a stage, how many of its parts are "
-            "done, and of how many. It must not raise.");
+            "done, and of how many. It must not raise.")
+        .def(
+            "end_when", [](Settings &self, Enough enough) { self.enough = std::move(enough); },
+            nb::arg("enough"),
+            "While a plan is made, `enough` is called often: whether it shall come to an end. It must not "
+            "raise.");
     m.def(
         "plan", &plan_all, nb::arg("bodies"), nb::arg("task"), nb::arg("settings"),
         "Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, "

@@ -87,6 +87,11 @@ class Settings:
         While a plan is made, `watch` is called with the name of a stage, how many of its parts are done, and of how many. It must not raise.
         """
 
+    def end_when(self, enough: Callable[[], bool]) -> None:
+        """
+        While a plan is made, `enough` is called often: whether it shall come to an end. It must not raise.
+        """
+
 def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int, int]], dict[str, Any], list[tuple[int, list[float], list[float]]]]:
     """
     Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, other or -1, obstacle or -1); statistics; positioners that do not come to their goals as all others do (index, last leg of alpha, of beta: height in rad, begin and end in s).

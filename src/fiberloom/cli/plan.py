@@ -98,6 +98,12 @@ class PlanOptions(PlaneOptions, JsonOptions):
     buffer: Annotated[
         float | None, typer.Option(help="Collision buffer to plan with, mm; default: the instrument's.")
     ] = None
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Processor time to plan with, s; then the best plan so far. Default: what it needs."
+        ),
+    ] = None
     out: Annotated[Path, typer.Option(help="Trajectories to write.")] = Path("trajectories.json")
     animate: Annotated[
         Path | None, typer.Option(help="Film of the motion to write, .gif or .mp4 (needs ffmpeg).")
@@ -109,6 +115,8 @@ class PlanOptions(PlaneOptions, JsonOptions):
         require_file(self.goal)
         self.check_plane()
         _require_buffer(self.buffer)
+        if self.budget is not None and not 0.0 < self.budget < math.inf:
+            raise InputError(f"--budget {self.budget:g}: must be a finite number above 0 s")
         if self.animate is not None:
             from fiberloom.report.film.formats import require_film
 
@@ -173,6 +181,11 @@ class _Planned:
                 f"planned with a buffer of {has_mm:g} mm, below the {plane.collision_buffer_mm:g} mm of "
                 f"{plane.instrument.name}: arms come nearer than the instrument allows{hint}"
             )
+        if self.plan.statistics.get("cut_short"):
+            notes.append(
+                f"the budget of {self.settings.budget_s:g} s was used up: positioners that still met others "
+                "are given up, and motions may be longer than they need be"
+            )
         if plane.offline.any():
             names = ", ".join(map(str, plane.positioner_id[plane.offline]))
             notes.append(f"offline, stay where they are: positioner {names}")
@@ -234,7 +247,8 @@ def _planned(options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats
         wait.count(done, total)
 
     wait.say(f"planning {plane.n} trajectories")
-    settings = planning.PlanSettings(collision_buffer_mm=options.buffer, progress=told).of(plane)
+    asked = planning.PlanSettings(collision_buffer_mm=options.buffer, budget_s=options.budget, progress=told)
+    settings = asked.of(plane)
     made = planning.plan(plane, *ends, seed=options.seed, settings=settings)
     wait.say("verifying them in continuous time")
     limits = planning.MotionLimits(collision_buffer_mm=settings.collision_buffer_mm)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -69,6 +69,10 @@ class PlanSettings:
     approach_turns: int = 4
     """In so many turns positioners may come down to their goals where together they would touch; each one
     that is used lengthens the plan by an approach. 1: all together."""
+    budget_s: float | None = None
+    """Processor time that a plan may take, s; None: what it needs. When it is used up, positioners that still
+    meet others are given up, and the rest is neither hurried nor straightened: what is there by then is
+    verified. A plan that is cut short depends on the machine."""
     progress: Progress = _silent
     """Called while a plan is made: the name of a stage, how many of its parts are done, of how many."""
 
@@ -104,6 +108,8 @@ class _Task:
     goal: Floats
     approach: Floats
     settings: PlanSettings
+    begin_s: float = field(default_factory=time.thread_time)
+    """Processor time of this thread when it was made."""
 
     @classmethod
     def of(
@@ -126,6 +132,11 @@ class _Task:
     @property
     def bodies(self) -> CollisionBodies:
         return CollisionBodies.of(self.plane, self.settings.collision_buffer_mm)
+
+    @property
+    def cpu_s(self) -> float:
+        """Processor time since then."""
+        return time.thread_time() - self.begin_s
 
     @property
     def moving(self) -> Flags:
@@ -200,21 +211,20 @@ def plan(
 
 
 def _plan(task: _Task, seed: int) -> Plan:
-    begin = time.thread_time()
     fixed = task.plane.offline.copy()
     unsafe: dict[int, str] = {}
     for _ in range(_RETRIES):
         made = _planned(task, fixed, seed, unsafe)
         checked = task.verify(made)
         if checked.ok:
-            return replace(made, cpu_s=time.thread_time() - begin)
+            return replace(made, cpu_s=task.cpu_s)
         # has not been seen; the positioners involved stay, and the rest is planned anew
         for violation in checked.violations:
             for number in {str(violation.positioner_id), violation.other}:
                 if number.isdigit():
                     unsafe[int(number)] = f"positioner {number}: {_UNVERIFIED}"
         fixed[task.plane.index_of(list(unsafe))] = True
-    return replace(_none_moves(task), cpu_s=time.thread_time() - begin)
+    return replace(_none_moves(task), cpu_s=task.cpu_s)
 
 
 def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
@@ -228,6 +238,8 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     settings.seed = seed
     if chosen.progress is not _silent:
         settings.tell(chosen.progress)
+    if (budget_s := chosen.budget_s) is not None:
+        settings.end_when(lambda: task.cpu_s > budget_s)
     asked = core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane))
     asked.may_shorten(least_approach_rad(task.plane, task.approach, chosen.least_approach_deg))
     motions, refused, statistics, own = core.plan(core.Bodies(*task.bodies.arguments), asked, settings)
@@ -316,7 +328,7 @@ def plan_corrections(
     begin = time.thread_time()
     together = _all_together(task)
     if task.verify(together).ok:
-        return replace(together, cpu_s=time.thread_time() - begin)
+        return replace(together, cpu_s=task.cpu_s)
     return _plan(task, seed)
 
 

@@ -116,6 +116,20 @@ def test_a_buffer_that_no_arm_can_have(planned, not_planned, value):
     assert f"--buffer {value}: must be a finite number above 0 mm" in err
 
 
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
+def test_a_budget_in_which_nothing_can_be_done(planned, not_planned, value):
+    code, out, err = planned("--budget", value)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"--budget {value}: must be a finite number above 0 s" in err
+
+
+def test_a_budget_that_is_used_up_is_told(planned):
+    report = json.loads(planned("--budget", 1e-6, "--json")[1])
+    assert report["verified"]
+    assert any("the budget of 1e-06 s was used up" in line for line in report["notes"])
+    assert json.loads(planned("--budget", 1000, "--json")[1])["notes"] == []
+
+
 def test_arms_wider_than_the_pitch(planned):
     code, out, err = planned("--buffer", 12, "--json")
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -39,6 +39,9 @@ struct Motion {
 // Called while a plan is made: the name of a stage, and how many of its parts are done. It must not throw.
 using Watch = std::function<void(const char *stage, int done, int total)>;
 
+// Called while a plan is made: whether it shall come to an end. It must not throw.
+using Enough = std::function<bool()>;
+
 // Speeds of the axes, the search grid, and how hard the planner tries.
 struct Settings {
     double speed_rad_s = 0.0;
@@ -52,6 +55,7 @@ struct Settings {
     int approach_turns = 4;       // in so many turns positioners may come down to their goals, if they must
     std::uint64_t seed = 0;
     Watch watch = [](const char *, int, int) {};
+    Enough enough = [] { return false; };
 };
 
 // What a plan must do; one row for each of Bodies::arms. travel: the room that the axes have.
@@ -132,6 +136,7 @@ struct Statistics {
     int bound_steps = 0;     // that the longest path needs if nothing is in its way
     int steps = 0;           // until the approach begins
     double step_s = 0.0;
+    bool cut_short = false; // by Settings::enough
 };
 
 // One motion for each row of the task, the rows that do not arrive, what the plan took, and the rows that
@@ -144,8 +149,9 @@ struct PlanResult {
 };
 
 // Plans for all positioners at once. One that cannot arrive is named in `refused` and gets a place where it
-// blocks no other; in the worst case none moves. The same arguments give the same bits. The caller verifies
-// what comes back (verify.hpp).
+// blocks no other; in the worst case none moves. The same arguments give the same bits, unless it is cut
+// short: then those that still meet others are given up, and nothing is hurried or straightened any more. The
+// caller verifies what comes back (verify.hpp).
 // @pre start, goal, approach_rad and fixed have as many rows as bodies.arms, least_approach_rad as many or
 // none; approach_rad is not negative, and not below least_approach_rad; as for Clock.
 PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings);

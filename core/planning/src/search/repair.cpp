@@ -24,6 +24,7 @@ constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
 // of 500 takes nine millions.
 constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
+constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
 constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
 constexpr int near_by = 8;            // neighbours that may join a group, or get more time with it
@@ -89,10 +90,14 @@ std::int64_t Repair::most_in_vain() const {
     return static_cast<std::int64_t>(settings_.effort * static_cast<double>(states));
 }
 
+// Whether the plan shall come to an end; once it shall, for good.
+bool Repair::enough() { return statistics_.cut_short = statistics_.cut_short || settings_.enough(); }
+
 bool Repair::rounds(int most) {
     int fewest = paths_.conflicts();
     std::int64_t since = expansions();
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
+        if (enough() && k >= last_rounds) break;
         const auto all = pairs();
         if (all.empty()) return true;
         round(all[random_.below(all.size())]);
@@ -319,7 +324,7 @@ PathIndex Repair::last_to_arrive() const {
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
     int low = wanted_steps;
-    for (int k = 0; k < most_hurries && paths_.size() > 0; ++k) {
+    for (int k = 0; k < most_hurries && paths_.size() > 0 && !enough(); ++k) {
         const PathIndex last = last_to_arrive();
         const int arrival = paths_.arrival(last);
         if (arrival <= low) return;
@@ -382,6 +387,7 @@ void Repair::tidy() {
     const Costs costs{2, 4, 1, {}, 1}; // few corners: each costs three points on the bus
     for (const PathIndex i : paths_.places()) paths_.at(i).cost = tidy_cost;
     for (const PathIndex i : paths_.places()) {
+        if (enough()) return;
         tidy_one(i, costs);
         settings_.watch("straightening paths", i.value() + 1, paths_.size());
     }

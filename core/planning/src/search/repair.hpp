@@ -55,6 +55,7 @@ class Repair {
     bool squeeze(PathIndex last, int deadline);
     PathIndex last_to_arrive() const;
     bool rounds(int most);
+    bool enough();
     std::int64_t most_in_vain() const;
     void give_time(Pair pair);
     static int least_cost(const Robot &robot, const Costs &costs);
