@@ -325,7 +325,6 @@ def plan_corrections(
     together, `plan` finds an order or a way round.
     """
     task = _Task.of(plane, start_deg, goal_deg, approach_deg, settings)
-    begin = time.thread_time()
     together = _all_together(task)
     if task.verify(together).ok:
         return replace(together, cpu_s=task.cpu_s)
