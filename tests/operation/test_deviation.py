@@ -160,7 +160,7 @@ def test_one_that_falls_silent_in_a_move_is_flagged_alone(kind):
 
 
 def test_one_that_answers_again_is_no_longer_held_to_be_dead():
-    victim = int(PLANE.positioner_id[4])
+    victim = int(PLANE.positioner_id[2])
     motion, touches, events = moved(f"mute=#{victim}@6+45")
     assert touches == []
     assert ("answers", victim, "answers again, and is where it reports") in events

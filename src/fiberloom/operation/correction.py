@@ -125,7 +125,7 @@ def predict(offsets: Offsets, way_deg: Floats, drift: Floats) -> Offsets:
     """Offsets of N positioners after one more move.
 
     `way_deg`: (N, 2) that the arms went: the angles' offsets have changed by their slope times it; `drift`:
-    (N, 6, 6) by which all is less known, units as in `Offsets`.
+    (N, 6, 6) by which all is less known, deg^2, mm^2 and (deg/deg)^2.
     """
     after = np.broadcast_to(np.eye(6), (len(way_deg), 6, 6)).copy()
     after[:, [0, 1], [4, 5]] = way_deg
