@@ -10,6 +10,8 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.twin import draw_units
 from fiberloom.twin.draw import put_in
+from fiberloom.twin.errors import loads, temperature
+from fiberloom.twin.errors import sizes as sizes_of
 from fiberloom.twin.errors.frame import WrongFrame
 from fiberloom.twin.errors.sizes import FREEDOM, NO_ERRORS, TwinErrors, heavy
 from fiberloom.twin.errors.switches import factors_of
@@ -127,6 +129,11 @@ def test_what_is_put_in_is_told():
     assert "APOGEE 16.1 along and 5.1 um across" in told["science fibres against the metrology fibre"]
     assert "8 um rms per coordinate" in told["fiducials against their table"]
     assert "1.5 um rms per coordinate" in told["air before the camera"]
+
+
+def test_no_two_terms_share_their_random_numbers():
+    streams = [sizes_of._STREAM, sizes_of._POWER_STREAM, loads._STREAM, temperature._STREAM]
+    assert len(set(streams)) == len(streams)
 
 
 # fiducials

@@ -164,16 +164,18 @@ def test_its_friction_pulls_back_after_a_turn_to_either_side():
 
 def test_springs_hold_the_flanks_to_forty_five_degrees():
     plane = FocalPlane.of("sdssv")
-    drawn = [units_with("gravity,torque", plane, seed) for seed in range(4)]
+    drawn = [units_with("gravity,torque", plane, seed) for seed in range(24)]
     at = {
         z: np.concatenate([spring_left_Nm(units.plant, units.load, 0, z) for units in drawn])
         for z in (0.0, 45.0, 60.0, 90.0)
     }
     told_mNm = {z: 1e3 * np.median(left_Nm) for z, left_Nm in at.items() if z < 90.0}
     assert told_mNm == pytest.approx({0.0: 1.8, 45.0: 0.7, 60.0: 0.5}, abs=0.05)
-    assert at[45.0].min() > 0.0
-    assert 1 / 80 < (at[60.0] < 0.0).mean() < 1 / 60
-    assert 1 / 9 < (at[90.0] < 0.0).mean() < 1 / 7
+    lacking = {z: (left_Nm < 0.0).mean() for z, left_Nm in at.items()}
+    print(f"alpha axes whose flanks part: {', '.join(f'{100 * s:.2f} % at {z:.0f} deg' for z, s in lacking.items())}")
+    assert 0 < lacking[45.0] <= 2 / 12000
+    assert lacking[60.0] == pytest.approx(1 / 90, rel=0.15)
+    assert lacking[90.0] == pytest.approx(1 / 8, rel=0.1)
     units = drawn[0]
     assert spring_left_Nm(units.plant, units.load, 1, 45.0).min() > 0.0
     left = spring_left_Nm(units.plant, units.load, 0, 60.0) - spring_left_Nm(units.plant, units.load, 0, 90.0)

@@ -13,7 +13,7 @@ fibres pulls like a spring, and by its friction a little back after each turn.
 
 The springs against backlash hold the flanks against both. At the end of the range of alpha 1.8 mNm are
 left of them in the zenith, 0.7 at a zenith distance of 45 deg, 0.5 at 60 deg (median; `spring_left_Nm`).
-At 45 deg no unit lacks any, at 60 deg one alpha in 70, at the horizon one in eight. The plant's gear then
+At 45 deg one alpha of 12000 lacks a little, at 60 deg one in 90, at the horizon one in eight. The plant's gear then
 stays where it is by its friction (19 mNm at the output, beta a tenth), since it is not back-drivable:
 this twin has no arm that falls through its backlash.
 """
@@ -44,7 +44,7 @@ FREE_DEG = ((180.0, 20.0), (90.0, 10.0))
 """By axis, where a bundle does not pull, mean and rms from unit to unit: assumed, the middle of the range."""
 SLIP_DEG = 2.0
 """Turn after which a bundle pulls back by all of its friction: assumed; an approach is 0.8 deg."""
-_STREAM = 0xE221
+_STREAM = 0xE222
 _KG_M_PER_G_MM = 1e-6
 _NM_PER_MNM = 1e-3
 _MOST = 1e4
