@@ -172,7 +172,7 @@ def test_springs_hold_the_flanks_to_forty_five_degrees():
     told_mNm = {z: 1e3 * np.median(left_Nm) for z, left_Nm in at.items() if z < 90.0}
     assert told_mNm == pytest.approx({0.0: 1.8, 45.0: 0.7, 60.0: 0.5}, abs=0.05)
     lacking = {z: (left_Nm < 0.0).mean() for z, left_Nm in at.items()}
-    print(f"alpha axes whose flanks part: {', '.join(f'{100 * s:.2f} % at {z:.0f} deg' for z, s in lacking.items())}")
+    print("alpha axes that lack:", ", ".join(f"{100 * s:.2f} % at {z:.0f} deg" for z, s in lacking.items()))
     assert 0 < lacking[45.0] <= 2 / 12000
     assert lacking[60.0] == pytest.approx(1 / 90, rel=0.15)
     assert lacking[90.0] == pytest.approx(1 / 8, rel=0.1)

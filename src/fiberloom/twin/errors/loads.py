@@ -13,9 +13,9 @@ fibres pulls like a spring, and by its friction a little back after each turn.
 
 The springs against backlash hold the flanks against both. At the end of the range of alpha 1.8 mNm are
 left of them in the zenith, 0.7 at a zenith distance of 45 deg, 0.5 at 60 deg (median; `spring_left_Nm`).
-At 45 deg one alpha of 12000 lacks a little, at 60 deg one in 90, at the horizon one in eight. The plant's gear then
-stays where it is by its friction (19 mNm at the output, beta a tenth), since it is not back-drivable:
-this twin has no arm that falls through its backlash.
+At 45 deg one alpha of 12000 lacks a little, at 60 deg one in 90, at the horizon one in eight. The plant's
+gear then stays where it is by its friction (19 mNm at the output, beta a tenth), since it is not
+back-drivable: this twin has no arm that falls through its backlash.
 """
 
 from __future__ import annotations
