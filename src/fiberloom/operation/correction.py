@@ -101,9 +101,9 @@ class Offsets:
     """
 
     mean: Floats
-    """(N, k) deg and mm."""
+    """(N, k) deg, mm and deg/deg."""
     covariance: Floats
-    """(N, k, k) deg^2, deg mm and mm^2."""
+    """(N, k, k) products of the units of `mean`: deg^2, deg mm, mm^2, deg, mm, 1."""
 
     @property
     def angles_deg(self) -> Floats:

@@ -12,21 +12,21 @@ bool same_place(const Segment &p, const Segment &q) {
 } // namespace
 
 // A positioner that rests goes on resting where it was in the step before.
-bool MovingObstacles::extends_last(PathIndex path, int step, const SweptArm &swept) const {
+bool MovingObstacles::extends_last(int slot, int step, const SweptArm &swept) const {
     if (!rests(swept) || visits_.empty()) return false;
     const Visit &before = visits_.back();
-    return before.path == path && before.last == step - 1 && rests(*before.swept) &&
+    return before.slot == slot && before.last == step - 1 && rests(*before.swept) &&
            same_place(before.swept->at[2], swept.at[2]);
 }
 
-void MovingObstacles::add(PathIndex path, int step, const SweptArm &swept, int cost, Cell cell, int slot) {
-    if (extends_last(path, step, swept)) {
+void MovingObstacles::add(int slot, int step, const SweptArm &swept, int cost, Cell cell) {
+    if (extends_last(slot, step, swept)) {
         visits_.back().last = step;
         return;
     }
     const Segment &mid = swept.at[2];
     const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
-    visits_.push_back({middle(mid.a, mid.b), radius, &swept, path, cost, cell, slot, step, step});
+    visits_.push_back({middle(mid.a, mid.b), radius, &swept, slot, cost, cell, step, step});
 }
 
 void MovingObstacles::sort(int steps) {

@@ -12,17 +12,16 @@ class MovingObstacles {
         Vec2 centre;
         double radius_mm = 0.0; // of the circle around the centre line, during the whole step
         const SweptArm *swept = nullptr;
-        PathIndex path;
+        int slot = 0; // whose: the place in the list of neighbours
         int cost = 0;
         Cell cell;
-        int slot = 0; // of its list of neighbours
         int first = 0;
         int last = 0;
     };
 
     void clear() { visits_.clear(); }
     // In the order of steps for each positioner. cost: of touching it in this step.
-    void add(PathIndex path, int step, const SweptArm &swept, int cost, Cell cell, int slot);
+    void add(int slot, int step, const SweptArm &swept, int cost, Cell cell);
     // After the last add: makes the lists by step.
     void sort(int steps);
 
@@ -38,7 +37,7 @@ class MovingObstacles {
     const List<Visit> &visits() const { return visits_; }
 
   private:
-    bool extends_last(PathIndex path, int step, const SweptArm &swept) const;
+    bool extends_last(int slot, int step, const SweptArm &swept) const;
 
     List<Visit> visits_;
     List<int> by_step_;

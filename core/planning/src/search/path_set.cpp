@@ -100,31 +100,31 @@ void PathSet::take_over(PathIndex i, const Member &before) {
     set_path(i, path);
 }
 
-const SweptArm *PathSet::swept_at(const Member &m, int step) const {
-    if (m.presence == Presence::path) return &m.swept[step];
-    if (m.presence == Presence::absent) return nullptr;
+PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
+    if (m.presence == Presence::path) return {&m.swept[step], m.path[step]};
+    if (m.presence == Presence::absent) return {};
     const int wait = std::clamp(m.deadline - m.robot.travel_steps(), 1, waiting_steps);
-    if (step < wait) return &m.at_start;
-    return step > m.deadline - wait ? &m.at_goal : nullptr;
+    if (step < wait) return {&m.at_start, m.robot.start()};
+    if (step > m.deadline - wait) return {&m.at_goal, m.robot.goal()};
+    return {};
 }
 
-void PathSet::gather_one(const Member &me, PathIndex other, int slot, MovingObstacles &moving) const {
+void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) const {
     const Segment centre{me.robot.centre(), me.robot.centre()};
-    const Member &them = at(other);
+    const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
     for (int step = 0; step <= steps_; ++step) {
-        const SweptArm *swept = swept_at(them, step);
-        if (swept == nullptr) continue;
-        const double reach = me.robot.reach_mm() + need_mm_ + swept->displacement_bound_mm;
-        if (squared_distance(centre, swept->at[2]) < reach * reach)
-            moving.add(other, step, *swept, them.cost, cell_at(them, step), slot);
+        const Seen seen = seen_at(them, step);
+        if (seen.swept == nullptr) continue;
+        const double reach = me.robot.reach_mm() + need_mm_ + seen.swept->displacement_bound_mm;
+        if (squared_distance(centre, seen.swept->at[2]) < reach * reach)
+            moving.add(slot, step, *seen.swept, them.cost, seen.cell);
     }
 }
 
 void PathSet::gather(PathIndex i, MovingObstacles &moving) const {
     moving.clear();
-    int slot = 0;
-    for (const PathIndex j : at(i).neighbours) gather_one(at(i), j, slot++, moving);
+    for (int slot = 0; slot < at(i).neighbours.size(); ++slot) gather_one(at(i), slot, moving);
     moving.sort(steps_);
 }
 
@@ -146,14 +146,8 @@ bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_n
     return search.run(request);
 }
 
-Cell PathSet::cell_at(const Member &m, int step) const {
-    if (m.presence == Presence::path) return m.path[step];
-    const int wait = std::clamp(m.deadline - m.robot.travel_steps(), 1, waiting_steps);
-    return step < wait ? m.robot.start() : m.robot.goal();
-}
-
 // What is likely to come, once a search without a guide has found nothing soon.
-void PathSet::guide(Request &request, BlockedCells &blocked) {
+void PathSet::guide(Request &request, Member &member) {
     const Robot &robot = *request.robot;
     const bool back = request.backward;
     CostToGo::Request ask;
@@ -168,8 +162,8 @@ void PathSet::guide(Request &request, BlockedCells &blocked) {
     ask.beta = &request.costs->beta;
     guide_.begin(ask);
     for (const auto &visit : moving_.visits()) {
-        const Member &them = at(visit.path);
-        const CellBits *cells = blocked.by(robot, visit.slot, them.robot, visit.cell, need_mm_);
+        const Robot &them = at(member.neighbours[visit.slot]).robot;
+        const CellBits *cells = member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_);
         for (int step = visit.first; step <= visit.last; ++step)
             guide_.block(back ? steps_ - step : step, cells, visit.cost);
     }
@@ -185,7 +179,7 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
     request.most_expansions = unguided;
     const List<Cell> *path = &search.run(request);
     if (search.undecided()) {
-        guide(request, m.blocked);
+        guide(request, m);
         if (guide_.total() >= give_up) return false;
         request.most_expansions = 0;
         path = &search.run(request);

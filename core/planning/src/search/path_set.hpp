@@ -94,11 +94,15 @@ class PathSet {
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
-    void gather_one(const Member &me, PathIndex other, int slot, MovingObstacles &moving) const;
-    void guide(Request &request, BlockedCells &blocked);
-    Cell cell_at(const Member &member, int step) const;
+    void gather_one(const Member &me, int slot, MovingObstacles &moving) const;
+    void guide(Request &request, Member &member);
     void extend(int steps);
-    const SweptArm *swept_at(const Member &member, int step) const;
+    // Where others see it in a step.
+    struct Seen {
+        const SweptArm *swept = nullptr; // none: not at all
+        Cell cell;
+    };
+    Seen seen_at(const Member &member, int step) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
     int steps_in_conflict(const Member &p, const Member &q) const;

@@ -22,7 +22,7 @@ constexpr int patience = 16;        // repairs around a pair without success bef
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
-// of 500 takes nine millions.
+// of 500 takes about one million.
 constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
 constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster

@@ -55,8 +55,8 @@ struct Request {
 
 class Search {
   public:
-    // The cells at steps 0 .. steps of the cheapest path; empty if there is none below `give_up`. Valid until
-    // the next run.
+    // The cells at steps 0 .. steps of a path below `give_up`; empty if there is none. The cheapest; with a
+    // guide it may cost `greed` times as much. Valid until the next run.
     const List<Cell> &run(const Request &request);
     std::int64_t expansions() const { return expansions_; }
     // Whether the last run was ended by most_expansions.
