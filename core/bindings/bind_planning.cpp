@@ -99,7 +99,7 @@ Settings settings_of(double speed, double acceleration, double grid) {
 std::tuple<double, double, int> clock_of(double speed, double acceleration, double grid,
                                          double highest_approach) {
     const Clock clock(settings_of(speed, acceleration, grid), highest_approach);
-    return {clock.quarter_s, clock.grid_rad, clock.leg_quarters};
+    return {clock.quarter_s, clock.grid_rad, clock.turn_quarters};
 }
 
 // --- a plan ------------------------------------------------------------------------------------
@@ -340,7 +340,7 @@ void bind_planning(nb::module_ &m) {
     p.def("clock", &clock_of, nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
           nb::arg("highest_approach"),
           "The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many "
-          "quarters each third of the approach lasts.");
+          "quarters an approach lasts.");
     bind_plan(p);
     bind_verify(p);
     bind_goals(p);

@@ -39,6 +39,7 @@ class Planner {
     PathSet assemble();
     bool find_paths();
     void take_over(PathSet &paths) const;
+    bool refine(PositionerIndex i, PositionerIndex j);
     void give_up_some(const PathSet &paths);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
@@ -114,6 +115,13 @@ bool Planner::find_paths() {
     return free;
 }
 
+// Whether two that conflict shall be tried on finer grids: slower, but they may pass where wide steps cannot.
+bool Planner::refine(PositionerIndex i, PositionerIndex j) {
+    if (statistics_.cut_short || goals_.still(i) || goals_.still(j)) return false;
+    const bool first = goals_.refine(i), second = goals_.refine(j);
+    return first || second;
+}
+
 // One of each pair that still conflicts; those with more conflicts first.
 void Planner::give_up_some(const PathSet &paths) {
     List<std::pair<int, PathIndex>> order; // fewer conflicts come last
@@ -128,6 +136,7 @@ void Planner::give_up_some(const PathSet &paths) {
         });
         if (open == theirs.end()) continue;
         gone.push_back(m);
+        if (refine(positioner_of_[m], positioner_of_[open->other])) continue;
         goals_.send_to_safe_place(positioner_of_[m], Refusal::no_way, positioner_of_[open->other]);
     }
     goals_.settle();

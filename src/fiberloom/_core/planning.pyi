@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 def clock(speed: float, acceleration: float, grid: float, highest_approach: float) -> tuple[float, float, int]:
     """
-    The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many quarters each third of the approach lasts.
+    The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many quarters an approach lasts.
     """
 
 class Bodies:

@@ -13,6 +13,7 @@ from fiberloom.bus.exchange import Exchange
 from fiberloom.bus.outcome import Outcome, Result, Results, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, Status
 from fiberloom.errors import InputError
+from fiberloom.typing import Ints
 
 _STATUS_ASKED, _STATUS_TIMEOUT_S = 4, 0.3
 _RECEIVED = Status.TRAJECTORY_ALPHA_RECEIVED | Status.TRAJECTORY_BETA_RECEIVED
@@ -39,9 +40,21 @@ class WireTrajectory:
                 )
 
     @classmethod
-    def from_deg(cls, time_s: ArrayLike, alpha_deg: ArrayLike, beta_deg: ArrayLike) -> WireTrajectory:
-        """Rounds wire positions in deg and times in s to counts and ticks."""
-        return cls(_points("alpha", time_s, alpha_deg), _points("beta", time_s, beta_deg))
+    def from_deg(
+        cls,
+        time_s: ArrayLike,
+        alpha_deg: ArrayLike,
+        beta_deg: ArrayLike,
+        corners: tuple[Ints, Ints] | None = None,
+    ) -> WireTrajectory:
+        """Rounds `alpha_deg` and `beta_deg`, positions on the wire, and `time_s` to counts and ticks.
+
+        `corners`: rows of the points that alpha needs, and beta; without it, all points of both.
+        """
+        axes = _points("alpha", time_s, alpha_deg), _points("beta", time_s, beta_deg)
+        if corners is None:
+            return cls(*axes)
+        return cls(*(points[rows] for points, rows in zip(axes, corners, strict=True)))
 
     @property
     def duration_s(self) -> float:

@@ -149,7 +149,7 @@ class _Planned:
         n, made = self.plane.n, self.plan
         ends, refused = (self.start_deg, self.goal_deg), made.refused
         least_s = bound_s(self.plane, *ends, settings=self.settings, refused=refused)
-        points = [len(robot.time_s) for robot in made.robots]
+        points = [len(robot.corners(axis)) for robot in made.robots if robot.moves for axis in (0, 1)]
         gap_mm = self.checked.min_clearance_mm
         return {
             "robots": n,
@@ -162,8 +162,9 @@ class _Planned:
             "motion_s": made.duration_s,
             "motion_over_bound": made.duration_s / least_s if least_s else None,
             "cpu_s": made.cpu_s,
-            "points_per_axis_mean": sum(points) / n,
-            "points_per_axis_worst": max(points),
+            "points_per_axis_mean": sum(points) / max(1, len(points)),
+            "points_per_axis_worst": max(points, default=0),
+            "frames": sum(points) + 2 * sum(robot.moves for robot in made.robots),
             "min_clearance_mm": gap_mm if math.isfinite(gap_mm) else None,
             "verified": self.checked.ok,
         }

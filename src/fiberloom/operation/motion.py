@@ -423,7 +423,8 @@ class FieldMotion:
 
     def _on_the_wire(self, row: int, robot: Trajectory) -> WireTrajectory:
         wire_deg = self.maps.path_to_wire(row, robot.points_deg)
-        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
+        corners = robot.corners(0), robot.corners(1)
+        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
 
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
         goal_mm = goals.metrology_mm

@@ -333,18 +333,15 @@ def plan_corrections(
 
 def _all_together(task: _Task) -> Plan:
     """Every positioner straight to the place above its goal within the same steps, then the approach."""
-    quarter_s, grid, leg = core.clock(
+    quarter_s, grid, turn = core.clock(
         **task.settings.dynamics, highest_approach=float(task.approach.max(initial=0.0))
     )
     high = task.goal + task.approach[:, None]
     way = np.where(task.moving[:, None], high - task.start, 0.0)
     steps = max(1, int(np.ceil(np.abs(way).max(initial=0.0) / grid - 1e-9)))
     # corners cut over half a step, as in the planner: quarters of a step and the way done by then
-    rise = np.array([0.0, 1 / 16, 1 / 4]) / steps
-    quarters = [0, 1, 2, 4 * steps, 4 * steps + 1, 4 * steps + 2]
-    done = np.concatenate([rise, 1.0 - rise[::-1]])
-    fall = np.array([0.25, 0.75, 1.0])
-    down = [quarters[-1] + leg * k for k in (1, 2, 3)]
+    quarters = [0, 2, 4 * steps, 4 * steps + 2]
+    done = np.array([0.0, 0.25 / steps, 1.0 - 0.25 / steps, 1.0])
     motions = []
     for i in range(task.plane.n):
         if not task.moving[i]:
@@ -352,7 +349,7 @@ def _all_together(task: _Task) -> Plan:
             continue
         times, angles = np.array(quarters), task.start[i] + done[:, None] * way[i]
         if task.approach[i] > 0.0:
-            times = np.concatenate([times, down])
-            angles = np.vstack([angles, high[i] - fall[:, None] * task.approach[i]])
+            times = np.append(times, quarters[-1] + turn)
+            angles = np.vstack([angles, task.goal[i]])
         motions.append(np.column_stack([times * quarter_s, angles]))
     return _assembled(task, motions, {}, {"steps": steps})

@@ -13,7 +13,8 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import COUNTS_PER_DEG
 from fiberloom.wholefile import write_whole
 
 KEYS = ("time_s", "alpha_deg", "beta_deg")
@@ -53,6 +54,8 @@ class Approach:
         return cls(height, begin, end)
 
 
+_STRAIGHT_DEG = 1e-8
+"""A point so near to the line between its neighbours is on it: angles are rounded to 1e-9 deg."""
 _LEGS = ("height_deg", "begin_s", "end_s")
 
 
@@ -82,6 +85,21 @@ class Trajectory:
         when = np.asarray(time_s, dtype=np.float64)
         angles = (self.alpha_deg, self.beta_deg)
         return np.stack([np.interp(when, self.time_s, a) for a in angles], axis=-1)
+
+    def corners(self, axis: int) -> Ints:
+        """Rows of the points that one axis needs, 0 alpha or 1 beta: the first, the last, and those at which
+        its speed changes. Within a count of the bus all others are on the straight lines between these.
+        """
+        time_s, angle_deg = self.time_s, (self.alpha_deg, self.beta_deg)[axis]
+        rows = np.arange(len(time_s), dtype=np.int64)
+        if len(rows) < 3:
+            return rows
+        part = (time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2])
+        straight_deg = angle_deg[:-2] + part * (angle_deg[2:] - angle_deg[:-2])
+        bends = np.abs(straight_deg - angle_deg[1:-1]) > _STRAIGHT_DEG
+        corners = rows[np.concatenate([[True], bends, [True]])]
+        left_deg = np.interp(time_s, time_s[corners], angle_deg[corners]) - angle_deg
+        return corners if np.abs(left_deg).max() * COUNTS_PER_DEG < 0.5 else rows
 
     def to_dict(self) -> dict[str, Any]:
         """As in the JSON file."""

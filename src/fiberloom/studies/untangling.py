@@ -155,7 +155,8 @@ class _UntanglingTrial:
     def _on_the_wire(self, robot: Trajectory) -> WireTrajectory:
         row = int(self.plane.index_of(robot.positioner_id))
         wire_deg = self.maps.path_to_wire(row, robot.points_deg)
-        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1])
+        corners = robot.corners(0), robot.corners(1)
+        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
 
     async def _read(self) -> Floats:
         """(N, 2) deg by what the positioners say."""

@@ -14,6 +14,8 @@ from fiberloom.report.film import film, moments
 
 N = 7
 
+ANGLES = ("alpha_deg", "beta_deg")
+
 
 @pytest.fixture(scope="module")
 def plane():
@@ -49,14 +51,20 @@ def not_planned(monkeypatch):
     monkeypatch.setattr(planning, "plan", begun)
 
 
+def corners(time_s, angle_deg):
+    """How often the speed changes, start and end counted."""
+    speeds = np.diff(angle_deg) / np.diff(time_s)
+    return 2 + np.count_nonzero(np.abs(np.diff(speeds)) > 1e-6)
+
+
 def test_the_report_says_what_the_plan_comes_to(fl, planned, plane, ends, tmp_path):
     code, out, err = planned("--json")
     report = json.loads(out)
     assert (code, err) == (0, "")
     assert list(report) == [
         "robots", "arrived", "not_arrived", "own_approach", "notes", "buffer_mm", "bound_s", "motion_s",
-        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "min_clearance_mm",
-        "verified", "trajectories",
+        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "frames",
+        "min_clearance_mm", "verified", "trajectories",
     ]  # fmt: skip
     assert (report["robots"], report["arrived"], report["not_arrived"], report["notes"]) == (N, N, [], [])
     start_deg, goal_deg = (read_configuration(ends / f, plane) for f in ("start.csv", "goal.csv"))
@@ -66,9 +74,10 @@ def test_the_report_says_what_the_plan_comes_to(fl, planned, plane, ends, tmp_pa
     assert report["motion_over_bound"] == pytest.approx(report["motion_s"] / bound_s, rel=1e-9)
     assert report["motion_over_bound"] > 1.0
     document = json.loads((tmp_path / "t.json").read_text())
-    points = [len(robot["time_s"]) for robot in document["robots"]]
+    points = [corners(robot["time_s"], robot[axis]) for robot in document["robots"] for axis in ANGLES]
     assert report["points_per_axis_mean"] == pytest.approx(np.mean(points))
     assert report["points_per_axis_worst"] == max(points) > 4
+    assert report["frames"] == sum(points) + 2 * N
     assert report["motion_s"] == max(robot["time_s"][-1] for robot in document["robots"])
     verdict = json.loads(fl("verify", tmp_path / "t.json", "--positioners", N, "--json")[1])
     assert report["min_clearance_mm"] == verdict["min_clearance_mm"] > 0.0

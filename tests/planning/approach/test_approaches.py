@@ -14,7 +14,7 @@ from fiberloom.twin.gears import draw_gear
 TOGETHER = PlanSettings(approach_turns=1)
 WHOLE = PlanSettings(least_approach_deg=USUAL_DEG)
 AS_BEFORE = PlanSettings(approach_turns=1, least_approach_deg=USUAL_DEG)
-TURN_S = 0.375
+TURN_S = 0.25
 
 
 def checked(plane, goal_deg, settings: PlanSettings | None = None) -> Plan:

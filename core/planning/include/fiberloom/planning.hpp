@@ -74,7 +74,7 @@ struct Task {
 struct Clock {
     double quarter_s = 0.0;
     double grid_rad = 0.0; // widest move in a step
-    int leg_quarters = 0;  // how long each third of the approach lasts
+    int turn_quarters = 0; // how long an approach lasts
 
     // The shortest steps of about settings.grid_rad that speed and acceleration allow.
     // @pre speed, acceleration, grid and tick are above 0.

@@ -12,7 +12,7 @@ namespace fl::planning {
 namespace {
 
 constexpr double degree = std::numbers::pi / 180.0;
-constexpr int finest = 4; // grids up to four times finer are tried where a fiducial cannot be passed
+constexpr int finest = 4; // grids up to four times finer are tried where a body cannot be passed
 
 int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -1; }
 
@@ -275,6 +275,14 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     if (!is_refused(i)) return move_away(i, why, {true, other});
     freeze(i);
     return false;
+}
+
+bool GoalFeasibility::refine(PositionerIndex i) {
+    Goal &goal = goals_[i];
+    if (goal.finer >= finest) return false;
+    goal.finer *= 2;
+    goal.steps_alone = make_robot(i).steps_alone();
+    return true;
 }
 
 void GoalFeasibility::has_no_way(PositionerIndex i) { send_to_safe_place(i, Refusal::no_way_alone, {}); }

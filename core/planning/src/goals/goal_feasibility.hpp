@@ -32,6 +32,8 @@ class GoalFeasibility {
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
+    // Makes the grid of a positioner twice as fine; false if it is as fine as grids are.
+    bool refine(PositionerIndex i);
     // One for which the search has found no way, though it seemed to have one; again: it stays where it is.
     void has_no_way(PositionerIndex i);
 

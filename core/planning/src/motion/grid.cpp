@@ -62,11 +62,11 @@ double AxisGrid::slot_angle(int line, int slot) const {
     case 4:
         return here + 0.25 * above;
     case 5:
-        return here + below / 16.0;
+        return here + below / 8.0;
     case 6:
-        return here + above / 16.0;
+        return here + above / 8.0;
     case 7:
-        return here + (below + above) / 16.0;
+        return here + (below + above) / 8.0;
     default:
         return here;
     }

@@ -2,8 +2,8 @@
 //
 // Lines are anchored at the start and at the place before the approach, and go on to the ends of the travel.
 // In one step an axis stays on its line or goes to a neighbouring one. The plan's raw motion is straight
-// between lines; what is sent (and tested) has its corners cut over half a step:
-// a moving average over a window of half a step, kept at quarter steps.
+// between lines; what is sent (and tested) has its corners cut: straight from a quarter of a step before a
+// line to a quarter of a step after it.
 #pragma once
 
 #include "motion/index.hpp"
@@ -37,7 +37,8 @@ class AxisGrid {
     double angle(int line) const { return lines_[line]; }
     bool same_as(const AxisGrid &other) const;
 
-    // The angle k quarters after mid-step minus two: k = 2 is the moment the raw motion is on the line.
+    // The angle k quarters after mid-step minus two: at k = 2 the raw motion is on the line, and what is sent is
+    // in the middle of the cut.
     double angle(int line, VelocityChange change, int k) const;
     const Turn &turn(int line, VelocityChange change, int k) const {
         return turns_[line * slots + slot(change, k)];

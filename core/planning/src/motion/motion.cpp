@@ -35,24 +35,20 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
 // The last cut corner of a path ends half a step after it.
 int end_quarters(int steps) { return 4 * steps + 2; }
 
-// Where the axes are above the goal at a third of a turn; a third covers 1/4, 1/2, 1/4 of the leg.
-Angles above_at(const Descent &descent, int turn, int third) {
-    constexpr double done[] = {0.0, 0.25, 0.75, 1.0};
-    return between(descent.above(turn), descent.above(turn + 1), done[third]);
-}
-
 // From the end of the path down to the goal, beginning at a time that is given in quarters.
 void add_descent(Motion &motion, Angles goal, const Descent &descent, const Clock &clock, int begin) {
-    const auto add = [&](int turn, int third) {
-        const double time_s = (begin + (3 * turn + third) * clock.leg_quarters) * clock.quarter_s;
-        const Angles above = above_at(descent, turn, third);
+    const auto add = [&](int turn) {
+        const double time_s = (begin + turn * clock.turn_quarters) * clock.quarter_s;
+        const Angles above = descent.above(turn);
         if (motion.time_s.back() < time_s)
             add_point(motion, time_s, {goal.alpha_rad + above.alpha_rad, goal.beta_rad + above.beta_rad});
     };
-    add(0, 0);
-    for (int turn = 0; turn <= descent.last_turn(); ++turn)
-        if (descent.moves(turn))
-            for (int third = 0; third <= 3; ++third) add(turn, third);
+    add(0);
+    for (int turn = 0; turn <= descent.last_turn(); ++turn) {
+        if (!descent.moves(turn)) continue;
+        add(turn);
+        add(turn + 1);
+    }
 }
 
 } // namespace
@@ -69,21 +65,22 @@ Clock::Clock(const Settings &s, double highest_approach_rad) {
     quarter_s = ticks * s.tick_s;
     grid_rad = within * std::min({s.grid_rad, s.speed_rad_s * this->step_s(),
                                   0.5 * s.acceleration_rad_s2 * this->step_s() * this->step_s()});
-    // thirds of the approach cover 1/4, 1/2, 1/4 of it
-    const double by_speed = 0.5 * highest_approach_rad / (within * s.speed_rad_s * quarter_s);
+    // a third of the speed and less, so that an axis that comes up does not turn back at full speed; then the
+    // last corner of a path takes half of the acceleration, and leaves this more than the approach takes
+    const double by_speed = 3.0 * highest_approach_rad / (within * s.speed_rad_s * quarter_s);
     const double by_acceleration =
-        std::sqrt(0.25 * highest_approach_rad / (within * s.acceleration_rad_s2)) / quarter_s;
-    leg_quarters = std::max(1, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
+        std::sqrt(2.0 * highest_approach_rad / (within * s.acceleration_rad_s2)) / quarter_s;
+    turn_quarters = std::max(2, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
 }
 
 double turn_begins_s(const Clock &clock, int steps, int turn) {
-    return (end_quarters(steps) + 3 * turn * clock.leg_quarters) * clock.quarter_s;
+    return (end_quarters(steps) + turn * clock.turn_quarters) * clock.quarter_s;
 }
 
-// An axis that goes up in one turn and down in the next changes its speed by half the height in a third.
+// An axis that goes up in one turn and down in the next changes its speed by two heights a turn.
 double Clock::highest_hook_rad(double acceleration_rad_s2) const {
-    const double third_s = leg_quarters * quarter_s;
-    return 2.0 * within * acceleration_rad_s2 * third_s * third_s;
+    const double turn_s = turn_quarters * quarter_s;
+    return 0.5 * within * acceleration_rad_s2 * turn_s * turn_s;
 }
 
 Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
@@ -96,8 +93,9 @@ Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Cl
         if (straight(robot.alpha(), here.alpha, changes.alpha) &&
             straight(robot.beta(), here.beta, changes.beta))
             continue;
-        for (int k = step == 0 ? 2 : 1; k <= 3; ++k) // the first point is there already
-            add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
+        for (int k : {1, 3})
+            if (step > 0 || k > 1) // the first point is there already
+                add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
     }
     const Angles end = angles_at(robot, cell_at(path, steps), {}, 2), above = descent.above(0);
     const Angles goal{end.alpha_rad - above.alpha_rad, end.beta_rad - above.beta_rad};
