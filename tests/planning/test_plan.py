@@ -50,14 +50,14 @@ def test_a_hundred_positioners_go_directly_from_a_to_b(seed):
 
 
 def test_a_guided_search_looks_at_little_beside_its_paths():
-    """Three fields of a hundred: 5.9 millions of states without the guide, 2.1 with it."""
+    """Three fields of a hundred: millions of states without the guide."""
     looked_at = sum(solved(100, seed)[3].statistics["expansions"] for seed in range(3))
     print(f"\n{looked_at / 1e6:.1f} millions of states")
-    assert looked_at < 3_500_000
+    assert looked_at < 1_000_000
 
 
 def test_a_plan_that_is_cut_short_is_sound_and_says_who_is_given_up():
-    plane, start_deg, goal_deg, whole = solved(100, 0)
+    plane, start_deg, goal_deg, whole = solved(100, 1)
     made = plan(plane, start_deg, goal_deg, settings=PlanSettings(budget_s=1e-6))
     assert (made.statistics["cut_short"], whole.statistics["cut_short"]) == (True, False)
     assert_sound(plane, start_deg, goal_deg, made)
@@ -66,7 +66,7 @@ def test_a_plan_that_is_cut_short_is_sound_and_says_who_is_given_up():
     assert all("no way past its neighbours was found" in why for why in made.refused.values())
     arrive = np.setdiff1d(np.arange(plane.n), given_up)
     np.testing.assert_allclose(made.end_deg[arrive], goal_deg[arrive], atol=1e-8)
-    enough = plan(plane, start_deg, goal_deg, settings=PlanSettings(budget_s=1e6))
+    enough = plan(plane, start_deg, goal_deg, seed=1, settings=PlanSettings(budget_s=1e6))
     np.testing.assert_array_equal(enough.end_deg, whole.end_deg)
     assert enough.duration_s == whole.duration_s
 

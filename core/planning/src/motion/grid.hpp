@@ -37,8 +37,8 @@ class AxisGrid {
     double angle(int line) const { return lines_[line]; }
     bool same_as(const AxisGrid &other) const;
 
-    // The angle k quarters after mid-step minus two: at k = 2 the raw motion is on the line, and what is sent is
-    // in the middle of the cut.
+    // The angle k quarters after mid-step minus two: at k = 2 the raw motion is on the line, and what is sent
+    // is in the middle of the cut.
     double angle(int line, VelocityChange change, int k) const;
     const Turn &turn(int line, VelocityChange change, int k) const {
         return turns_[line * slots + slot(change, k)];

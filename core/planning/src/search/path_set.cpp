@@ -13,7 +13,13 @@ namespace {
 constexpr int waiting_steps = 8;
 
 // States that are looked at before a guide is made, which takes as long as some hundred more.
-constexpr int unguided = 200;
+constexpr int unguided = 100;
+
+// The guide sees arms in mid-step alone, where they may be farther apart than at its ends: it keeps so much
+// more between them. So it may find dear what is not; no path is given up for it unless so many times too
+// dear.
+constexpr double guide_margin_mm = 0.3;
+constexpr int much_too_dear = 3;
 
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
 
@@ -163,7 +169,8 @@ void PathSet::guide(Request &request, Member &member) {
     guide_.begin(ask);
     for (const auto &visit : moving_.visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
-        const CellBits *cells = member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_);
+        const CellBits *cells =
+            member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_ + guide_margin_mm);
         for (int step = visit.first; step <= visit.last; ++step)
             guide_.block(back ? steps_ - step : step, cells, visit.cost);
     }
@@ -180,8 +187,8 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
     const List<Cell> *path = &search.run(request);
     if (search.undecided()) {
         guide(request, m);
-        if (guide_.total() >= give_up) return false;
-        request.most_expansions = 0;
+        if (guide_.total() / much_too_dear >= give_up) return false;
+        request.most_expansions = mode.most_guided;
         path = &search.run(request);
     }
     if (path->empty()) return false;

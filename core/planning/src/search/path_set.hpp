@@ -41,10 +41,11 @@ struct Member {
     int tries = 0; // repairs around it since the last one that helped
 };
 
-// In which direction of time a path is sought, and for how many steps it rests first.
+// How a path is sought.
 struct Mode {
-    bool backward = false;
-    int hold = 0;
+    bool backward = false; // in time
+    int hold = 0;          // steps for which it rests first
+    int most_guided = 0;   // states that are looked at with a guide before it is given up; 0: no limit
 };
 
 // What a repair may have to take back.

@@ -13,6 +13,7 @@ constexpr int path_itself = 400;    // moves, velocity changes and waits cost ab
 constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 20000;
+constexpr int most_states = 1000;   // of one search in a repair: another group is tried rather than all ways
 constexpr int tidy_excess = 60;     // cost above the least
 constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;        // a deadline grows by the first one over this
@@ -168,7 +169,7 @@ Costs Repair::random_costs(const Robot &robot) {
 
 // Early or late, and now and then with a wait at one end: those that interlock need the right order in time.
 Mode Repair::random_mode(const Robot &robot, int deadline) {
-    Mode mode{random_.chance(50), 0};
+    Mode mode{random_.chance(50), 0, most_states};
     const int slack = std::min(deadline - robot.travel_steps(), longest_hold);
     if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
     return mode;
