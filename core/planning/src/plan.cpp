@@ -22,6 +22,12 @@ Approach approach_of(PositionerIndex i, const Descent &descent, const Clock &clo
     return {i.value(), last_leg(descent.alpha, clock, steps), last_leg(descent.beta, clock, steps)};
 }
 
+// A positioner that is at its goal, and whose path was taken back, is still whatever is noted of it.
+bool never_leaves(const Member &member) {
+    const Cell start = member.robot.start();
+    return std::all_of(member.path.begin(), member.path.end(), [start](Cell c) { return c == start; });
+}
+
 // The facade's work: settle the goals, find paths for all, give up those for which there is none.
 class Planner {
   public:
@@ -39,6 +45,7 @@ class Planner {
     PathSet assemble();
     bool find_paths();
     void take_over(PathSet &paths) const;
+    bool spend(const PathSet &paths);
     void give_up_some(const PathSet &paths);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
@@ -108,10 +115,18 @@ bool Planner::find_paths() {
     if (free) {
         keep(paths);
     } else {
-        give_up_some(paths);
+        if (!spend(paths)) give_up_some(paths);
         before_ = std::move(paths);
     }
     return free;
+}
+
+// Where pairs still conflict, they and those around them try it with nothing in hand; false: they have.
+bool Planner::spend(const PathSet &paths) {
+    List<PositionerIndex> tangled;
+    for (const PathIndex m : paths.places())
+        if (!paths.at(m).conflicts.empty()) tangled.push_back(positioner_of_[m]);
+    return goals_.spend(tangled);
 }
 
 // One of each pair that still conflicts; those with more conflicts first.
@@ -150,7 +165,7 @@ void Planner::keep(const PathSet &paths) {
     for (const Angles &start : task_.start) motions.push_back({{0.0}, {start}});
     for (const PathIndex m : paths.places()) {
         const PositionerIndex i = positioner_of_[m];
-        if (paths.at(m).still) continue;
+        if (paths.at(m).still || (goals_.still(i) && never_leaves(paths.at(m)))) continue;
         const Descent &descent = goals_.descent(i);
         motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, descent);
         if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, last));
