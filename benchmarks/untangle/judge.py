@@ -131,8 +131,9 @@ class Results:
         self.path = path
         self.known: dict[Case, Judged] = {}
         if path is not None and path.exists():
-            for text in path.read_text().splitlines():
-                entry = json.loads(text)
+            whole = [text for text in path.read_text().splitlines() if text.endswith("}}")]
+            path.write_text("".join(f"{text}\n" for text in whole))  # the last may have been cut short
+            for entry in map(json.loads, whole):
                 judged = entry["judged"] | {"off_deg": tuple(entry["judged"]["off_deg"])}
                 self.known[Case(**entry["case"])] = Judged(**judged)
 

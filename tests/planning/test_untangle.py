@@ -17,6 +17,7 @@ from fiberloom.planning import (
     plan,
     random_configuration,
     untangle,
+    untangling,
     verify,
 )
 from fiberloom.planning.crashes import KINDS, random_crash
@@ -118,7 +119,7 @@ def test_retreats_are_proven_for_angles_that_are_not_exact():
 @pytest.mark.parametrize(
     ("seed", "what"),
     [
-        (56, "retreat of positioner 204"),  # when those around it have gone on to their goals
+        (56, "retreat of positioner 204"),  # another is in its way, farther off
         (78, "positioner 206 aside"),  # it overlaps nothing, and moves no farther than room is needed
         (
             92,
@@ -130,6 +131,18 @@ def test_an_arm_that_is_wedged_against_a_dead_one_is_freed(seed, what):
     crash, found = untangled("immobile", seed)
     assert (found.free, found.stuck) == (True, {})
     assert what in [stage.what for stage in found.stages]
+    assert_verified(crash.plane, found)
+
+
+def test_what_is_stuck_is_tried_again_when_others_have_gone_to_their_goals(monkeypatch):
+    """With all else that would free it taken away."""
+    monkeypatch.setattr(untangling, "WINDOWS", untangling.WINDOWS[:-1])
+    monkeypatch.setattr(untangling._Untangling, "_step_aside", lambda self, pairs: False)
+    crash = random_crash(field(37), 56, "immobile")
+    found = untangle(crash.plane, crash.start_deg, seed=56)
+    assert found.free
+    goes = [stage.what for stage in found.stages].index("to the goal")
+    assert "retreat of positioner 204" in [stage.what for stage in found.stages[goes:]]
     assert_verified(crash.plane, found)
 
 

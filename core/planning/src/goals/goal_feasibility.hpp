@@ -48,8 +48,8 @@ class GoalFeasibility {
         bool settled = false; // the goal can be held
         bool gone = false;    // given up, new place not chosen yet: blocks no other
         int finer = 1;        // its grid is finer by this factor
-        bool in_hand = true; // on its way it keeps more than it needs
-        bool tight = false;  // it may not: it would find no path past the others
+        bool in_hand = true;  // on its way it keeps more than it needs
+        bool tight = false;   // it may not: it would find no path past the others
         int steps_alone = 0;
     };
     // What is at rest in the way: a positioner that does not move, or an obstacle.
