@@ -188,6 +188,7 @@ void bind_plan(nb::module_ &m) {
         .def("__init__", &settings_init, nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
              nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
         .def_rw("clearance_mm", &Settings::clearance_mm, "kept beyond touching")
+        .def_rw("in_hand_mm", &Settings::in_hand_mm, "kept beyond that by an arm on its way")
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")

@@ -41,5 +41,5 @@ def test_the_time_that_planning_took_is_within_the_time_of_the_call():
 
 def test_defaults_are_those_of_the_compiled_planner():
     settings = core.Settings(**PlanSettings().of(ALONE).dynamics)
-    names = ("clearance_mm", "first_deadline", "last_deadline", "effort")
+    names = ("clearance_mm", "in_hand_mm", "first_deadline", "last_deadline", "effort")
     assert {n: getattr(PlanSettings(), n) for n in names} == {n: getattr(settings, n) for n in names}

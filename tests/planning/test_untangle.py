@@ -17,6 +17,7 @@ from fiberloom.planning import (
     plan,
     random_configuration,
     untangle,
+    untangling,
     verify,
 )
 from fiberloom.planning.crashes import KINDS, random_crash
@@ -115,10 +116,50 @@ def test_retreats_are_proven_for_angles_that_are_not_exact():
     assert [s.uncertainty_deg for s in sure.stages if s.separates] == [0.0]
 
 
-def mess(seed: int, n: int = 37) -> np.ndarray:
+@pytest.mark.parametrize(
+    ("seed", "what"),
+    [
+        (56, "retreat of positioner 204"),  # another is in its way, farther off
+        (78, "positioner 206 aside"),  # it overlaps nothing, and moves no farther than room is needed
+        (
+            92,
+            "retreat of positioner 298",
+        ),  # the other presses on its elbow, in the direction of its alpha arm
+    ],
+)
+def test_an_arm_that_is_wedged_against_a_dead_one_is_freed(seed, what):
+    crash, found = untangled("immobile", seed)
+    assert (found.free, found.stuck) == (True, {})
+    assert what in [stage.what for stage in found.stages]
+    assert_verified(crash.plane, found)
+
+
+def test_what_is_stuck_is_tried_again_when_others_have_gone_to_their_goals(monkeypatch):
+    """With all else that would free it taken away."""
+    monkeypatch.setattr(untangling, "WINDOWS", untangling.WINDOWS[:-1])
+    monkeypatch.setattr(untangling._Untangling, "_step_aside", lambda self, pairs: False)
+    crash = random_crash(field(37), 56, "immobile")
+    found = untangle(crash.plane, crash.start_deg, seed=56)
+    assert found.free
+    goes = [stage.what for stage in found.stages].index("to the goal")
+    assert "retreat of positioner 204" in [stage.what for stage in found.stages[goes:]]
+    assert_verified(crash.plane, found)
+
+
+def mess(seed: int, n: int = 37, least_beta_deg: float = 60.0) -> np.ndarray:
     """Angles without regard to anything: arms lie on and across each other."""
     low, high = field(n).limits_deg.T
-    return np.random.default_rng(seed).uniform(low + np.array([0.0, 60.0]), high, (n, 2))
+    return np.random.default_rng(seed).uniform(low + np.array([0.0, least_beta_deg]), high, (n, 2))
+
+
+@pytest.mark.parametrize("seed", [5, 8])
+def test_one_that_is_asked_to_step_aside_in_vain_stays_at_its_goal(seed):
+    """Its path was taken back while another hurried; its motion ended 0.82 deg below its goal."""
+    plane = field(37)
+    found = untangle(plane, mess(seed, least_beta_deg=0.0), seed=seed)
+    assert (found.stuck, found.refused) == ({}, {})
+    assert_verified(plane, found)
+    np.testing.assert_allclose(found.end_deg, plane.park_deg, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", [0, 2, 7])

@@ -40,6 +40,7 @@ class Planner {
     bool find_paths();
     void take_over(PathSet &paths) const;
     bool refine(PositionerIndex i, PositionerIndex j);
+    bool spend(const PathSet &paths);
     void give_up_some(const PathSet &paths);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
@@ -109,7 +110,7 @@ bool Planner::find_paths() {
     if (free) {
         keep(paths);
     } else {
-        give_up_some(paths);
+        if (!spend(paths)) give_up_some(paths);
         before_ = std::move(paths);
     }
     return free;
@@ -120,6 +121,14 @@ bool Planner::refine(PositionerIndex i, PositionerIndex j) {
     if (statistics_.cut_short || goals_.still(i) || goals_.still(j)) return false;
     const bool first = goals_.refine(i), second = goals_.refine(j);
     return first || second;
+}
+
+// Where pairs still conflict, they and those around them try it with nothing in hand; false: they have.
+bool Planner::spend(const PathSet &paths) {
+    List<PositionerIndex> tangled;
+    for (const PathIndex m : paths.places())
+        if (!paths.at(m).conflicts.empty()) tangled.push_back(positioner_of_[m]);
+    return goals_.spend(tangled);
 }
 
 // One of each pair that still conflicts; those with more conflicts first.

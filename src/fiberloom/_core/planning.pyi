@@ -47,6 +47,13 @@ class Settings:
     def clearance_mm(self, arg: float, /) -> None: ...
 
     @property
+    def in_hand_mm(self) -> float:
+        """kept beyond that by an arm on its way"""
+
+    @in_hand_mm.setter
+    def in_hand_mm(self, arg: float, /) -> None: ...
+
+    @property
     def first_deadline(self) -> float:
         """over the time that the longest path needs"""
 

@@ -58,6 +58,10 @@ class PlanSettings:
     """Widest step of the search. Coarse is good: eight times fewer states than half of it."""
     clearance_mm: float = 0.001
     """Kept beyond touching, so that rounding on the bus does not matter."""
+    in_hand_mm: float = 0.05
+    """Kept beyond the buffer by an arm on its way, more than a step of the grid from its start and its goal.
+    So it can go on from a stop although angles are not exact. Where a positioner would not arrive with it, it
+    and those around it keep nothing in hand."""
     first_deadline: float = 1.05
     """Time allowed at first, over what the longest way needs."""
     last_deadline: float = 2.0
@@ -231,6 +235,7 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     chosen = task.settings
     settings = core.Settings(**chosen.dynamics)
     settings.clearance_mm = chosen.clearance_mm
+    settings.in_hand_mm = chosen.in_hand_mm
     settings.first_deadline = chosen.first_deadline
     settings.last_deadline = chosen.last_deadline
     settings.effort = chosen.effort

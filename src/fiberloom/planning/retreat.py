@@ -23,6 +23,8 @@ _SAMPLES = 8
 """In a step, when a way that was found is looked at again."""
 _LOOKS = 12
 _GAIN_DEG = 2.0
+_ROOM_MM, _ROOM_GAIN_MM = 5.0, 0.1
+"""Of one that makes room: what is enough, and what is worth a motion."""
 _FALL_MM = 0.5 * MM_PER_UM
 """Half of what the verifier lets a gap fall that shall only grow."""
 
@@ -119,6 +121,37 @@ def find_way_towards(
     return _Flood(around, here_rad, row, travel_rad, window).towards(goal_rad)
 
 
+def find_room(
+    around: Surroundings,
+    here_rad: Floats,
+    row: int,
+    tangled: Ints,
+    travel_rad: Floats,
+    window: SearchWindow,
+) -> Retreat | None:
+    """The way of a positioner that overlaps nothing out of the way of others that do.
+
+    To the place nearest to where it is at which the least of its gaps to them is 5 mm, or else as large as it
+    can be. None if that gap grows by less than 0.1 mm.
+
+    Parameters
+    ----------
+    around : Surroundings
+        The bodies of N positioners.
+    here_rad : (N, 2)
+        Where they are, rad.
+    row : int
+        The one that moves, all others at rest.
+    tangled : (k,)
+        Rows of those that need room.
+    travel_rad : (2, 2)
+        [[alpha_min, alpha_max], [beta_min, beta_max]], rad.
+    window : SearchWindow
+        Step and half width, deg.
+    """
+    return _Flood(around, here_rad, row, travel_rad, window).away_from(tangled)
+
+
 class _Flood:
     def __init__(
         self,
@@ -186,6 +219,18 @@ class _Flood:
         far = rad_to_deg(goal_rad - self.start)
         off = [np.abs(self.offsets - way) for way in far]
         return self._way_to(lambda steps: self._nearest(steps, np.maximum.outer(*off)))
+
+    def away_from(self, rows: Ints) -> Retreat | None:
+        gaps = self.gaps[:, :, np.isin(self.others, rows)]
+        room = gaps.min(axis=2, initial=_ROOM_MM)
+        return self._way_to(lambda steps: self._roomiest(steps, room))
+
+    def _roomiest(self, steps: Ints, room_mm: Floats) -> tuple[tuple[int, int] | None, bool]:
+        most = room_mm[steps >= 0].max()
+        gained = most - room_mm[self.middle] > _ROOM_GAIN_MM
+        there = (steps >= 0) & (room_mm >= most - 1e-9)
+        best = int(np.where(there, steps, np.iinfo(np.int64).max).argmin())
+        return (_first(best, steps.shape) if gained else None), True
 
     def _nearest(self, steps: Ints, off_deg: Floats) -> tuple[tuple[int, int] | None, bool]:
         best = int(np.where(steps >= 0, off_deg, np.inf).argmin())

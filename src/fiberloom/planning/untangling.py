@@ -11,7 +11,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, angles_rad, travel_rad
 from fiberloom.planning.overlaps import Surroundings
 from fiberloom.planning.planner import DECIMALS_DEG, PlanSettings, plan
-from fiberloom.planning.retreat import Retreat, SearchWindow, find_retreat, find_way_towards
+from fiberloom.planning.retreat import Retreat, SearchWindow, find_retreat, find_room, find_way_towards
 from fiberloom.planning.trajectories import Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -23,13 +23,18 @@ WINDOWS = (
     SearchWindow(0.25, 12.0, 0.02),
     SearchWindow(0.5, 40.0, 0.02),
     SearchWindow(0.5, 40.0, 0.002),
+    SearchWindow(0.5, 40.0, 0.0),
 )
 """Where a way out is looked for, in this order: near and steep first. At 0.08 mm per degree the bodies part
 at more than 15 deg to where they touch, so an error of the angles of some tenths of a degree does no
-harm."""
+harm. The last lets a gap stay as it is for a step: where an arm presses on the end of another alpha
+arm, in its direction, the gap grows only with the square of the way."""
 
 ALONE = SearchWindow(0.5, 90.0, 0.0)
 """Where a positioner that `plan` has refused looks for a way, all others at rest."""
+
+ASIDE = SearchWindow(0.5, 40.0, 0.0)
+"""Where one that overlaps nothing looks for a place out of the way of those that do."""
 
 _EFFORT = 0.02
 """Of what `plan` usually takes before it gives a positioner up: knots that it does not undo soon, one that
@@ -37,6 +42,10 @@ moves alone on a finer grid does."""
 _SHIFTS = ((1.0, 0.0), (0.0, 1.0), (1.0, -1.0))
 _NEIGHBOURS_MM = 1.0
 """Positioners are neighbours if they can come so near."""
+_FENCE_MM = 2.0
+"""One that is so near to an arm that overlaps something may be what keeps it from parting."""
+_ROUNDS = 3
+"""How often all is tried again when others have moved on to their goals."""
 
 
 @dataclass(frozen=True)
@@ -193,18 +202,13 @@ class _Untangling:
         begin = time.thread_time()
         start = self.here.copy()
         overlaps = self._overlapping()
-        made_room: set[frozenset[tuple[int, int]]] = set()
-        while pairs := self._overlapping():
-            if self._retreat(pairs, whole=True):
-                continue
-            if frozenset(pairs) not in made_room:
-                made_room.add(frozenset(pairs))
-                if self._fold_round(pairs):
-                    continue
-            if not self._retreat(pairs, whole=False):
+        for _ in range(_ROUNDS):
+            self._part()
+            stuck = self._stuck()
+            before = len(self.stages)
+            refused = self._on_to_goal(stuck)
+            if not stuck or len(self.stages) == before:
                 break
-        stuck = self._stuck()
-        refused = self._on_to_goal(stuck)
         return Untangled(
             stages=tuple(self.stages),
             start_deg=start,
@@ -213,6 +217,25 @@ class _Untangling:
             refused=refused,
             cpu_s=time.thread_time() - begin,
         )
+
+    def _part(self) -> None:
+        """Takes apart what overlaps, until nothing does or nothing helps any more."""
+        folded, aside = set[frozenset[tuple[int, int]]](), set[frozenset[tuple[int, int]]]()
+        while pairs := self._overlapping():
+            which = frozenset(pairs)
+            if self._retreat(pairs, whole=True):
+                continue
+            if which not in folded:
+                folded.add(which)
+                if self._fold_round(pairs):
+                    continue
+            if which not in aside:
+                aside.add(which)
+                if self._step_aside(pairs):
+                    continue
+            if not self._retreat(pairs, whole=False):
+                return
+            aside.discard(which)  # it gained: those around it may have more room now, too
 
     def _overlapping(self) -> dict[tuple[int, int], float]:
         return self.around.overlapping(deg_to_rad(self.here))
@@ -323,6 +346,35 @@ class _Untangling:
         out[tangled] = False
         return out & ~self.plane.offline
 
+    def _step_aside(self, pairs: dict[tuple[int, int], float]) -> bool:
+        """Those that overlap nothing, but fence in what does, make room one by one; False if none can."""
+        tangled = np.unique([row for pair in pairs for row in pair if row < self.plane.n])
+        moved = False
+        for row in self._fences(tangled):
+            way = find_room(self.around, deg_to_rad(self.here), row, tangled, self.travel, ASIDE)
+            moved |= way is not None and self._alone(way, "aside")
+        return moved
+
+    def _fences(self, tangled: Ints) -> list[int]:
+        """Rows near those that overlap something; the nearest first."""
+        here, nearest = deg_to_rad(self.here), dict[int, float]()
+        for row in map(int, tangled):
+            others = self.around.near[row]
+            others = others[others < self.plane.n]
+            gaps = self.around.gaps_mm(row, here[[row]], here, others)[0]
+            for other, gap in zip(others.tolist(), gaps.tolist(), strict=True):
+                nearest[other] = min(gap, nearest.get(other, np.inf))
+        able = [r for r in nearest if r not in tangled and not self.plane.offline[r]]
+        return sorted((r for r in able if nearest[r] < _FENCE_MM), key=lambda r: (nearest[r], r))
+
+    def _alone(self, way: Retreat, what: str) -> bool:
+        """Adds the motion of one that overlaps nothing, if it passes the verifier."""
+        made = self._plan_of(way, self.planning.speed_deg_s or 0.0)
+        proven = self._proven(self.plane, made, self.here)
+        if proven:
+            self._add(f"positioner {self.plane.positioner_id[way.row]} {what}", made, None)
+        return proven
+
     def _on_to_goal(self, stuck: dict[int, str]) -> dict[int, str]:
         """All that are free to their goals; the reasons of those that did not get there."""
         refused = self._planned(self.goal, "to the goal", 0, stuck)
@@ -349,12 +401,7 @@ class _Untangling:
             goal = deg_to_rad(self.goal[row])
             here = deg_to_rad(self.here)
             way = find_way_towards(self.around, here, row, goal, self.travel, ALONE)
-            if way is None:
-                continue
-            made = self._plan_of(way, self.planning.speed_deg_s or 0.0)
-            if self._proven(self.plane, made, self.here):
-                self._add(f"positioner {self.plane.positioner_id[row]} alone", made, None)
-                moved = True
+            moved |= way is not None and self._alone(way, "alone")
         return moved
 
     def _add(self, what: str, made: Plan, uncertainty_deg: float | None) -> None:

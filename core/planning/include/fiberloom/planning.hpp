@@ -49,6 +49,7 @@ struct Settings {
     double grid_rad = 0.0;        // widest step of the search grid
     double tick_s = 0.0005;       // times are multiples of this
     double clearance_mm = 0.001;  // kept beyond touching, for rounding on the bus
+    double in_hand_mm = 0.05;     // kept beyond that by an arm on its way, where it can be
     double first_deadline = 1.05; // of the time the longest path needs
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up

@@ -12,7 +12,8 @@ namespace fl::planning {
 namespace {
 
 constexpr double degree = std::numbers::pi / 180.0;
-constexpr int finest = 4; // grids up to four times finer are tried where a body cannot be passed
+constexpr double free_steps = 1.0; // of the grid, around start and goal, in which nothing is kept in hand
+constexpr int finest = 4;          // grids up to four times finer are tried where a body cannot be passed
 
 int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -1; }
 
@@ -128,6 +129,7 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) const {
     const double step = clock_.grid_rad / goals_[i].finer;
     Robot robot(arm_body(bodies_, arm(i)), grid(i, &Angles::alpha_rad, step),
                 grid(i, &Angles::beta_rad, step), step);
+    if (goals_[i].in_hand) robot.keep_in_hand(settings_.in_hand_mm, free_steps * clock_.grid_rad);
     for (const Capsule &o : bodies_.obstacles)
         robot.add_obstacle(o.line, bodies_.radius_mm + o.radius_mm + settings_.clearance_mm);
     for (const PositionerIndex j : near(i))
@@ -138,8 +140,13 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) const {
 bool GoalFeasibility::find_path_alone(PositionerIndex i) {
     Goal &goal = goals_[i];
     for (goal.finer = 1; goal.finer <= finest; goal.finer *= 2) {
-        goal.steps_alone = make_robot(i).steps_alone();
-        if (goal.steps_alone >= 0) return true;
+        for (const bool in_hand : {true, false}) {
+            if (in_hand && goal.tight) continue;
+            goal.in_hand = in_hand;
+            goal.steps_alone = make_robot(i).steps_alone();
+            if (goal.steps_alone >= 0) return true;
+            if (settings_.in_hand_mm == 0.0) break;
+        }
     }
     return false;
 }
@@ -285,6 +292,25 @@ bool GoalFeasibility::refine(PositionerIndex i) {
     return true;
 }
 
-void GoalFeasibility::has_no_way(PositionerIndex i) { send_to_safe_place(i, Refusal::no_way_alone, {}); }
+bool GoalFeasibility::spend_one(PositionerIndex i) {
+    Goal &goal = goals_[i];
+    if (settings_.in_hand_mm == 0.0 || away(i) || !goal.in_hand) return false;
+    goal.tight = true;
+    goal.in_hand = false;
+    return true;
+}
+
+bool GoalFeasibility::spend(const List<PositionerIndex> &tangled) {
+    bool any = false;
+    for (const PositionerIndex i : tangled) {
+        any |= spend_one(i);
+        for (const PositionerIndex j : near(i)) any |= spend_one(j);
+    }
+    return any;
+}
+
+void GoalFeasibility::has_no_way(PositionerIndex i) {
+    if (!spend_one(i)) send_to_safe_place(i, Refusal::no_way_alone, {});
+}
 
 } // namespace fl::planning

@@ -34,7 +34,10 @@ class GoalFeasibility {
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
     // Makes the grid of a positioner twice as fine; false if it is as fine as grids are.
     bool refine(PositionerIndex i);
-    // One for which the search has found no way, though it seemed to have one; again: it stays where it is.
+    // From now on these and those around them keep nothing in hand; false: they have kept nothing.
+    bool spend(const List<PositionerIndex> &tangled);
+    // One for which the search has found no way, though it seemed to have one: it keeps nothing in hand;
+    // again: it goes to a safe place; again: it stays where it is.
     void has_no_way(PositionerIndex i);
 
   private:
@@ -47,6 +50,8 @@ class GoalFeasibility {
         bool settled = false; // the goal can be held
         bool gone = false;    // given up, new place not chosen yet: blocks no other
         int finer = 1;        // its grid is finer by this factor
+        bool in_hand = true;  // on its way it keeps more than it needs
+        bool tight = false;   // it may not: it would find no path past the others
         int steps_alone = 0;
     };
     // What is at rest in the way: a positioner that does not move, or an obstacle.
@@ -88,6 +93,7 @@ class GoalFeasibility {
     bool settle_pairs();
     void wake_still(PositionerIndex i, PositionerIndex j);
     bool find_path_alone(PositionerIndex i);
+    bool spend_one(PositionerIndex i);
     bool safe(PositionerIndex i, const Legs &legs) const;
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;

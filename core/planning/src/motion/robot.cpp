@@ -35,13 +35,31 @@ SweptArm Robot::swept(Cell c, VelocityChanges changes) const {
     SweptArm swept;
     for (int k = 0; k <= quarters; ++k)
         swept.at[k] = body_.line(alpha_.turn(c.alpha, changes.alpha, k), beta_.turn(c.beta, changes.beta, k));
-    swept.bulge_mm = bulge_mm_;
+    swept.bulge_mm = bulge_mm_ + in_hand_mm(c);
     swept.displacement_bound_mm = displacement_bound_mm(changes);
     return swept;
 }
 
+// What is kept in hand counts as if the arm bulged so much more.
+void Robot::keep_in_hand(double mm, double free_rad) {
+    in_hand_mm_ = mm;
+    free_rad_ = free_rad;
+    widest_displacement_mm_ += mm;
+    for (double &bound : displacement_bounds_)
+        if (bound > 0.0) bound += mm;
+}
+
+bool Robot::within_free(Cell c, Cell end) const {
+    return std::abs(alpha_.angle(c.alpha) - alpha_.angle(end.alpha)) <= free_rad_ &&
+           std::abs(beta_.angle(c.beta) - beta_.angle(end.beta)) <= free_rad_;
+}
+
+double Robot::in_hand_mm(Cell c) const {
+    return in_hand_mm_ == 0.0 || within_free(c, start()) || within_free(c, goal()) ? 0.0 : in_hand_mm_;
+}
+
 void Robot::add_obstacle(const Segment &line, double need_mm) {
-    if (distance({centre(), centre()}, line) > reach_mm() + need_mm) return;
+    if (distance({centre(), centre()}, line) > reach_mm() + need_mm + in_hand_mm_) return;
     obstacles_.push_back({resting_arm(line), need_mm});
     clearances_.assign(cells(), unknown);
 }

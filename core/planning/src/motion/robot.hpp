@@ -78,17 +78,23 @@ class Robot {
     Segment middle_line(Cell c, VelocityChanges changes) const {
         return body_.line(alpha_.turn(c.alpha, changes.alpha, 2), beta_.turn(c.beta, changes.beta, 2));
     }
-    // How far its points get from there during the step, at most.
+    // How far its points get from there during the step, at most, with what is kept in hand.
     double displacement_bound_mm(VelocityChanges changes) const {
         return displacement_bounds_[changes.code()];
     }
     SweptArm swept(Cell c, VelocityChanges changes) const;
-    // No step around a cell takes a point of the arm farther than this from its place at the cell.
+    // No step around a cell takes a point of the arm farther than this from its place at the cell, with what
+    // is kept in hand.
     double widest_displacement_mm() const { return widest_displacement_mm_; }
-    double bulge_mm() const { return bulge_mm_; }
+    // Of a step, at most, with what is kept in hand.
+    double bulge_mm() const { return bulge_mm_ + in_hand_mm_; }
     double reach_mm() const { return body_.reach_mm(); }
     Vec2 centre() const { return body_.arm.centre_mm; }
 
+    // From now on an arm that moves keeps so much more to all others than they need, but where both axes are
+    // within an angle of the start, or of the goal: there it may have to be as near as that.
+    // @pre no obstacle has been added.
+    void keep_in_hand(double mm, double free_rad);
     // A body at rest, whose centre line must be kept need_mm away.
     void add_obstacle(const Segment &line, double need_mm);
     // Whether a step stays clear of every body at rest.
@@ -105,11 +111,14 @@ class Robot {
     // What is known of the steps around a cell.
     enum Clearance : std::uint8_t { unknown, all_clear, some_clear, none_clear };
     Clearance look(Cell c) const;
+    bool within_free(Cell c, Cell end) const;
+    double in_hand_mm(Cell c) const;
 
     ArmBody body_;
     AxisGrid alpha_, beta_;
     double bulge_mm_ = 0.0, widest_displacement_mm_ = 0.0;
     double displacement_bounds_[81] = {};
+    double in_hand_mm_ = 0.0, free_rad_ = 0.0;
     List<Obstacle> obstacles_;
     List<Clearance> clearances_; // per cell, once looked at
 };

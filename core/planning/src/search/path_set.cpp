@@ -192,8 +192,8 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
         path = &search.run(request);
     }
     if (path->empty()) return false;
-    m.still = false;
     set_path(i, *path);
+    m.still = false;
     return true;
 }
 
