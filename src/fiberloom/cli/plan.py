@@ -46,11 +46,13 @@ def assign(options: AssignOptions) -> int:
     options.check_plane()
     wanted = read_targets(options.targets)
     require_folder(options.out.parent)
-    from fiberloom.assignment import assign_relaxed
+    from fiberloom.assignment import AssignSettings, assign_relaxed
 
     plane = options.plane()
     with waiting(options.as_json) as wait, naming(options.targets):
-        _, found = assign_relaxed(plane, wanted, seed=options.seed, progress=wait.say)
+        _, found = assign_relaxed(
+            plane, wanted, seed=options.seed, settings=AssignSettings(progress=wait.say)
+        )
     left_out = options.out.with_name(UNASSIGNED)
     _write(options, plane, wanted, found)
     options.show(
