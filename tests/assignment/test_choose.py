@@ -16,6 +16,7 @@ from fiberloom.assignment.choose import (
     _greedy,
     _solve,
     _strict_weights,
+    exchange,
     levels_of,
     pack,
     shortlist,
@@ -146,6 +147,23 @@ def test_of_equally_good_choices_the_cheapest(problem, strict, data):
     assert cost[chosen].sum() == pytest.approx(min(cost[c].sum() for c in good))
     free, _ = pack(*problem, np.random.default_rng(0), Wish(strict))
     assert served(free, level) == served(chosen, level)
+
+
+@given(problems(), st.data())
+@settings(max_examples=60, deadline=None)
+def test_an_exchange_keeps_the_numbers_and_is_the_cheapest(problem, data):
+    positioner, target, level, pairs = problem
+    n = len(positioner)
+    cost = np.array(data.draw(st.lists(st.integers(0, 9), min_size=n, max_size=n))) / 9.0
+    allowed = list(all_choices(positioner, target, pairs))
+    now = allowed[data.draw(st.integers(0, len(allowed) - 1))]
+    numbers = np.bincount(level[now], minlength=level.max() + 1)
+    chosen = exchange(positioner, target, level, pairs, numbers, cost)
+    assert chosen is not None
+    assert is_allowed(chosen, positioner, target, pairs)
+    np.testing.assert_array_equal(np.bincount(level[chosen], minlength=len(numbers)), numbers)
+    as_many = [c for c in allowed if served(c, level) == served(now, level)]
+    assert cost[chosen].sum() == pytest.approx(min(cost[c].sum() for c in as_many))
 
 
 @given(problems())

@@ -2,5 +2,14 @@
 
 from fiberloom.assignment.assign import Assignment, AssignSettings, assign
 from fiberloom.assignment.relax import assign_relaxed
+from fiberloom.assignment.swap import Swapped, SwapSettings, swap_targets
 
-__all__ = ["AssignSettings", "Assignment", "assign", "assign_relaxed"]
+__all__ = [
+    "AssignSettings",
+    "Assignment",
+    "SwapSettings",
+    "Swapped",
+    "assign",
+    "assign_relaxed",
+    "swap_targets",
+]

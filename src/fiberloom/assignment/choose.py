@@ -154,6 +154,23 @@ def pack(
     return chosen, packing.proven
 
 
+def exchange(
+    positioner: Ints, target: Ints, kind: Ints, pairs: tuple[Ints, Ints], numbers: Ints, cost: Floats
+) -> Flags | None:
+    """(C,) the candidates of the least sum of costs of which exactly `numbers` of each kind are chosen.
+
+    `positioner`, `target` (C,) and `pairs` as in `pack`; `kind` (C,): number of the priority of each, from
+    0 up; `numbers`: so many of each kind; `cost` (C,): from 0 up. None where no choice was found.
+    """
+    same = csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), shape=(len(numbers), len(kind)))
+    rules = [
+        LinearConstraint(_exclusions(positioner, target, pairs), -np.inf, 1.0),
+        LinearConstraint(same, numbers, numbers),
+    ]
+    result = _solve(-cost, rules)
+    return None if result.x is None else result.x > 0.5
+
+
 def _tie(wish: Wish, room: int, n: int) -> Floats:
     """(n,) costs, so small that those of `room` positioners are less than one target of the lowest level."""
     if wish.cost is None or not wish.cost.any():
