@@ -27,9 +27,9 @@ REST_DEG = 0.01
 class SwapSettings:
     """How hard to try, and by which rules."""
 
-    plans: int = 6
+    plans: int = 4
     """At most so many plans are made after the first one."""
-    late_s: float = 2.0
+    late_s: float = 3.0
     """A positioner is late if it comes above its goal so much after the longest way could be done."""
     margin_mm: float = 0.2
     """Between two arms, as of the assignment."""
