@@ -21,7 +21,7 @@ from fiberloom.cli.options import (
     require_file,
     require_folder,
 )
-from fiberloom.cli.plan import StrictOption, TargetsArgument
+from fiberloom.cli.plan import ChoiceOptions, TargetsArgument
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -72,6 +72,7 @@ MapsOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationOptions(
+    ChoiceOptions,
     PointingOptions,
     ExcludeOptions,
     ArmsFileOptions,
@@ -110,7 +111,6 @@ class ObservationOptions(
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
     ] = False
-    strict: StrictOption = False
     swap: Annotated[
         bool,
         typer.Option(

@@ -23,18 +23,21 @@ if TYPE_CHECKING:
 
 TargetsArgument = Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS confSummary file.")]
 
-StrictOption = Annotated[
-    bool,
-    typer.Option("--strict", help="No number of targets outweighs one of a higher priority."),
-]
+
+@dataclass(frozen=True, kw_only=True)
+class ChoiceOptions:
+    """Of a command that chooses targets."""
+
+    strict: Annotated[
+        bool, typer.Option("--strict", help="No number of targets outweighs one of a higher priority.")
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class AssignOptions(PlaneOptions, JsonOptions):
+class AssignOptions(ChoiceOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom assign`."""
 
     targets: TargetsArgument
-    strict: StrictOption = False
     start: Annotated[
         Path | None,
         typer.Option(
