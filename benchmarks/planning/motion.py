@@ -94,7 +94,7 @@ def drawn(plane: FocalPlane, n: int, seed: int, priorities: int | None) -> Targe
 def motions(plane: FocalPlane, n: int, asked: argparse.Namespace) -> bool:
     """Prints the rows of fields of n targets; whether all ways observe as many targets."""
     start_deg, where, same = plane.park_deg, "folded", True
-    for seed in range(asked.fields):
+    for seed in range(asked.first_seed, asked.first_seed + asked.fields):
         targets = drawn(plane, n, seed, asked.priorities)
         ways = list(three_ways(plane, targets, start_deg))
         for way in ways:
@@ -109,7 +109,7 @@ def motions(plane: FocalPlane, n: int, asked: argparse.Namespace) -> bool:
 
 def strictness(plane: FocalPlane, n: int, asked: argparse.Namespace) -> None:
     """Prints targets of each priority by weight and strict, with CPU times."""
-    for seed in range(asked.fields):
+    for seed in range(asked.first_seed, asked.first_seed + asked.fields):
         targets = drawn(plane, n, seed, asked.priorities)
         for name, strict in (("by weight", False), ("strict", True)):
             how = AssignSettings(strict=strict)
@@ -124,6 +124,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.planning.motion")
     parser.add_argument("--targets", type=int, nargs="+", default=[1500, 3500])
     parser.add_argument("--fields", type=int, default=3)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--priorities", type=int, help="so many different ones; default: of the list")
     parser.add_argument("--strict", action="store_true", help="assignments by weight and strict")
     parser.add_argument("--layout", type=Path, help="tables of an array; default: beside the checkout")

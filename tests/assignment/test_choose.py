@@ -242,8 +242,9 @@ def test_the_shortlist_keeps_the_highest_levels():
 def test_the_shortlist_keeps_the_cheapest_of_a_level():
     positioner, level = np.zeros(60, dtype=np.int64), np.repeat([1, 0], 30)
     cost = np.arange(60)[::-1] / 60.0
-    keep = shortlist(positioner, level, np.random.default_rng(0), cost)
+    keep = shortlist(positioner, level, np.random.default_rng(0), Wish(cost=cost))
     assert np.flatnonzero(keep).tolist() == [*range(30), *range(50, 60)]
+    assert shortlist(positioner, level, np.random.default_rng(0), Wish(strict=True)).all()
 
 
 def test_levels():

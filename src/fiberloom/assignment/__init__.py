@@ -2,7 +2,7 @@
 
 from fiberloom.assignment.assign import Assignment, AssignSettings, assign
 from fiberloom.assignment.relax import assign_relaxed
-from fiberloom.assignment.swap import Swapped, SwapSettings, swap_targets
+from fiberloom.assignment.swapping import Swapped, SwapSettings, swap_targets
 
 __all__ = [
     "AssignSettings",

@@ -172,7 +172,7 @@ def _place_free(
     screen_placed(placement, found, segments, block, rules.pair_mm)
     open_ = np.flatnonzero(block == Block.NONE)
     level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
-    few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_).cost)
+    few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
     ok = open_[few]
     some = found.select(ok)
     pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)

@@ -32,6 +32,8 @@ STRICT_WEIGHT = 2e4
 """Strict levels share a solution as long as their weights stay below this, for the solver's tolerances."""
 MAX_CHOICES = 40
 """Candidates per positioner: more make long lists slow and hardly ever better."""
+STRICT_CHOICES = 160
+"""The same where levels are strict: what is left out is not proven to be of no use."""
 PAIRS_AT_ONCE = 200_000
 """Bound on memory."""
 MAX_NODES = 2000
@@ -46,6 +48,11 @@ class Wish:
     """No number of targets outweighs one of a higher level."""
     cost: Floats | None = None
     """(C,) from 0 up, dimensionless, of each candidate; of equally good choices the one of the least sum."""
+
+    @property
+    def most_choices(self) -> int:
+        """Candidates per positioner."""
+        return STRICT_CHOICES if self.strict else MAX_CHOICES
 
     @property
     def most_levels(self) -> int:
@@ -96,16 +103,16 @@ def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, I
         yield np.concatenate(first), np.concatenate(second)
 
 
-def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator, cost: Floats | None = None) -> Flags:
-    """(C,) the MAX_CHOICES candidates of highest level of each positioner; of equals those of least `cost`
-    (C,), or by `rng`.
+def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator, wish: Wish = ANY) -> Flags:
+    """(C,) the candidates of highest `level` (C,) of each `positioner` (C,), `wish.most_choices` of them; of
+    equals those of least cost, or by `rng`.
     """
-    tie = rng.random(len(positioner)) if cost is None else cost
+    tie = rng.random(len(positioner)) if wish.cost is None else wish.cost
     order = np.lexsort((tie, -level, positioner))
     ranked = positioner[order]
     place = np.arange(len(order)) - np.searchsorted(ranked, ranked)
     keep = np.zeros(len(order), dtype=bool)
-    keep[order[place < MAX_CHOICES]] = True
+    keep[order[place < wish.most_choices]] = True
     return keep
 
 
@@ -160,7 +167,7 @@ def exchange(
     """(C,) the candidates of the least sum of costs of which exactly `numbers` of each kind are chosen.
 
     `positioner`, `target` (C,) and `pairs` as in `pack`; `kind` (C,): number of the priority of each, from
-    0 up; `numbers`: so many of each kind; `cost` (C,): from 0 up. None where no choice was found.
+    0 up; `numbers`: so many of each kind; `cost` (C,): from 0 up, dimensionless. None: no choice was found.
     """
     same = csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), shape=(len(numbers), len(kind)))
     rules = [

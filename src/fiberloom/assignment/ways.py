@@ -58,5 +58,5 @@ class Preference:
         return Wish(self.strict, way_cost(way))
 
     def levels(self, priority: Floats) -> Ints:
-        """(n,) levels of priorities (n,)."""
+        """(n,) levels of priorities (n,), dimensionless."""
         return levels_of(priority, Wish(self.strict).most_levels)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom.assignment.assign import Assignment
-from fiberloom.assignment.exchange import Choice, Exchanger
 from fiberloom.assignment.placement import Say, silent
+from fiberloom.assignment.swapping.exchange import Choice, Exchanger
 from fiberloom.assignment.ways import checked_start
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, PlanSettings, bound_s, plan
@@ -123,10 +123,10 @@ def swap_targets(
             settings=settings.planning,
         )
 
-    return _Search(exchanger, settings, planned).run(found)
+    return _SwapSearch(exchanger, settings, planned).run(found)
 
 
-class _Search:
+class _SwapSearch:
     """Tries other choices for what holds the motion up, and keeps the best."""
 
     def __init__(

@@ -94,6 +94,7 @@ class Exchanger:
         """What the members could do: take a target, fold, or stay without one; and what they do now (C,)."""
         reached = find_candidates(self.plane.select(members), self.targets)
         reached = replace(reached, positioner=members[reached.positioner])
+        # those who keep their targets would be in the way there, too; so the programme is smaller
         others = np.delete(found.target, members)
         free = (self.targets.positioner_id[reached.target] == FREE) & ~np.isin(reached.target, others)
         reached = reached.select(free)
