@@ -413,6 +413,11 @@ class Field:
             After each move, at most; default: the instrument's.
         compare_linear : bool
             Measure a blind move by a linear gear ratio too, at the end.
+        strict : bool
+            No number of targets outweighs one of a higher priority.
+        swap : bool
+            Choose, of equally good assignments, that of the shortest ways from where the positioners say they
+            are, and swap targets where the motion is held up.
         arms : str or Path, optional
             File of `survey`: arms in place of the layout's.
         fibres : str, optional

@@ -10,7 +10,7 @@ from astropy.table import Table
 from fiberloom.cli.options import RequireOptions
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.planning import read_configuration
+from fiberloom.planning import random_pair, read_configuration, write_configuration
 from fiberloom.targets import random_targets, write_targets
 
 N, SEED = 7, 4
@@ -113,6 +113,30 @@ def test_assign_says_who_takes_what_and_what_was_left_out(fl, folder, tmp_path):
     assert len(report["not_assigned"]) < 6
     code, _, err = fl("assign", folder / "targets.csv", *PLANE, "--out", goal)
     assert "choosing for 7 positioners" in err
+
+
+def test_assign_from_a_start_tells_of_the_motion(fl, folder, tmp_path):
+    plane = generate(load_instrument("sdssv"), SEED, n_positioners=N)
+    start, goal = tmp_path / "start.csv", tmp_path / "goal.csv"
+    write_configuration(start, plane.positioner_id, random_pair(plane, 1)[0], {})
+    asked = ("assign", folder / "targets.csv", *PLANE, "--start", start, "--out", goal, "--json")
+    code, out, _ = fl(*asked, "--strict")
+    report = json.loads(out)
+    assert code == 0
+    assert report["motion_s"] > report["bound_s"] > 0.0
+    assert report["motion_without_swaps_s"] >= report["motion_s"]
+    assert report["not_arrived"] == []
+    assert 1 <= report["plans"] <= 5
+    # the same plan as of the two files
+    code, out, _ = fl(
+        "plan", "--start", start, "--goal", goal, *PLANE, "--json", "--out", tmp_path / "t.json"
+    )
+    assert code == 0
+    assert json.loads(out)["motion_s"] == report["motion_s"]
+    code, out, _ = fl(*asked, "--no-swap")
+    assert "motion_s" not in json.loads(out)
+    assert json.loads(out)["bound_s"] > 0.0
+    assert fl("assign", folder / "targets.csv", *PLANE, "--start", tmp_path / "none.csv")[0] == 2
 
 
 def test_nothing_left_out_is_an_empty_table(fl, folder, tmp_path):

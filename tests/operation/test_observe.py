@@ -130,3 +130,22 @@ def test_with_images_the_loop_ends_as_near_and_shows_what_it_saw(field):
 def test_a_camera_without_images_has_none_to_keep(field):
     with pytest.raises(InputError, match="--save-images"):
         observe(field, "none", save_images=True)
+
+
+def test_swaps_observe_as_many_of_each_priority_on_shorter_ways(field, plain):
+    """The twin is folded at first: ways count from there."""
+    summary, out = observe(field, "swap", swap=True, strict=True)
+    before, after = (Table.read(folder / "fibres.ecsv") for folder in (plain[1], out))
+    targets = {row["target_id"]: row["priority"] for row in Table.read(field[1] / "targets.csv")}
+    served = [
+        sorted(targets[name] for name in rows[rows["move"] == 1]["target_id"] if name)
+        for rows in (before, after)
+    ]
+    assert served[0] == served[1]
+    assert summary["n_within_requirement"] == N
+    plans = [read_plans(folder / "trajectories.json", field[0])[0] for folder in (plain[1], out)]
+    ways = [
+        np.abs(np.array([robot.points_deg[-1] - robot.points_deg[0] for robot in made.robots])).max(axis=1)
+        for made in plans
+    ]
+    assert (ways[1] ** 4).sum() < (ways[0] ** 4).sum()

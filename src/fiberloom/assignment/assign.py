@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.assignment.candidates import Block, Candidates, check_targets, find_candidates
-from fiberloom.assignment.choose import LEVEL_WEIGHT, conflicts, levels_of, pack, shortlist
+from fiberloom.assignment.choose import LEVEL_WEIGHT, STRICT_LEVELS, conflicts, pack, shortlist
 from fiberloom.assignment.clearance import sweep
 from fiberloom.assignment.demanded import place_demanded
 from fiberloom.assignment.other_units import unit_hint
@@ -14,10 +14,26 @@ from fiberloom.assignment.park import park
 from fiberloom.assignment.placement import Placement, Rules, Say, silent
 from fiberloom.assignment.reasons import explain, kinds
 from fiberloom.assignment.screen import screen, screen_placed
+from fiberloom.assignment.ways import Preference, checked_start
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
 from fiberloom.typing import Floats, Ints
+
+STRICT_WORTH = 100.0
+"""The same where levels are strict: more than an arm has neighbours."""
+
+
+@dataclass(frozen=True)
+class AssignSettings:
+    """How to assign."""
+
+    margin_mm: float = 0.2
+    """Between two arms, beyond touching, mm."""
+    strict: bool = False
+    """No number of targets of lower priority outweighs one of higher priority."""
+    progress: Say = silent
+    """Called with the name of each step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +85,17 @@ def assign(
     *,
     seed: int = 0,
     approach_deg: float | None = None,
-    margin_mm: float = 0.2,
-    progress: Say = silent,
+    start_deg: ArrayLike | None = None,
+    settings: AssignSettings | None = None,
 ) -> Assignment:
     """Give targets to positioners: most and highest-priority ones, no collision at rest.
 
-    One target of a priority level outweighs nine of the next lower level. Every goal, goal +
-    approach_deg on both axes, and the straight way between are free of collisions with every pose
-    of the neighbours on their ways, for arms thicker by margin_mm / 2; and the positioner, alone,
-    can get from there to its folded place. Targets that demand a positioner get it before all others,
-    without margin and, where needed, with an approach that only just closes the backlash; never below
-    the collision buffer.
+    One target of a priority level outweighs nine of the next lower level; or any number, if the settings are
+    strict. Every goal, goal + approach_deg on both axes, and the straight way between are free of collisions
+    with every pose of the neighbours on their ways, for arms thicker by half of the margin; and the
+    positioner, alone, can get from there to its folded place. Targets that demand a positioner get it before
+    all others, without margin and, where needed, with an approach that only just closes the backlash; never
+    below the collision buffer.
 
     Parameters
     ----------
@@ -91,10 +107,11 @@ def assign(
         Decides between equally good assignments; the same input and seed give the same one.
     approach_deg : float, optional
         Overshoot of the approach on both axes, deg; the instrument's when left out.
-    margin_mm : float
-        Between two arms, beyond touching, mm.
-    progress : callable
-        Called with the name of each step.
+    start_deg : array_like, optional
+        (N, 2) where the positioners are, deg. Of equally good assignments it is then the one of the shortest
+        ways: the least sum of fourth powers of max over axes of (abs(goal + approach - start) + approach).
+    settings : AssignSettings, optional
+        Margin between arms, strict priorities.
 
     Returns
     -------
@@ -104,7 +121,7 @@ def assign(
     Raises
     ------
     InputError
-        A target demands a fibre or a positioner that there is not.
+        A target demands a fibre or a positioner that there is not; start_deg has another shape.
 
     Examples
     --------
@@ -117,28 +134,36 @@ def assign(
     (7, 2)
     """
     check_targets(plane, targets)
+    settings = settings or AssignSettings()
     if approach_deg is None:
         approach_deg = plane.instrument.approach_deg
-    rules = Rules.of(plane, approach_deg, margin_mm)
+    by = Preference(settings.strict, None if start_deg is None else checked_start(plane, start_deg))
+    rules = Rules.of(plane, approach_deg, settings.margin_mm)
     rng = np.random.default_rng(seed)
     placement = Placement(plane, np.full(plane.n, approach_deg))
-    progress(f"finding who reaches which of {len(targets)} targets")
+    settings.progress(f"finding who reaches which of {len(targets)} targets")
     found = find_candidates(plane, targets)
     block = np.full(len(found), Block.NONE, dtype=np.int64)
     mine = targets.positioner_id[found.target] != FREE
-    block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng)
-    progress(f"choosing for {plane.n} positioners")
-    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng)
-    progress("placing positioners without a target")
+    block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng, by)
+    settings.progress(f"choosing for {plane.n} positioners")
+    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by)
+    settings.progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
-    given_up = park(placement, rest, rules, _worth(placement, targets))
-    progress("telling why targets were left out")
+    given_up = park(placement, rest, rules, _worth(placement, targets, by))
+    settings.progress("telling why targets were left out")
     unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
+    _note_bands(placement, targets, by)
     return _result(placement, unassigned, targets, given_up, rules)
 
 
 def _place_free(
-    placement: Placement, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
+    placement: Placement,
+    found: Candidates,
+    targets: TargetList,
+    rules: Rules,
+    rng: np.random.Generator,
+    by: Preference,
 ) -> Ints:
     """Place targets that any positioner may take; (C,) what blocks each candidate."""
     plane = placement.plane
@@ -146,11 +171,12 @@ def _place_free(
     block = screen(plane, found, segments, rules.approach_deg, rules)
     screen_placed(placement, found, segments, block, rules.pair_mm)
     open_ = np.flatnonzero(block == Block.NONE)
-    level = levels_of(targets.priority)[found.target]
-    ok = open_[shortlist(found.positioner[open_], level[open_], rng)]
+    level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
+    few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
+    ok = open_[few]
     some = found.select(ok)
     pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)
-    chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng)
+    chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng, wish.select(ok))
     if not proven or len(ok) < len(open_):
         placement.notes.append("the choice of targets is good, but not proven to be the best")
     rows = ok[chosen]
@@ -165,15 +191,26 @@ def _place_free(
     return block
 
 
-def _worth(placement: Placement, targets: TargetList) -> Floats:
+def _worth(placement: Placement, targets: TargetList, by: Preference) -> Floats:
     """(N,) what it costs to send each positioner elsewhere; nearly nothing if it is parked."""
     has = placement.target >= 0
     worth = np.full(placement.plane.n, 1e-3)
-    worth[has] = LEVEL_WEIGHT ** levels_of(targets.priority)[placement.target[has]]
+    one = STRICT_WORTH if by.strict else LEVEL_WEIGHT
+    worth[has] = one ** by.levels(targets.priority)[placement.target[has]]
     demanded = has.copy()
     demanded[has] = targets.positioner_id[placement.target[has]] != FREE
     worth[demanded] *= 1e20
     return worth
+
+
+def _note_bands(placement: Placement, targets: TargetList, by: Preference) -> None:
+    """Says so where priorities are too many to be told apart strictly."""
+    n = len(np.unique(targets.priority))
+    if by.strict and n > STRICT_LEVELS:
+        placement.notes.append(
+            f"{n} different priorities are put into {STRICT_LEVELS} bands of equal size: "
+            "strict between bands, all the same within one"
+        )
 
 
 def _result(

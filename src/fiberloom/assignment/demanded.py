@@ -5,23 +5,29 @@ from dataclasses import replace
 import numpy as np
 
 from fiberloom.assignment.candidates import Block, Candidates
-from fiberloom.assignment.choose import conflicts, levels_of, pack
+from fiberloom.assignment.choose import conflicts, pack
 from fiberloom.assignment.clearance import dip_mm, obstacles, sweep
 from fiberloom.assignment.escape import Escape
 from fiberloom.assignment.placement import Placement, Rules
 from fiberloom.assignment.screen import screen
+from fiberloom.assignment.ways import Preference
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.typing import Floats, Ints
 
 
 def place_demanded(
-    placement: Placement, found: Candidates, targets: TargetList, rules: Rules, rng: np.random.Generator
+    placement: Placement,
+    found: Candidates,
+    targets: TargetList,
+    rules: Rules,
+    rng: np.random.Generator,
+    by: Preference,
 ) -> Ints:
     """Place the targets that demand their positioner; (C,) what blocks each candidate (`Block`).
 
     `placement` is changed; `found`: the C candidates of these targets, rows of `targets`; `rules`:
-    distances to keep; `rng` decides between equally good choices. The operator chose these places, so
+    distances to keep; `rng` and `by` decide between choices. The operator chose these places, so
     they need the collision buffer and no margin. Where the approach is too long for that, it shrinks to
     what closes the backlash.
     """
@@ -40,8 +46,9 @@ def place_demanded(
     ok = np.flatnonzero(block == Block.NONE)
     some = found.select(ok)
     pairs = conflicts(plane, some.positioner, some.target, segments[ok], bare.pair_mm)
-    level = levels_of(targets.priority)[some.target]
-    chosen, proven = pack(some.positioner, some.target, level, pairs, rng)
+    level = by.levels(targets.priority)[some.target]
+    wish = by.wish(some, approach[ok])
+    chosen, proven = pack(some.positioner, some.target, level, pairs, rng, wish)
     block[ok[~chosen]] = Block.ARM
     rows = ok[chosen]
     placement.put(

@@ -1,11 +1,13 @@
 """Configurations decided elsewhere, in which arms are nearer than our own buffer."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fiberloom.assignment.assign import Assignment, assign
-from fiberloom.assignment.placement import Say, silent
+from fiberloom.assignment.assign import Assignment, AssignSettings, assign
+from fiberloom.assignment.placement import silent
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
@@ -15,7 +17,12 @@ STEPS = 4
 
 
 def assign_relaxed(
-    plane: FocalPlane, targets: TargetList, *, seed: int = 0, progress: Say = silent
+    plane: FocalPlane,
+    targets: TargetList,
+    *,
+    seed: int = 0,
+    start_deg: ArrayLike | None = None,
+    settings: AssignSettings | None = None,
 ) -> tuple[FocalPlane, Assignment]:
     """Assign; where targets that demand a positioner do not fit, shrink the collision buffer a little.
 
@@ -23,18 +30,19 @@ def assign_relaxed(
     configurations keep 1.92 mm of 2.0 mm), and only as far as it brings more of the demanded
     targets in. Returns the plane with the buffer that holds, for planning and verification.
 
-    `plane`: the positioners; `targets`: in mm; `seed`: as of `assign`; `progress`: called with the name of
-    each step.
+    `plane`: the positioners; `targets`: in mm; `seed`, `start_deg` (N, 2) and `settings`: as of `assign`.
     """
-    best = plane, assign(plane, targets, seed=seed, progress=progress)
+    settings = settings or AssignSettings()
+    quiet = replace(settings, progress=silent)
+    best = plane, assign(plane, targets, seed=seed, start_deg=start_deg, settings=settings)
     left = _left_out(best[1], targets)
     bodies = plane.instrument.bodies
     for nearer in relaxed_planes(plane):
         if left == 0:
             break
         buffer_mm = nearer.collision_buffer_mm
-        progress(f"with a collision buffer of {buffer_mm:g} mm")
-        tried = assign(nearer, targets, seed=seed)
+        settings.progress(f"with a collision buffer of {buffer_mm:g} mm")
+        tried = assign(nearer, targets, seed=seed, start_deg=start_deg, settings=quiet)
         if _left_out(tried, targets) < left:
             best, left = (nearer, tried), _left_out(tried, targets)
             best[1].notes.append(

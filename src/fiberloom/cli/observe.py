@@ -21,7 +21,7 @@ from fiberloom.cli.options import (
     require_file,
     require_folder,
 )
-from fiberloom.cli.plan import TargetsArgument
+from fiberloom.cli.plan import ChoiceOptions, TargetsArgument
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -72,6 +72,7 @@ MapsOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationOptions(
+    ChoiceOptions,
     PointingOptions,
     ExcludeOptions,
     ArmsFileOptions,
@@ -109,6 +110,14 @@ class ObservationOptions(
     faults: FaultsOption = ""
     compare_linear: Annotated[
         bool, typer.Option(help="Measure a blind move by a linear gear ratio too, at the end.")
+    ] = False
+    swap: Annotated[
+        bool,
+        typer.Option(
+            "--swap/--no-swap",
+            help="Choose targets by the ways from where the positioners are; swap them where the motion is "
+            "held up.",
+        ),
     ] = False
     out: Annotated[
         Path | None,
@@ -165,6 +174,8 @@ def observe(options: ObservationOptions) -> int:
             correction=None if options.correction is None else options.correction.value,
             images=options.images,
             compare_linear=options.compare_linear,
+            strict=options.strict,
+            swap=options.swap,
             arms=options.arms,
             fibres=options.fibres,
             gravity=options.gravity,

@@ -25,10 +25,33 @@ TargetsArgument = Annotated[Path, typer.Argument(help="CSV, ECSV, FITS or SDSS c
 
 
 @dataclass(frozen=True, kw_only=True)
-class AssignOptions(PlaneOptions, JsonOptions):
+class ChoiceOptions:
+    """Of a command that chooses targets."""
+
+    strict: Annotated[
+        bool, typer.Option("--strict", help="No number of targets outweighs one of a higher priority.")
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssignOptions(ChoiceOptions, PlaneOptions, JsonOptions):
     """Of `fiberloom assign`."""
 
     targets: TargetsArgument
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration CSV where the positioners are: of equally good choices that of the shortest "
+            "ways."
+        ),
+    ] = None
+    swap: Annotated[
+        bool,
+        typer.Option(
+            "--swap/--no-swap",
+            help="With --start: plan the motion, and swap targets where positioners are refused or late.",
+        ),
+    ] = True
     out: Annotated[Path, typer.Option(help="Configuration to write.")] = Path("goal.csv")
 
 
@@ -44,13 +67,12 @@ def assign(options: AssignOptions) -> int:
     from fiberloom.targets import read_targets
 
     options.check_plane()
+    require_file(options.start)
     wanted = read_targets(options.targets)
     require_folder(options.out.parent)
-    from fiberloom.assignment import assign_relaxed
-
     plane = options.plane()
-    with waiting(options.as_json) as wait, naming(options.targets):
-        _, found = assign_relaxed(plane, wanted, seed=options.seed, progress=wait.say)
+    with waiting(options.as_json) as wait:
+        found, motion = _assigned(options, plane, wanted, wait)
     left_out = options.out.with_name(UNASSIGNED)
     _write(options, plane, wanted, found)
     options.show(
@@ -63,8 +85,37 @@ def assign(options: AssignOptions) -> int:
             "configuration": str(options.out),
             "left_out": str(left_out),
         }
+        | motion
     )
     return 0 if found.n_assigned else 1
+
+
+def _assigned(
+    options: AssignOptions, plane: FocalPlane, wanted: TargetList, wait: Waiting
+) -> tuple[Assignment, dict[str, Any]]:
+    """The assignment and, where the start is known, what is to be told of the motion."""
+    from fiberloom.assignment import AssignSettings, SwapSettings, assign_relaxed, swap_targets
+    from fiberloom.planning import bound_s, read_configuration
+
+    start_deg = None if options.start is None else read_configuration(options.start, plane)
+    how = AssignSettings(strict=options.strict, progress=wait.say)
+    with naming(options.targets):
+        kept, found = assign_relaxed(plane, wanted, seed=options.seed, start_deg=start_deg, settings=how)
+    if start_deg is None:
+        return found, {}
+    if not options.swap:
+        return found, {"bound_s": bound_s(kept, start_deg, found.goal_deg)}
+    how_hard = SwapSettings(progress=wait.say)
+    swapped = swap_targets(kept, wanted, found, start_deg, seed=options.seed, settings=how_hard)
+    made = swapped.plan
+    return swapped.assignment, {
+        "bound_s": bound_s(kept, start_deg, swapped.assignment.goal_deg, refused=made.refused),
+        "motion_s": made.duration_s,
+        "motion_without_swaps_s": swapped.first.duration_s,
+        "not_arrived": [why for _, why in sorted(made.refused.items())],
+        "plans": swapped.n_plans,
+        "cpu_s": swapped.cpu_s,
+    }
 
 
 def _write(options: AssignOptions, plane: FocalPlane, wanted: TargetList, found: Assignment) -> None:

@@ -434,6 +434,21 @@ class FieldMotion:
         return np.where(goals.has_target & image.seen, UM_PER_MM * miss_mm, np.nan)
 
 
+async def reported_deg(hardware: Hardware, plane: FocalPlane, maps: TransmissionMaps) -> Floats:
+    """(N, 2) angles at which the positioners of the `plane` say that they are, by the `maps`; nothing moves.
+
+    One that gives no answer is taken to be folded; one that says a place beyond its stops, at the stop.
+    """
+    client = Client(hardware.transport)
+    await client.discover()
+    there = np.isin(plane.positioner_id, client.ids) & ~plane.offline
+    here_deg = np.where(plane.offline[:, None], plane.offline_position_deg, plane.park_deg)
+    wire_deg, answered = await client.positions_deg(plane.positioner_id[there])
+    rows = np.flatnonzero(there)[answered]
+    here_deg[rows] = maps.to_output(wire_deg[answered], index=rows)
+    return np.clip(here_deg, *plane.hard_stops_deg.T)
+
+
 def _moves(answer: Result) -> bool:
     """Whether a positioner says that it is on its way."""
     return answer.ok and not answer.values[0] & Status.DISPLACEMENT_COMPLETED

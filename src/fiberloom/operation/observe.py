@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypedDict, cast
 
-from fiberloom.assignment import Assignment, assign_relaxed
+from fiberloom.assignment import Assignment, AssignSettings, SwapSettings, assign_relaxed, swap_targets
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -18,7 +18,7 @@ from fiberloom.instruments.pointing import OVERHEAD, ExposurePointing
 from fiberloom.operation.exposures import ExposureLog
 from fiberloom.operation.known import Known, Learning
 from fiberloom.operation.loop import Loop, LoopSettings
-from fiberloom.operation.motion import FieldMotion, MotionMaker
+from fiberloom.operation.motion import FieldMotion, MotionMaker, reported_deg
 from fiberloom.operation.past.parts import record_begin, record_end
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.reference.referencing import reference
@@ -32,6 +32,7 @@ from fiberloom.store.place import STORE as STORE
 from fiberloom.store.place import Place
 from fiberloom.store.run import RUNNING
 from fiberloom.targets import TargetList
+from fiberloom.typing import Floats
 
 CORRECTIONS = ("filtered", "plain")
 PAGES = ("none", "last", "all")
@@ -79,6 +80,10 @@ class ObserveSettings:
     """Of assignment and planner."""
     pointing: ExposurePointing | None = None
     """Of the telescope, at the image and while light is collected; None: unknown, a twin's in the zenith."""
+    strict: bool = False
+    """No number of targets outweighs one of a higher priority."""
+    swap: bool = False
+    """Choose targets by the ways from where the positioners are; swap them where the motion is held up."""
 
     def __post_init__(self) -> None:
         if self.corrections is not None and self.corrections < 0:
@@ -111,6 +116,8 @@ class ObserveOptions(TypedDict, total=False):
     correction: str | None
     images: int | None
     compare_linear: bool
+    strict: bool
+    swap: bool
     arms: Path | str | None
     fibres: Path | str | None
     gravity: Path | str | None
@@ -172,7 +179,8 @@ class Observer:
         """Assigns targets, then moves the field to them by blind move and corrections.
 
         `targets`: positions in mm of the focal plane; `settings`: corrections, pages, seed; `connect`: a
-        coroutine function that opens the hardware, called after the assignment. Raises InputError where
+        coroutine function that opens the hardware, called after the assignment; before it where targets are
+        swapped, for which positioners are asked where they are. Raises InputError where
         no positioner answers or most fibres are not seen, UnsafePlanError where the verifier refuses a
         plan.
         """
@@ -184,11 +192,14 @@ class Observer:
     ) -> Observation:
         begun_s = time.monotonic() if self.begun_s is None else self.begun_s
         self.watcher.say("assigning targets")
-        kept, assignment = await asyncio.to_thread(
-            assign_relaxed, self.known.plane, self.known.aims(targets), seed=settings.seed
-        )
+        if settings.swap:
+            hardware = await connect()
+            here_deg = await reported_deg(hardware, self.known.plane, self.known.maps)
+            kept, assignment = await asyncio.to_thread(self._assigned, targets, settings, here_deg)
+        else:
+            kept, assignment = await asyncio.to_thread(self._assigned, targets, settings)
+            hardware = await connect()
         assignment = self.known.led(kept, assignment, settings.pointing)
-        hardware = await connect()
         if hardware.telescope is not None:
             hardware.telescope.point((settings.pointing or OVERHEAD).image)
         async with (
@@ -220,6 +231,19 @@ class Observer:
                 await beside(_record_end, run, figures, log)
             await beside(self.keep, self.last)
         return self.last
+
+    def _assigned(
+        self, targets: TargetList, settings: ObserveSettings, here_deg: Floats | None = None
+    ) -> tuple[FocalPlane, Assignment]:
+        """The plane with the buffer that holds, and who takes what; `here_deg` (N, 2): where they are."""
+        aims, how = self.known.aims(targets), AssignSettings(strict=settings.strict)
+        kept, found = assign_relaxed(
+            self.known.plane, aims, seed=settings.seed, start_deg=here_deg, settings=how
+        )
+        if here_deg is None:
+            return kept, found
+        say = SwapSettings(progress=self.watcher.say)
+        return kept, swap_targets(kept, aims, found, here_deg, seed=settings.seed, settings=say).assignment
 
     def _about(self, run: Run, settings: ObserveSettings) -> dict[str, Any]:
         known = {} if settings.pointing is None else {"pointing": settings.pointing.about()}

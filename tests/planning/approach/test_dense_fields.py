@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made import SDSSV, USUAL_DEG
 
-from fiberloom.assignment import assign
+from fiberloom.assignment import AssignSettings, assign
 from fiberloom.instruments import read_layout
 from fiberloom.planning import Plan, PlanSettings, plan, random_configuration, verify
 from fiberloom.targets import random_targets
@@ -54,7 +54,8 @@ def test_random_places_without_a_margin(real, seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_targets_assigned_without_regard_to_approaches(real, seed):
-    found = assign(real, random_targets(real, 3000, seed), approach_deg=0.0, margin_mm=0.0)
+    settings = AssignSettings(margin_mm=0.0)
+    found = assign(real, random_targets(real, 3000, seed), approach_deg=0.0, settings=settings)
     before, after = before_and_after(f"assigned, seed {seed}", real, found.goal_deg)
     assert len(before.refused) >= 8
     assert len(after.refused) <= 2
