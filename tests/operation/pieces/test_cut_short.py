@@ -115,7 +115,7 @@ def almost_there(tmp_path_factory):
     usual = fl.Field.twin(PLANE, camera="noise").run.observe(TARGETS, corrections=0, out=out / "usual")
     end_s = usual.final.measurement.time_s
     number = int(PLANE.positioner_id[ROW])
-    field = fl.Field.twin(PLANE, camera="noise", faults=f"dead=#{number}@{end_s - 0.7:.2f}")
+    field = fl.Field.twin(PLANE, camera="noise", faults=f"dead=#{number}@{end_s - 0.58:.2f}")
     return field.run.observe(TARGETS, corrections=2, out=out), out
 
 
