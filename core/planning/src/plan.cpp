@@ -11,7 +11,8 @@
 namespace fl::planning {
 namespace {
 
-constexpr int give_up_rounds = 20;
+constexpr int give_up_rounds = 40;
+constexpr int refining_rounds = 4; // the first ones, in which knots get finer grids
 
 LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
     return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
@@ -30,7 +31,7 @@ class Planner {
 
     PlanResult run() {
         goals_.settle();
-        for (int round = 0; round < give_up_rounds; ++round)
+        for (round_ = 0; round_ < give_up_rounds; ++round_)
             if (find_paths()) return {motions_, goals_.refused(), statistics_, approaches_};
         return none_moves();
     }
@@ -56,6 +57,7 @@ class Planner {
     std::vector<Motion> motions_;
     std::vector<Approach> approaches_;
     Statistics statistics_;
+    int round_ = 0;
 };
 
 PathSet Planner::assemble() {
@@ -118,7 +120,8 @@ bool Planner::find_paths() {
 
 // Whether two that conflict shall be tried on finer grids: slower, but they may pass where wide steps cannot.
 bool Planner::refine(PositionerIndex i, PositionerIndex j) {
-    if (statistics_.cut_short || goals_.still(i) || goals_.still(j)) return false;
+    if (round_ >= refining_rounds || statistics_.cut_short || goals_.still(i) || goals_.still(j))
+        return false;
     const bool first = goals_.refine(i), second = goals_.refine(j);
     return first || second;
 }

@@ -117,7 +117,7 @@ class Plan:
     >>> import fiberloom as fl
     >>> plane = fl.FocalPlane.of("sdssv", n=7)
     >>> fl.plan(plane, plane.park_deg, plane.park_deg - [0.0, 30.0])
-    Plan('sdssv', 7 positioners, 7 move, 3.12 s)
+    Plan('sdssv', 7 positioners, 7 move, 3.00 s)
     """
 
     instrument: str
