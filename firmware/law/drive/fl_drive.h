@@ -96,7 +96,7 @@ static inline fl_drive_out_t fl_drive_paper(const fl_drive_config_t *cfg, fl_dri
 /* State feedback, with the feedforward of the gear only while it is pushed. */
 static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_drive_state_t *st,
                                               const fl_servo_in_t *in, fl_sincos_t rotor) {
-    if (in->speed_rad_s != 0.0f) st->servo.direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
+    fl_servo_head(&st->servo, in->speed_rad_s);
     const fl_gap_t gap = fl_teeth_step(&cfg->teeth, &st->teeth, fl_sub_i32(in->rotor_cnt, in->error_cnt),
                                        fl_sub_i32(in->command_cnt, in->rotor_cnt));
     const int32_t pushes = fl_regulator_pushes(gap, st->servo.direction, in->speed_rad_s);

@@ -16,8 +16,11 @@
 #include "fl_math.h"
 
 #define FL_SETTLE_RAD 0.05f /* 3 motor degrees */
-#define FL_DOUBT_FIRST 0.4f /* grease half or twice as stiff: -19, +38 % of the drag */
-#define FL_DOUBT_LAST 0.05f
+#define FL_DOUBT_FIRST 0.9f   /* grease from half to 3.4 times as stiff: -19, +91 % of the drag */
+#define FL_DOUBT_TURNED 0.26f /* learnt the other way: the spring, wrong by 15 uNm, was in it */
+#define FL_DOUBT_LAST 0.11f
+/* times the drag as identified: grease 3.4 times as stiff, at -15 deg C, of a unit with twice as much of it */
+#define FL_DRAG_MOST 2.5f
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
@@ -37,7 +40,7 @@ typedef struct fl_servo_state {
     float integral_Nm;
     float direction;  /* -1, 0 or 1: the last commanded one */
     float drag_doubt; /* share of the drag that may not be learnt yet: FL_DOUBT_FIRST .. FL_DOUBT_LAST */
-    float drag_scale; /* learnt: 1 as identified; grease is half as stiff or twice with temperature */
+    float drag_scale; /* learnt: 1 as identified, 0.5 .. FL_DRAG_MOST */
 } fl_servo_state_t;
 
 typedef struct fl_servo_in {
@@ -52,6 +55,15 @@ typedef struct fl_servo_out {
     float torque_Nm, feedforward_Nm;
     float watched_Nm; /* the feedback term of Eq. 22 */
 } fl_servo_out_t;
+
+/* Takes the direction of a command that moves; after a turn the learnt drag is doubted again. */
+static inline void fl_servo_head(fl_servo_state_t *st, float speed_rad_s) {
+    if (speed_rad_s == 0.0f) return;
+    const float direction = speed_rad_s < 0.0f ? -1.0f : 1.0f;
+    const float least = direction == st->direction ? 0.0f : FL_DOUBT_TURNED;
+    st->drag_doubt = fl_max(st->drag_doubt, least);
+    st->direction = direction;
+}
 
 /* The break-away torque of Eq. 21 at the commanded angle, Nm, for a motion in `direction` (-1, 0 or 1). */
 static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_servo_in_t *in,
@@ -68,7 +80,7 @@ static inline float fl_servo_break_away(const fl_servo_config_t *cfg, const fl_s
 static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_servo_state_t *st,
                                            const fl_servo_in_t *in, float dt_s) {
     const float e_rad = (float)in->error_cnt * FL_RAD_PER_CNT;
-    if (in->speed_rad_s != 0.0f) st->direction = in->speed_rad_s < 0.0f ? -1.0f : 1.0f;
+    fl_servo_head(st, in->speed_rad_s);
     const float gain = in->settling ? cfg->settle_gain : 1.0f;
     /* what is left of a fast arrival must not fill the integral */
     const float e_integral = in->settling ? fl_clamp(e_rad, -FL_SETTLE_RAD, FL_SETTLE_RAD) : e_rad;
@@ -78,7 +90,7 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
     st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * dt_s * pace * pace);
     st->drag_scale =
-        fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, 2.0f);
+        fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, FL_DRAG_MOST);
     const float feedforward = fl_servo_break_away(cfg, in, st->direction) +
                               cfg->drag * st->drag_scale * in->speed_rad_s +
                               cfg->inertia * in->acceleration_rad_s2;

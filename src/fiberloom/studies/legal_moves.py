@@ -27,16 +27,18 @@ Rng = np.random.Generator
 FULL_SPEED_DEG_S = rpm_to_deg_s(2000.0, GEAR)
 """Output speed at 2000 rpm of the motor, deg/s."""
 GREASE = (0.5, 2.0)
-"""Viscous friction over its nominal value, between a warm and a cold night."""
+"""Viscous friction over its nominal value, between a warm and a cold night: 40 to 0 deg C."""
+COLD = (0.5, 3.4)
+"""The same down to -15 deg C, where full speed is still asked for."""
 WirePaths = list[list[tuple[float, float]]]
 """(time_s, wire_deg) of both axes."""
 _RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
 
 
-def greased(units: Units, rng: Rng) -> Units:
-    """The same units at a temperature of their own: viscous friction x0.5 to x2, log-uniform."""
+def greased(units: Units, rng: Rng, grease: tuple[float, float] = GREASE) -> Units:
+    """The same units at a temperature of their own: viscous friction over its nominal, log-uniform."""
     plant = units.plant.copy()
-    factor = np.exp(rng.uniform(np.log(GREASE[0]), np.log(GREASE[1]), (len(units), 1)))
+    factor = np.exp(rng.uniform(np.log(grease[0]), np.log(grease[1]), (len(units), 1)))
     for name in ("viscous_motor", "viscous_gear"):
         plant[name] *= factor
     return replace(units, plant=plant)
@@ -73,9 +75,12 @@ def aged(units: Units, seed: int, rng: Rng) -> Units:
 
 # -- legal moves ----------------------------------------------------------------------------------
 
-MOVES = ("goto", "correction", "zigzag", "crawl", "path")
+MOVES = ("goto", "correction", "zigzag", "crawl", "path", "plan")
 """Kinds of legal moves: a go-to anywhere; a precise one nearby (840 motor degrees back and forth); straight
-lines with steps of velocity up to 2000 rpm; slow lines; two or three lines at full speed, as planned."""
+lines with steps of velocity up to 2000 rpm; slow lines; two or three lines at full speed; the same with their
+corners cut, as plans are."""
+CUT_S = 0.25
+"""For so long a plan that changes its speed goes on with the mean of both."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def legal_moves(
     Without `touch` Eq. 22 watches alone. `law`: the control law of all axes (0 or 1, docs/firmware.md).
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
-    units = aged(greased(draw_units(plane, seed), rng), seed, rng)
+    units = aged(greased(draw_units(plane, seed), rng, COLD), seed, rng)
     units.firmware["law"] = law
     if not touch:
         units.firmware["contact_torque"] = units.firmware["touch_torque"] = 0.0
@@ -148,6 +153,8 @@ def _path(kind: str, at: Floats, rng: Rng) -> WirePaths:
         return [[(0.0, rng.uniform(*limits))] for limits in _RANGE_DEG]
     if kind == "correction":
         return [[(0.0, _held(x + rng.normal(0.0, 0.1), k))] for k, x in enumerate(at)]
+    if kind == "plan":
+        return [_planned(k, x, rng) for k, x in enumerate(at)]
     return [_lines(kind, k, x, rng) for k, x in enumerate(at)]
 
 
@@ -164,6 +171,29 @@ def _lines(kind: str, axis: int, from_deg: float, rng: Rng) -> list[tuple[float,
         speed = top * (rng.choice([-1.0, 1.0]) if kind == "path" else rng.uniform(-1.0, 1.0))
         points.append((points[-1][0] + way_s, _held(points[-1][1] + speed * way_s, axis)))
     return points
+
+
+def _planned(axis: int, from_deg: float, rng: Rng) -> list[tuple[float, float]]:
+    """Lines at full speed, or at rest, with cut corners, from rest to rest; within the travel."""
+    points = [(0.1, float(from_deg)), (0.2, float(from_deg))]
+    for _ in range(rng.integers(1, 4)):
+        points = _with_lines(points, axis, rng)
+    return points
+
+
+def _with_lines(points: list[tuple[float, float]], axis: int, rng: Rng) -> list[tuple[float, float]]:
+    """A line more, or two one way and then the other, each at full speed and none slower between."""
+    shares = [*rng.choice([-1.0, 1.0], rng.integers(1, 3)), 0.0]
+    longer, before = list(points), 0.0
+    for share in shares:
+        cut = 0.5 * (before + share), CUT_S
+        line = (share, rng.uniform(0.05, 3.0)) if share else (0.0, rng.uniform(0.05, 0.5))
+        for speed, way_s in (cut, line):
+            time_s, here = longer[-1]
+            longer.append((time_s + way_s, here + speed * FULL_SPEED_DEG_S * way_s))
+        before = share
+    low, high = _RANGE_DEG[axis]
+    return longer if all(low <= angle <= high for _, angle in longer) else points
 
 
 def _carry_out(twin: Twin, paths: list[WirePaths], kinds: NDArray[np.str_], before: Floats) -> list[Reply]:
