@@ -18,7 +18,7 @@ constexpr int tidy_excess = 60;     // cost above the least
 constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;        // a deadline grows by the first one over this
 constexpr int hurry_rounds = 100;   // repairs for one that hurries
-constexpr int most_hurries = 64;    // attempts of one to arrive earlier
+constexpr int most_hurries = 64;    // attempts of one to arrive earlier in which others have to give way
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -324,13 +324,16 @@ PathIndex Repair::last_to_arrive() const {
 // what it is above the wish. What one knot cannot do without costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
-    int low = wanted_steps;
-    for (int k = 0; k < most_hurries && paths_.size() > 0 && !enough(); ++k) {
+    int low = wanted_steps, with_repairs = 0;
+    const int most = most_hurries + 4 * paths_.size(); // of all attempts: most need no repair, and little time
+    for (int k = 0; k < most && with_repairs < most_hurries && paths_.size() > 0 && !enough(); ++k) {
+        const auto repairs = statistics_.repairs;
         const PathIndex last = last_to_arrive();
         const int arrival = paths_.arrival(last);
         if (arrival <= low) return;
         const int deadline = (low + arrival) / 2;
         if (!squeeze(last, deadline)) low = deadline + 1;
+        with_repairs += statistics_.repairs > repairs ? 1 : 0;
     }
 }
 
