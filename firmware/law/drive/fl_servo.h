@@ -15,11 +15,12 @@
 
 #include "fl_math.h"
 
-#define FL_SETTLE_RAD 0.05f /* 3 motor degrees */
+#define FL_SETTLE_RAD 0.05f   /* 3 motor degrees */
 #define FL_DOUBT_FIRST 0.9f   /* grease from half to 3.4 times as stiff: -19, +91 % of the drag */
 #define FL_DOUBT_TURNED 0.26f /* learnt the other way: the spring, wrong by 15 uNm, was in it */
 #define FL_DOUBT_LAST 0.11f
-/* times the drag as identified: grease 3.4 times as stiff, at -15 deg C, of a unit with twice as much of it */
+#define FL_DOUBT_SEARCH 0.4f /* all along a search of the datum: each is pressed into the stop alike */
+/* times the drag as identified: grease 3.4 times as stiff, at -15 deg C, and a unit with much of it */
 #define FL_DRAG_MOST 2.5f
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
@@ -89,8 +90,8 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
     st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * dt_s * pace * pace);
-    st->drag_scale =
-        fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, FL_DRAG_MOST);
+    st->drag_scale = fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm),
+                              0.5f, FL_DRAG_MOST);
     const float feedforward = fl_servo_break_away(cfg, in, st->direction) +
                               cfg->drag * st->drag_scale * in->speed_rad_s +
                               cfg->inertia * in->acceleration_rad_s2;

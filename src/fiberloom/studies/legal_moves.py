@@ -36,7 +36,10 @@ _RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
 
 
 def greased(units: Units, rng: Rng, grease: tuple[float, float] = GREASE) -> Units:
-    """The same units at a temperature of their own: viscous friction over its nominal, log-uniform."""
+    """The same units at a temperature of their own.
+
+    `grease`: least and largest ratio of viscous friction to its nominal value; drawn log-uniform.
+    """
     plant = units.plant.copy()
     factor = np.exp(rng.uniform(np.log(grease[0]), np.log(grease[1]), (len(units), 1)))
     for name in ("viscous_motor", "viscous_gear"):

@@ -325,7 +325,8 @@ PathIndex Repair::last_to_arrive() const {
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
     int low = wanted_steps, with_repairs = 0;
-    const int most = most_hurries + 4 * paths_.size(); // of all attempts: most need no repair, and little time
+    const int most =
+        most_hurries + 4 * paths_.size(); // of all attempts: most need no repair, and little time
     for (int k = 0; k < most && with_repairs < most_hurries && paths_.size() > 0 && !enough(); ++k) {
         const auto repairs = statistics_.repairs;
         const PathIndex last = last_to_arrive();
