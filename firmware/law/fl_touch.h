@@ -13,7 +13,7 @@
  * it by what the drag, not yet learnt, and the inertia may be wrong by:
  *
  *   touch if sgn(w) L - mean - excess > touch (1 + 5 max(0, 1 - |w|/w0)) + unrest
- *                                       + 1.33 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
+ *                                       + 3 doubt c | |w| - mean |w| | + 0.12 J |dw/dt|
  *
  * A unit that scatters more than others (a weak hall channel, a rough gear) is allowed 8.5 times its own
  * mean |rise| where that is more than touch, 6.8 sigma of what is normally distributed, and 1.5 times the
@@ -54,7 +54,7 @@
 #define FL_TOUCH_SCATTER_FIRST 3.0f /* at power-up, over the threshold */
 #define FL_TOUCH_HALF 0.5f          /* of the limit: what rises higher may be a touch and is not learnt */
 #define FL_TOUCH_STILL 2.0f         /* times the threshold: with more allowed than that nothing is learnt */
-#define FL_TOUCH_DOUBT 1.33f        /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
+#define FL_TOUCH_DOUBT 3.0f         /* times the doubt: what Coulomb friction is wrong by is learnt as drag */
 #define FL_TOUCH_INERTIA 0.12f      /* what it may be wrong by */
 
 /* Gains, shares and fades above are those of this period. */

@@ -220,9 +220,9 @@ def test_every_feedforward_term_can_be_switched_off(switch, row):
     assert off == 0
 
 
-@pytest.mark.parametrize(("error_cnt", "bound"), [(40_000, 2.5), (-20_000, 0.5)])
+@pytest.mark.parametrize(("error_cnt", "bound"), [(20_000, 2.0), (-20_000, 0.5)])
 @pytest.mark.parametrize("speed_rad_s", [200.0, -200.0])
-def test_drag_is_learnt_from_half_to_two_and_a_half_times(error_cnt, bound, speed_rad_s):
+def test_grease_is_learnt_up_to_half_or_twice_as_stiff(error_cnt, bound, speed_rad_s):
     """A rotor that lags at speed, on and on, needs more than is fed forward; one that leads less."""
     rows = np.tile([np.copysign(1, speed_rad_s) * error_cnt, 0.0, speed_rad_s, 0.0], (20_000, 1))
     scale = fw.servo(alpha_params(drag_learning_time=0.1, k_i=0.0), rows)[:, 3]
@@ -257,14 +257,14 @@ def test_collision_between_the_errors_of_equation_23():
 
 
 # of a drive at speed: T_threshold and 8 % of the drag; a contact on the resisting side, 80 % more of it at
-# standstill, and 90 % of the drag while that is not learnt
+# standstill, and 40 % of the drag while that is not learnt
 def most_feedback_Nm(speed_rad_s, feedback_sign, threshold=9e-5, contact=2e-5, drag=8e-7):
     drag_Nm = drag * abs(speed_rad_s)
     stuck_Nm = threshold + 0.08 * drag_Nm
     if feedback_sign * speed_rad_s <= 0:
         return stuck_Nm
     slow = max(1 - abs(speed_rad_s) / 100, 0)
-    return min(stuck_Nm, contact * (1 + 0.8 * slow) + 0.9 * drag_Nm)
+    return min(stuck_Nm, contact * (1 + 0.8 * slow) + 0.4 * drag_Nm)
 
 
 @pytest.mark.parametrize("speed_rad_s", [-150.0, -60.0, -10.0, 0.0, 10.0, 60.0, 150.0])
@@ -280,11 +280,11 @@ def test_the_collision_threshold_at_every_speed_and_on_both_sides(speed_rad_s, f
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_what_was_learnt_one_way_is_doubted_the_other_way(turned):
-    """An error of the spring is learnt as drag, and is the opposite after a turn: 11 % known, 26 % then."""
+    """An error of the spring is learnt as drag, and is the opposite after a turn: 5 % doubted, 12 % then."""
     p = alpha_params(collision_torque=1e-3, contact_torque=2e-5, drag=8e-7, k_i=0.0, drag_learning_time=0.1)
     learnt = np.tile([0.0, 0.0, 200.0, 0.0], (4000, 1))
     speed = -200.0 if turned else 200.0
-    for share, hit in ((0.10, False), (0.12, not turned), (0.25, not turned), (0.27, True)):
+    for share, hit in ((0.045, False), (0.055, not turned), (0.115, not turned), (0.125, True)):
         feedback_Nm = 2e-5 + share * 8e-7 * abs(speed)
         error_cnt = np.sign(speed) * feedback_Nm / p[NAMES.index("k_p")] * CNT_PER_RAD
         rows = np.vstack([learnt, [round(error_cnt), 0.0, speed, 0.0]])

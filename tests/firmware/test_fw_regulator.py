@@ -45,7 +45,7 @@ class Law:
         q = 1 - p["observer_pole"]
         self.gain = np.array([1 - (1 - q) ** 3, 1.5 * q**2 * (2 - q) / DT, q**3 / DT**2])
         self.seen, self.gear, self.direction = np.zeros(3), None, 0.0
-        self.doubt, self.scale, self.slack = 0.9, 1.0, 0.0
+        self.doubt, self.scale, self.slack = 0.4, 1.0, 0.0
 
     def gap(self, rotor):
         before = rotor if self.gear is None else self.gear
@@ -72,13 +72,13 @@ class Law:
         p, w0 = self.p, 2000 * np.pi / 30
         pace = np.clip(speed, -w0, w0)
         rate = 1 / (p["drag_learning_time"] * p["drag"] * w0**2)
-        self.doubt += (0.11 - self.doubt) * 0.5 * p["drag"] * rate * DT * pace**2
-        self.scale = np.clip(self.scale + rate * DT * pace * load_Nm, 0.5, 2.5)
+        self.doubt += (0.05 - self.doubt) * 0.5 * p["drag"] * rate * DT * pace**2
+        self.scale = np.clip(self.scale + rate * DT * pace * load_Nm, 0.5, 2.0)
 
     def step(self, command, measured, speed, acceleration):
         p = self.p
         before, self.direction = self.direction, np.sign(speed) or self.direction
-        self.doubt = self.doubt if before == self.direction else max(self.doubt, 0.26)
+        self.doubt = self.doubt if before == self.direction else max(self.doubt, 0.12)
         gap = self.gap(measured - self.zero)
         ahead = gap[0] if self.direction < 0 else gap[1]
         pushes = ahead - abs(speed) * DT / 2 / RAD <= 2 * MOTOR_DEG

@@ -172,7 +172,7 @@ class Reference:
         scale = pace**2 if self.share > 1 / 256 else coarse
         usual = max(8.5 * scale * self.scatter, 1.5 * coarse * self.dip)
         known = max(coarse * self.v["touch_torque"], usual)
-        allowed = self.unrest + 1.33 * doubt * drag * abs(faster) + 0.12 * self.v["inertia"] * self.surge
+        allowed = self.unrest + 3 * doubt * drag * abs(faster) + 0.12 * self.v["inertia"] * self.surge
         self.limit = known + allowed
         self.follow = max(1 / 120, 0.98 * self.follow) if watched else 0.1
         self.calm = 0.0

@@ -70,8 +70,7 @@ static inline void fl_regulator_learn(const fl_servo_config_t *cfg, fl_servo_sta
                                       float load_Nm) {
     const float pace = fl_clamp(speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
     st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * FL_TICK_S * pace * pace);
-    st->drag_scale =
-        fl_clamp(st->drag_scale + cfg->learning * FL_TICK_S * pace * load_Nm, 0.5f, FL_DRAG_MOST);
+    st->drag_scale = fl_clamp(st->drag_scale + cfg->learning * FL_TICK_S * pace * load_Nm, 0.5f, 2.0f);
 }
 
 /* The torque of this tick, before the supply limits it.

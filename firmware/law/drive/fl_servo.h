@@ -16,12 +16,9 @@
 #include "fl_math.h"
 
 #define FL_SETTLE_RAD 0.05f   /* 3 motor degrees */
-#define FL_DOUBT_FIRST 0.9f   /* grease from half to 3.4 times as stiff: -19, +91 % of the drag */
-#define FL_DOUBT_TURNED 0.26f /* learnt the other way: the spring, wrong by 15 uNm, was in it */
-#define FL_DOUBT_LAST 0.11f
-#define FL_DOUBT_SEARCH 0.4f /* all along a search of the datum: each is pressed into the stop alike */
-/* times the drag as identified: grease 3.4 times as stiff, at -15 deg C, and a unit with much of it */
-#define FL_DRAG_MOST 2.5f
+#define FL_DOUBT_FIRST 0.4f   /* grease half or twice as stiff: -19, +38 % of the drag */
+#define FL_DOUBT_TURNED 0.12f /* learnt the other way: the spring, wrong by 15 uNm, was in it */
+#define FL_DOUBT_LAST 0.05f
 #define FL_LEARNING_RAD_S 209.44f /* 2000 rpm */
 
 typedef struct fl_servo_config {
@@ -41,7 +38,7 @@ typedef struct fl_servo_state {
     float integral_Nm;
     float direction;  /* -1, 0 or 1: the last commanded one */
     float drag_doubt; /* share of the drag that may not be learnt yet: FL_DOUBT_FIRST .. FL_DOUBT_LAST */
-    float drag_scale; /* learnt: 1 as identified, 0.5 .. FL_DRAG_MOST */
+    float drag_scale; /* learnt: 1 as identified; grease is half as stiff or twice with temperature */
 } fl_servo_state_t;
 
 typedef struct fl_servo_in {
@@ -90,8 +87,8 @@ static inline fl_servo_out_t fl_servo_step(const fl_servo_config_t *cfg, fl_serv
     const float proportional = cfg->k_p * e_rad;
     const float pace = fl_clamp(in->speed_rad_s, -FL_LEARNING_RAD_S, FL_LEARNING_RAD_S);
     st->drag_doubt += (FL_DOUBT_LAST - st->drag_doubt) * (cfg->doubting * dt_s * pace * pace);
-    st->drag_scale = fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm),
-                              0.5f, FL_DRAG_MOST);
+    st->drag_scale =
+        fl_clamp(st->drag_scale + cfg->learning * dt_s * pace * (proportional + st->integral_Nm), 0.5f, 2.0f);
     const float feedforward = fl_servo_break_away(cfg, in, st->direction) +
                               cfg->drag * st->drag_scale * in->speed_rad_s +
                               cfg->inertia * in->acceleration_rad_s2;

@@ -34,7 +34,6 @@ static bool whole_step(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t leg)
         /* the stop is found by the same rule from near and far: the touch watch needs some way first, and
          * where it stops the gear is wound up less, by which the datum could be a motor turn off */
         a->drive.touch.way_rad = a->drive.touch.closed_s = 0.0f;
-        a->drive.servo.drag_doubt = FL_DOUBT_SEARCH;
         return false;
     case FL_STEP_SPIN:
         return creep(a, target_cnt, SPIN_STEP_CNT);
@@ -151,7 +150,6 @@ static bool settled(fl_axis_t *a) {
 static fl_axis_event_t blocked(fl_axis_t *a, const fl_port_t *port, int index, fl_leg_traits_t leg) {
     if (!(leg.traits & FL_LEG_SEEKS)) return FL_AXIS_BLOCKED;
     fl_axis_phases_off(a, port, index);
-    a->drive.servo.drag_doubt = FL_DOUBT_FIRST;
     fl_axis_next_leg(a);
     return FL_AXIS_NONE;
 }

@@ -27,21 +27,16 @@ Rng = np.random.Generator
 FULL_SPEED_DEG_S = rpm_to_deg_s(2000.0, GEAR)
 """Output speed at 2000 rpm of the motor, deg/s."""
 GREASE = (0.5, 2.0)
-"""Viscous friction over its nominal value, between a warm and a cold night: 40 to 0 deg C."""
-COLD = (0.5, 3.4)
-"""The same down to -15 deg C, where full speed is still asked for."""
+"""Viscous friction over its nominal value, between a warm and a cold night."""
 WirePaths = list[list[tuple[float, float]]]
 """(time_s, wire_deg) of both axes."""
 _RANGE_DEG = ((5.0, 355.0), (5.0, 175.0))
 
 
-def greased(units: Units, rng: Rng, grease: tuple[float, float] = GREASE) -> Units:
-    """The same units at a temperature of their own.
-
-    `grease`: least and largest ratio of viscous friction to its nominal value; drawn log-uniform.
-    """
+def greased(units: Units, rng: Rng) -> Units:
+    """The same units at a temperature of their own: viscous friction x0.5 to x2, log-uniform."""
     plant = units.plant.copy()
-    factor = np.exp(rng.uniform(np.log(grease[0]), np.log(grease[1]), (len(units), 1)))
+    factor = np.exp(rng.uniform(np.log(GREASE[0]), np.log(GREASE[1]), (len(units), 1)))
     for name in ("viscous_motor", "viscous_gear"):
         plant[name] *= factor
     return replace(units, plant=plant)
@@ -109,7 +104,7 @@ def legal_moves(
     Without `touch` Eq. 22 watches alone. `law`: the control law of all axes (0 or 1, docs/firmware.md).
     """
     rng = np.random.default_rng([seed, 0x1E6A1])
-    units = aged(greased(draw_units(plane, seed), rng, COLD), seed, rng)
+    units = aged(greased(draw_units(plane, seed), rng), seed, rng)
     units.firmware["law"] = law
     if not touch:
         units.firmware["contact_torque"] = units.firmware["touch_torque"] = 0.0

@@ -55,16 +55,16 @@ def test_a_motor_follows_at_full_speed(at_C):
 
 
 def test_far_in_the_cold_the_telescope_s_speed_keeps_grease_from_looking_like_a_collision(tmp_path):
-    """Grease x6.1 is beyond what the firmware learns, x3.4 is not; at 600 rpm its drag is within it."""
-    care = PLANE.instrument.care.model_dump() | {"cold": [{"below_C": 0.0, "speed_rpm": 600.0}]}
+    """Grease x4.8 is beyond what the firmware learns, x3.4 is not; at 1000 rpm its drag is within it."""
+    care = PLANE.instrument.care.model_dump() | {"cold": [{"below_C": 0.0, "speed_rpm": 1000.0}]}
     slow = PLANE.instrument.model_copy(update={"care": Care.model_validate(care)})
     maps = tmp_path / "maps.npz"
     fl.Field.twin(PLANE, 0, camera="noise").run.calibrate().save(maps)
     seen, slower = {}, dataclasses.replace(PLANE, instrument=slow)
-    for name, plane, at_C in (("less cold", PLANE, -15), ("full", PLANE, -32), ("slow", slower, -32)):
+    for name, plane, at_C in (("less cold", PLANE, -15), ("full", PLANE, -25), ("slow", slower, -25)):
         field = fl.Field.twin(plane, 0, camera="noise", errors=f"temperature,at_C={at_C}", calibration=maps)
         seen[name] = field.run.observe(stars(PLANE, "BOSS", 7), 0, out=tmp_path / name)
-    assert margin(units_at(-32.0).plant).min() > 1.05  # it is not the torque
+    assert margin(units_at(-25.0).plant).min() > 1.15  # it is not the torque
     assert not seen["less cold"].moves[0].interrupted
     assert seen["full"].moves[0].interrupted
     assert not seen["slow"].moves[0].interrupted
