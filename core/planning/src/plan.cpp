@@ -57,6 +57,7 @@ class Planner {
     std::vector<Motion> motions_;
     std::vector<Approach> approaches_;
     Statistics statistics_;
+    int least_steps_ = 0; // that the longest path needs past what is at rest
     int round_ = 0;
 };
 
@@ -74,6 +75,7 @@ PathSet Planner::assemble() {
     }
     const int steps = std::max(static_cast<int>(std::ceil(bound * settings_.first_deadline)), alone);
     statistics_.bound_steps = bound;
+    least_steps_ = std::max(bound, alone);
     PathSet paths(goals_.need_mm(), steps);
     for (Robot &robot : robots) paths.add(std::move(robot));
     for (const PathIndex m : paths.places()) paths.at(m).still = goals_.still(positioner_of_[m]);
@@ -106,7 +108,7 @@ bool Planner::find_paths() {
         return false;
     }
     const bool free = repair.run(wanted, last);
-    if (free) repair.hurry(statistics_.bound_steps);
+    if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
     if (free) {

@@ -1,15 +1,35 @@
 #include "search/cost_to_go.hpp"
 
 #include <algorithm>
-#include <bit>
+#include <array>
 
 namespace fl::planning {
 namespace {
 
 using Cost = CostToGo::Cost;
 
+// The bits of eight cells as masks: all ones where the bit is set.
+constexpr std::size_t at_once = 8;
+using Eight = std::array<Cost, at_once>;
+constexpr auto masks = [] {
+    std::array<Eight, 1 << at_once> out{};
+    for (std::size_t bits = 0; bits < out.size(); ++bits)
+        for (std::size_t k = 0; k < at_once; ++k) out[bits][k] = static_cast<Cost>(bits >> k & 1 ? -1 : 0);
+    return out;
+}();
+
 Cost lower(Cost a, Cost b) { return a < b ? a : b; }
 Cost plus(Cost a, int b) { return static_cast<Cost>(std::min<int>(a + b, CostToGo::none)); }
+
+// What an encounter costs, where the mask is set; no more than none. The compiler makes one instruction of
+// it.
+void add(Eight &cells, const Eight &mask, Cost encounter) {
+    const Cost highest = static_cast<Cost>(CostToGo::none - encounter);
+    for (std::size_t k = 0; k < at_once; ++k) {
+        const Cost with = static_cast<Cost>(lower(cells[k], highest) + encounter);
+        cells[k] = static_cast<Cost>((with & mask[k]) | (cells[k] & ~mask[k]));
+    }
+}
 
 } // namespace
 
@@ -20,7 +40,8 @@ void CostToGo::begin(const Request &request) {
     pitch_ = alphas_ + 2;
     words_per_line_ = BlockedCells::words_per_line(*request.robot);
     for (Blocked &blocked : blocked_) blocked.cost = 0;
-    costs_.assign((request.steps + 1) * (betas_ + 2) * pitch_, none);
+    // eight cells that begin in the last line may end beyond it
+    costs_.assign((request.steps + 1) * (betas_ + 2) * pitch_ + static_cast<int>(at_once), none);
     across_.assign((betas_ + 2) * pitch_, none);
 }
 
@@ -73,14 +94,16 @@ void CostToGo::step_back(int step) {
 }
 
 void CostToGo::add_encounters(int step, const Blocked &blocked) {
-    const int encounter = std::min<int>(blocked.cost, most_encounter);
+    const Cost encounter = static_cast<Cost>(std::min<int>(blocked.cost, most_encounter));
     const CellBits *bits = blocked.bits.data() + step * words();
     for (int beta = 0; beta < betas_; ++beta)
         for (int w = 0; w < words_per_line_; ++w) {
             Cost *costs = line(beta, step) + w * BlockedCells::bits;
-            for (CellBits hit = *bits++; hit != 0; hit &= hit - 1) {
-                Cost &cost = costs[std::countr_zero(hit)];
-                cost = plus(cost, encounter);
+            for (CellBits hit = *bits++; hit != 0; hit >>= at_once, costs += at_once) {
+                Eight cells;
+                std::copy_n(costs, at_once, cells.begin());
+                add(cells, masks[hit % masks.size()], encounter);
+                std::copy_n(cells.begin(), at_once, costs);
             }
         }
 }

@@ -13,12 +13,13 @@ constexpr int path_itself = 400;    // moves, velocity changes and waits cost ab
 constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 20000;
-constexpr int most_states = 1000;   // of one search in a repair: another group is tried rather than all ways
-constexpr int tidy_excess = 60;     // cost above the least
-constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;        // a deadline grows by the first one over this
-constexpr int hurry_rounds = 100;   // repairs for one that hurries
-constexpr int most_hurries = 64;    // attempts of one to arrive earlier in which others have to give way
+constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
+constexpr int tidy_excess = 60;   // cost above the least
+constexpr int joint_every = 12;   // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;      // a deadline grows by the first one over this
+constexpr int hurry_rounds = 100; // repairs for one that hurries
+constexpr int most_hurries = 64;  // attempts of one to arrive earlier in which others have to give way
+constexpr int hurry_passes = 2;
 constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
@@ -240,8 +241,13 @@ int Repair::affordable(const Group &group) const {
     return std::max(steps, least_affordable) * conflict_cost + path_itself;
 }
 
+// Whether it was given more time than all: without it a joint search takes long, and seldom finds a way.
+bool Repair::has_time(Pair pair) const {
+    return 2 * std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline) > 3 * first_steps_;
+}
+
 void Repair::round(Pair pair) {
-    if (tries(pair) % joint_every == joint_every - 1) return joint_round(pair);
+    if (has_time(pair) && tries(pair) % joint_every == joint_every - 1) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);
     forget_paths(group.members);
@@ -324,14 +330,18 @@ PathIndex Repair::last_to_arrive() const {
 // what it is above the wish. What one knot cannot do without costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
-    int low = wanted_steps, with_repairs = 0;
+    int low = wanted_steps, with_repairs = 0, passes = 0;
     const int most =
         most_hurries + 4 * paths_.size(); // of all attempts: most need no repair, and little time
     for (int k = 0; k < most && with_repairs < most_hurries && paths_.size() > 0 && !enough(); ++k) {
         const auto repairs = statistics_.repairs;
         const PathIndex last = last_to_arrive();
         const int arrival = paths_.arrival(last);
-        if (arrival <= low) return;
+        if (arrival <= low) {
+            if (low == wanted_steps || ++passes == hurry_passes) return;
+            low = wanted_steps;
+            continue;
+        }
         const int deadline = (low + arrival) / 2;
         if (!squeeze(last, deadline)) low = deadline + 1;
         with_repairs += statistics_.repairs > repairs ? 1 : 0;

@@ -36,6 +36,7 @@ class Repair {
     List<PathIndex> longest_first() const;
     List<Pair> pairs() const;
     int tries(Pair pair) const;
+    bool has_time(Pair pair) const;
     void round(Pair pair);
     void joint_round(Pair pair);
     List<PathIndex> choose_joint(Pair pair);
