@@ -37,6 +37,7 @@ _ANGLE_DEG = 1e-6
 """Angles that differ by less are the same to an operator."""
 
 _RETRIES = 3
+_ROUNDS_OF_STAYING = 8
 _UNVERIFIED = "its motion did not pass the verifier; please report this"
 
 
@@ -327,13 +328,42 @@ def plan_corrections(
 
     `plane`, `start_deg`, `goal_deg` (N, 2), `seed`, `approach_deg` and `settings` as in `plan`. A
     positioner with the same start and goal does not move. If two would touch when all move straight and
-    together, `plan` finds an order or a way round.
+    together, `plan` finds an order or a way round. One that cannot arrive is named in `Plan.refused` and ends
+    where it was: near its target is better than out of the way of others.
     """
     task = _Task.of(plane, start_deg, goal_deg, approach_deg, settings)
+    told: dict[int, str] = {}
+    for _ in range(_ROUNDS_OF_STAYING):
+        made = _small(task, seed)
+        if made.refused.keys() <= told.keys():
+            break
+        told = {number: f"{why}; it stays where it is" for number, why in made.refused.items()} | told
+        task, told = _staying(task, told)
+    return replace(made, refused=made.refused | told, cpu_s=task.cpu_s)
+
+
+def _small(task: _Task, seed: int) -> Plan:
+    """All straight and together, if that touches nothing."""
     together = _all_together(task)
-    if task.verify(together).ok:
-        return replace(together, cpu_s=task.cpu_s)
-    return _plan(task, seed)
+    return together if task.verify(together).ok else _plan(task, seed)
+
+
+def _staying(task: _Task, told: dict[int, str]) -> tuple[_Task, dict[int, str]]:
+    """With the starts of those that are told as their goals; others whose goals these touch stay too."""
+    plane, goal = task.plane, task.goal.copy()
+    while True:
+        rows = plane.index_of(list(told))
+        goal[rows] = task.start[rows]
+        at_rest = _assembled(task, [np.array([[0.0, *angles]]) for angles in goal], {}, {})
+        before = len(told)
+        for contact in verify(plane, at_rest).contacts:
+            pair = str(contact.positioner_id), contact.other
+            for number, other in (pair, pair[::-1]):
+                if number.isdigit() and int(number) not in told and other.isdigit() and int(other) in told:
+                    why = f"its goal touches positioner {other}, which stays where it is; it stays too"
+                    told = told | {int(number): f"positioner {number}: {why}"}
+        if len(told) == before:
+            return replace(task, goal=goal), told
 
 
 def _all_together(task: _Task) -> Plan:
