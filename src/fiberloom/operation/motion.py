@@ -419,12 +419,7 @@ class FieldMotion:
     def _all_on_the_wire(self, planned: Plan) -> dict[int, WireTrajectory]:
         moving = [robot for robot in planned.robots if robot.moves]
         rows = self.plane.index_of([robot.positioner_id for robot in moving]).tolist()
-        return {r.positioner_id: self._on_the_wire(row, r) for row, r in zip(rows, moving, strict=True)}
-
-    def _on_the_wire(self, row: int, robot: Trajectory) -> WireTrajectory:
-        wire_deg = self.maps.path_to_wire(row, robot.points_deg)
-        corners = robot.corners(0), robot.corners(1)
-        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
+        return {r.positioner_id: on_the_wire(self.maps, row, r) for row, r in zip(rows, moving, strict=True)}
 
     def _measured_error_um(self, image: Measurement, goals: Goals) -> Floats:
         goal_mm = goals.metrology_mm
@@ -452,3 +447,10 @@ async def reported_deg(hardware: Hardware, plane: FocalPlane, maps: Transmission
 def _moves(answer: Result) -> bool:
     """Whether a positioner says that it is on its way."""
     return answer.ok and not answer.values[0] & Status.DISPLACEMENT_COMPLETED
+
+
+def on_the_wire(maps: TransmissionMaps, row: int, robot: Trajectory) -> WireTrajectory:
+    """What is sent of the way of the positioner in `row`: motor angles by `maps`, at the corners."""
+    wire_deg = maps.path_to_wire(row, robot.points_deg)
+    corners = robot.corners(0), robot.corners(1)
+    return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)

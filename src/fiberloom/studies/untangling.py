@@ -14,9 +14,9 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome
-from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.instruments import FocalPlane
+from fiberloom.operation.motion import on_the_wire
 from fiberloom.planning import Stage, Trajectory, Untangled, random_configuration, untangle
 from fiberloom.planning.crashes import Crash, random_crash
 from fiberloom.twin.draw import draw_units
@@ -148,15 +148,11 @@ class _UntanglingTrial:
         return await self._send(robots)
 
     async def _send(self, robots: list[Trajectory]) -> bool:
-        results = await self.client.run_trajectories({r.positioner_id: self._on_the_wire(r) for r in robots})
+        rows = self.plane.index_of([r.positioner_id for r in robots]).tolist()
+        ways = {r.positioner_id: on_the_wire(self.maps, k, r) for k, r in zip(rows, robots, strict=True)}
+        results = await self.client.run_trajectories(ways)
         self.collisions += sum(r.outcome is Outcome.COLLIDED for r in results.values())
         return bool(results.ok.all())
-
-    def _on_the_wire(self, robot: Trajectory) -> WireTrajectory:
-        row = int(self.plane.index_of(robot.positioner_id))
-        wire_deg = self.maps.path_to_wire(row, robot.points_deg)
-        corners = robot.corners(0), robot.corners(1)
-        return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
 
     async def _read(self) -> Floats:
         """(N, 2) deg by what the positioners say."""
