@@ -1,6 +1,7 @@
 """When the correction loop ends: the rule alone, and the whole loop on the twin."""
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,6 +120,12 @@ def test_moves_asked_for_are_made_exactly(field):
     assert len(observed(field, moves=2).moves) == 2
     loop = observed(field, moves=4)
     assert [len(loop.moves), loop.stopped] == [4, "all 4 moves made"]
+
+
+def test_moves_that_did_not_come_to_their_end_are_told(field):
+    loop = observed(field, moves=2)
+    loop.motion.moves[1] = replace(loop.moves[1], interrupted=True)
+    assert loop._why_stopped() == "all 2 moves made, 1 of 2 cut short"
 
 
 def test_a_positioner_within_the_limit_is_not_moved_again(field):

@@ -120,7 +120,12 @@ class Loop:
         why = stop.explain(open_um)
         if stop.satisfied(open_um):
             return why
-        return ", ".join(filter(None, [f"all {self.settings.moves} moves made", why]))
+        return ", ".join(filter(None, [f"all {self.settings.moves} moves made", self._cut_short(), why]))
+
+    def _cut_short(self) -> str:
+        """How many moves did not come to their end, those that were made anew included."""
+        cut = sum(move.interrupted for move in self.moves)
+        return f"{cut} of {len(self.moves)} cut short" if cut else ""
 
     async def blind_move(self) -> None:
         """Moves to the goals by the maps, and round positioners that turn out not to move."""
