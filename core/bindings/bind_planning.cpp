@@ -139,6 +139,7 @@ Dict dict_of(const Statistics &s) {
     d["steps"] = s.steps;
     d["step_s"] = s.step_s;
     d["cut_short"] = s.cut_short;
+    if (s.late) d["not_late"] = s.not_late;
     return d;
 }
 
@@ -190,6 +191,8 @@ void bind_plan(nb::module_ &m) {
              nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
         .def_rw("clearance_mm", &Settings::clearance_mm, "kept beyond touching")
         .def_rw("in_hand_mm", &Settings::in_hand_mm, "kept beyond that by an arm on its way")
+        .def_rw("late_s", &Settings::late_s,
+                "any one positioner may be late by so much, the others being on time; inf: it stops for good")
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")

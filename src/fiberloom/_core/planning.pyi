@@ -54,6 +54,15 @@ class Settings:
     def in_hand_mm(self, arg: float, /) -> None: ...
 
     @property
+    def late_s(self) -> float:
+        """
+        any one positioner may be late by so much, the others being on time; inf: it stops for good
+        """
+
+    @late_s.setter
+    def late_s(self, arg: float, /) -> None: ...
+
+    @property
     def first_deadline(self) -> float:
         """over the time that the longest path needs"""
 
