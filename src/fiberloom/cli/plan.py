@@ -158,7 +158,7 @@ class PlanOptions(PlaneOptions, JsonOptions):
     late: Annotated[
         float,
         typer.Option(
-            help="Any one positioner may be late by so many seconds and touches no other that is on time; inf: "
+            help="Any one positioner may be late by so many seconds and touches none that is on time; inf: "
             "it may stop on its way. As far as it can be had; the table says which pairs cannot bear it."
         ),
     ] = 0.0
