@@ -1,6 +1,7 @@
 // Plans and their verification on plain arrays; the Python side has the names and units people use.
 #include "bind.hpp"
 #include "fiberloom/conflicts.hpp"
+#include "fiberloom/lateness.hpp"
 #include "fiberloom/planning.hpp"
 #include "fiberloom/verify.hpp"
 
@@ -138,6 +139,7 @@ Dict dict_of(const Statistics &s) {
     d["steps"] = s.steps;
     d["step_s"] = s.step_s;
     d["cut_short"] = s.cut_short;
+    if (s.late) d["not_late"] = s.not_late;
     return d;
 }
 
@@ -189,6 +191,8 @@ void bind_plan(nb::module_ &m) {
              nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
         .def_rw("clearance_mm", &Settings::clearance_mm, "kept beyond touching")
         .def_rw("in_hand_mm", &Settings::in_hand_mm, "kept beyond that by an arm on its way")
+        .def_rw("late_s", &Settings::late_s,
+                "any one positioner may be late by so much, the others being on time; inf: it stops for good")
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")
@@ -293,6 +297,39 @@ void bind_verify(nb::module_ &m) {
           "robot, other, time_s, depth in mm, rad, rad/s or rad/s2).");
 }
 
+// --- if one is late ---------------------------------------------------------------------------
+
+using LatePairs = std::vector<std::tuple<int, int, double, double, double, double>>;
+
+std::tuple<LatePairs, int> find_lateness(const Bodies &bodies, const std::vector<Points> &motions,
+                                         double late) {
+    need_rows("motions", motions.size(), bodies.arms.size());
+    std::vector<Motion> all;
+    for (const Points &rows : motions) all.push_back(motion_from(rows));
+    if (!std::all_of(all.begin(), all.end(), sound))
+        throw nb::value_error("motions: times must rise from 0, and all numbers be finite");
+    if (!(late >= 0.0)) throw nb::value_error("late: must not be negative");
+    Lateness found;
+    {
+        nb::gil_scoped_release release;
+        found = lateness(bodies, all, late);
+    }
+    LatePairs pairs;
+    for (const LatePair &p : found.pairs)
+        pairs.emplace_back(p.late, p.other, p.bears_s, p.late_at_s, p.other_at_s, p.depth_mm);
+    return {pairs, found.looked_at};
+}
+
+void bind_lateness(nb::module_ &m) {
+    m.def(
+        "lateness", &find_lateness, nb::arg("bodies"), nb::arg("motions"), nb::arg("late"),
+        "Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad, of which one is late. "
+        "Pairs that touch at some lateness: (which is late, other, the lateness that they bear in s, moment "
+        "of the plan at which the late one is, and the other, in s, depth in mm; both of no more than `late` "
+        "s where they touch then); and how many pairs both move and can meet, each order for itself. "
+        "ValueError for motions that are not sound.");
+}
+
 // --- goals alone -------------------------------------------------------------------------------
 
 Output<int, -1, 2> find_conflicts(Arms arms, std::array<double, 2> segment, double radius, Pairs goals,
@@ -344,5 +381,6 @@ void bind_planning(nb::module_ &m) {
           "quarters an approach lasts.");
     bind_plan(p);
     bind_verify(p);
+    bind_lateness(p);
     bind_goals(p);
 }

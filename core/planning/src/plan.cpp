@@ -29,19 +29,26 @@ class Planner {
     Planner(const Bodies &bodies, const Task &task, const Settings &settings)
         : settings_(settings), task_(task), clock_(settings, task), goals_(bodies, task, settings, clock_) {}
 
-    PlanResult run() {
+    // None if a positioner would have to be given up that may have a way if none of them is ever late.
+    std::optional<PlanResult> run() {
         goals_.settle();
-        for (round_ = 0; round_ < give_up_rounds; ++round_)
-            if (find_paths()) return {motions_, goals_.refused(), statistics_, approaches_};
+        for (round_ = 0; round_ < give_up_rounds && !too_much_asked_; ++round_)
+            if (find_paths()) return PlanResult{motions_, goals_.refused(), statistics_, approaches_};
+        if (too_much_asked_) return std::nullopt;
         return none_moves();
     }
+    std::int64_t expansions() const { return statistics_.expansions; }
 
   private:
     PathSet assemble();
+    int late_steps() const;
+    void spare(PathSet &paths) const;
+    void note_spared(const PathSet &paths);
     bool find_paths();
     void take_over(PathSet &paths) const;
     bool refine(PositionerIndex i, PositionerIndex j);
     bool spend(const PathSet &paths);
+    void give_up(const PathSet &paths);
     void give_up_some(const PathSet &paths);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
@@ -58,6 +65,8 @@ class Planner {
     std::vector<Approach> approaches_;
     Statistics statistics_;
     int least_steps_ = 0; // that the longest path needs past what is at rest
+    List<std::pair<PositionerIndex, PositionerIndex>> spared_; // not planned with lateness, the lower first
+    bool too_much_asked_ = false;
     int round_ = 0;
 };
 
@@ -76,11 +85,39 @@ PathSet Planner::assemble() {
     const int steps = std::max(static_cast<int>(std::ceil(bound * settings_.first_deadline)), alone);
     statistics_.bound_steps = bound;
     least_steps_ = std::max(bound, alone);
-    PathSet paths(goals_.need_mm(), steps);
+    PathSet paths(goals_.need_mm(), steps, late_steps());
     for (Robot &robot : robots) paths.add(std::move(robot));
     for (const PathIndex m : paths.places()) paths.at(m).still = goals_.still(positioner_of_[m]);
     paths.find_neighbours();
+    spare(paths);
     return paths;
+}
+
+int Planner::late_steps() const {
+    return static_cast<int>(
+        std::min(std::ceil(settings_.late_s / clock_.step_s() - 1e-9), 1.0 * most_late_steps));
+}
+
+// As in the round before, and those for which there is no hope.
+void Planner::spare(PathSet &paths) const {
+    if (late_steps() == 0) return;
+    List<PathIndex, PositionerIndex> place(goals_.places().end().place, PathIndex());
+    for (const PathIndex m : paths.places()) place[positioner_of_[m]] = m;
+    for (const auto &[i, j] : spared_)
+        if (place[i] != PathIndex() && place[j] != PathIndex()) paths.spare(place[i], place[j]);
+    paths.spare_hopeless();
+}
+
+void Planner::note_spared(const PathSet &paths) {
+    statistics_.late = late_steps() > 0;
+    spared_.clear();
+    for (const PathIndex m : paths.places())
+        for (const PathIndex n : paths.at(m).spared)
+            if (positioner_of_[m] < positioner_of_[n])
+                spared_.emplace_back(positioner_of_[m], positioner_of_[n]);
+    std::sort(spared_.begin(), spared_.end());
+    statistics_.not_late.clear();
+    for (const auto &[i, j] : spared_) statistics_.not_late.push_back({i.value(), j.value()});
 }
 
 // The ways of those that go from and to the same places as in the round before.
@@ -111,10 +148,11 @@ bool Planner::find_paths() {
     if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
     statistics_.expansions += repair.expansions();
+    note_spared(paths);
     if (free) {
         keep(paths);
     } else {
-        if (!spend(paths)) give_up_some(paths);
+        if (!spend(paths)) give_up(paths);
         before_ = std::move(paths);
     }
     return free;
@@ -134,6 +172,11 @@ bool Planner::spend(const PathSet &paths) {
     for (const PathIndex m : paths.places())
         if (!paths.at(m).conflicts.empty()) tangled.push_back(positioner_of_[m]);
     return goals_.spend(tangled);
+}
+
+void Planner::give_up(const PathSet &paths) {
+    too_much_asked_ = late_steps() > 0 && !statistics_.cut_short;
+    if (!too_much_asked_) give_up_some(paths);
 }
 
 // One of each pair that still conflicts; those with more conflicts first.
@@ -225,7 +268,14 @@ const char *to_string(Refusal reason) {
 }
 
 PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings) {
-    return Planner(bodies, task, settings).run();
+    Planner planner(bodies, task, settings);
+    if (std::optional<PlanResult> made = planner.run()) return *made;
+    // no goal is given up for lateness
+    Settings on_time = settings;
+    on_time.late_s = 0.0;
+    PlanResult made = *Planner(bodies, task, on_time).run();
+    made.statistics.expansions += planner.expansions();
+    return made;
 }
 
 } // namespace fl::planning

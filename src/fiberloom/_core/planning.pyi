@@ -54,6 +54,15 @@ class Settings:
     def in_hand_mm(self, arg: float, /) -> None: ...
 
     @property
+    def late_s(self) -> float:
+        """
+        any one positioner may be late by so much, the others being on time; inf: it stops for good
+        """
+
+    @late_s.setter
+    def late_s(self, arg: float, /) -> None: ...
+
+    @property
     def first_deadline(self) -> float:
         """over the time that the longest path needs"""
 
@@ -132,6 +141,11 @@ class Rules:
 def verify(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]], rules: Rules) -> dict[str, Any]:
     """
     Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad. Violations are (fault, robot, other, time_s, depth in mm, rad, rad/s or rad/s2).
+    """
+
+def lateness(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]], late: float) -> tuple[list[tuple[int, int, float, float, float, float]], int]:
+    """
+    Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad, of which one is late. Pairs that touch at some lateness: (which is late, other, the lateness that they bear in s, moment of the plan at which the late one is, and the other, in s, depth in mm; both of no more than `late` s where they touch then); and how many pairs both move and can meet, each order for itself. ValueError for motions that are not sound.
     """
 
 def conflicts(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +17,7 @@ from fiberloom.errors import InputError
 if TYPE_CHECKING:
     from fiberloom.assignment import Assignment
     from fiberloom.instruments import FocalPlane
-    from fiberloom.planning import Plan, PlanSettings, Verification
+    from fiberloom.planning import LateVerification, Plan, PlanSettings, Verification
     from fiberloom.targets import TargetList
     from fiberloom.typing import Floats
 
@@ -155,6 +155,13 @@ class PlanOptions(PlaneOptions, JsonOptions):
             help="Processor time to plan with, s; then the best plan so far. Default: what it needs."
         ),
     ] = None
+    late: Annotated[
+        float,
+        typer.Option(
+            help="Any one positioner may be late by so many seconds and touches none that is on time; inf: "
+            "it may stop on its way. As far as it can be had; the table says which pairs cannot bear it."
+        ),
+    ] = 0.0
     out: Annotated[Path, typer.Option(help="Trajectories to write.")] = Path("trajectories.json")
     animate: Annotated[
         Path | None, typer.Option(help="Film of the motion to write, .gif or .mp4 (needs ffmpeg).")
@@ -168,6 +175,8 @@ class PlanOptions(PlaneOptions, JsonOptions):
         _require_buffer(self.buffer)
         if self.budget is not None and not 0.0 < self.budget < math.inf:
             raise InputError(f"--budget {self.budget:g}: must be a finite number above 0 s")
+        if not self.late >= 0.0:
+            raise InputError(f"--late {self.late:g}: must be a number of seconds from 0 on, or inf")
         if self.animate is not None:
             from fiberloom.report.film.formats import require_film
 
@@ -192,6 +201,10 @@ class _Planned:
     settings: PlanSettings
     plan: Plan
     checked: Verification
+    late: LateVerification | None = None
+    """Where it was asked for."""
+    on_time_s: float | None = None
+    """How long the motion would be if it had not been."""
 
     def report(self) -> dict[str, Any]:
         """What a plan comes to, for operators and for machines."""
@@ -218,6 +231,20 @@ class _Planned:
             "frames": sum(points) + 2 * sum(robot.moves for robot in made.robots),
             "min_clearance_mm": gap_mm if math.isfinite(gap_mm) else None,
             "verified": self.checked.ok,
+        } | self.late_report()
+
+    def late_report(self) -> dict[str, Any]:
+        """What it costs that one may be late, and which pairs cannot bear it."""
+        if self.late is None:
+            return {}
+        without_s = {} if self.on_time_s is None else {"motion_if_none_is_late_s": self.on_time_s}
+        pairs = _some([f"{first} and {second}" for first, second in self.late.failing_pairs], 5)
+        return {
+            "late_s": self.late.late_s if math.isfinite(self.late.late_s) else "for good",
+            **without_s,
+            "pairs_that_can_meet": self.late.n_pairs,
+            "pairs_that_cannot_bear_it": len(self.late.failing_pairs),
+            "cannot_bear_it": pairs,
         }
 
     def notes(self) -> list[str]:
@@ -299,13 +326,24 @@ def _planned(options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats
         wait.count(done, total)
 
     wait.say(f"planning {plane.n} trajectories")
-    asked = planning.PlanSettings(collision_buffer_mm=options.buffer, budget_s=options.budget, progress=told)
+    asked = planning.PlanSettings(
+        collision_buffer_mm=options.buffer, budget_s=options.budget, late_s=options.late, progress=told
+    )
     settings = asked.of(plane)
     made = planning.plan(plane, *ends, seed=options.seed, settings=settings)
     wait.say("verifying them in continuous time")
     limits = planning.MotionLimits(collision_buffer_mm=settings.collision_buffer_mm)
     checked = planning.verify(plane, made, goal_deg=ends[1], limits=limits)
-    return _Planned(plane, *ends, settings, made, checked)
+    if not options.late:
+        return _Planned(plane, *ends, settings, made, checked)
+    wait.say("looking at each of them being late")
+    late = planning.verify_late(plane, made, options.late)
+    on_time_s = None
+    if options.budget is None:
+        wait.say("planning once more, as if none were ever late")
+        on_time = planning.plan(plane, *ends, seed=options.seed, settings=replace(settings, late_s=0.0))
+        on_time_s = on_time.duration_s
+    return _Planned(plane, *ends, settings, made, checked, late, on_time_s)
 
 
 @dataclass(frozen=True, kw_only=True)

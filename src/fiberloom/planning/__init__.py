@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fiberloom.planning.bound import bound_s
     from fiberloom.planning.configuration import read_configuration, write_configuration
     from fiberloom.planning.fields import random_configuration, random_pair
+    from fiberloom.planning.late import LatePair, LateVerification, verify_late
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
     from fiberloom.planning.trajectories import Approach, Plan, Trajectory, read_plans
     from fiberloom.planning.untangling import Stage, Untangled, UntangleSettings, untangle
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Approach",
+    "LatePair",
+    "LateVerification",
     "MotionLimits",
     "Plan",
     "PlanSettings",
@@ -37,6 +40,7 @@ __all__ = [
     "read_plans",
     "untangle",
     "verify",
+    "verify_late",
     "write_configuration",
 ]
 

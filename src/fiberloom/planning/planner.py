@@ -21,9 +21,10 @@ from fiberloom.planning.bodies import (
     require_within_stops,
     travel_rad,
 )
+from fiberloom.planning.late import require_late
 from fiberloom.planning.trajectories import Approach, Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, Verification, verify
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 SPEED_SHARE = 0.975
@@ -63,6 +64,11 @@ class PlanSettings:
     """Kept beyond the buffer by an arm on its way, more than a step of the grid from its start and its goal.
     So it can go on from a stop although angles are not exact. Where a positioner would not arrive with it, it
     and those around it keep nothing in hand."""
+    late_s: float = 0.0
+    """Any one positioner may be late by so much, s, while all others are on time, and touches none of them;
+    inf: it may stop on its way for good. As far as it can be had: pairs that find no way soon are planned as
+    if both were on time (`Plan.not_late`), and no goal is given up for it. `verify_late` proves what a plan
+    bears. `plan_corrections` does not look at it where all can move straight."""
     first_deadline: float = 1.05
     """Time allowed at first, over what the longest way needs."""
     last_deadline: float = 2.0
@@ -84,6 +90,7 @@ class PlanSettings:
     def of(self, plane: FocalPlane) -> "PlanSettings":
         """With the instrument's numbers filled in."""
         axes = plane.instrument.axes
+        require_late("late_s", self.late_s)
         return replace(
             self,
             speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
@@ -237,6 +244,7 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     settings = core.Settings(**chosen.dynamics)
     settings.clearance_mm = chosen.clearance_mm
     settings.in_hand_mm = chosen.in_hand_mm
+    settings.late_s = chosen.late_s
     settings.first_deadline = chosen.first_deadline
     settings.last_deadline = chosen.last_deadline
     settings.effort = chosen.effort
@@ -252,7 +260,17 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     names = task.plane.positioner_id
     why = {int(names[i]): _reason(task, i, text, *met) for i, text, *met in refused}
     approaches = {row: _approach(alpha, beta) for row, alpha, beta in own}
+    if chosen.late_s > 0.0:
+        statistics |= _lateness_of(chosen.late_s, names, statistics.get("not_late"))
     return _assembled(task, motions, unsafe | why, statistics, approaches)
+
+
+def _lateness_of(late_s: float, names: Ints, pairs: Sequence[Sequence[int]] | None) -> dict[str, Any]:
+    """What the statistics tell of it; no pairs: it had to be given up for all."""
+    if pairs is None:
+        return {"late_s": 0.0, "not_late": ()}
+    by_id = sorted((min(p), max(p)) for p in ((int(names[i]), int(names[j])) for i, j in pairs))
+    return {"late_s": late_s, "not_late": tuple(by_id)}
 
 
 def _reason(task: _Task, row: int, why: str, other: int, obstacle: int) -> str:

@@ -150,6 +150,19 @@ class Plan:
         return {r.positioner_id: r.approach for r in self.robots if r.approach is not None}
 
     @property
+    def late_s(self) -> float:
+        """How late any one positioner may be in all pairs but `not_late`, as the planner has it; 0 if it was
+        not asked for, or had to be given up so that all arrive. `verify_late` proves it. Not part of the JSON
+        form."""
+        return float(self.statistics.get("late_s", 0.0))
+
+    @property
+    def not_late(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of positioner_id that were planned as if both were on time; most of them bear it none the
+        less."""
+        return tuple(self.statistics.get("not_late", ()))
+
+    @property
     def end_deg(self) -> Floats:
         """(N, 2) of every positioner afterwards, in the order of `robots`."""
         return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)

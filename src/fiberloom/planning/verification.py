@@ -251,6 +251,11 @@ class _Points:
             yield self.robots[k], int(of_it[size[of_it].argmax()])
 
 
+def motions_rad(plane: FocalPlane, plan: Plan) -> list[Floats]:
+    """Of each positioner of the plane (n, 3): time, alpha, beta in s and rad; InputError as `verify`."""
+    return _motions(plane, _Points.of(plane, plan))
+
+
 def _one_after_another(parts: Iterable[Floats]) -> Floats:
     return np.concatenate([np.zeros(0), *parts])
 

@@ -7,6 +7,7 @@
 #include "fiberloom/arm.hpp"
 #include "fiberloom/distance.hpp"
 
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -46,10 +47,13 @@ using Enough = std::function<bool()>;
 struct Settings {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
-    double grid_rad = 0.0;        // widest step of the search grid
-    double tick_s = 0.0005;       // times are multiples of this
-    double clearance_mm = 0.001;  // kept beyond touching, for rounding on the bus
-    double in_hand_mm = 0.05;     // kept beyond that by an arm on its way, where it can be
+    double grid_rad = 0.0;       // widest step of the search grid
+    double tick_s = 0.0005;      // times are multiples of this
+    double clearance_mm = 0.001; // kept beyond touching, for rounding on the bus
+    double in_hand_mm = 0.05;    // kept beyond that by an arm on its way, where it can be
+    // Any one positioner may be late by so much, the others being on time; infinite: it may stop for good. So
+    // as far as it can be had: no goal is given up for it.
+    double late_s = 0.0;
     double first_deadline = 1.05; // of the time the longest path needs
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up
@@ -137,7 +141,9 @@ struct Statistics {
     int bound_steps = 0;     // that the longest path needs if nothing is in its way
     int steps = 0;           // until the approach begins
     double step_s = 0.0;
-    bool cut_short = false; // by Settings::enough
+    bool cut_short = false;                     // by Settings::enough
+    bool late = false;                          // planned with Settings::late_s in all pairs but ...
+    std::vector<std::array<int, 2>> not_late{}; // ... these (rows, the lower first)
 };
 
 // One motion for each row of the task, the rows that do not arrive, what the plan took, and the rows that

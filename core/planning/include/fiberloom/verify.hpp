@@ -82,6 +82,10 @@ struct Verification {
     double top_jump_rad_s = 0.0; // largest change of speed at a point
 };
 
+// Whether points of a motion are finite numbers and their times rise from 0: without that no proof means
+// anything.
+bool sound(const Motion &motion);
+
 // Checks points, speeds, accelerations, travel and ends of every motion, and the gaps of all bodies in
 // continuous time. Motions whose points are not sound (Fault::points) end the check: nothing else has a
 // meaning then.

@@ -130,6 +130,7 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) const {
     Robot robot(arm_body(bodies_, arm(i)), grid(i, &Angles::alpha_rad, step),
                 grid(i, &Angles::beta_rad, step), step);
     if (goals_[i].in_hand) robot.keep_in_hand(settings_.in_hand_mm, free_steps * clock_.grid_rad);
+    if (settings_.late_s > 0.0) robot.set_legs(goals_[i].legs.all());
     for (const Capsule &o : bodies_.obstacles)
         robot.add_obstacle(o.line, bodies_.radius_mm + o.radius_mm + settings_.clearance_mm);
     for (const PositionerIndex j : near(i))

@@ -69,6 +69,7 @@ class Legs {
     int turns() const { return turns_.size(); }
     const SweptArm &at(int turn) const { return turn < turns_.size() ? turns_[turn] : rest_; }
     const SweptArm &rest() const { return rest_; }
+    const List<SweptArm> &all() const { return turns_; } // none: it rests
 
   private:
     List<SweptArm> turns_; // none: it rests

@@ -58,6 +58,15 @@ double Robot::in_hand_mm(Cell c) const {
     return in_hand_mm_ == 0.0 || within_free(c, start()) || within_free(c, goal()) ? 0.0 : in_hand_mm_;
 }
 
+void Robot::set_legs(List<SweptArm> legs) {
+    legs_ = std::move(legs);
+    const Segment here = line(goal());
+    for (const SweptArm &leg : legs_) {
+        const double away = std::max(length(leg.at[2].a - here.a), length(leg.at[2].b - here.b));
+        widest_displacement_mm_ = std::max(widest_displacement_mm_, away + leg.displacement_bound_mm);
+    }
+}
+
 void Robot::add_obstacle(const Segment &line, double need_mm) {
     if (distance({centre(), centre()}, line) > reach_mm() + need_mm + in_hand_mm_) return;
     obstacles_.push_back({resting_arm(line), need_mm});

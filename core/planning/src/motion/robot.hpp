@@ -95,6 +95,10 @@ class Robot {
     // within an angle of the start, or of the goal: there it may have to be as near as that.
     // @pre no obstacle has been added.
     void keep_in_hand(double mm, double free_rad);
+    // What it does after it has come to its goal on the grid. Only for those that may be late.
+    // @pre nothing more is kept in hand afterwards, no obstacle has been added.
+    void set_legs(List<SweptArm> legs);
+    const List<SweptArm> &legs() const { return legs_; }
     // A body at rest, whose centre line must be kept need_mm away.
     void add_obstacle(const Segment &line, double need_mm);
     // Whether a step stays clear of every body at rest.
@@ -119,6 +123,7 @@ class Robot {
     double bulge_mm_ = 0.0, widest_displacement_mm_ = 0.0;
     double displacement_bounds_[81] = {};
     double in_hand_mm_ = 0.0, free_rad_ = 0.0;
+    List<SweptArm> legs_;
     List<Obstacle> obstacles_;
     List<Clearance> clearances_; // per cell, once looked at
 };

@@ -6,6 +6,7 @@ namespace fl::planning {
 namespace {
 
 constexpr int most_halvings = 5;
+constexpr int most_late_halvings = 5; // of the one and of the other arm together
 
 TwoLines two_lines(const Segment &p, const Segment &q) { return {p, q, distance(p, q)}; }
 
@@ -18,6 +19,30 @@ bool chords_apart(const TwoLines &from, const TwoLines &to, double need, int hal
     if (halvings == 0) return false;
     const TwoLines half = two_lines(middle(from.p, to.p), middle(from.q, to.q));
     return chords_apart(from, half, need, halvings - 1) && chords_apart(half, to, need, halvings - 1);
+}
+
+// A segment whose ends run on straight lines.
+struct Chords {
+    Segment from, to;
+    Segment middle_line() const { return middle(from, to); }
+    // How far its points get from there.
+    double displacement_mm() const { return 0.5 * std::max(length(to.a - from.a), length(to.b - from.b)); }
+    Chords half(int which) const {
+        const Segment mid = middle_line();
+        return which == 0 ? Chords{from, mid} : Chords{mid, to};
+    }
+};
+
+// Whether two such segments stay apart at any two moments. Halves the one that moves farther.
+bool ever_apart(const Chords &p, const Chords &q, double need, int halvings) {
+    const double mid = distance(p.middle_line(), q.middle_line());
+    if (mid < need) return false;
+    const double way_p = p.displacement_mm(), way_q = q.displacement_mm();
+    if (mid - way_p - way_q >= need) return true;
+    if (halvings == 0) return false;
+    if (way_p >= way_q)
+        return ever_apart(p.half(0), q, need, halvings - 1) && ever_apart(p.half(1), q, need, halvings - 1);
+    return ever_apart(p, q.half(0), need, halvings - 1) && ever_apart(p, q.half(1), need, halvings - 1);
 }
 
 } // namespace
@@ -40,6 +65,20 @@ bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
         if (!chords_apart(before, after, need, most_halvings)) return false;
         before = after;
     }
+    return true;
+}
+
+bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    if (p.displacement_bound_mm == 0.0 || q.displacement_bound_mm == 0.0) return stay_apart(p, q, need_mm);
+    const double need = need_mm + p.bulge_mm + q.bulge_mm;
+    const double mid = distance(p.at[2], q.at[2]);
+    if (mid < need) return false;
+    if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
+    for (int k = 0; k < quarters; ++k)
+        for (int m = 0; m < quarters; ++m)
+            if (!ever_apart(Chords{p.at[k], p.at[k + 1]}, Chords{q.at[m], q.at[m + 1]}, need,
+                            most_late_halvings))
+                return false;
     return true;
 }
 

@@ -68,6 +68,9 @@ double relative_displacement(const TwoLines &from, const TwoLines &to);
 // True only if the centre lines stay at least `need_mm` apart during the whole step.
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
+// The same whatever the moments within the step at which the one and the other are.
+bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+
 // A body that does not move, as a step.
 SweptArm resting_arm(const Segment &line);
 

@@ -36,7 +36,7 @@ int JointSearch::estimate(const Cells &cells) const {
 }
 
 int JointSearch::encounters(int which, const SweptArm &step, int when) const {
-    int met = 0;
+    int met = 0, last = -1; // no one is met twice in a step
     const Segment &mid = step.at[2];
     const Vec2 centre = middle(mid.a, mid.b);
     const double radius = 0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm;
@@ -44,7 +44,9 @@ int JointSearch::encounters(int which, const SweptArm &step, int when) const {
         const MovingObstacles::Visit &e = ask_.moving[which]->visit(index);
         const Vec2 gap = e.centre - centre;
         const double touch = radius + e.radius_mm;
-        if (dot(gap, gap) < touch * touch && !stay_apart(step, *e.swept, ask_.need_mm)) ++met;
+        if (dot(gap, gap) >= touch * touch || e.slot == last || !e.meets(step, ask_.need_mm)) continue;
+        ++met;
+        last = e.slot;
     }
     return met;
 }

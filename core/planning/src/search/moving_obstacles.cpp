@@ -19,25 +19,44 @@ bool MovingObstacles::extends_last(int slot, int step, const SweptArm &swept) co
            same_place(before.swept->at[2], swept.at[2]);
 }
 
+MovingObstacles::Visit MovingObstacles::visit_of(const SweptArm &swept, int slot, int cost, Cell cell) {
+    const Segment &mid = swept.at[2];
+    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
+    return {middle(mid.a, mid.b), radius, &swept, slot, cost, cell};
+}
+
 void MovingObstacles::add(int slot, int step, const SweptArm &swept, int cost, Cell cell) {
     if (extends_last(slot, step, swept)) {
         visits_.back().last = step;
         return;
     }
-    const Segment &mid = swept.at[2];
-    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
-    visits_.push_back({middle(mid.a, mid.b), radius, &swept, slot, cost, cell, step, step});
+    Visit visit = visit_of(swept, slot, cost, cell);
+    visit.first = visit.last = step;
+    visits_.push_back(visit);
+}
+
+void MovingObstacles::add_late(int slot, const SweptArm &swept, int cost, Cell cell, int first, int last) {
+    Visit visit = visit_of(swept, slot, cost, cell);
+    visit.first = first;
+    visit.last = last;
+    visit.late = true;
+    visits_.push_back(visit);
 }
 
 void MovingObstacles::sort(int steps) {
+    const auto always = [&](const Visit &v) { return v.late && v.first == 0 && v.last == steps; };
+    always_.clear();
+    for (int i = 0; i < visits_.size(); ++i)
+        if (always(visits_[i])) always_.push_back(i);
     ends_.assign(steps + 2, 0);
     for (const Visit &v : visits_)
-        for (int k = v.first; k <= v.last; ++k) ++ends_[k + 1];
+        for (int k = v.first; k <= v.last && !always(v); ++k) ++ends_[k + 1];
     for (int k = 1; k < ends_.size(); ++k) ends_[k] += ends_[k - 1];
     by_step_.resize(ends_.back());
     List<int> next = ends_;
     for (int i = 0; i < visits_.size(); ++i)
-        for (int k = visits_[i].first; k <= visits_[i].last; ++k) by_step_[next[k]++] = i;
+        for (int k = visits_[i].first; k <= visits_[i].last && !always(visits_[i]); ++k)
+            by_step_[next[k]++] = i;
 }
 
 } // namespace fl::planning

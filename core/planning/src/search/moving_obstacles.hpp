@@ -7,7 +7,8 @@ namespace fl::planning {
 
 class MovingObstacles {
   public:
-    // Another positioner during one step, or during all steps from first to last if it rests.
+    // Another positioner during one step, or during all steps from first to last if it rests; or, if it or
+    // who is looking may be late, what it does at some of them.
     struct Visit {
         Vec2 centre;
         double radius_mm = 0.0; // of the circle around the centre line, during the whole step
@@ -17,14 +18,22 @@ class MovingObstacles {
         Cell cell;
         int first = 0;
         int last = 0;
+        bool late = false; // at any moment from first to last
+        bool meets(const SweptArm &other, double need_mm) const {
+            return late ? !ever_apart(other, *swept, need_mm) : !stay_apart(other, *swept, need_mm);
+        }
     };
 
     void clear() { visits_.clear(); }
     // In the order of steps for each positioner. cost: of touching it in this step.
     void add(int slot, int step, const SweptArm &swept, int cost, Cell cell);
+    // What it may do at any moment of some steps, beside what else it may do then.
+    void add_late(int slot, const SweptArm &swept, int cost, Cell cell, int first, int last);
     // After the last add: makes the lists by step.
     void sort(int steps);
 
+    // Of one that may stop for good: visits at any step of all. They are not among those of a step.
+    const List<int> &always() const { return always_; }
     // Indices of the visits at a step.
     struct View {
         const int *first;
@@ -38,9 +47,11 @@ class MovingObstacles {
 
   private:
     bool extends_last(int slot, int step, const SweptArm &swept) const;
+    static Visit visit_of(const SweptArm &swept, int slot, int cost, Cell cell);
 
     List<Visit> visits_;
     List<int> by_step_;
+    List<int> always_;
     List<int> ends_; // in by_step_, of each step; the first is 0
 };
 

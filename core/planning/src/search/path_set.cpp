@@ -59,8 +59,10 @@ void PathSet::allow(PathIndex i, int deadline) {
     if (deadline > steps_) extend(deadline - steps_);
 }
 
-int PathSet::arrival(PathIndex i) const {
-    const auto &path = at(i).path;
+int PathSet::arrival(PathIndex i) const { return arrival(at(i)); }
+
+int PathSet::arrival(const Member &member) const {
+    const auto &path = member.path;
     int step = path.size() - 1;
     while (step > 0 && path[step - 1] == path.back()) --step;
     return step;
@@ -119,12 +121,49 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     const Segment centre{me.robot.centre(), me.robot.centre()};
     const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
+    if (late_steps(me, me.neighbours[slot]) > 0) return gather_late(me, slot, moving);
     for (int step = 0; step <= steps_; ++step) {
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
         const double reach = me.robot.reach_mm() + need_mm_ + seen.swept->displacement_bound_mm;
         if (squared_distance(centre, seen.swept->at[2]) < reach * reach)
             moving.add(slot, step, *seen.swept, them.cost, seen.cell);
+    }
+}
+
+List<PathSet::Stay> PathSet::stays(const Member &m) const {
+    List<Stay> out;
+    for (int step = 0; step <= steps_; ++step) {
+        const Seen seen = seen_at(m, step);
+        if (seen.swept == nullptr) continue;
+        const bool rests = seen.swept->displacement_bound_mm == 0.0;
+        if (rests && !out.empty() && out.back().last == step - 1 && out.back().cell == seen.cell &&
+            out.back().swept->displacement_bound_mm == 0.0)
+            out.back().last = step;
+        else
+            out.push_back({seen.swept, seen.cell, step, step});
+    }
+    add_legs(m, out);
+    return out;
+}
+
+// They come after the last step of all, so that the step after its own last one is early enough.
+void PathSet::add_legs(const Member &m, List<Stay> &out) const {
+    if (m.still || m.presence == Presence::absent) return;
+    const int last = m.presence == Presence::path ? arrival(m) : m.deadline;
+    const int first = std::min(last + 1, steps_);
+    for (const SweptArm &leg : m.robot.legs()) out.push_back({&leg, m.robot.goal(), first, steps_});
+}
+
+void PathSet::gather_late(const Member &me, int slot, MovingObstacles &moving) const {
+    const Segment centre{me.robot.centre(), me.robot.centre()};
+    const Member &them = at(me.neighbours[slot]);
+    const int late = late_steps(me, me.neighbours[slot]);
+    for (const Stay &there : stays(them)) {
+        const double reach = me.robot.reach_mm() + need_mm_ + there.swept->displacement_bound_mm;
+        if (squared_distance(centre, there.swept->at[2]) < reach * reach)
+            moving.add_late(slot, *there.swept, them.cost, there.cell, std::max(there.first - late, 0),
+                            std::min(there.last + late, steps_));
     }
 }
 
@@ -209,6 +248,58 @@ int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
     return count;
 }
 
+// Stays of the one that meet some of the other, if one of them is late.
+int PathSet::late_in_conflict(const Member &p, const Member &q) const {
+    const int late = std::min(late_steps_, steps_);
+    const List<Stay> theirs = stays(q);
+    int count = 0;
+    for (const Stay &a : stays(p)) {
+        const Segment &mine = a.swept->at[2];
+        const double radius = 0.5 * length(mine.b - mine.a) + a.swept->displacement_bound_mm + need_mm_;
+        const Vec2 centre = middle(mine.a, mine.b);
+        count += std::any_of(theirs.begin(), theirs.end(), [&](const Stay &b) {
+            if (b.first - late > a.last || a.first - late > b.last) return false;
+            const Segment &line = b.swept->at[2];
+            const Vec2 gap = middle(line.a, line.b) - centre;
+            const double touch = radius + 0.5 * length(line.b - line.a) + b.swept->displacement_bound_mm;
+            return dot(gap, gap) < touch * touch && !ever_apart(*a.swept, *b.swept, need_mm_);
+        });
+    }
+    return count;
+}
+
+bool PathSet::only_late(PathIndex i, PathIndex j) const {
+    const auto &conflicts = at(i).conflicts;
+    return std::any_of(conflicts.begin(), conflicts.end(),
+                       [j](const PathConflict &c) { return c.other == j && c.late; });
+}
+
+bool PathSet::spare(PathIndex i, PathIndex j) {
+    if (late_steps_ == 0 || spared(i, j)) return false;
+    at(i).spared.push_back(j);
+    at(j).spared.push_back(i);
+    return true;
+}
+
+// Whether the way down of the one meets that of the other; or, if one may stop for good, its start.
+bool PathSet::hopeless(const Member &p, const Member &q) const {
+    if (p.still || q.still) return false;
+    const auto meets = [&](const SweptArm &mine) {
+        const auto apart = [&](const SweptArm &leg) { return ever_apart(mine, leg, need_mm_); };
+        return !std::all_of(q.robot.legs().begin(), q.robot.legs().end(), apart);
+    };
+    const bool for_good = late_steps_ >= most_late_steps;
+    return (for_good && (meets(p.at_start) || !ever_apart(p.at_start, q.at_goal, need_mm_))) ||
+           std::any_of(p.robot.legs().begin(), p.robot.legs().end(), meets);
+}
+
+void PathSet::spare_hopeless() {
+    if (late_steps_ == 0) return;
+    for (const PathIndex i : places())
+        for (const PathIndex j : at(i).neighbours)
+            if (hopeless(at(i), at(j))) spare(i, j);
+}
+
 void PathSet::forget_conflicts(PathIndex i) {
     for (const PathConflict &conflict : at(i).conflicts)
         at(conflict.other).conflicts.erase_if([i](const PathConflict &c) { return c.other == i; });
@@ -220,10 +311,12 @@ void PathSet::count_conflicts(PathIndex i) {
     if (at(i).presence != Presence::path) return;
     for (const PathIndex j : at(i).neighbours) {
         if (at(j).presence != Presence::path) continue;
-        const int steps = steps_in_conflict(at(i), at(j));
+        int steps = steps_in_conflict(at(i), at(j));
+        const bool late = steps == 0 && late_steps(at(i), j) > 0;
+        if (late) steps = late_in_conflict(at(i), at(j));
         if (steps == 0) continue;
-        at(i).conflicts.push_back({j, steps});
-        at(j).conflicts.push_back({i, steps});
+        at(i).conflicts.push_back({j, steps, late});
+        at(j).conflicts.push_back({i, steps, late});
     }
 }
 

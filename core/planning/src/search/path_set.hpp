@@ -5,9 +5,13 @@
 #include "search/random.hpp"
 #include "search/search.hpp"
 
+#include <algorithm>
 #include <utility>
 
 namespace fl::planning {
+
+// A lateness of so many steps: one stops for good.
+inline constexpr int most_late_steps = 1 << 20;
 
 // How others see a positioner whose path is being sought anew.
 enum class Presence {
@@ -21,6 +25,7 @@ enum class Presence {
 struct PathConflict {
     PathIndex other;
     int steps = 0;
+    bool late = false; // only if one of the two is late
 };
 
 // One positioner of a path set.
@@ -38,7 +43,9 @@ struct Member {
     bool still = false; // rests at its goal from the beginning to the end, without an approach
     int deadline = 0;   // the step by which it must have arrived
     BlockedCells blocked;
-    int tries = 0; // repairs around it since the last one that helped
+    List<PathIndex> spared;  // neighbours with which it is never late
+    List<PathIndex> in_vain; // for each repair around a conflict of lateness alone: with whom
+    int tries = 0;           // repairs around it since the last one that helped
 };
 
 // How a path is sought.
@@ -58,7 +65,9 @@ struct SavedPath {
 
 class PathSet {
   public:
-    PathSet(double need_mm, int steps) : need_mm_(need_mm), steps_(steps) {}
+    // late_steps: one may be late by so many steps, more than there are for any lateness.
+    PathSet(double need_mm, int steps, int late_steps)
+        : need_mm_(need_mm), steps_(steps), late_steps_(late_steps) {}
     // The last step in which a positioner moves.
     int arrival(PathIndex i) const;
 
@@ -84,6 +93,13 @@ class PathSet {
     // Counts anew with which paths this one conflicts.
     void count_conflicts(PathIndex i);
     int conflicts() const; // pairs
+    // Whether two conflict, but not if both are on time.
+    bool only_late(PathIndex i, PathIndex j) const;
+    bool spared(PathIndex i, PathIndex j) const { return at(i).spared.contains(j); }
+    // From now on both are taken to be on time where they meet. False if they are already.
+    bool spare(PathIndex i, PathIndex j);
+    // Spares the pairs for which no paths can be found because of their ends.
+    void spare_hopeless();
 
     // From now on what changes is noted ...
     void note_changes();
@@ -96,6 +112,7 @@ class PathSet {
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
     void gather_one(const Member &me, int slot, MovingObstacles &moving) const;
+    void gather_late(const Member &me, int slot, MovingObstacles &moving) const;
     void guide(Request &request, Member &member);
     void extend(int steps);
     // Where others see it in a step.
@@ -104,12 +121,27 @@ class PathSet {
         Cell cell;
     };
     Seen seen_at(const Member &member, int step) const;
+    // What it does at some steps, the legs at its goal included.
+    struct Stay {
+        const SweptArm *swept = nullptr;
+        Cell cell;
+        int first = 0, last = 0;
+    };
+    List<Stay> stays(const Member &member) const;
+    void add_legs(const Member &member, List<Stay> &out) const;
+    int arrival(const Member &member) const;
+    int late_steps(const Member &member, PathIndex other) const {
+        return member.spared.contains(other) ? 0 : std::min(late_steps_, steps_);
+    }
+    bool hopeless(const Member &p, const Member &q) const;
+    int late_in_conflict(const Member &p, const Member &q) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;
     int steps_;
+    int late_steps_;
     List<Member, PathIndex> members_;
     List<SavedPath> changed_; // while noting: those that have changed, as they were
     bool noting_ = false;

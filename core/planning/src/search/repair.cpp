@@ -20,7 +20,8 @@ constexpr int more_time = 4;      // a deadline grows by the first one over this
 constexpr int hurry_rounds = 100; // repairs for one that hurries
 constexpr int most_hurries = 64;  // attempts of one to arrive earlier in which others have to give way
 constexpr int hurry_passes = 2;
-constexpr int patience = 16;        // repairs around a pair without success before the deadline grows
+constexpr int late_patience = 8;  // repairs around a pair that meets only if one is late, before it is spared
+constexpr int patience = 16;      // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
@@ -83,7 +84,26 @@ bool Repair::run(int first_steps, int last_steps) {
     const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * paths_.size());
     last_steps_ = last_steps;
     first_steps_ = first_steps;
-    return rounds(static_cast<int>(most));
+    if (rounds(static_cast<int>(most))) return true;
+    // those that meet, and all around them, are on time now
+    bool fewer = false;
+    for (const PathIndex i : paths_.places())
+        if (!paths_.at(i).conflicts.empty()) fewer |= spare_around(i);
+    return fewer && rounds(static_cast<int>(most));
+}
+
+// Spares one and all that it can meet.
+bool Repair::be_on_time(PathIndex i) {
+    bool any = false;
+    for (const PathIndex j : paths_.at(i).neighbours) any |= paths_.spare(i, j);
+    if (any) paths_.count_conflicts(i);
+    return any;
+}
+
+bool Repair::spare_around(PathIndex i) {
+    bool any = be_on_time(i);
+    for (const PathIndex j : paths_.at(i).neighbours) any |= be_on_time(j);
+    return any;
 }
 
 // After a while without success there is none to be expected: one that is locked in has no way at all.
@@ -213,9 +233,24 @@ void Repair::judge(Pair pair, const Group &group, int conflicts_now) {
         return;
     }
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).tries;
+    if (paths_.only_late(pair.first, pair.second)) return judge_late(pair);
     if (tries(pair) < patience) return;
-    for (const PathIndex i : {pair.first, pair.second}) paths_.at(i).tries = 0;
+    for (const PathIndex i : {pair.first, pair.second}) {
+        paths_.at(i).tries = 0;
+        if (last_steps_ > 0) be_on_time(i);
+    }
     give_time(pair);
+}
+
+// A pair that conflicts only if one of the two is late is left so after a while: it is worth no more.
+void Repair::judge_late(Pair pair) {
+    auto &in_vain = paths_.at(pair.first).in_vain;
+    in_vain.push_back(pair.second);
+    const auto most = std::max<std::int64_t>(1, late_patience - 3 * statistics_.repairs / paths_.size());
+    if (std::count(in_vain.begin(), in_vain.end(), pair.second) < most || last_steps_ == 0) return;
+    for (const PathIndex i : {pair.first, pair.second}) paths_.at(i).tries = 0;
+    paths_.spare(pair.first, pair.second);
+    paths_.count_conflicts(pair.first);
 }
 
 // To a pair that resists, and to those around it: arms that interlock need time, and with plenty of it they
@@ -247,7 +282,8 @@ bool Repair::has_time(Pair pair) const {
 }
 
 void Repair::round(Pair pair) {
-    if (has_time(pair) && tries(pair) % joint_every == joint_every - 1) return joint_round(pair);
+    const bool joint = has_time(pair) && tries(pair) % joint_every == joint_every - 1;
+    if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);
     forget_paths(group.members);

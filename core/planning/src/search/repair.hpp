@@ -52,6 +52,9 @@ class Repair {
     Mode random_mode(const Robot &robot, int deadline);
     bool replan(const List<PathIndex> &members, int most_cost, int most_pairs);
     void take_back(Group &group);
+    void judge_late(Pair pair);
+    bool spare_around(PathIndex i);
+    bool be_on_time(PathIndex i);
     void judge(Pair pair, const Group &group, int conflicts_now);
     bool squeeze(PathIndex last, int deadline);
     PathIndex last_to_arrive() const;

@@ -86,8 +86,11 @@ void Search::begin() {
     last_cell_ = ask_.backward ? ask_.robot->start() : ask_.robot->goal();
     const int size = ask_.robot->cells() * (ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
+    const int turnings = ask_.moving->always().empty() ? 0 : 81 * ask_.robot->cells();
+    if (always_.size() < turnings) always_.resize(turnings);
     if (++round_ == 0) { // after 2^32 searches the marks would repeat
         std::fill(nodes_.begin(), nodes_.end(), Node{});
+        std::fill(always_.begin(), always_.end(), Always{});
         round_ = 1;
     }
     for (int k = 0; k < std::min(highest_ + 1, buckets_.size()); ++k) buckets_[k].clear();
@@ -115,22 +118,21 @@ void Search::list_turnings() {
 }
 
 int Search::hold_cost() {
-    const SweptArm rest = ask_.robot->swept(first_cell(), {});
     int cost = 0;
     for (int step = 0; step < ask_.hold; ++step) {
         gather_near({first_cell(), step});
-        cost += encounters(rest);
+        cost += rest_encounters(first_cell());
     }
     return cost;
 }
 
 // What it costs to rest at the last cell from each step to the end.
 void Search::prepare_end() {
-    const SweptArm rest = ask_.robot->swept(last_cell_, {});
     end_cost_.assign(ask_.steps + 2, 0);
     for (int step = ask_.steps; step >= 0; --step) {
         gather_near({last_cell_, step});
-        end_cost_[step] = end_cost_[step + 1] + encounters(rest);
+        if (step == ask_.steps && !ask_.backward) end_cost_[step + 1] = leg_encounters();
+        end_cost_[step] = end_cost_[step + 1] + rest_encounters(last_cell_);
     }
 }
 
@@ -152,32 +154,88 @@ void Search::gather_near(Place at) {
 }
 
 int Search::encounters(const SweptArm &step) const {
-    int cost = 0;
+    int cost = 0, met = -1; // no one is met twice in a step
     for (const MovingObstacles::Visit *e : near_)
-        if (!stay_apart(step, *e->swept, ask_.need_mm)) cost += e->cost;
+        if (e->slot != met && e->meets(step, ask_.need_mm)) {
+            cost += e->cost;
+            met = e->slot;
+        }
     return cost;
 }
 
+// With those that may be there at any step.
+int Search::look_always(const SweptArm &step) const {
+    const Segment &mid = step.at[2];
+    const Vec2 centre = middle(mid.a, mid.b);
+    const double radius = 0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm;
+    int cost = 0, met = -1;
+    for (const int index : ask_.moving->always()) {
+        const MovingObstacles::Visit &e = ask_.moving->visit(index);
+        const Vec2 gap = e.centre - centre;
+        const double touch = radius + e.radius_mm;
+        if (e.slot == met || dot(gap, gap) >= touch * touch || !e.meets(step, ask_.need_mm)) continue;
+        cost += e.cost;
+        met = e.slot;
+    }
+    return cost;
+}
+
+int Search::always_encounters(Cell cell, VelocityChanges turn) {
+    if (ask_.moving->always().empty()) return 0;
+    Always &known = always_[81 * ask_.robot->index(cell) + turn.code()];
+    if (known.round != round_) known = {round_, look_always(ask_.robot->swept(cell, turn))};
+    return known.cost;
+}
+
+// Of one that comes down to its goal: with those that may be late then.
+int Search::leg_encounters() const {
+    int cost = 0, met = -1;
+    for (const SweptArm &leg : ask_.robot->legs()) {
+        cost += look_always(leg);
+        for (const MovingObstacles::Visit *e : near_)
+            if (e->late && e->slot != met && e->meets(leg, ask_.need_mm)) {
+                cost += e->cost;
+                met = e->slot;
+            }
+    }
+    return cost;
+}
+
+// At rest at a cell; at the goal, on the legs to come as well.
+int Search::rest_encounters(Cell cell) {
+    const int rest = encounters(ask_.robot->swept(cell, {})) + always_encounters(cell, {});
+    return cell == ask_.robot->goal() ? rest + leg_encounters() : rest;
+}
+
 int Search::encounters(Place at, VelocityChanges turn) {
-    if (near_.empty()) return 0;
+    int cost = always_encounters(at.cell, turn);
+    if (near_.empty()) return cost;
     // most are seen to be clear, or not, from mid-step alone
     const Segment here = ask_.robot->middle_line(at.cell, turn);
     const double room = ask_.need_mm + ask_.robot->bulge_mm() + ask_.robot->displacement_bound_mm(turn);
-    int cost = 0;
+    int met = -1;
     doubtful_.clear();
     for (const MovingObstacles::Visit *e : near_) {
+        if (e->slot == met) continue;
         const double d2 = squared_distance(here, e->swept->at[2]);
         const double clear = room + e->swept->bulge_mm + e->swept->displacement_bound_mm;
         if (d2 >= clear * clear) continue;
-        if (d2 < ask_.need_mm * ask_.need_mm)
-            cost += e->cost;
-        else
+        if (d2 >= ask_.need_mm * ask_.need_mm) {
             doubtful_.push_back(e);
+            continue;
+        }
+        cost += e->cost;
+        met = e->slot;
+        while (!doubtful_.empty() && doubtful_.back()->slot == met) doubtful_.pop_back();
     }
     if (doubtful_.empty()) return cost;
     const SweptArm swept = ask_.robot->swept(at.cell, turn);
+    met = -1;
     for (const MovingObstacles::Visit *e : doubtful_)
-        if (!stay_apart(swept, *e->swept, ask_.need_mm)) cost += e->cost;
+        if (e->slot != met && e->meets(swept, ask_.need_mm)) {
+            cost += e->cost;
+            met = e->slot;
+        }
     return cost;
 }
 

@@ -97,6 +97,10 @@ class Search {
     void relax(Place at, const Node &here, int move);
     void gather_near(Place at);
     int encounters(const SweptArm &step) const;
+    int rest_encounters(Cell cell);
+    int leg_encounters() const;
+    int always_encounters(Cell cell, VelocityChanges turn);
+    int look_always(const SweptArm &step) const;
     int encounters(Place at, VelocityChanges turn);
     void push(NodeId id, int total);
     bool pop(NodeId &id);
@@ -114,6 +118,12 @@ class Search {
     int lowest_ = 0, highest_ = 0;
     int open_ = 0;
     List<const MovingObstacles::Visit *> near_, doubtful_;
+    // Encounters at any step, for each cell and turning: of which search they are, and what they cost.
+    struct Always {
+        std::uint32_t round = 0;
+        int cost = 0;
+    };
+    List<Always> always_;
     List<int> end_cost_; // of resting at the last cell from a step to the end
     List<Cell> path_;
     std::uint32_t round_ = 0;

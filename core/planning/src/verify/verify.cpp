@@ -122,11 +122,7 @@ class Verifier {
 };
 
 bool Verifier::check_points(int i) {
-    const auto &[t, angles] = motions_[i];
-    bool good = !t.empty() && t.size() == angles.size() && t.front() == 0.0 && std::isfinite(t.back());
-    for (int k = 0; good && k < count(t); ++k)
-        good = std::isfinite(angles[k].alpha_rad) && std::isfinite(angles[k].beta_rad) &&
-               (k == 0 || t[k - 1] < t[k]);
+    const bool good = sound(motions_[i]);
     if (!good) report(Fault::points, i, -1, 0.0, 0.0);
     return good;
 }
@@ -298,6 +294,15 @@ const char *to_string(Fault fault) {
         "robots",       "obstacle", "contact", "obstacle_contact", "points",  "travel",          "speed",
         "acceleration", "start",    "goal",    "approach",         "closing", "obstacle_closing"};
     return names[static_cast<int>(fault)];
+}
+
+bool sound(const Motion &motion) {
+    const auto &[t, angles] = motion;
+    bool good = !t.empty() && t.size() == angles.size() && t.front() == 0.0 && std::isfinite(t.back());
+    for (int k = 0; good && k < count(t); ++k)
+        good = std::isfinite(angles[k].alpha_rad) && std::isfinite(angles[k].beta_rad) &&
+               (k == 0 || t[k - 1] < t[k]);
+    return good;
 }
 
 Verification verify(const Bodies &bodies, const std::vector<Motion> &motions, const Rules &rules) {
