@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from fiberloom._core import planning as core
 from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
+from fiberloom.planning.obstacles import plain_parts
 
 PLANE = replace(field(2), fiducials=np.zeros((0, 3)), guide_cameras=np.zeros((0, 5)))
 """Two neighbours and nothing else."""
@@ -213,7 +214,7 @@ def test_a_turned_or_mirrored_field_has_the_same_gaps(first, second, angle_deg, 
     def gap(arms, sign):
         motions = [table(m) * [1, np.radians(sign), np.radians(sign)] for m in (first, second)]
         wide = np.array([[-10.0, 10.0], [-10.0, 10.0]])
-        bodies = core.Bodies(arms, (0.0, 14.7276), 2.0, np.zeros((0, 5)))
+        bodies = core.Bodies(arms, plain_parts(len(arms), (0.0, 14.7276), 2.0), np.zeros((0, 7)))
         rules = core.Rules(speed=1e9, acceleration=1e12, rounding=1e-8, travel=wide)
         found = core.verify(bodies, motions, rules)
         return found["robots"]["gap_mm"]

@@ -25,7 +25,7 @@ void MovingObstacles::add(int slot, int step, const SweptArm &swept, int cost, C
         return;
     }
     const Segment &mid = swept.at[2];
-    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
+    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm + swept.extra_mm;
     visits_.push_back({middle(mid.a, mid.b), radius, &swept, slot, cost, cell, step, step});
 }
 

@@ -33,15 +33,16 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
 
 void PathSet::add(Robot robot) {
     Member m(std::move(robot));
-    m.at_start = resting_arm(m.robot.line(m.robot.start()));
-    m.at_goal = resting_arm(m.robot.line(m.robot.goal()));
+    m.at_start = m.robot.resting(m.robot.start());
+    m.at_goal = m.robot.resting(m.robot.goal());
     m.deadline = steps_;
     members_.push_back(std::move(m));
 }
 
 void PathSet::find_neighbours() {
     List<Reach> reaches;
-    for (const Member &m : members_) reaches.push_back({m.robot.centre(), m.robot.reach_mm()});
+    for (const Member &m : members_)
+        reaches.push_back({m.robot.centre(), m.robot.reach_mm() + m.robot.extra_mm()});
     List<List<std::pair<double, PathIndex>>, PathIndex> near(size());
     for (const NearPair &pair : near_pairs(reaches, need_mm_)) {
         near[PathIndex(pair.first)].emplace_back(pair.gap_mm, PathIndex(pair.second));
@@ -72,7 +73,7 @@ void PathSet::extend(int steps) {
         if (m.path.empty()) continue;
         // the last step becomes one of many at rest: its second half was at rest already
         m.path.resize(steps_ + 1, m.path.back());
-        m.swept.resize(steps_ + 1, resting_arm(m.robot.line(m.path.back())));
+        m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
     }
 }
 
@@ -122,7 +123,8 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     for (int step = 0; step <= steps_; ++step) {
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
-        const double reach = me.robot.reach_mm() + need_mm_ + seen.swept->displacement_bound_mm;
+        const double reach = me.robot.reach_mm() + need_mm_ + seen.swept->displacement_bound_mm +
+                             me.robot.extra_mm() + seen.swept->extra_mm;
         if (squared_distance(centre, seen.swept->at[2]) < reach * reach)
             moving.add(slot, step, *seen.swept, them.cost, seen.cell);
     }
@@ -203,7 +205,8 @@ int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
         const SweptArm &a = p.swept[k], &b = q.swept[k];
         const Vec2 gap = middle(a.at[2].a, a.at[2].b) - middle(b.at[2].a, b.at[2].b);
         const double touch = 0.5 * (length(a.at[2].b - a.at[2].a) + length(b.at[2].b - b.at[2].a)) +
-                             a.displacement_bound_mm + b.displacement_bound_mm + need_mm_;
+                             a.displacement_bound_mm + b.displacement_bound_mm + need_mm_ + a.extra_mm +
+                             b.extra_mm;
         if (dot(gap, gap) < touch * touch && !stay_apart(a, b, need_mm_)) ++count;
     }
     return count;

@@ -1,0 +1,72 @@
+// A body of several pieces, and the tests of its pieces one by one.
+//
+// The pose of both arms is told by the centre line of the body: it begins at the beta axis and runs along
+// the beta arm. Every point of a piece is a linear function of the ends of this line, so pieces whose
+// body moves on chords move on chords.
+#pragma once
+
+#include "fiberloom/planning.hpp"
+#include "motion/index.hpp"
+#include "motion/swept_arm.hpp"
+
+namespace fl::planning {
+
+struct Piece {
+    Segment line; // in the frame of its arm
+    double extra_mm = 0.0;
+    bool on_alpha = false;
+    Layers layers = first_layer;
+};
+
+struct Shape {
+    Vec2 centre_mm;
+    double l_alpha_mm = 0.0;
+    double line_mm = 0.0; // length of the centre line
+    List<Piece> pieces;
+    // Where a piece is when the centre line is there.
+    Segment place(const Piece &piece, const Segment &line) const;
+};
+
+// A body as pieces; one without a shape is a single piece, its own centre line.
+class Pieces {
+  public:
+    explicit Pieces(const SweptArm &body) : body_(body) {}
+    int size() const { return body_.shape == nullptr ? 1 : body_.shape->pieces.size(); }
+    Segment at(int k, const Segment &line) const {
+        return body_.shape == nullptr ? line : body_.shape->place(body_.shape->pieces[k], line);
+    }
+    double extra_mm(int k) const {
+        return body_.shape == nullptr ? body_.extra_mm : body_.shape->pieces[k].extra_mm;
+    }
+    Layers layers(int k) const {
+        return body_.shape == nullptr ? body_.layers : body_.shape->pieces[k].layers;
+    }
+
+  private:
+    const SweptArm &body_;
+};
+
+// Calls test(a, b, need_mm) for all pieces that can touch, until it is false.
+template <class Test> bool all_pieces(const Pieces &p, const Pieces &q, double need_mm, Test test) {
+    for (int a = 0; a < p.size(); ++a)
+        for (int b = 0; b < q.size(); ++b)
+            if ((p.layers(a) & q.layers(b)) != 0 && !test(a, b, need_mm + p.extra_mm(a) + q.extra_mm(b)))
+                return false;
+    return true;
+}
+
+// Where the bodies are so near to each other in mid-step that their pieces may be nearer than
+// need_mm, or not.
+bool pieces_within(const SweptArm &p, const Segment &p_line, const SweptArm &q, const Segment &q_line,
+                   double need_mm);
+
+// Whether two keep so far apart, beyond their extra radii, when their steps begin.
+bool apart_at_first(const SweptArm &p, const SweptArm &q, double need_mm);
+
+// An obstacle as a step; its radius is part of what is needed.
+SweptArm resting_obstacle(const Capsule &obstacle);
+
+// stay_apart() for bodies of which at least one has a shape.
+bool pieces_stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+
+} // namespace fl::planning
