@@ -431,8 +431,8 @@ class FocalPlane:
     @cached_property
     def body_reach_mm(self) -> Floats:
         """(N,) how far from its centre the arm of each positioner can touch something."""
-        arm = max(map(abs, self.beta_segment_mm)) + self.collision_buffer_mm
-        return self.l_alpha_mm + arm + Handicaps.of(self).wider_mm
+        beta, alpha = (self.instrument.bodies.reach_mm(arm) for arm in ("beta", "alpha"))
+        return np.maximum(self.l_alpha_mm + beta, alpha) + (self.handicaps or Handicaps.none(self.n)).wider_mm
 
     def neighbour_pairs(self, extra_mm: float = 0.0) -> Ints:
         """Positioners whose arms can meet.

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import AXES
+from fiberloom.instruments.single_units import handicaps_of
 from fiberloom.planning.obstacles import RADIUS, doubt_obstacles, fixed_obstacles, parts_of
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad
@@ -157,6 +157,6 @@ def least_approach_rad(plane: FocalPlane, approach: Floats, least_deg: float | N
 
 def paces_rad(plane: FocalPlane, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[Floats, Floats]:
     """(N,) rad/s and rad/s2 of each positioner: its share of a speed and of an acceleration."""
-    shares = Handicaps.of(plane)
+    shares = handicaps_of(plane)
     speed, acceleration = deg_to_rad(speed_deg_s), deg_to_rad(acceleration_deg_s2)
     return speed * shares.speed_share, acceleration * shares.acceleration_share

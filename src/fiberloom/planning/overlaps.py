@@ -8,7 +8,7 @@ import numpy as np
 from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies
-from fiberloom.planning.obstacles import LAYERS, RADIUS, obstacle_name, part_lines_mm
+from fiberloom.planning.obstacles import BETA, LAYERS, RADIUS, obstacle_name, part_lines_mm
 from fiberloom.typing import Flags, Floats, Ints
 
 TOUCHING_MM = 1e-6
@@ -92,12 +92,12 @@ class Surroundings:
             mine = part_lines_mm(self.plane.arms[[row]], part, angles_rad)
             apart = signed_distance_mm(np.repeat(mine, len(theirs), axis=0), np.tile(theirs, (n, 1)))
             gaps = apart.reshape(n, len(theirs)) - (part[RADIUS] + rest[:, 0])
-            gaps[:, ~_meet(part[LAYERS], rest[:, 1])] = _FAR_MM
+            gaps[:, ~_meet(part[[1, LAYERS]], rest[:, 1:])] = _FAR_MM
             out = np.minimum(out, np.minimum.reduceat(gaps, begins, axis=1))
         return out
 
     def _pieces(self, bodies: Ints, here_rad: Floats) -> tuple[Floats, Floats, Ints]:
-        """Lines (q, 4), radii and layers (q, 2) of all parts of k bodies; (k,) where each begins."""
+        """Lines (q, 4), and radius, arm, layers (q, 3), of all parts of k bodies; (k,) where each begins."""
         lines: list[Floats] = []
         rest: list[Floats] = []
         begins: list[int] = []
@@ -106,11 +106,11 @@ class Surroundings:
             if body >= self.plane.n:
                 fixed = self.bodies.obstacles[[body - self.plane.n]]
                 lines.append(fixed[:, :4])
-                rest.append(fixed[:, 4:6])
+                rest.append(np.insert(fixed[:, 4:6], 1, BETA, axis=1))
                 continue
             for part in self._parts[body]:
                 lines.append(part_lines_mm(self.plane.arms[[body]], part, here_rad[[body]]))
-                rest.append(part[None, RADIUS : LAYERS + 1])
+                rest.append(part[None, [RADIUS, 1, LAYERS]])
         return np.vstack(lines), np.vstack(rest), np.array(begins, dtype=np.int64)
 
     @cached_property
@@ -131,8 +131,9 @@ class Surroundings:
             theirs = of_row[other] if other < n else np.array([count + other - n])
             found += [(pair, a, b) for a in of_row[row] for b in theirs]
         pairs, mine, theirs = np.array(found, dtype=np.int64).reshape(-1, 3).T
-        layers = np.concatenate([self.bodies.parts[:, LAYERS], self.bodies.obstacles[:, 5]])
-        meet = _meet(layers[mine], layers[theirs])
+        fixed = np.insert(self.bodies.obstacles[:, 5:6], 0, BETA, axis=1)
+        kinds = np.vstack([self.bodies.parts[:, [1, LAYERS]], fixed])
+        meet = _meet(kinds[mine], kinds[theirs])
         return pairs[meet], mine[meet], theirs[meet]
 
     def gaps_of_pairs_mm(self, here_rad: Floats) -> tuple[Ints, Ints, Floats]:
@@ -174,7 +175,8 @@ class Surroundings:
         return f"positioner {self.plane.positioner_id[body]}"
 
 
-def _meet(layers: Floats, others: Floats) -> Flags:
-    """Whether they have a layer in common."""
-    one, other = (np.asarray(bits, dtype=np.int64) for bits in (layers, others))
-    return np.asarray(one & other, dtype=np.bool_)
+def _meet(kinds: Floats, others: Floats) -> Flags:
+    """Whether parts can touch, of their arms and layers (..., 2): they share a layer; not two alpha arms."""
+    one, other = (np.asarray(k[..., 1], dtype=np.int64) for k in (kinds, others))
+    arms = (kinds[..., 0] == BETA) | (others[..., 0] == BETA)
+    return np.asarray((one & other != 0) & arms, dtype=np.bool_)

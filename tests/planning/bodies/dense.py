@@ -67,12 +67,15 @@ def pair_gaps(
 
     def least(one, other):
         gaps = [
-            (distances(p, q) - a[5] - b[5]).min() for a, p in one for b, q in other if int(a[6]) & int(b[6])
+            (distances(p, q) - a[5] - b[5]).min()
+            for a, p in one
+            for b, q in other
+            if int(a[6]) & int(b[6]) and 1 in (a[0], b[0])
         ]
         return min(gaps, default=np.inf)
 
     bodies = [list(zip(whole[k], lines[k], strict=True)) for k in range(plane.n)]
-    still = [[(np.array([0, 0, 0, 0, 0, o[4], o[5]]), np.tile(o[:4], (len(when_s), 1)))] for o in obstacles]
+    still = [[(np.array([1, 0, 0, 0, 0, o[4], o[5]]), np.tile(o[:4], (len(when_s), 1)))] for o in obstacles]
     for i in range(plane.n):
         near = np.hypot(*(plane.centres_mm - plane.centres_mm[i]).T) < 60.0
         for j in np.flatnonzero(near[i + 1 :]) + i + 1:

@@ -37,7 +37,7 @@ struct Part {
     Layers layers = first_layer;
 };
 
-// Everything that takes room. parts: of each arm.
+// Everything that takes room. parts: of each arm. Those on two alpha arms cannot touch: their discs do not.
 // @pre one row of parts for each arm, none of them empty.
 struct Bodies {
     std::vector<Arm> arms;

@@ -53,7 +53,7 @@ ArmBody ArmBodies::shaped(const Arm &arm, const std::vector<Part> &parts, Shape 
     double radius = 0.0;
     for (const Part &part : parts) {
         const Segment &s = part.line;
-        shape.pieces.push_back({s, part.radius_mm - radius_mm_, part.on_alpha, part.layers});
+        shape.limbs.push_back({s, part.radius_mm - radius_mm_, part.on_alpha, part.layers});
         const double off = part.on_alpha ? distance_of_ends(s, {arm.l_alpha_mm, 0.0})
                                          : std::max(distance({s.a, s.a}, line), distance({s.b, s.b}, line));
         radius = std::max(radius, off + part.radius_mm);

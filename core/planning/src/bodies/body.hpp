@@ -1,8 +1,8 @@
 // What takes room of a positioner, as the search sees it.
 //
 // Most are one capsule on the axis of the beta arm: its centre line says where it is. All others have a shape
-// of several pieces. Their centre line, from the beta axis along the beta arm, tells the pose of both arms,
-// and all pieces are found from it; a capsule around the centre line, with them all in it, is looked at
+// of several limbs. Their centre line, from the beta axis along the beta arm, tells the pose of both arms,
+// and all limbs are found from it; a capsule around the centre line, with them all in it, is looked at
 // first.
 #pragma once
 

@@ -10,22 +10,22 @@ Segment turned(Vec2 at, Vec2 x, const Segment &s) {
 
 } // namespace
 
-Segment Shape::place(const Piece &piece, const Segment &line) const {
-    const Vec2 from = piece.on_alpha ? centre_mm : line.a, to = piece.on_alpha ? line.a : line.b;
-    const double length_mm = piece.on_alpha ? l_alpha_mm : line_mm;
-    return turned(from, {(to.x - from.x) / length_mm, (to.y - from.y) / length_mm}, piece.line);
+Segment Shape::place(const Limb &limb, const Segment &line) const {
+    const Vec2 from = limb.on_alpha ? centre_mm : line.a, to = limb.on_alpha ? line.a : line.b;
+    const double length_mm = limb.on_alpha ? l_alpha_mm : line_mm;
+    return turned(from, {(to.x - from.x) / length_mm, (to.y - from.y) / length_mm}, limb.line);
 }
 
-bool pieces_within(const SweptArm &p, const Segment &p_line, const SweptArm &q, const Segment &q_line,
-                   double need_mm) {
-    const Pieces mine(p), theirs(q);
-    return !all_pieces(mine, theirs, need_mm, [&](int a, int b, double need) {
+bool limbs_within(const SweptArm &p, const Segment &p_line, const SweptArm &q, const Segment &q_line,
+                  double need_mm) {
+    const Limbs mine(p), theirs(q);
+    return !all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
         return squared_distance(mine.at(a, p_line), theirs.at(b, q_line)) >= need * need;
     });
 }
 
 bool apart_at_first(const SweptArm &p, const SweptArm &q, double need_mm) {
-    if (p.shape != nullptr || q.shape != nullptr) return !pieces_within(p, p.at[0], q, q.at[0], need_mm);
+    if (p.shape != nullptr || q.shape != nullptr) return !limbs_within(p, p.at[0], q, q.at[0], need_mm);
     return distance(p.at[0], q.at[0]) >= need_mm + p.extra_mm + q.extra_mm;
 }
 
@@ -35,10 +35,10 @@ SweptArm resting_obstacle(const Capsule &obstacle) {
     return rest;
 }
 
-bool pieces_stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
-    const Pieces mine(p), theirs(q);
+bool limbs_stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    const Limbs mine(p), theirs(q);
     const double ways = p.displacement_bound_mm + q.displacement_bound_mm;
-    return all_pieces(mine, theirs, need_mm + p.bulge_mm + q.bulge_mm, [&](int a, int b, double need) {
+    return all_limbs(mine, theirs, need_mm + p.bulge_mm + q.bulge_mm, [&](int a, int b, double need) {
         const double mid = distance(mine.at(a, p.at[2]), theirs.at(b, q.at[2]));
         if (mid < need) return false;
         if (mid - ways >= need) return true;

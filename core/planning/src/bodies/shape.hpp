@@ -1,7 +1,7 @@
-// A body of several pieces, and the tests of its pieces one by one.
+// A body of several limbs, and the tests of its limbs one by one.
 //
 // The pose of both arms is told by the centre line of the body: it begins at the beta axis and runs along
-// the beta arm. Every point of a piece is a linear function of the ends of this line, so pieces whose
+// the beta arm. Every point of a limb is a linear function of the ends of this line, so limbs whose
 // body moves on chords move on chords.
 #pragma once
 
@@ -11,7 +11,7 @@
 
 namespace fl::planning {
 
-struct Piece {
+struct Limb {
     Segment line; // in the frame of its arm
     double extra_mm = 0.0;
     bool on_alpha = false;
@@ -22,43 +22,45 @@ struct Shape {
     Vec2 centre_mm;
     double l_alpha_mm = 0.0;
     double line_mm = 0.0; // length of the centre line
-    List<Piece> pieces;
-    // Where a piece is when the centre line is there.
-    Segment place(const Piece &piece, const Segment &line) const;
+    List<Limb> limbs;
+    // Where a limb is when the centre line is there.
+    Segment place(const Limb &limb, const Segment &line) const;
 };
 
-// A body as pieces; one without a shape is a single piece, its own centre line.
-class Pieces {
+// A body as limbs; one without a shape is a single limb, its own centre line.
+class Limbs {
   public:
-    explicit Pieces(const SweptArm &body) : body_(body) {}
-    int size() const { return body_.shape == nullptr ? 1 : body_.shape->pieces.size(); }
+    explicit Limbs(const SweptArm &body) : body_(body) {}
+    int size() const { return body_.shape == nullptr ? 1 : body_.shape->limbs.size(); }
     Segment at(int k, const Segment &line) const {
-        return body_.shape == nullptr ? line : body_.shape->place(body_.shape->pieces[k], line);
+        return body_.shape == nullptr ? line : body_.shape->place(body_.shape->limbs[k], line);
     }
     double extra_mm(int k) const {
-        return body_.shape == nullptr ? body_.extra_mm : body_.shape->pieces[k].extra_mm;
+        return body_.shape == nullptr ? body_.extra_mm : body_.shape->limbs[k].extra_mm;
     }
+    bool on_alpha(int k) const { return body_.shape != nullptr && body_.shape->limbs[k].on_alpha; }
     Layers layers(int k) const {
-        return body_.shape == nullptr ? body_.layers : body_.shape->pieces[k].layers;
+        return body_.shape == nullptr ? body_.layers : body_.shape->limbs[k].layers;
     }
 
   private:
     const SweptArm &body_;
 };
 
-// Calls test(a, b, need_mm) for all pieces that can touch, until it is false.
-template <class Test> bool all_pieces(const Pieces &p, const Pieces &q, double need_mm, Test test) {
+// Calls test(a, b, need_mm) for all limbs that can touch, until it is false.
+template <class Test> bool all_limbs(const Limbs &p, const Limbs &q, double need_mm, Test test) {
     for (int a = 0; a < p.size(); ++a)
         for (int b = 0; b < q.size(); ++b)
-            if ((p.layers(a) & q.layers(b)) != 0 && !test(a, b, need_mm + p.extra_mm(a) + q.extra_mm(b)))
+            if ((p.layers(a) & q.layers(b)) != 0 && !(p.on_alpha(a) && q.on_alpha(b)) &&
+                !test(a, b, need_mm + p.extra_mm(a) + q.extra_mm(b)))
                 return false;
     return true;
 }
 
-// Where the bodies are so near to each other in mid-step that their pieces may be nearer than
+// Where the bodies are so near to each other in mid-step that their limbs may be nearer than
 // need_mm, or not.
-bool pieces_within(const SweptArm &p, const Segment &p_line, const SweptArm &q, const Segment &q_line,
-                   double need_mm);
+bool limbs_within(const SweptArm &p, const Segment &p_line, const SweptArm &q, const Segment &q_line,
+                  double need_mm);
 
 // Whether two keep so far apart, beyond their extra radii, when their steps begin.
 bool apart_at_first(const SweptArm &p, const SweptArm &q, double need_mm);
@@ -67,6 +69,6 @@ bool apart_at_first(const SweptArm &p, const SweptArm &q, double need_mm);
 SweptArm resting_obstacle(const Capsule &obstacle);
 
 // stay_apart() for bodies of which at least one has a shape.
-bool pieces_stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+bool limbs_stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
 } // namespace fl::planning

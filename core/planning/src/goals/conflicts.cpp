@@ -12,7 +12,18 @@ SweptArm leg(const ArmBody &body, Angles goal, double approach_rad) {
     return approach_leg(body, goal, {approach_rad, approach_rad}, {});
 }
 
-PositionerIndex place(const std::vector<int> &rows, std::size_t k) { return PositionerIndex(rows[k]); }
+// Those of some rows alone: where few of many are looked at, the others cost no time.
+Bodies picked(const Bodies &bodies, const std::vector<int> &rows) {
+    Bodies out;
+    for (const int i : rows) {
+        out.arms.push_back(bodies.arms[static_cast<std::size_t>(i)]);
+        out.parts.push_back(bodies.parts[static_cast<std::size_t>(i)]);
+    }
+    return out;
+}
+
+// The place of each of a list.
+PositionerIndex nth(std::size_t k) { return PositionerIndex(static_cast<int>(k)); }
 
 } // namespace
 
@@ -31,10 +42,11 @@ std::vector<std::array<int, 2>> conflicts(const Bodies &bodies, const std::vecto
 
 std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<int> &rows,
                                     const std::vector<Angles> &goals, double approach_rad) {
-    const ArmBodies arms(bodies);
+    const Bodies some = picked(bodies, rows);
+    const ArmBodies arms(some);
     std::vector<std::uint8_t> out;
     for (std::size_t k = 0; k < goals.size(); ++k) {
-        const SweptArm down = leg(arms[place(rows, k)], goals[k], approach_rad);
+        const SweptArm down = leg(arms[nth(k)], goals[k], approach_rad);
         out.push_back(std::all_of(bodies.obstacles.begin(), bodies.obstacles.end(), [&](const Capsule &o) {
             return o.owner == rows[k] ||
                    stay_apart(down, resting_obstacle(o), arms.radius_mm() + o.radius_mm);
@@ -45,11 +57,15 @@ std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<int>
 
 std::vector<std::uint8_t> pairs_clear(const Bodies &bodies, const PlacesOf &first, const PlacesOf &second,
                                       double approach_rad) {
-    const ArmBodies arms(bodies);
+    std::vector<int> rows = first.rows;
+    rows.insert(rows.end(), second.rows.begin(), second.rows.end());
+    const Bodies some = picked(bodies, rows);
+    const ArmBodies arms(some);
+    const std::size_t n = first.rows.size();
     std::vector<std::uint8_t> out;
-    for (std::size_t k = 0; k < first.rows.size(); ++k)
-        out.push_back(stay_apart(leg(arms[place(first.rows, k)], first.goals[k], approach_rad),
-                                 leg(arms[place(second.rows, k)], second.goals[k], approach_rad),
+    for (std::size_t k = 0; k < n; ++k)
+        out.push_back(stay_apart(leg(arms[nth(k)], first.goals[k], approach_rad),
+                                 leg(arms[nth(n + k)], second.goals[k], approach_rad),
                                  2.0 * arms.radius_mm()));
     return out;
 }

@@ -18,7 +18,7 @@ double longest_way(VelocityChange change) {
 } // namespace
 
 Robot::Robot(const ArmBody &body, AxisGrid alpha, AxisGrid beta, double step_rad)
-    : body_(body), pieces_(body.resting({})), alpha_(std::move(alpha)), beta_(std::move(beta)) {
+    : body_(body), limbs_(body.resting({})), alpha_(std::move(alpha)), beta_(std::move(beta)) {
     bulge_mm_ = step_bulge_mm(body, step_rad);
     for (int code = 0; code < 81; ++code) {
         const VelocityChanges c{{code / 27 - 1, code / 9 % 3 - 1}, {code / 3 % 3 - 1, code % 3 - 1}};

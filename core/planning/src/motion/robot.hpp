@@ -70,8 +70,8 @@ class Robot {
     double extra_mm() const { return body_.extra_mm; }
     const Shape *shape() const { return body_.shape; }
     SweptArm resting(Cell c) const { return body_.resting(line(c)); }
-    // Its pieces, at no place.
-    const SweptArm &pieces() const { return pieces_; }
+    // Its limbs, at no place.
+    const SweptArm &limbs() const { return limbs_; }
     Vec2 centre() const { return body_.arm.centre_mm; }
 
     // From now on an arm that moves keeps so much more to all others than they need, but where both axes are
@@ -98,7 +98,7 @@ class Robot {
     double in_hand_mm(Cell c) const;
 
     ArmBody body_;
-    SweptArm pieces_;
+    SweptArm limbs_;
     AxisGrid alpha_, beta_;
     double bulge_mm_ = 0.0, widest_displacement_mm_ = 0.0;
     double displacement_bounds_[81] = {};

@@ -47,7 +47,7 @@ bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
     const bool near = mid < need, shaped = p.shape != nullptr || q.shape != nullptr;
     if (near && !shaped) return (p.layers & q.layers) == 0;
     if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
-    if (shaped) return pieces_stay_apart(p, q, need_mm);
+    if (shaped) return limbs_stay_apart(p, q, need_mm);
     return (p.layers & q.layers) == 0 || chords_stay_apart(p.at, q.at, need);
 }
 
@@ -81,9 +81,9 @@ double displacement(const Segment *at) {
 void measure_displacement_bound(SweptArm &swept) {
     double bound = displacement(swept.at);
     if (swept.shape != nullptr)
-        for (const Piece &piece : swept.shape->pieces) {
+        for (const Limb &limb : swept.shape->limbs) {
             Segment at[quarters + 1];
-            for (int k = 0; k <= quarters; ++k) at[k] = swept.shape->place(piece, swept.at[k]);
+            for (int k = 0; k <= quarters; ++k) at[k] = swept.shape->place(limb, swept.at[k]);
             bound = std::max(bound, displacement(at));
         }
     swept.displacement_bound_mm = bound + swept.bulge_mm;

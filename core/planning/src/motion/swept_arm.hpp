@@ -21,7 +21,7 @@ struct SweptArm {
     double displacement_bound_mm = 0.0; // no point of the arm gets farther from its place at mid-step
     double bulge_mm = 0.0;              // arc against chord, within a quarter
     double extra_mm = 0.0;              // its radius above the least one, which is part of what is needed
-    const Shape *shape = nullptr;       // of a body of several pieces: all within that radius
+    const Shape *shape = nullptr;       // of a body of several limbs: all within that radius
     Layers layers = first_layer;        // of one without a shape
 };
 
@@ -71,7 +71,7 @@ struct TwoLines {
 double relative_displacement(const TwoLines &from, const TwoLines &to);
 
 // True only if the centre lines stay at least `need_mm` and both extra radii apart during the whole step; of
-// bodies with shapes, those of all pieces that share a layer.
+// bodies with shapes, those of all limbs that share a layer.
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
 // The same for two lines with their places at the borders of the quarters, and all that they need.

@@ -48,18 +48,18 @@ void BlockedCells::lay_out(const Robot &me) {
         alpha_rad_.push_back(me.alpha().angle(alpha) - me.alpha().angle(0));
     touches_.resize(me.alpha().size());
     if (me.shape() == nullptr) lines_.push_back(laid_out(me, nullptr));
-    for (int k = 0; me.shape() != nullptr && k < me.shape()->pieces.size(); ++k)
-        lines_.push_back(laid_out(me, &me.shape()->pieces[k]));
+    for (int k = 0; me.shape() != nullptr && k < me.shape()->limbs.size(); ++k)
+        lines_.push_back(laid_out(me, &me.shape()->limbs[k]));
 }
 
-// piece: none of a body without a shape.
-BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Piece *piece) const {
+// limb: none of a body without a shape.
+BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) const {
     Lines lines;
     for (int beta = 0; beta < me.beta().size(); ++beta) {
         Line line;
         for (int alpha = 0; alpha < me.alpha().size(); ++alpha) {
             const Segment arm = me.line({alpha, beta});
-            const Segment s = piece == nullptr ? arm : me.shape()->place(*piece, arm);
+            const Segment s = limb == nullptr ? arm : me.shape()->place(*limb, arm);
             const Vec2 from = s.a - me.centre(), to = s.b - me.centre(), along = to - from;
             line.from_x.push_back(static_cast<float>(from.x));
             line.from_y.push_back(static_cast<float>(from.y));
@@ -73,12 +73,12 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Piece *piece) 
     return lines;
 }
 
-// Every piece of the one with every piece of the other.
+// Every limb of the one with every limb of the other.
 void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out) {
     if (lines_.empty()) lay_out(me);
-    const Pieces mine(me.pieces()), theirs(neighbour.pieces());
+    const Limbs mine(me.limbs()), theirs(neighbour.limbs());
     const Segment there = neighbour.line(at);
-    all_pieces(mine, theirs, need_mm, [&](int a, int b, double need) {
+    all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
         const Segment line = theirs.at(b, there);
         look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need, out);
         return true;

@@ -28,7 +28,7 @@ class BlockedCells {
     struct Sector {
         double middle_rad = 0.0, half_rad = 0.0;
     };
-    // A line of cells: the centre lines of the arm, or of one piece of it, seen from its centre.
+    // A line of cells: the centre lines of the arm, or of one limb of it, seen from its centre.
     struct Line {
         List<float> from_x, from_y, along_x, along_y; // at each line of alpha, mm
         double far_mm = 0.0;
@@ -36,16 +36,16 @@ class BlockedCells {
     };
 
     static Sector sector(Segment line, double around_mm);
-    using Lines = List<Line>; // of a piece
+    using Lines = List<Line>; // of a limb
     void lay_out(const Robot &me);
-    Lines laid_out(const Robot &me, const Piece *piece) const;
+    Lines laid_out(const Robot &me, const Limb *limb) const;
     void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out);
     void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
     void mark(const Line &cells, int begin, int end, const Segment &line, double need_mm, CellBits *out);
 
     List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
     List<CellBits> bits_;
-    List<Lines> lines_;      // of each piece; of one body without a shape
+    List<Lines> lines_;      // of each limb; of one body without a shape
     List<double> alpha_rad_; // from the first line of alpha
     List<int> touches_;
 };

@@ -149,8 +149,8 @@ void Search::gather_near(Place at) {
         if (dot(gap, gap) >= touch * touch) continue;
         const double close = room + e.swept->displacement_bound_mm + e.swept->extra_mm;
         if (squared_distance(here, e.swept->at[2]) >= close * close) continue;
-        if (!shaped(e) || pieces_within(robot.pieces(), here, *e.swept, e.swept->at[2],
-                                        widest + e.swept->displacement_bound_mm))
+        if (!shaped(e) || limbs_within(robot.limbs(), here, *e.swept, e.swept->at[2],
+                                       widest + e.swept->displacement_bound_mm))
             near_.push_back(&e);
     }
 }

@@ -34,7 +34,7 @@ struct Two {
             const Place other = q ? q->place(b, time_s) : Place{fixed.line, fixed.radius_mm, fixed.layers};
             for (int a = 0; a < p.parts(); ++a) {
                 const Place mine = p.place(a, time_s);
-                if ((mine.layers & other.layers) != 0)
+                if ((mine.layers & other.layers) != 0 && !(mine.on_alpha && other.on_alpha))
                     least =
                         std::min(least, distance(mine.line, other.line) - (mine.radius_mm + other.radius_mm));
             }

@@ -19,6 +19,7 @@ struct Place {
     Segment line;
     double radius_mm = 0.0;
     Layers layers = all_layers;
+    bool on_alpha = false;
 };
 
 // One positioner over time: where its parts are, and how far it has travelled.
@@ -57,7 +58,7 @@ class Track {
         const auto at = [&](Vec2 p) {
             return Vec2{origin.x + (p.x * c - p.y * s), origin.y + (p.x * s + p.y * c)};
         };
-        return {{at(body.line.a), at(body.line.b)}, body.radius_mm, body.layers};
+        return {{at(body.line.a), at(body.line.b)}, body.radius_mm, body.layers, body.on_alpha};
     }
 
     double travelled_mm(double time_s) const {
