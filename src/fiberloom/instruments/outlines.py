@@ -61,7 +61,8 @@ class Outline(Table):
         if self.capsule_mm is not None:
             return np.array([[*self.capsule_mm, self.radius_mm]])
         covers = covered(np.array(self.polygon_mm), self.excess_mm)
-        return covers + [0.0, 0.0, 0.0, 0.0, self.radius_mm]
+        covers[:, 4] += self.radius_mm
+        return covers
 
     @property
     def far_mm(self) -> float:

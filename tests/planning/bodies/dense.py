@@ -54,13 +54,13 @@ def times(plan: Plan, step_s: float = STEP_S) -> np.ndarray:
 
 
 def pair_gaps(
-    plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray, step_s: float = STEP_S
+    plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray, of: int | None = None
 ) -> Iterator[tuple[int, int, float]]:
-    """(row, other row or -1 - obstacle, smallest gap) of all that are near.
+    """(row, other row or -1 - obstacle, smallest gap) of all that are near; or of those with row `of`.
 
     parts (P, 8) and obstacles (K, 7) as `_core.planning.Bodies` takes them.
     """
-    when_s = times(plan, step_s)
+    when_s = times(plan)
     angles = [robot.at(when_s) for robot in plan.robots]
     whole = [parts[parts[:, 0] == row, 1:] for row in range(plane.n)]
     lines = [[placed(plane, k, part, angles[k]) for part in whole[k]] for k in range(plane.n)]
@@ -79,16 +79,20 @@ def pair_gaps(
     for i in range(plane.n):
         near = np.hypot(*(plane.centres_mm - plane.centres_mm[i]).T) < 60.0
         for j in np.flatnonzero(near[i + 1 :]) + i + 1:
+            if of is not None and of not in (i, j):
+                continue
             yield i, int(j), least(bodies[i], bodies[j])
         for k, o in enumerate(obstacles):
-            if o[6] != i and np.hypot(*(o[:2] - plane.centres_mm[i])) < 60.0:
+            if of in (None, i) and o[6] != i and np.hypot(*(o[:2] - plane.centres_mm[i])) < 60.0:
                 yield i, -1 - k, least(bodies[i], still[k])
 
 
-def smallest_gap(plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray) -> float:
-    """Of all pairs of which one moves, mm."""
+def smallest_gap(
+    plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray, of: int | None = None
+) -> float:
+    """Of all pairs of which one moves, or of those with one row in them, mm."""
     moves = [robot.moves for robot in plan.robots]
-    found = pair_gaps(plane, plan, parts, obstacles)
+    found = pair_gaps(plane, plan, parts, obstacles, of)
     return min((gap for i, j, gap in found if moves[i] or (j >= 0 and moves[j])), default=np.inf)
 
 

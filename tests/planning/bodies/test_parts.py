@@ -128,21 +128,21 @@ def swapped(made, plane, i):
     return replace(made, robots=(*made.robots[:i], own, *made.robots[i + 1 :]))
 
 
-@pytest.mark.parametrize("plane", [desi(19), with_parts(19, 3, 0, 1, 2)], ids=["desi", "parts"])
+@pytest.mark.parametrize("plane", [desi(19), with_parts(12, 3, 0, 1, 2)], ids=["desi", "parts"])
 def test_mutants_that_touch_are_caught_and_others_are_not(plane):
     ends = random_pair(plane, 1)
     made = plan(plane, *ends, seed=1)
     seen = {True: 0, False: 0}
     for i in range(plane.n):
         mutant = swapped(made, plane, i)
-        gap_mm = smallest_gap(plane, mutant, *tables(plane))
+        gap_mm = smallest_gap(plane, mutant, *tables(plane), of=i)
         found = verify(plane, mutant, limits=MotionLimits(1e9, 1e12))
         if gap_mm < -0.02:
             assert found.collisions
         if found.collisions:
             assert gap_mm < 0.02
         else:
-            assert found.min_clearance_mm == pytest.approx(gap_mm, abs=0.05)
+            assert found.min_clearance_mm <= gap_mm + 1e-4
         seen[bool(found.collisions)] += 1
     assert min(seen.values()) > 0
 
@@ -178,7 +178,7 @@ def test_arms_of_several_parts_are_untangled():
 
 def test_a_keep_out_is_kept_free_and_named():
     plane = with_parts(19, 3, 0)
-    parts, obstacles = tables(plane)
+    _, obstacles = tables(plane)
     first = len(plane.fiducials) + len(plane.guide_cameras)
     assert len(obstacles) == first + 3
     for end in range(0, 4, 2):
