@@ -16,9 +16,6 @@ _TURNS = np.linspace(0.0, math.pi, 12, endpoint=False)
 _PARTS = np.linspace(0.1, 0.9, 7)
 _WIDTHS = 12
 _MOST_CAPSULES = 16
-_DIRECTIONS = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-_NORMALS = np.column_stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
-"""In these directions a capsule is compared with the polygon that it covers."""
 
 Layer = Annotated[int, Field(ge=1, le=32)]
 Corner = tuple[Finite, Finite]
@@ -112,14 +109,16 @@ def covered(polygon_mm: Floats, excess_mm: float) -> Floats:
 def _covered(corners: tuple[Corner, ...], excess_mm: float) -> Floats:
     points = np.array(corners)
     hull = points[ConvexHull(points).vertices]
-    support = (hull @ _NORMALS.T).max(axis=0)
-    pieces = [(*_around(hull, support), hull)]
+    edges = np.roll(hull, -1, axis=0) - hull
+    outwards = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.hypot(*edges.T)[:, None]
+    sides = np.column_stack([outwards, (outwards * hull).sum(axis=1)])
+    pieces = [(*_around(hull, sides), hull)]
     while max(piece[0] for piece in pieces) > excess_mm:
         if len(pieces) == _MOST_CAPSULES:
             raise ValueError(f"polygon_mm: {_MOST_CAPSULES} capsules stick out by more than {excess_mm} mm")
         worst = pieces.pop(max(range(len(pieces)), key=lambda k: pieces[k][0]))
         cuts = (_halves(worst[2], turn, part) for turn in _TURNS for part in _PARTS)
-        tried = [[(*_around(half, support), half) for half in both] for both in cuts]
+        tried = [[(*_around(half, sides), half) for half in both] for both in cuts]
         pieces += min(tried, key=lambda both: max(piece[0] for piece in both))
     return np.array([capsule for _, capsule, _ in pieces])
 
@@ -146,14 +145,20 @@ def _in_turn(corners: Floats) -> Floats:
     return corners[np.argsort(np.arctan2(off[:, 1], off[:, 0]))]
 
 
-def _around(corners: Floats, support: Floats) -> tuple[float, Floats]:
-    """By how much the capsule around corners sticks out that does so least, and the capsule."""
-    found = [_along(corners, turn, support) for turn in _TURNS]
+def _around(corners: Floats, sides: Floats) -> tuple[float, Floats]:
+    """By how much the capsule around corners sticks out that does so least, and the capsule.
+
+    `sides` (m, 3): of the polygon, outward normals and how far the sides are from the origin.
+    """
+    found = [_along(corners, turn, sides) for turn in _TURNS]
     return min(found, key=lambda one: one[0])
 
 
-def _along(corners: Floats, turn_rad: float, support: Floats) -> tuple[float, Floats]:
-    """The same of capsules in one direction, of many widths."""
+def _along(corners: Floats, turn_rad: float, sides: Floats) -> tuple[float, Floats]:
+    """The same of capsules in one direction, of many widths, with both ends of the line in the polygon.
+
+    Then no point is farther out than where an end is nearest to a side.
+    """
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     x, y = corners @ [c, s], corners @ [-s, c]
     middle = 0.5 * (y.min() + y.max())
@@ -165,7 +170,7 @@ def _along(corners: Floats, turn_rad: float, support: Floats) -> tuple[float, Fl
     both = np.where(first <= last, 0.0, 0.5 * (last - first))
     first, last = first + both, last - both
     ends = [np.stack([c * x_mm - s * middle, s * x_mm + c * middle], axis=-1) for x_mm in (first, last)]
-    out = np.maximum(ends[0] @ _NORMALS.T, ends[1] @ _NORMALS.T) + radii - support
-    excess = out.max(axis=1)
+    out = np.maximum(*(end @ sides[:, :2].T for end in ends)) - sides[:, 2]
+    excess = np.where(out.max(axis=1) <= 1e-9, out.max(axis=1) + radii[:, 0], np.inf)
     k = int(excess.argmin())
     return float(excess[k]), np.array([*ends[0][k], *ends[1][k], radii[k, 0]])
