@@ -1,17 +1,19 @@
 """Positioners of several parts on layers, and keep-outs: planned, proven, and looked at by brute force."""
 
+import tomllib
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
-from dense import pair_gaps, smallest_gap
+from dense import distances, pair_gaps, smallest_gap, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
-from fiberloom.instruments import FocalPlane, generate, load_instrument, parse_instrument
+from fiberloom.instruments import FocalPlane, generate, load_instrument, parse_instrument, presets
 from fiberloom.instruments.single_units import handicapped
 from fiberloom.planning import MotionLimits, PlanSettings, Trajectory, plan, random_pair, verify
 from fiberloom.planning.bodies import CollisionBodies
@@ -58,6 +60,53 @@ def test_plans_of_desi_keep_phi_clear_of_phi_and_theta(seed):
     plane = desi(37, seed)
     ends = random_pair(plane, seed)
     assert not checked(plane, plan(plane, *ends, seed=seed), *ends).refused
+
+
+def toml_outlines(plane, row, angles_deg):
+    """Corners (T, n) of phi and of theta as the preset's file tells them, complex, mm."""
+    told = tomllib.loads((Path(presets.__file__).parent / "desi.toml").read_text())["bodies"]["parts"]
+    x, y, l_alpha, alpha_off, beta_off = plane.arms[row]
+    alpha = np.exp(1j * (np.radians(angles_deg[:, :1]) + alpha_off))
+    beta = alpha * np.exp(1j * (np.radians(angles_deg[:, 1:]) + beta_off))
+    phi, theta = (np.array(part["polygon_mm"]) @ [1.0, 1j] for part in told)
+    return x + 1j * y + l_alpha * alpha + beta * phi, x + 1j * y + alpha * theta
+
+
+def polygons_apart(p, q):
+    """Of two sequences of polygons: least distance of their edges; 0 where one has a corner of the other."""
+    if min(contains(p, q[:, 0]).max(), contains(q, p[:, 0]).max()):
+        return 0.0
+    edges = [np.stack([k, np.roll(k, -1, axis=1)], axis=-1) for k in (p, q)]
+    one, other = (np.stack([e.real, e.imag], axis=-1).reshape(*e.shape[:2], 4) for e in edges)
+    pairs = [(one[:, a], other[:, b]) for a in range(one.shape[1]) for b in range(other.shape[1])]
+    return min(float(distances(a, b).min()) for a, b in pairs)
+
+
+def contains(polygon, point):
+    """By crossings of a ray."""
+    a, b = polygon, np.roll(polygon, -1, axis=1)
+    at = point[:, None]
+    over = (a.imag > at.imag) != (b.imag > at.imag)
+    rise = np.where(over, b.imag - a.imag, 1.0)
+    return (over & (at.real < a.real + (b.real - a.real) * (at.imag - a.imag) / rise)).sum(axis=1) % 2
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_published_polygons_of_desi_stay_apart_by_what_covers_them(seed):
+    plane = desi(37, seed)
+    ends = random_pair(plane, seed)
+    made = plan(plane, *ends, seed=seed)
+    when_s = times(made)
+    drawn = [toml_outlines(plane, k, robot.at(when_s)) for k, robot in enumerate(made.robots)]
+    gaps_mm = []
+    for i, j in plane.neighbour_pairs():
+        (phi, theta), (other_phi, other_theta) = drawn[i], drawn[j]
+        for p, q in ((phi, other_phi), (phi, other_theta), (theta, other_phi)):
+            if np.abs(p.mean(axis=1) - q.mean(axis=1)).min() < 11.0:
+                gaps_mm.append(polygons_apart(p, q))
+    clear_mm = verify(plane, made).min_robot_clearance_mm
+    assert clear_mm <= min(gaps_mm) + 1e-4
+    assert min(gaps_mm) <= clear_mm + 2 * 0.25 + 0.02
 
 
 @pytest.mark.parametrize("numbers", [(0, 1), (2, 1), (0, 1, 2), (2,)])
