@@ -8,6 +8,10 @@ lattice, there and back; its clearances are those that our verifier finds. The b
 axis, approach included, at the common speed. CPU s: of all threads; kaiju's with its smoothing. `make kaiju`
 builds kaiju.
 
+Arrays of another instrument, with all its parts and keep-outs, ours alone:
+
+    python -m benchmarks.planning --alone --generated --hexagon --preset "desi 5000" --buffer 1.58 --pairs 3
+
 Exit code 0: compared; 1: a plan of ours does not pass the verifier; 2: bad input; 3: no comparison.
 """
 
@@ -70,6 +74,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--buffer", type=float, nargs="+", default=[2.0], help="mm")
     parser.add_argument("--hexagon", type=int, nargs="*", default=[500], help="generated arrays, positioners")
     parser.add_argument(
+        "--preset", nargs="+", default=[], help='arrays of other instruments, as "desi 5000"; with --alone'
+    )
+    parser.add_argument(
         "--layout", type=Path, help="calibration tables; those beside the checkout if left out"
     )
     parser.add_argument("--generated", action="store_true", help="without the real array")
@@ -89,6 +96,9 @@ def arrays_of(asked: argparse.Namespace) -> list[tuple[str, FocalPlane]]:
         print(f"no real array: there is no {pairs.REAL}, and no --layout; generated ones only")
     names = [] if layout is None else [(layout.name, str(layout))]
     names += [(f"hexagon {n}", f"hexagon {n}") for n in asked.hexagon]
+    if asked.preset and not asked.alone:
+        raise InputError("--preset: kaiju knows one capsule for an arm; ours alone with --alone")
+    names += [(name, name) for name in asked.preset]
     return [(name, pairs.array_of(place)) for name, place in names]
 
 

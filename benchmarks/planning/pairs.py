@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
+from fiberloom.instruments import FocalPlane, generate, instrument_names, load_instrument, read_layout
 from fiberloom.planning import MotionLimits, Plan, PlanSettings, Verification, plan, random_pair, verify
 from fiberloom.typing import Floats
 
@@ -35,9 +35,12 @@ def real_layout() -> Path | None:
 
 
 def array_of(name: str) -> FocalPlane:
-    """`hexagon N`, or a folder of tables."""
-    if name.startswith("hexagon "):
-        return generate(INSTRUMENT, 0, int(name.split()[1]))
+    """`hexagon N`, `PRESET N` of another instrument, or a folder of tables."""
+    first, _, number = name.partition(" ")
+    if first == "hexagon":
+        return generate(INSTRUMENT, 0, int(number))
+    if first in instrument_names() and number.isdigit():
+        return generate(load_instrument(first), 0, int(number))
     return read_layout(Path(name), INSTRUMENT)
 
 

@@ -15,7 +15,8 @@ namespace {
 using namespace fl::planning;
 using Arms = Input<double, -1, 5>;
 using Pairs = Input<double, -1, 2>;
-using Capsules = Input<double, -1, 5>;
+using Capsules = Input<double, -1, 7>;
+using PartRows = Input<double, -1, 8>;
 using Travel = Input<double, 2, 2>;
 using Flags = Input1<bool>;
 using Points = Input<double, -1, 3>;
@@ -80,11 +81,34 @@ void need_rows(const char *name, size_t have, size_t want) {
                                   .c_str());
 }
 
-Bodies bodies_of(const Arms &arms, std::array<double, 2> segment, double radius, const Capsules &obstacles) {
-    Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
-    for (size_t i = 0; i < obstacles.shape(0); ++i) {
-        const double *o = obstacles.data() + 5 * i;
-        bodies.obstacles.push_back({{{o[0], o[1]}, {o[2], o[3]}}, o[4]});
+// A row of something, from a number.
+int row_of(double number, size_t rows, const char *what) {
+    if (!(number >= 0.0 && number < static_cast<double>(rows)))
+        throw nb::value_error((std::string(what) + " of no positioner").c_str());
+    return static_cast<int>(number);
+}
+
+Layers layers_of(double number) {
+    if (!(number >= 1.0 && number <= static_cast<double>(all_layers)))
+        throw nb::value_error("layers: 1 to 2^32 - 1, a bit each");
+    return static_cast<Layers>(number);
+}
+
+Bodies bodies_of(const Arms &arms, const PartRows &parts, const Capsules &obstacles) {
+    Bodies bodies{arms_of(arms), {}, {}};
+    const size_t n = bodies.arms.size();
+    bodies.parts.resize(n);
+    for (size_t k = 0; k < parts.shape(0); ++k) {
+        const double *p = parts.data() + 8 * k;
+        bodies.parts[static_cast<size_t>(row_of(p[0], n, "a part"))].push_back(
+            {{{p[2], p[3]}, {p[4], p[5]}}, p[6], p[1] == 0.0, layers_of(p[7])});
+    }
+    for (const auto &of_one : bodies.parts)
+        if (of_one.empty()) throw nb::value_error("a positioner without parts");
+    for (size_t k = 0; k < obstacles.shape(0); ++k) {
+        const double *o = obstacles.data() + 7 * k;
+        const int owner = o[6] < 0.0 ? -1 : row_of(o[6], n, "an obstacle");
+        bodies.obstacles.push_back({{{o[0], o[1]}, {o[2], o[3]}}, o[4], layers_of(o[5]), owner});
     }
     return bodies;
 }
@@ -97,16 +121,18 @@ Settings settings_of(double speed, double acceleration, double grid) {
     return settings;
 }
 
-std::tuple<double, double, int> clock_of(double speed, double acceleration, double grid,
-                                         double highest_approach) {
-    const Clock clock(settings_of(speed, acceleration, grid), highest_approach);
-    return {clock.quarter_s, clock.grid_rad, clock.turn_quarters};
+std::tuple<double, std::vector<double>, int> clock_of(const Task &task, const Settings &settings) {
+    const Clock clock(settings, task);
+    std::vector<double> grids;
+    for (size_t k = 0; k < task.start.size(); ++k)
+        grids.push_back(clock.grid_rad(pace_of(settings, task, static_cast<int>(k))));
+    return {clock.quarter_s, grids, clock.turn_quarters};
 }
 
 // --- a plan ------------------------------------------------------------------------------------
 
-void bodies_init(Bodies *self, Arms arms, std::array<double, 2> segment, double radius, Capsules obstacles) {
-    new (self) Bodies(bodies_of(arms, segment, radius, obstacles));
+void bodies_init(Bodies *self, Arms arms, PartRows parts, Capsules obstacles) {
+    new (self) Bodies(bodies_of(arms, parts, obstacles));
 }
 
 void task_init(Task *self, Pairs start, Pairs goal, Input1<double> approach, Flags fixed, Travel travel) {
@@ -123,6 +149,13 @@ void task_may_shorten(Task &task, Input1<double> least) {
     task.least_approach_rad = vector_of(least);
     for (size_t i = 0; i < task.approach_rad.size(); ++i)
         task.least_approach_rad[i] = std::min(task.least_approach_rad[i], task.approach_rad[i]);
+}
+
+void task_set_paces(Task &task, Input1<double> speed, Input1<double> acceleration) {
+    need_rows("speed", speed.shape(0), task.start.size());
+    need_rows("acceleration", acceleration.shape(0), task.start.size());
+    task.speed_rad_s = vector_of(speed);
+    task.acceleration_rad_s2 = vector_of(acceleration);
 }
 
 void settings_init(Settings *self, double speed, double acceleration, double grid) {
@@ -171,12 +204,16 @@ std::tuple<Motions, Refusals, Dict, LastLegs> plan_all(const Bodies &bodies, con
 }
 
 void bind_plan(nb::module_ &m) {
-    nb::class_<Bodies>(m, "Bodies", "Bodies of a focal plane: the beta arms' capsules and what is fixed.")
-        .def("__init__", &bodies_init, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-             nb::arg("obstacles"),
-             "arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. segment_mm: the "
-             "centre line of a beta arm from x0 to x1 of its frame. radius_mm: the collision buffer. "
-             "obstacles (K, 5): x0, y0, x1, y1, radius in mm.");
+    nb::class_<Bodies>(m, "Bodies", "Bodies of a focal plane: capsules fixed to arms, and what is fixed.")
+        .def(
+            "__init__", &bodies_init, nb::arg("arms"), nb::arg("parts"), nb::arg("obstacles"),
+            "arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. parts (P, 8), in any "
+            "order, at least one for each positioner: its index, the arm (0 alpha, 1 beta), x0, y0, x1, y1 "
+            "in "
+            "its frame and radius in mm, with the collision buffer, and layers. obstacles (K, 7): x0, y0, "
+            "x1, y1, radius in mm, layers, and the index of the positioner whose uncertain place it covers, "
+            "or -1. Layers: an integer of which each bit is a height; what has none in common cannot touch. "
+            "ValueError where one is not from 1 to 2^32 - 1, or an index is not of a positioner.");
     nb::class_<Task>(m, "Task", "What a plan must do.")
         .def(
             "__init__", &task_init, nb::arg("start"), nb::arg("goal"), nb::arg("approach"), nb::arg("fixed"),
@@ -185,7 +222,10 @@ void bind_plan(nb::module_ &m) {
             "leg starts; fixed (N,): cannot move; travel [[alpha_min, alpha_max], [beta_min, beta_max]] in "
             "rad. ValueError where the numbers of rows differ.")
         .def("may_shorten", &task_may_shorten, nb::arg("least"),
-             "Approaches that would touch may be shortened to this, rad (N,). Without it none may.");
+             "Approaches that would touch may be shortened to this, rad (N,). Without it none may.")
+        .def("set_paces", &task_set_paces, nb::arg("speed"), nb::arg("acceleration"),
+             "Speed in rad/s and acceleration in rad/s2 of each positioner (N,), instead of the settings'. "
+             "ValueError where the numbers of rows differ.");
     nb::class_<Settings>(m, "Settings", "Speeds, and how hard the planner tries.")
         .def("__init__", &settings_init, nb::kw_only(), nb::arg("speed"), nb::arg("acceleration"),
              nb::arg("grid"), "rad/s, rad/s2, and the widest step of the search grid in rad.")
@@ -208,6 +248,9 @@ void bind_plan(nb::module_ &m) {
             nb::arg("enough"),
             "While a plan is made, `enough` is called often: whether it shall come to an end. It must not "
             "raise.");
+    m.def("clock", &clock_of, nb::arg("task"), nb::arg("settings"),
+          "The common clock of a plan: quarter of a step in s, widest move of each positioner in a step in "
+          "rad, and how many quarters an approach lasts.");
     m.def(
         "plan", &plan_all, nb::arg("bodies"), nb::arg("task"), nb::arg("settings"),
         "Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, "
@@ -218,7 +261,12 @@ void bind_plan(nb::module_ &m) {
 // --- its verification --------------------------------------------------------------------------
 
 void rules_init(Rules *self, double speed, double acceleration, double rounding, Travel travel) {
-    new (self) Rules{speed, acceleration, limits_of(travel), rounding, false, {}, {}, {}, {}, {}};
+    new (self) Rules{speed, acceleration, {}, {}, limits_of(travel), rounding, false, {}, {}, {}, {}, {}};
+}
+
+void rules_set_paces(Rules &rules, Input1<double> speed, Input1<double> acceleration) {
+    rules.own_speed_rad_s = vector_of(speed);
+    rules.own_acceleration_rad_s2 = vector_of(acceleration);
 }
 
 void rules_expect(Rules &rules, Pairs start, Pairs goal, Flags arrives, Input1<double> approach) {
@@ -260,6 +308,9 @@ Dict dict_of(const Verification &v) {
 Dict verify_all(const Bodies &bodies, const std::vector<Points> &motions, const Rules &rules) {
     const size_t n = bodies.arms.size();
     need_rows("motions", motions.size(), n);
+    if (!rules.own_speed_rad_s.empty()) need_rows("speed", rules.own_speed_rad_s.size(), n);
+    if (!rules.own_acceleration_rad_s2.empty())
+        need_rows("acceleration", rules.own_acceleration_rad_s2.size(), n);
     if (!rules.start.empty()) need_rows("start", rules.start.size(), n);
     if (!rules.goal.empty()) need_rows("goal", rules.goal.size(), n);
     if (!rules.approach_rad.empty()) need_rows("approach", rules.approach_rad.size(), n);
@@ -290,6 +341,8 @@ void bind_verify(nb::module_ &m) {
              "Also check the last legs of one positioner (index): height above its end in rad, begin and end "
              "in "
              "s.")
+        .def("set_paces", &rules_set_paces, nb::arg("speed"), nb::arg("acceleration"),
+             "Limits of each positioner instead of those of all: rad/s and rad/s2 (N,).")
         .def_rw("separating", &Rules::separating,
                 "bodies that overlap at the start may move if they only move apart");
     m.def("verify", &verify_all, nb::arg("bodies"), nb::arg("motions"), nb::arg("rules"),
@@ -332,42 +385,48 @@ void bind_lateness(nb::module_ &m) {
 
 // --- goals alone -------------------------------------------------------------------------------
 
-Output<int, -1, 2> find_conflicts(Arms arms, std::array<double, 2> segment, double radius, Pairs goals,
-                                  double approach) {
-    need_rows("goals", goals.shape(0), arms.shape(0));
-    const Bodies bodies{arms_of(arms), segment[0], segment[1], radius, {}};
+Output<int, -1, 2> find_conflicts(const Bodies &bodies, Pairs goals, double approach) {
+    need_rows("goals", goals.shape(0), bodies.arms.size());
     const auto found = conflicts(bodies, angles_of(goals), approach);
     auto out = new_array<int, -1, 2>({found.size(), 2});
     for (size_t k = 0; k < found.size(); ++k) std::copy(found[k].begin(), found[k].end(), out.data() + 2 * k);
     return out;
 }
 
-Output<bool, -1> clear_of_obstacles(Arms arms, std::array<double, 2> segment, double radius,
-                                    Capsules obstacles, Pairs goals, double approach) {
-    need_rows("goals", goals.shape(0), arms.shape(0));
-    return array_of(static_ok(bodies_of(arms, segment, radius, obstacles), angles_of(goals), approach));
+std::vector<int> rows_of(const Bodies &bodies, const Input1<std::int64_t> &rows) {
+    std::vector<int> out;
+    for (size_t k = 0; k < rows.shape(0); ++k)
+        out.push_back(row_of(static_cast<double>(rows.data()[k]), bodies.arms.size(), "a goal"));
+    return out;
 }
 
-Output<bool, -1> clear_pairs(Arms arms, Pairs goals, Arms others, Pairs other_goals,
-                             std::array<double, 3> body, double approach) {
+Output<bool, -1> clear_of_obstacles(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
+                                    double approach) {
+    need_rows("goals", goals.shape(0), rows.shape(0));
+    return array_of(static_ok(bodies, rows_of(bodies, rows), angles_of(goals), approach));
+}
+
+Output<bool, -1> clear_pairs(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
+                             Input1<std::int64_t> others, Pairs other_goals, double approach) {
     for (size_t n : {goals.shape(0), others.shape(0), other_goals.shape(0)})
-        need_rows("pairs_clear", n, arms.shape(0));
-    const Bodies bodies{arms_of(arms), body[0], body[1], body[2], {}};
-    return array_of(pairs_clear(bodies, arms_of(others), angles_of(goals), angles_of(other_goals), approach));
+        need_rows("pairs_clear", n, rows.shape(0));
+    const PlacesOf first{rows_of(bodies, rows), angles_of(goals)};
+    const PlacesOf second{rows_of(bodies, others), angles_of(other_goals)};
+    return array_of(pairs_clear(bodies, first, second, approach));
 }
 
 void bind_goals(nb::module_ &m) {
-    m.def("conflicts", &find_conflicts, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("goals_rad"), nb::arg("approach_rad"),
-          "Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.");
-    m.def("static_ok", &clear_of_obstacles, nb::arg("arms"), nb::arg("segment_mm"), nb::arg("radius_mm"),
-          nb::arg("obstacles"), nb::arg("goals_rad"), nb::arg("approach_rad"),
-          "Whether goal and approach of each positioner are clear of obstacles (K, 5): x0, y0, x1, y1, "
-          "radius in mm.");
-    m.def("pairs_clear", &clear_pairs, nb::arg("arms"), nb::arg("goals_rad"), nb::arg("others"),
-          nb::arg("other_goals_rad"), nb::arg("body_mm"), nb::arg("approach_rad"),
-          "Row by row: whether two positioners stay apart at their goals and on the approach. body_mm: the "
-          "beta arm's centre line from x0 to x1, and its radius.");
+    m.def("conflicts", &find_conflicts, nb::arg("bodies"), nb::arg("goals_rad"), nb::arg("approach_rad"),
+          "Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make "
+          "together.");
+    m.def("static_ok", &clear_of_obstacles, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
+          nb::arg("approach_rad"),
+          "For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of "
+          "obstacles.");
+    m.def("pairs_clear", &clear_pairs, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
+          nb::arg("other_rows"), nb::arg("other_goals_rad"), nb::arg("approach_rad"),
+          "One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals "
+          "(n, 2) and on the approach.");
 }
 
 } // namespace
@@ -375,10 +434,6 @@ void bind_goals(nb::module_ &m) {
 void bind_planning(nb::module_ &m) {
     nb::module_ p =
         m.def_submodule("planning", "Collision-free motion of all positioners, and its verification.");
-    p.def("clock", &clock_of, nb::arg("speed"), nb::arg("acceleration"), nb::arg("grid"),
-          nb::arg("highest_approach"),
-          "The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many "
-          "quarters an approach lasts.");
     bind_plan(p);
     bind_verify(p);
     bind_lateness(p);

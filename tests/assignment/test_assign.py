@@ -8,6 +8,7 @@ from fiberloom.assignment import assign
 from fiberloom.assignment.clearance import obstacles
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, parse_instrument, read_layout
+from fiberloom.planning.obstacles import on_all_layers, plain_parts
 from fiberloom.targets import TargetList, random_targets, read_targets
 
 MARGIN_MM = 0.2
@@ -306,18 +307,22 @@ def test_the_real_field(shared_sdssv, sdssv):
     assert found.clearance_mm.min() >= 0.0
 
 
+def bodies_of(plane, radius_mm):
+    parts = plain_parts(plane.n, plane.beta_segment_mm, radius_mm)
+    return _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+
+
 def test_the_planner_sees_no_conflict(small, result):
     # other code, other method: continuous time, in C++, all approaching together
     goals = np.deg2rad(result.goal_deg)
     radius = small.collision_buffer_mm + MARGIN_MM / 2
-    arguments = (list(small.beta_segment_mm), radius)
+    bodies = bodies_of(small, radius)
     approach = np.deg2rad(APPROACH_DEG)
-    assert len(_core.planning.conflicts(small.arms, *arguments, goals, approach)) == 0
-    bodies = obstacles(small, 0.0)
-    assert np.all(_core.planning.static_ok(small.arms, *arguments, bodies, goals, approach))
+    assert len(_core.planning.conflicts(bodies, goals, approach)) == 0
+    assert np.all(_core.planning.static_ok(bodies, np.arange(small.n), goals, approach))
     # and it would: with arms half as thick again there are conflicts
-    wide = (list(small.beta_segment_mm), 1.5 * radius)
-    assert len(_core.planning.conflicts(small.arms, *wide, goals, approach)) > 0
+    wide = bodies_of(small, 1.5 * radius)
+    assert len(_core.planning.conflicts(wide, goals, approach)) > 0
 
 
 @pytest.fixture

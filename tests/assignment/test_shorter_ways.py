@@ -12,6 +12,7 @@ from fiberloom.assignment.ways import way_deg
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
 from fiberloom.planning import bound_s, random_pair
+from fiberloom.planning.obstacles import on_all_layers, plain_parts
 from fiberloom.planning.planner import PlanSettings
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.targets.target_list import FREE
@@ -38,9 +39,10 @@ def per_priority(targets, found):
 def is_free(plane, found):
     """By the planner's test in continuous time, all approaching together, with the margin."""
     goals, approach = np.deg2rad(found.goal_deg), np.deg2rad(plane.instrument.approach_deg)
-    arguments = (list(plane.beta_segment_mm), plane.collision_buffer_mm + 0.1)
-    conflicts = _core.planning.conflicts(plane.arms, *arguments, goals, approach)
-    static = _core.planning.static_ok(plane.arms, *arguments, obstacles(plane, 0.0), goals, approach)
+    parts = plain_parts(plane.n, plane.beta_segment_mm, plane.collision_buffer_mm + 0.1)
+    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+    conflicts = _core.planning.conflicts(bodies, goals, approach)
+    static = _core.planning.static_ok(bodies, np.arange(plane.n), goals, approach)
     return len(conflicts) == 0 and np.all(static)
 
 

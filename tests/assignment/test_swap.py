@@ -13,6 +13,7 @@ from fiberloom.assignment.swapping.swap import arrivals_s
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
 from fiberloom.planning import PlanSettings, plan, random_pair, verify
+from fiberloom.planning.obstacles import on_all_layers, plain_parts
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.targets.target_list import FREE
 
@@ -42,9 +43,10 @@ def numbers(targets, found):
 def is_sound(plane, targets, found):
     """Places free in the planner's test; fibres on targets, one each; every target is told of."""
     goals, approach = np.deg2rad(found.goal_deg), np.deg2rad(plane.instrument.approach_deg)
-    arguments = (list(plane.beta_segment_mm), plane.collision_buffer_mm + 0.1)
-    assert len(_core.planning.conflicts(plane.arms, *arguments, goals, approach)) == 0
-    free = _core.planning.static_ok(plane.arms, *arguments, obstacles(plane, 0.0), goals, approach)
+    parts = plain_parts(plane.n, plane.beta_segment_mm, plane.collision_buffer_mm + 0.1)
+    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+    assert len(_core.planning.conflicts(bodies, goals, approach)) == 0
+    free = _core.planning.static_ok(bodies, np.arange(plane.n), goals, approach)
     assert np.all(free | plane.offline)  # an arm that is offline is an obstacle itself
     served = np.flatnonzero(found.target >= 0)
     taken = found.target[served]

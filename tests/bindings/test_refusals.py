@@ -5,18 +5,28 @@ import pytest
 from units_of import gear_of, nominal, plain
 
 from fiberloom._core import firmware, geometry, metrology, planning, twin
+from fiberloom.planning.obstacles import plain_parts
 
 ARMS = np.array([[0.0, 0.0, 7.4, 0.0, 0.0], [22.4, 0.0, 7.4, 0.0, 0.0]])
 NO_OBSTACLES = np.zeros((0, 5))
 TWO = np.zeros((2, 2))
 THREE = np.zeros((3, 2))
 TRAVEL = np.array([[-0.1, 6.4], [-0.1, 3.3]])
-BODIES = planning.Bodies(ARMS, (0.0, 14.7), 2.0, NO_OBSTACLES)
+PARTS = plain_parts(2, (0.0, 14.7), 2.0)
+NO_FIXED = np.zeros((0, 7))
+BODIES = planning.Bodies(ARMS, PARTS, NO_FIXED)
+ROWS = np.arange(2)
 PARAMS = np.array([[row[4] for row in firmware.AXIS_PARAMS]] * 2, dtype=np.float32)
 
 
 def task(start=TWO, goal=TWO, approach=2, fixed=2):
     return planning.Task(start, goal, np.zeros(approach), np.zeros(fixed, bool), TRAVEL)
+
+
+def paced_rules(n):
+    made = rules()
+    made.set_paces(np.ones(n), np.ones(2))
+    return made
 
 
 def rules(start=0, goal=0, arrives=0, approach=0):
@@ -65,15 +75,26 @@ def setup(ids=(1,), n_axes=2, **changes):
             lambda: planning.verify(BODIES, [np.zeros((1, 3))] * 2, rules(approach=5)),
             "approach: 5 rows for 2 positioners",
         ),
-        (lambda: planning.conflicts(ARMS, (0.0, 14.7), 2.0, THREE, 0.01), "goals: 3 rows for 2"),
+        (lambda: planning.conflicts(BODIES, THREE, 0.01), "goals: 3 rows for 2"),
+        (lambda: planning.static_ok(BODIES, ROWS, THREE, 0.01), "goals: 3 rows for 2"),
         (
-            lambda: planning.static_ok(ARMS, (0.0, 14.7), 2.0, NO_OBSTACLES, THREE, 0.01),
-            "goals: 3 rows for 2",
-        ),
-        (
-            lambda: planning.pairs_clear(ARMS, TWO, ARMS, THREE, (0.0, 14.7, 2.0), 0.01),
+            lambda: planning.pairs_clear(BODIES, ROWS, TWO, ROWS, THREE, 0.01),
             "pairs_clear: 3 rows for 2",
         ),
+        (lambda: task().set_paces(np.ones(3), np.ones(2)), "speed: 3 rows for 2"),
+        (lambda: task().set_paces(np.ones(2), np.ones(3)), "acceleration: 3 rows for 2"),
+        (
+            lambda: planning.verify(BODIES, [np.zeros((1, 3))] * 2, paced_rules(3)),
+            "speed: 3 rows for 2 positioners",
+        ),
+        (lambda: planning.Bodies(ARMS, PARTS[:1], NO_FIXED), "a positioner without parts"),
+        (lambda: planning.Bodies(ARMS, PARTS + np.eye(8)[0], NO_FIXED), "a part of no positioner"),
+        (lambda: planning.Bodies(ARMS, PARTS * [1, 1, 1, 1, 1, 1, 1, 0], NO_FIXED), "layers: 1 to"),
+        (
+            lambda: planning.Bodies(ARMS, PARTS, np.array([[0, 0, 1, 0, 1, 1, 2.0]])),
+            "an obstacle of no positioner",
+        ),
+        (lambda: planning.static_ok(BODIES, ROWS + 1, TWO, 0.01), "a goal of no positioner"),
         (lambda: geometry.forward(ARMS, TWO, THREE), "same number of rows"),
         (lambda: geometry.inverse(ARMS, TWO, TWO, THREE), r"limits: \[\[alpha_min"),
     ],

@@ -17,7 +17,7 @@ from fiberloom.instruments import model
 from fiberloom.instruments.model import Instrument, Table
 
 PACKAGE = Path(fiberloom.__file__).parent
-MODEL = PACKAGE / "instruments" / "model.py"
+MODELS = [PACKAGE / "instruments" / name for name in ("model.py", "outlines.py")]
 
 TABLES = {
     name: cls
@@ -224,15 +224,15 @@ def returned(modules: list[ast.Module]) -> dict[str, Kind]:
 def sources() -> Iterator[ast.Module]:
     """All modules but the model."""
     for path in sorted(PACKAGE.rglob("*.py")):
-        if path != MODEL:
+        if path not in MODELS:
             yield ast.parse(path.read_text())
 
 
 def read_by(properties: str) -> Seen:
     """(table, field) that a property "Table.name" or a method that it calls reads."""
     table, name = properties.split(".")
-    tree = ast.parse(MODEL.read_text())
-    cls = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == table)
+    told = [n for path in MODELS for n in ast.parse(path.read_text()).body]
+    cls = next(n for n in told if isinstance(n, ast.ClassDef) and n.name == table)
     body = {f.name: f for f in cls.body if isinstance(f, ast.FunctionDef)}
     wanted, done, seen = [name], set(), set()
     while wanted:

@@ -6,6 +6,7 @@ from fields import _lines, _segments, _to_segment, field
 
 from fiberloom._core import planning as core
 from fiberloom.planning import PlanSettings, plan, random_pair, verify
+from fiberloom.planning.obstacles import on_all_layers, plain_parts
 
 RADIUS_MM = 2.0
 APPROACH_DEG = 0.82
@@ -25,6 +26,11 @@ def drawn(seed, n=60):
     return plane, np.column_stack([rng.uniform(0, 360, n), rng.uniform(0, 180, n)])
 
 
+def bodies_of(plane, discs=np.zeros((0, 3))):
+    parts = plain_parts(plane.n, plane.beta_segment_mm, RADIUS_MM)
+    return core.Bodies(plane.arms, parts, on_all_layers(discs[:, [0, 1, 0, 1, 2]]))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_conflicts_are_the_pairs_that_touch_in_dense_samples(seed):
     plane, goal_deg = drawn(seed)
@@ -34,8 +40,7 @@ def test_conflicts_are_the_pairs_that_touch_in_dense_samples(seed):
         for i in range(plane.n)
         for j in range(i + 1, plane.n)
     }
-    segment, approach = plane.beta_segment_mm, np.radians(APPROACH_DEG)
-    found = core.conflicts(plane.arms, segment, RADIUS_MM, np.radians(goal_deg), approach)
+    found = core.conflicts(bodies_of(plane), np.radians(goal_deg), np.radians(APPROACH_DEG))
     assert len(found) > 5
     assert [tuple(pair) for pair in found] == sorted(tuple(pair) for pair in found)
     told = {tuple(int(k) for k in pair) for pair in found}
@@ -48,11 +53,11 @@ def test_pairs_row_by_row_are_clear_where_the_conflicts_have_none(seed):
     plane, goal_deg = drawn(seed)
     goals, approach = np.radians(goal_deg), np.radians(APPROACH_DEG)
     pairs = plane.neighbour_pairs()
-    found = core.conflicts(plane.arms, plane.beta_segment_mm, RADIUS_MM, goals, approach)
+    bodies = bodies_of(plane)
+    found = core.conflicts(bodies, goals, approach)
     told = {tuple(int(k) for k in pair) for pair in found}
     i, j = pairs.T
-    body = (*plane.beta_segment_mm, RADIUS_MM)
-    clear = core.pairs_clear(plane.arms[i], goals[i], plane.arms[j], goals[j], body, approach)
+    clear = core.pairs_clear(bodies, i, goals[i], j, goals[j], approach)
     assert {tuple(int(k) for k in sorted(p)) for p in pairs[~clear]} == told
 
 
@@ -61,9 +66,7 @@ def test_obstacles_are_those_that_dense_samples_touch():
     goals, approach = np.radians(goal_deg), np.radians(APPROACH_DEG)
     rng = np.random.default_rng(9)
     discs = np.column_stack([rng.uniform(-80, 80, (30, 2)), rng.uniform(0.5, 3.0, 30)])
-    ok = core.static_ok(
-        plane.arms, plane.beta_segment_mm, RADIUS_MM, discs[:, [0, 1, 0, 1, 2]], goals, approach
-    )
+    ok = core.static_ok(bodies_of(plane, discs), np.arange(plane.n), goals, approach)
     gaps = np.array(
         [
             min(

@@ -7,17 +7,12 @@ import numpy
 from numpy.typing import NDArray
 
 
-def clock(speed: float, acceleration: float, grid: float, highest_approach: float) -> tuple[float, float, int]:
-    """
-    The common clock of plans: quarter of a step in s, widest move in a step in rad, and how many quarters an approach lasts.
-    """
-
 class Bodies:
-    """Bodies of a focal plane: the beta arms' capsules and what is fixed."""
+    """Bodies of a focal plane: capsules fixed to arms, and what is fixed."""
 
-    def __init__(self, arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, obstacles: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)]) -> None:
+    def __init__(self, arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], parts: Annotated[NDArray[numpy.float64], dict(shape=(None, 8), order='C', device='cpu', writable=False)], obstacles: Annotated[NDArray[numpy.float64], dict(shape=(None, 7), order='C', device='cpu', writable=False)]) -> None:
         """
-        arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. segment_mm: the centre line of a beta arm from x0 to x1 of its frame. radius_mm: the collision buffer. obstacles (K, 5): x0, y0, x1, y1, radius in mm.
+        arms (N, 5): centre x, y in mm, l_alpha in mm, alpha_off, beta_off in rad. parts (P, 8), in any order, at least one for each positioner: its index, the arm (0 alpha, 1 beta), x0, y0, x1, y1 in its frame and radius in mm, with the collision buffer, and layers. obstacles (K, 7): x0, y0, x1, y1, radius in mm, layers, and the index of the positioner whose uncertain place it covers, or -1. Layers: an integer of which each bit is a height; what has none in common cannot touch. ValueError where one is not from 1 to 2^32 - 1, or an index is not of a positioner.
         """
 
 class Task:
@@ -31,6 +26,11 @@ class Task:
     def may_shorten(self, least: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
         Approaches that would touch may be shortened to this, rad (N,). Without it none may.
+        """
+
+    def set_paces(self, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], acceleration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Speed in rad/s and acceleration in rad/s2 of each positioner (N,), instead of the settings'. ValueError where the numbers of rows differ.
         """
 
 class Settings:
@@ -108,6 +108,11 @@ class Settings:
         While a plan is made, `enough` is called often: whether it shall come to an end. It must not raise.
         """
 
+def clock(task: Task, settings: Settings) -> tuple[float, list[float], int]:
+    """
+    The common clock of a plan: quarter of a step in s, widest move of each positioner in a step in rad, and how many quarters an approach lasts.
+    """
+
 def plan(bodies: Bodies, task: Task, settings: Settings) -> tuple[list[Annotated[NDArray[numpy.float64], dict(shape=(None, 3))]], list[tuple[int, str, int, int]], dict[str, Any], list[tuple[int, list[float], list[float]]]]:
     """
     Motions (list of (n, 3): time_s, alpha_rad, beta_rad); positioners that do not arrive (index, why, other or -1, obstacle or -1); statistics; positioners that do not come to their goals as all others do (index, last leg of alpha, of beta: height in rad, begin and end in s).
@@ -131,6 +136,11 @@ class Rules:
         Also check the last legs of one positioner (index): height above its end in rad, begin and end in s.
         """
 
+    def set_paces(self, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], acceleration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Limits of each positioner instead of those of all: rad/s and rad/s2 (N,).
+        """
+
     @property
     def separating(self) -> bool:
         """bodies that overlap at the start may move if they only move apart"""
@@ -148,17 +158,17 @@ def lateness(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64],
     Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad, of which one is late. Pairs that touch at some lateness: (which is late, other, the lateness that they bear in s, moment of the plan at which the late one is, and the other, in s, depth in mm; both of no more than `late` s where they touch then); and how many pairs both move and can meet, each order for itself. ValueError for motions that are not sound.
     """
 
-def conflicts(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
+def conflicts(bodies: Bodies, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
     """
-    Pairs (P, 2) of positioners that touch at their goals or on the approach that all make together.
-    """
-
-def static_ok(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], segment_mm: Sequence[float], radius_mm: float, obstacles: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
-    """
-    Whether goal and approach of each positioner are clear of obstacles (K, 5): x0, y0, x1, y1, radius in mm.
+    Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make together.
     """
 
-def pairs_clear(arms: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], others: Annotated[NDArray[numpy.float64], dict(shape=(None, 5), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], body_mm: Sequence[float], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+def static_ok(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
     """
-    Row by row: whether two positioners stay apart at their goals and on the approach. body_mm: the beta arm's centre line from x0 to x1, and its radius.
+    For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of obstacles.
+    """
+
+def pairs_clear(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], other_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+    """
+    One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals (n, 2) and on the approach.
     """

@@ -89,3 +89,11 @@ def rows_of(known: Ints, positioner_id: ArrayLike) -> Ints:
             f"this focal plane of {n} positioners"
         )
     return rows
+
+
+def rows_given(n: int, index: ArrayLike | None) -> Ints:
+    """Rows by number or by a mask of n; all when left out."""
+    if index is None:
+        return np.arange(n)
+    rows = np.atleast_1d(np.asarray(index))
+    return np.flatnonzero(rows) if rows.dtype == bool else rows.astype(np.int64)

@@ -20,9 +20,11 @@ from fiberloom.instruments.arms import (
     columns_of,
     elbows_mm,
     pairs_within,
+    rows_given,
     rows_of,
 )
 from fiberloom.instruments.fingerprint import mark_of
+from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import METROLOGY, Instrument
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
@@ -66,6 +68,8 @@ class FocalPlane:
     """(N,) does not move."""
     offline_position_deg: Floats
     """(N, 2) its alpha and beta if it does not move."""
+    handicaps: Handicaps | None = None
+    """Of units that are not known exactly, cold or worn; None: there are none."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -157,8 +161,7 @@ class FocalPlane:
         )
 
     def _repr_html_(self) -> str:
-        rows = arm_rows(self.positioner_id, self.hole, self.arms)
-        return html_rows(repr(self), rows)
+        return html_rows(repr(self), arm_rows(self.positioner_id, self.hole, self.arms))
 
     @property
     def n(self) -> int:
@@ -356,7 +359,7 @@ class FocalPlane:
         >>> bool(np.allclose(found.alpha_deg, 20.0)), bool(np.allclose(found.beta_deg, 100.0))
         (True, True)
         """
-        rows = self._rows(index)
+        rows = rows_given(self.n, index)
         xy = np.broadcast_to(np.asarray(xy_mm, dtype=np.float64), (len(rows), 2))
         has = self.carries(fibre)[rows] & np.isfinite(xy).all(axis=1)
         angles, reachable = np.zeros((len(rows), 2)), np.zeros(len(rows), dtype=bool)
@@ -394,7 +397,7 @@ class FocalPlane:
         >>> fl.FocalPlane.of("sdssv", n=7).elbows_mm(90.0).shape
         (7, 2)
         """
-        rows = self._rows(index)
+        rows = rows_given(self.n, index)
         return elbows_mm(self.arms[rows], np.broadcast_to(alpha_deg, len(rows)))
 
     def beta_segments(
@@ -420,7 +423,7 @@ class FocalPlane:
         >>> fl.FocalPlane.of("sdssv", n=7).beta_segments(0.0, 180.0).shape
         (7, 4)
         """
-        rows = self._rows(index)
+        rows = rows_given(self.n, index)
         angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         ends = [np.broadcast_to([x, 0.0], (len(rows), 2)).copy() for x in self.beta_segment_mm]
         return np.hstack([geometry.forward(self.arms[rows], e, angles) for e in ends])
@@ -428,8 +431,8 @@ class FocalPlane:
     @cached_property
     def body_reach_mm(self) -> Floats:
         """(N,) how far from its centre the arm of each positioner can touch something."""
-        arm = max(map(abs, self.beta_segment_mm)) + self.collision_buffer_mm
-        return self.l_alpha_mm + arm
+        beta, alpha = (self.instrument.bodies.reach_mm(arm) for arm in ("beta", "alpha"))
+        return np.maximum(self.l_alpha_mm + beta, alpha) + (self.handicaps or Handicaps.none(self.n)).wider_mm
 
     def neighbour_pairs(self, extra_mm: float = 0.0) -> Ints:
         """Positioners whose arms can meet.
@@ -497,10 +500,11 @@ class FocalPlane:
         >>> len(fl.FocalPlane.of("sdssv", n=7).select([0, 3]))
         2
         """
-        rows = self._rows(index)
+        rows = rows_given(self.n, index)
         return replace(
             self,
             points={name: xy[rows] for name, xy in self.points.items()},
+            handicaps=self.handicaps and self.handicaps.select(rows),
             **{k: getattr(self, k)[rows] for k in _PER_POSITIONER},
         )
 
@@ -576,12 +580,13 @@ class FocalPlane:
         16
         """
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
+        arrays += self.handicaps.arrays.items() if self.handicaps else []
         return mark_of(self.instrument.model_dump_json(exclude={"care", "expansion"}), arrays)
 
     def _posed(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None
     ) -> tuple[Floats, Floats, Floats]:
-        rows = self._rows(index)
+        rows = rows_given(self.n, index)
         angles = columns_of(deg_to_rad(alpha_deg), deg_to_rad(beta_deg), len(rows))
         return self.arms[rows], self._point(fibre)[rows], angles
 
@@ -589,12 +594,6 @@ class FocalPlane:
         if fibre not in self.points:
             raise InputError(f"fibre '{fibre}': {self.instrument.name} has {', '.join(self.points)}")
         return self.points[fibre]
-
-    def _rows(self, index: ArrayLike | None) -> Ints:
-        if index is None:
-            return np.arange(self.n)
-        rows = np.atleast_1d(np.asarray(index))
-        return np.flatnonzero(rows) if rows.dtype == bool else rows.astype(np.int64)
 
 
 _PER_POSITIONER = ("positioner_id", "hole", "arms", "offline", "offline_position_deg")

@@ -7,6 +7,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.focal_plane import FocalPlane
+from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.layout_sdssv import read_sdssv
 from fiberloom.instruments.model import AXES, Instrument
 from fiberloom.tables import TableFile, read_table
@@ -54,6 +55,15 @@ _FIDUCIAL = ("x_mm", "y_mm", "radius_mm")
 _CAMERA = ("x0_mm", "y0_mm", "x1_mm", "y1_mm", "radius_mm")
 
 
+_HANDICAPS = ("wider_mm", "doubt_alpha_deg", "doubt_beta_deg", "speed_share", "acceleration_share")
+"""Columns of `Handicaps`, all of them or none."""
+
+
+def _flat(handicaps: Handicaps) -> Floats:
+    """(N, 5) in the order of the columns."""
+    return np.column_stack(list(handicaps.arrays.values()))
+
+
 def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
     columns: dict[str, Array] = {
         "positioner_id": plane.positioner_id,
@@ -67,6 +77,8 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
         "offline_alpha_deg": plane.offline_position_deg[:, 0],
         "offline_beta_deg": plane.offline_position_deg[:, 1],
     }
+    if plane.handicaps is not None:
+        columns |= dict(zip(_HANDICAPS, _flat(plane.handicaps).T, strict=True))
     for name, xy in plane.points.items():
         columns[f"has_{name}"] = plane.carries(name).astype(np.int64)
         columns |= {f"{name}_{c}_mm": np.nan_to_num(xy[:, i]) for i, c in enumerate("xy")}
@@ -111,7 +123,16 @@ def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
         guide_cameras=_read_bodies(folder / GUIDE_CAMERAS, _CAMERA),
         offline=table.integers("offline") != 0,
         offline_position_deg=np.column_stack(stand),
+        handicaps=_read_handicaps(table),
     )
+
+
+def _read_handicaps(table: TableFile) -> Handicaps | None:
+    if not any(name in table.columns for name in _HANDICAPS):
+        return None
+    table.require(*_HANDICAPS)
+    wider, alpha, beta, speed, acceleration = (table.numbers(name) for name in _HANDICAPS)
+    return Handicaps(wider, np.column_stack([alpha, beta]), speed, acceleration)
 
 
 def _check_format(path: Path) -> None:

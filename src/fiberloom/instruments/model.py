@@ -8,15 +8,14 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from fiberloom.instruments.outlines import KeepOut, Outline
+from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
 from fiberloom.units import AXES as AXES
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 MOST_SIDE_PX = 50_000
 """Of a camera's image."""
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
 METROLOGY = "metrology"
@@ -25,12 +24,6 @@ BODY_SHARE = 0.75
 """Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
 SDSS-V (assumed; the arm's tube)."""
 """Name of the point that the camera sees, in every plane that has one."""
-
-
-class Table(BaseModel):
-    """A table of the TOML file: constant once read, and no key that we do not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Scatter(Table):
@@ -162,6 +155,11 @@ class Bodies(Table):
     """By how much that radius may shrink for a configuration that was decided elsewhere."""
     fiducial_radius_mm: Positive
     guide_camera_radius_mm: Positive = 1.0
+    parts: tuple[Outline, ...] = ()
+    """What planner and verifier take for a positioner; none: that capsule. Another collision buffer makes
+    them wider or narrower by the difference."""
+    keep_outs: tuple[KeepOut, ...] = ()
+    """Where no arm may be: edges of the field and of its parts."""
 
     @model_validator(mode="after")
     def _segment(self) -> Self:
@@ -172,7 +170,15 @@ class Bodies(Table):
                 f"collision_shrink_mm {self.collision_shrink_mm} must be below "
                 f"collision_buffer_mm {self.collision_buffer_mm}"
             )
+        if self.parts and all(part.arm == "alpha" for part in self.parts):
+            raise ValueError("parts: at least one on the beta arm")
         return self
+
+    def reach_mm(self, arm: str) -> float:
+        """The farthest point of a body from the axis of its arm, "alpha" or "beta"; 0 where there is none."""
+        plain = max(map(abs, self.beta_segment_mm)) + self.collision_buffer_mm
+        own = [part.reach_mm for part in self.parts if part.arm == arm]
+        return max([plain, *own] if arm == "beta" else own, default=0.0)
 
 
 class Metrology(Table):
@@ -501,6 +507,16 @@ class Instrument(Table):
             )
         if self.camera is not None and not self.metrology.present:
             raise ValueError("camera: there is none where metrology.present = false")
+        return self
+
+    @model_validator(mode="after")
+    def _alpha_parts(self) -> Self:
+        far = max([part.far_mm for part in self.bodies.parts if part.arm == "alpha"], default=0.0)
+        if far > 0.5 * self.layout.pitch_mm:
+            raise ValueError(
+                f"bodies.parts: one on the alpha arm reaches {far:g} mm from its axis; at most half of "
+                f"layout.pitch_mm = {self.layout.pitch_mm:g}: alpha arms of neighbours are not tested"
+            )
         return self
 
     @model_validator(mode="after")

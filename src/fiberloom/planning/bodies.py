@@ -1,14 +1,17 @@
 """What the compiled planner and verifier need of a focal plane: plain arrays in mm and rad."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
+from fiberloom.instruments.single_units import handicaps_of
+from fiberloom.planning.obstacles import RADIUS, doubt_obstacles, fixed_obstacles, parts_of
 from fiberloom.typing import Floats
 from fiberloom.units import deg_to_rad
 
@@ -31,28 +34,46 @@ STOP_DOUBT_DEG = 5.0
 
 @dataclass(frozen=True)
 class CollisionBodies:
-    """First arguments of `_core.planning`."""
+    """First argument of `_core.planning`, as arrays: N arms, their parts, and what does not move."""
 
     arms: Floats
-    segment_mm: tuple[float, float]
-    radius_mm: float
+    """(N, 5) as in `FocalPlane.arms`."""
+    parts: Floats
+    """(P, 8): row, arm (0 alpha, 1 beta), x0, y0, x1, y1 in the frame of the arm and radius in mm, layers."""
     obstacles: Floats
+    """(K, 7): x0, y0, x1, y1, radius in mm, layers, row of the positioner whose uncertain place it covers
+    or -1."""
+    segment_mm: tuple[float, float]
+    """Of a beta arm: its centre line, from and to along the arm."""
+    radius_mm: float
+    """The collision buffer that all have in common."""
 
     @classmethod
     def of(cls, plane: FocalPlane, collision_buffer_mm: float | None = None) -> "CollisionBodies":
         """The bodies of a plane; its own collision buffer when left out."""
-        _refuse_wide(plane, plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm)
-        discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
-        radius = plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm
-        obstacles = np.vstack([discs, plane.guide_cameras.reshape(-1, 5)])
-        return cls(plane.arms, plane.beta_segment_mm, float(radius), obstacles)
+        radius_mm = float(plane.collision_buffer_mm if collision_buffer_mm is None else collision_buffer_mm)
+        _refuse_wide(plane, radius_mm)
+        parts = parts_of(plane, radius_mm)
+        obstacles = np.vstack([fixed_obstacles(plane), doubt_obstacles(plane, parts)])
+        return cls(plane.arms, parts, obstacles, plane.beta_segment_mm, radius_mm)
 
     @property
-    def arguments(self) -> tuple[Floats, tuple[float, float], float, Floats]:
-        """In the order of the compiled functions: arms (mm, rad), segment in mm, radius in mm,
-        obstacles in mm.
-        """
-        return self.arms, self.segment_mm, self.radius_mm, self.obstacles
+    def compiled(self) -> core.Bodies:
+        """As the compiled functions take it."""
+        return core.Bodies(self.arms, self.parts, self.obstacles)
+
+    def wider(self, by_mm: float) -> "CollisionBodies":
+        """With all parts of all arms wider."""
+        parts = self.parts.copy()
+        parts[:, RADIUS] += by_mm
+        return replace(self, parts=parts)
+
+    @property
+    def radii_mm(self) -> Floats:
+        """(N,) the largest radius of each."""
+        out = np.zeros(len(self.arms))
+        np.maximum.at(out, self.parts[:, 0].astype(np.int64), self.parts[:, RADIUS])
+        return out
 
 
 def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
@@ -66,12 +87,6 @@ def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
             f"collision_buffer_mm = {radius_mm:g}: the arms are {2.0 * radius_mm:g} mm wide, the positioners "
             f"{pitch_mm:g} mm apart; wider than that nothing can move"
         )
-
-
-def obstacle_name(plane: FocalPlane, index: int) -> str:
-    """The name of an obstacle by its index in `CollisionBodies.obstacles`."""
-    fixed = len(plane.fiducials)
-    return f"fiducial {index}" if index < fixed else f"guide camera {index - fixed}"
 
 
 def travel_rad(plane: FocalPlane) -> Floats:
@@ -138,3 +153,10 @@ def least_approach_rad(plane: FocalPlane, approach: Floats, least_deg: float | N
     """(N,) rad to which approaches (N,) may be shortened; `least_deg`: the instrument's when left out."""
     least = plane.instrument.least_approach_deg if least_deg is None else least_deg
     return np.minimum(approach, float(deg_to_rad(least)))
+
+
+def paces_rad(plane: FocalPlane, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[Floats, Floats]:
+    """(N,) rad/s and rad/s2 of each positioner: its share of a speed and of an acceleration."""
+    shares = handicaps_of(plane)
+    speed, acceleration = deg_to_rad(speed_deg_s), deg_to_rad(acceleration_deg_s2)
+    return speed * shares.speed_share, acceleration * shares.acceleration_share

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import angles_rad, approach_rad
+from fiberloom.planning.bodies import angles_rad, approach_rad, paces_rad
 from fiberloom.planning.planner import PlanSettings
-from fiberloom.units import deg_to_rad
 
 
 def bound_s(
@@ -31,7 +30,7 @@ def bound_s(
     start_deg, goal_deg : array_like
         (N, 2) alpha and beta, deg.
     settings : PlanSettings, optional
-        Of the plan; its speed counts.
+        Of the plan; its speed counts, and the share of it that a positioner has.
     refused : collection of int
         Positioners that do not arrive, as `Plan.refused`: they have no way.
 
@@ -54,5 +53,5 @@ def bound_s(
     approach = approach_rad(plane, None)[:, None]
     way = (np.abs(goal + approach - start) + approach).max(axis=1)
     stays = plane.offline | (start == goal).all(axis=1) | np.isin(plane.positioner_id, list(refused))
-    speed = deg_to_rad((settings or PlanSettings()).of(plane).speed_deg_s or 0.0)
-    return float(np.where(stays, 0.0, way).max(initial=0.0) / speed)
+    speed, _ = paces_rad(plane, (settings or PlanSettings()).of(plane).speed_deg_s or 0.0, 0.0)
+    return float((np.where(stays, 0.0, way) / speed).max(initial=0.0))

@@ -1,7 +1,5 @@
 """Random configurations without collisions: for tests, benchmarks and trials without targets."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from fiberloom._core import geometry
@@ -86,18 +84,18 @@ class _Drawing:
         self.plane, self.rng = plane, rng
         bodies = CollisionBodies.of(plane, collision_buffer_mm)
         # half of the margin between two arms is each one's own; an obstacle has none
-        self.pair_mm = bodies.radius_mm + margin_mm / 2
-        self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)
+        self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
+        self.obstacles = bodies.obstacles
         self.approach = float(approach_rad(plane, approach_deg).max(initial=0.0))
         self.angles = deg_to_rad(plane.offline_position_deg)
         self.placed = plane.offline.copy()
 
     def near_obstacles(self) -> Flags:
         """(N,) which can touch a fiducial or guide camera."""
-        n, k = self.plane.n, len(self.bodies.obstacles)
+        n, k = self.plane.n, len(self.obstacles)
         points = np.repeat(np.tile(self.plane.centres_mm, (1, 2)), k, axis=0)
-        lines = np.tile(self.bodies.obstacles[:, :4], (n, 1))
-        gaps = geometry.segment_distance(points, lines).reshape(n, k) - self.bodies.obstacles[:, 4]
+        lines = np.tile(self.obstacles[:, :4], (n, 1))
+        gaps = geometry.segment_distance(points, lines).reshape(n, k) - self.obstacles[:, 4]
         return np.asarray((self.plane.body_reach_mm + 1.0 > gaps.T).any(axis=0), dtype=np.bool_)
 
     def all(self) -> Floats:
@@ -155,12 +153,8 @@ class _Drawing:
                 return angles
 
     def _free(self, row: int, angles: Floats, near: Ints) -> bool:
-        arm, here = self.plane.arms[[row]], angles[None]
-        segment, radius, obstacles = self.bodies.arguments[1:]
-        if not core.static_ok(arm, segment, radius, obstacles, here, self.approach)[0]:
+        if not core.static_ok(self.alone, np.array([row]), angles[None], self.approach)[0]:
             return False
-        arms, places = np.repeat(arm, len(near), axis=0), np.repeat(here, len(near), axis=0)
-        others = self.plane.arms[near]
-        body = (*segment, self.pair_mm)
-        clear = core.pairs_clear(arms, places, others, self.angles[near], body, self.approach)
+        rows, places = np.full(len(near), row), np.repeat(angles[None], len(near), axis=0)
+        clear = core.pairs_clear(self.pairs, rows, places, near, self.angles[near], self.approach)
         return bool(clear.all())

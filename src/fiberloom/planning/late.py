@@ -122,7 +122,7 @@ def verify_late(plane: FocalPlane, plan: Plan, late_s: float = math.inf) -> Late
     bodies = CollisionBodies.of(plane, plan.collision_buffer_mm)
     motions = motions_rad(plane, plan)
     try:
-        found, looked_at = core.lateness(core.Bodies(*bodies.arguments), motions, late_s)
+        found, looked_at = core.lateness(bodies.compiled, motions, late_s)
     except ValueError as error:
         raise InputError(f"the plan cannot be looked at: {error}") from None
     names = plane.positioner_id

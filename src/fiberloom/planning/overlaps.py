@@ -8,10 +8,14 @@ import numpy as np
 from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies
-from fiberloom.typing import Floats, Ints
+from fiberloom.planning.obstacles import BETA, LAYERS, RADIUS, obstacle_name, part_lines_mm
+from fiberloom.typing import Flags, Floats, Ints
 
 TOUCHING_MM = 1e-6
 """Gaps above minus this are none of the verifier's business."""
+
+_FAR_MM = 1e9
+"""The gap of bodies on different layers."""
 
 
 def signed_distance_mm(first_mm: Floats, second_mm: Floats) -> Floats:
@@ -59,12 +63,19 @@ class Surroundings:
         centre = np.tile(self.plane.centres_mm[row], (len(lines), 2))
         gaps = geometry.segment_distance(centre, np.ascontiguousarray(lines))
         reach = self.plane.body_reach_mm[row] + self.bodies.radius_mm + self.bodies.obstacles[:, 4]
-        return np.flatnonzero(gaps < reach)
+        return np.flatnonzero((gaps < reach) & (self.bodies.obstacles[:, 6] != row))
 
-    def lines_mm(self, row: int, angles_rad: Floats) -> Floats:
-        """(n, 4) centre lines of one positioner's arm at n pairs of angles."""
-        arms = np.repeat(self.plane.arms[[row]], len(angles_rad), axis=0)
-        return geometry.beta_segment(arms, *self.bodies.segment_mm, np.ascontiguousarray(angles_rad))
+    @cached_property
+    def far_mm(self) -> float:
+        """How far from its axis a point of an arm is at most: of centre lines, of either arm."""
+        return float(np.hypot(self.bodies.parts[:, 2:6:2], self.bodies.parts[:, 3:7:2]).max())
+
+    @cached_property
+    def _parts(self) -> list[Floats]:
+        """(p, 8) of each row."""
+        rows = self.bodies.parts[:, 0].astype(np.int64)
+        order = np.argsort(rows, kind="stable")
+        return np.split(self.bodies.parts[order], np.cumsum(np.bincount(rows, minlength=self.plane.n))[:-1])
 
     def gaps_mm(self, row: int, angles_rad: Floats, here_rad: Floats, others: Ints) -> Floats:
         """(n, k) signed gaps in mm of an arm to other bodies.
@@ -72,23 +83,35 @@ class Surroundings:
         `row`: whose arm; `angles_rad` (n, 2): its places; `here_rad` (N, 2): where all other arms are;
         `others` (k,): the bodies.
         """
-        mine, count = self.lines_mm(row, angles_rad), len(others)
-        theirs, radii = self._bodies(others, here_rad)
-        apart = signed_distance_mm(np.repeat(mine, count, axis=0), np.tile(theirs, (len(mine), 1)))
-        return apart.reshape(len(mine), count) - radii
+        n, k = len(angles_rad), len(others)
+        out = np.full((n, k), _FAR_MM)
+        if k == 0:
+            return out
+        theirs, rest, begins = self._pieces(others, here_rad)
+        for part in self._parts[row]:
+            mine = part_lines_mm(self.plane.arms[[row]], part, angles_rad)
+            apart = signed_distance_mm(np.repeat(mine, len(theirs), axis=0), np.tile(theirs, (n, 1)))
+            gaps = apart.reshape(n, len(theirs)) - (part[RADIUS] + rest[:, 0])
+            gaps[:, ~_meet(part[[1, LAYERS]], rest[:, 1:])] = _FAR_MM
+            out = np.minimum(out, np.minimum.reduceat(gaps, begins, axis=1))
+        return out
 
-    def _bodies(self, others: Ints, here_rad: Floats) -> tuple[Floats, Floats]:
-        """(k, 4) centre lines, and (k,) how near the centre line of an arm may come."""
-        n, radius = self.plane.n, self.bodies.radius_mm
-        lines, radii = np.empty((len(others), 4)), np.full(len(others), 2.0 * radius)
-        arms = others < n
-        lines[arms] = self._arms_mm(others[arms], here_rad)
-        lines[~arms] = self.bodies.obstacles[others[~arms] - n, :4]
-        radii[~arms] = radius + self.bodies.obstacles[others[~arms] - n, 4]
-        return lines, radii
-
-    def _arms_mm(self, rows: Ints, here_rad: Floats) -> Floats:
-        return geometry.beta_segment(self.plane.arms[rows], *self.bodies.segment_mm, here_rad[rows])
+    def _pieces(self, bodies: Ints, here_rad: Floats) -> tuple[Floats, Floats, Ints]:
+        """Lines (q, 4), and radius, arm, layers (q, 3), of all parts of k bodies; (k,) where each begins."""
+        lines: list[Floats] = []
+        rest: list[Floats] = []
+        begins: list[int] = []
+        for body in map(int, bodies):
+            begins.append(len(lines))
+            if body >= self.plane.n:
+                fixed = self.bodies.obstacles[[body - self.plane.n]]
+                lines.append(fixed[:, :4])
+                rest.append(np.insert(fixed[:, 4:6], 1, BETA, axis=1))
+                continue
+            for part in self._parts[body]:
+                lines.append(part_lines_mm(self.plane.arms[[body]], part, here_rad[[body]]))
+                rest.append(part[None, [RADIUS, 1, LAYERS]])
+        return np.vstack(lines), np.vstack(rest), np.array(begins, dtype=np.int64)
 
     @cached_property
     def _pairs(self) -> tuple[Ints, Ints]:
@@ -97,14 +120,46 @@ class Surroundings:
         rows = np.repeat(np.arange(self.plane.n), [len(k) for k in later])
         return rows, np.concatenate([np.zeros(0, dtype=np.int64), *later])
 
+    @cached_property
+    def _pieces_of_pairs(self) -> tuple[Ints, Ints, Ints]:
+        """Index of the pair, part of its row, part of the other or P + obstacle, if layers are shared."""
+        rows, others = self._pairs
+        n, count = self.plane.n, len(self.bodies.parts)
+        of_row = [np.flatnonzero(self.bodies.parts[:, 0] == row) for row in range(n)]
+        found = []
+        for pair, (row, other) in enumerate(zip(rows, others, strict=True)):
+            theirs = of_row[other] if other < n else np.array([count + other - n])
+            found += [(pair, a, b) for a in of_row[row] for b in theirs]
+        pairs, mine, theirs = np.array(found, dtype=np.int64).reshape(-1, 3).T
+        fixed = np.insert(self.bodies.obstacles[:, 5:6], 0, BETA, axis=1)
+        kinds = np.vstack([self.bodies.parts[:, [1, LAYERS]], fixed])
+        meet = _meet(kinds[mine], kinds[theirs])
+        return pairs[meet], mine[meet], theirs[meet]
+
     def gaps_of_pairs_mm(self, here_rad: Floats) -> tuple[Ints, Ints, Floats]:
         """Rows (P,), bodies after them that their arms can touch, and their signed gaps in mm.
 
         `here_rad` (N, 2): where all arms are.
         """
         rows, others = self._pairs
-        theirs, radii = self._bodies(others, here_rad)
-        return rows, others, signed_distance_mm(self._arms_mm(rows, here_rad), theirs) - radii
+        pairs, mine, theirs = self._pieces_of_pairs
+        lines = np.vstack([self._all_lines_mm(here_rad), self.bodies.obstacles[:, :4]])
+        radii = np.concatenate([self.bodies.parts[:, RADIUS], self.bodies.obstacles[:, 4]])
+        apart = signed_distance_mm(lines[mine], lines[theirs]) - (radii[mine] + radii[theirs])
+        gaps = np.full(len(rows), _FAR_MM)
+        np.minimum.at(gaps, pairs, apart)
+        return rows, others, gaps
+
+    def _all_lines_mm(self, here_rad: Floats) -> Floats:
+        """(P, 4) of all parts, in their order."""
+        parts = self.bodies.parts
+        lines = np.empty((len(parts), 4))
+        kinds, which = np.unique(parts[:, 1:6], axis=0, return_inverse=True)
+        for k in range(len(kinds)):
+            of_kind = np.flatnonzero(which.ravel() == k)
+            rows = parts[of_kind, 0].astype(np.int64)
+            lines[of_kind] = part_lines_mm(self.plane.arms[rows], parts[of_kind[0]], here_rad[rows])
+        return lines
 
     def overlapping(self, here_rad: Floats) -> dict[tuple[int, int], float]:
         """Pairs (row, body) that overlap, row < body, and by how much in mm."""
@@ -114,9 +169,14 @@ class Surroundings:
 
     def name(self, body: int) -> str:
         """As in a sentence."""
-        fiducials = self.plane.n + len(self.plane.fiducials)
-        if body < self.plane.n:
-            return f"positioner {self.plane.positioner_id[body]}"
-        if body < fiducials:
-            return f"fiducial {body - self.plane.n}"
-        return f"guide camera {body - fiducials}"
+        n = self.plane.n
+        if body >= n:
+            return obstacle_name(self.plane, body - n)
+        return f"positioner {self.plane.positioner_id[body]}"
+
+
+def _meet(kinds: Floats, others: Floats) -> Flags:
+    """Whether parts can touch, of their arms and layers (..., 2): they share a layer; not two alpha arms."""
+    one, other = (np.asarray(k[..., 1], dtype=np.int64) for k in (kinds, others))
+    arms = (kinds[..., 0] == BETA) | (others[..., 0] == BETA)
+    return np.asarray((one & other != 0) & arms, dtype=np.bool_)

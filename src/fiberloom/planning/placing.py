@@ -1,7 +1,5 @@
 """Configurations that are good for each positioner and free of collisions for all."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from fiberloom._core import planning as core
@@ -45,8 +43,8 @@ class _Placing:
         self.plane = plane
         self.goals = deg_to_rad(candidates_deg)
         bodies = CollisionBodies.of(plane)
-        self.pair_mm = bodies.radius_mm + margin_mm / 2
-        self.bodies = replace(bodies, radius_mm=bodies.radius_mm + margin_mm)
+        # half of the margin between two arms is each one's own; an obstacle has none
+        self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
         self.approach = float(approach_rad(plane, None).max(initial=0.0))
         park = deg_to_rad(plane.instrument.positioner.park_deg)
         still = deg_to_rad(plane.offline_position_deg)
@@ -57,10 +55,8 @@ class _Placing:
 
     def _clear_of_obstacles(self) -> Flags:
         n, count, _ = self.goals.shape
-        arms = np.repeat(self.plane.arms, count, axis=0)
-        segment, radius, obstacles = self.bodies.arguments[1:]
         flat = np.ascontiguousarray(self.goals.reshape(-1, 2))
-        ok = core.static_ok(arms, segment, radius, obstacles, flat, self.approach)
+        ok = core.static_ok(self.alone, np.repeat(np.arange(n), count), flat, self.approach)
         return np.asarray(ok, dtype=bool).reshape(n, count)
 
     def _neighbours(self) -> list[Ints]:
@@ -83,10 +79,7 @@ class _Placing:
         near, count = self.near[row], len(goals)
         if len(near) == 0 or count == 0:
             return np.ones(count, dtype=bool)
-        arms = np.repeat(self.plane.arms[[row]], count * len(near), axis=0)
-        places = np.repeat(goals, len(near), axis=0)
-        others = np.tile(self.plane.arms[near], (count, 1))
-        there = np.tile(self.angles[near], (count, 1))
-        body = (*self.bodies.segment_mm, self.pair_mm)
-        clear = core.pairs_clear(arms, places, others, there, body, self.approach)
+        rows, places = np.full(count * len(near), row), np.repeat(goals, len(near), axis=0)
+        others, there = np.tile(near, count), np.tile(self.angles[near], (count, 1))
+        clear = core.pairs_clear(self.pairs, rows, places, others, there, self.approach)
         return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)

@@ -17,11 +17,12 @@ from fiberloom.planning.bodies import (
     angles_rad,
     approach_rad,
     least_approach_rad,
-    obstacle_name,
+    paces_rad,
     require_within_stops,
     travel_rad,
 )
 from fiberloom.planning.late import require_late
+from fiberloom.planning.obstacles import obstacle_name
 from fiberloom.planning.trajectories import Approach, Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, Verification, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -145,6 +146,13 @@ class _Task:
     def bodies(self) -> CollisionBodies:
         return CollisionBodies.of(self.plane, self.settings.collision_buffer_mm)
 
+    def compiled(self, fixed: Flags) -> core.Task:
+        """As the compiled planner takes it; `fixed` (N,) cannot move."""
+        asked = core.Task(self.start, self.goal, self.approach, fixed, travel_rad(self.plane))
+        chosen = self.settings
+        asked.set_paces(*paces_rad(self.plane, chosen.speed_deg_s or 0.0, chosen.acceleration_deg_s2 or 0.0))
+        return asked
+
     @property
     def cpu_s(self) -> float:
         """Processor time since then."""
@@ -254,9 +262,9 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
         settings.tell(chosen.progress)
     if (budget_s := chosen.budget_s) is not None:
         settings.end_when(lambda: task.cpu_s > budget_s)
-    asked = core.Task(task.start, task.goal, task.approach, fixed, travel_rad(task.plane))
+    asked = task.compiled(fixed)
     asked.may_shorten(least_approach_rad(task.plane, task.approach, chosen.least_approach_deg))
-    motions, refused, statistics, own = core.plan(core.Bodies(*task.bodies.arguments), asked, settings)
+    motions, refused, statistics, own = core.plan(task.bodies.compiled, asked, settings)
     names = task.plane.positioner_id
     why = {int(names[i]): _reason(task, i, text, *met) for i, text, *met in refused}
     approaches = {row: _approach(alpha, beta) for row, alpha, beta in own}
@@ -386,12 +394,12 @@ def _staying(task: _Task, told: dict[int, str]) -> tuple[_Task, dict[int, str]]:
 
 def _all_together(task: _Task) -> Plan:
     """Every positioner straight to the place above its goal within the same steps, then the approach."""
-    quarter_s, grid, turn = core.clock(
-        **task.settings.dynamics, highest_approach=float(task.approach.max(initial=0.0))
-    )
+    settings = core.Settings(**task.settings.dynamics)
+    quarter_s, grids, turn = core.clock(task.compiled(~task.moving), settings)
     high = task.goal + task.approach[:, None]
     way = np.where(task.moving[:, None], high - task.start, 0.0)
-    steps = max(1, int(np.ceil(np.abs(way).max(initial=0.0) / grid - 1e-9)))
+    most = (np.abs(way).max(axis=1) / np.array(grids)).max(initial=0.0)
+    steps = max(1, int(np.ceil(most - 1e-9)))
     # corners cut over half a step, as in the planner: quarters of a step and the way done by then
     quarters = [0, 2, 4 * steps, 4 * steps + 2]
     done = np.array([0.0, 0.25 / steps, 1.0 - 0.25 / steps, 1.0])

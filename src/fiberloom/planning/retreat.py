@@ -176,7 +176,7 @@ class _Flood:
     def _bodies_within_reach(self) -> tuple[Ints, Floats]:
         others = self.around.near[self.row]
         now = self.around.gaps_mm(self.row, self.start[None], self.here, others)[0]
-        plane, far = self.around.plane, max(map(abs, self.around.bodies.segment_mm))
+        plane, far = self.around.plane, self.around.far_mm
         sweep = deg_to_rad(self.window.half_deg) * (plane.l_alpha_mm[self.row] + 2.0 * far)
         near = now < float(sweep) + CLEAR_MM
         return others[near], now[near]

@@ -17,9 +17,10 @@ from fiberloom.planning.bodies import (
     approach_rad,
     beyond_stops_deg,
     least_approach_rad,
-    obstacle_name,
+    paces_rad,
     travel_rad,
 )
+from fiberloom.planning.obstacles import obstacle_name
 from fiberloom.planning.trajectories import KEYS, MOST_DEG, Approach, Plan, Trajectory
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
@@ -175,14 +176,16 @@ def verify(
     bodies = CollisionBodies.of(plane, plan.collision_buffer_mm if buffer_mm is None else buffer_mm)
     axes = plane.instrument.axes
     nothing = np.zeros((0, 2))
+    speed_deg_s = limits.speed_deg_s or min(a.speed_deg_s for a in axes)
+    acceleration_deg_s2 = limits.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes)
     rules = core.Rules(
-        speed=float(deg_to_rad(limits.speed_deg_s or min(a.speed_deg_s for a in axes))),
-        acceleration=float(
-            deg_to_rad(limits.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes))
-        ),
+        speed=float(deg_to_rad(speed_deg_s)),
+        acceleration=float(deg_to_rad(acceleration_deg_s2)),
         rounding=ROUNDING_RAD,
         travel=travel_rad(plane),
     )
+    if plane.handicaps is not None:
+        rules.set_paces(*paces_rad(plane, speed_deg_s, acceleration_deg_s2))
     rules.expect(
         nothing if start_deg is None else angles_rad("start_deg", start_deg, plane),
         nothing if goal_deg is None else angles_rad("goal_deg", goal_deg, plane),
@@ -193,7 +196,7 @@ def verify(
     for number, own in plan.approaches.items():
         rules.say(int(plane.index_of([number])[0]), *_last_legs(own))
     points = _Points.of(plane, plan)
-    found = core.verify(core.Bodies(*bodies.arguments), _motions(plane, points), rules)
+    found = core.verify(bodies.compiled, _motions(plane, points), rules)
     return Verification(
         violations=(
             *_beyond_stops(plane, points),

@@ -9,6 +9,7 @@ import numpy as np
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.planning import Plan, Trajectory
+from fiberloom.planning.obstacles import plain_parts
 
 SDSSV = load_instrument("sdssv")
 USUAL_DEG = 0.82
@@ -27,10 +28,11 @@ def bare(n: int) -> FocalPlane:
 def apart(plane: FocalPlane, goals_deg: np.ndarray, approach_deg: float, radius_mm: float = RADIUS_MM):
     """For goals (n, 2, 2) of the first two positioners, whether they stay apart on such an approach."""
     goals = np.radians(goals_deg)
-    arms = [np.repeat(plane.arms[[k]], len(goals), axis=0) for k in (0, 1)]
-    body = (*plane.beta_segment_mm, radius_mm)
+    parts = plain_parts(plane.n, plane.beta_segment_mm, radius_mm)
+    bodies = core.Bodies(plane.arms, parts, np.zeros((0, 7)))
+    rows = [np.full(len(goals), k) for k in (0, 1)]
     first, second = (np.ascontiguousarray(goals[:, k]) for k in (0, 1))
-    return core.pairs_clear(arms[0], first, arms[1], second, body, np.radians(approach_deg))
+    return core.pairs_clear(bodies, rows[0], first, rows[1], second, np.radians(approach_deg))
 
 
 @cache

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made import LEAST_DEG, RADIUS_MM, SDSSV, USUAL_DEG, bare, facing, last_falls
+from made import LEAST_DEG, RADIUS_MM, SDSSV, USUAL_DEG, apart, bare, facing, last_falls
 
-from fiberloom._core import planning as core
 from fiberloom._core import twin
 from fiberloom.planning import MotionLimits, Plan, PlanSettings, plan, random_pair, verify
 from fiberloom.twin.gears import draw_gear
@@ -128,10 +127,7 @@ def test_goals_that_touch_are_refused_as_such():
     plane = bare(2)
     rng = np.random.default_rng(5)
     goals = np.stack([rng.uniform(0, 360, (4000, 2)), rng.uniform(0, 180, (4000, 2))], axis=-1)
-    arms = [np.repeat(plane.arms[[k]], len(goals), axis=0) for k in (0, 1)]
-    first, second = (np.ascontiguousarray(np.radians(goals[:, k])) for k in (0, 1))
-    body = (*plane.beta_segment_mm, RADIUS_MM)
-    for goal_deg in goals[~core.pairs_clear(arms[0], first, arms[1], second, body, 0.0)][:5]:
+    for goal_deg in goals[~apart(plane, goals, 0.0)][:5]:
         (why,) = checked(plane, goal_deg).refused.values()
         one, other = plane.positioner_id.tolist()
         assert why in {

@@ -14,16 +14,21 @@ namespace fl::planning {
 std::vector<std::array<int, 2>> conflicts(const Bodies &bodies, const std::vector<Angles> &goals,
                                           double approach_rad);
 
-// For each positioner whether goal and approach are clear of the obstacles: 1 or 0.
-// @pre one goal for each arm.
-std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<Angles> &goals,
-                                    double approach_rad);
+// For positioners (rows of the bodies, which may repeat) at goals, one for each: whether goal and approach
+// are clear of the obstacles, 1 or 0.
+// @pre rows are in range.
+std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<int> &rows,
+                                    const std::vector<Angles> &goals, double approach_rad);
 
-// Row by row: whether arms[k] at p[k] and others[k] at q[k] stay apart, at the goal and on the approach: 1 or
-// 0.
-// @pre bodies.arms, others, p and q have the same number of rows.
-std::vector<std::uint8_t> pairs_clear(const Bodies &bodies, const std::vector<Arm> &others,
-                                      const std::vector<Angles> &p, const std::vector<Angles> &q,
+// Positioners (rows of the bodies, which may repeat), and a goal for each.
+struct PlacesOf {
+    std::vector<int> rows;
+    std::vector<Angles> goals;
+};
+
+// One by one: whether the first and the second stay apart, at the goal and on the approach: 1 or 0.
+// @pre as many of both; rows are in range.
+std::vector<std::uint8_t> pairs_clear(const Bodies &bodies, const PlacesOf &first, const PlacesOf &second,
                                       double approach_rad);
 
 } // namespace fl::planning

@@ -1,7 +1,8 @@
 // Collision-free motion of all positioners from where they are to where they must be.
 //
-// Bodies: docs/planning.md. A positioner is the capsule of its beta arm; fiducials (discs), guide
-// cameras (capsules) and positioners that are offline do not move. Lengths in mm, angles in rad, times in s.
+// Bodies: docs/planning.md. A positioner is one or more capsules that are fixed to its arms; fiducials
+// (discs), guide cameras (capsules), keep-outs and positioners that are offline do not move. Lengths in mm,
+// angles in rad, times in s.
 #pragma once
 
 #include "fiberloom/arm.hpp"
@@ -15,19 +16,33 @@
 
 namespace fl::planning {
 
-// All points within a radius of a line.
+// The heights that a body takes up, a bit each: bodies without a common one cannot touch.
+using Layers = std::uint32_t;
+inline constexpr Layers first_layer = 1, all_layers = ~Layers{0};
+
+// All points within a radius of a line. owner: the positioner (row) whose uncertain place it covers, which
+// cannot touch it; -1: none.
 struct Capsule {
     Segment line;
     double radius_mm = 0.0;
+    Layers layers = all_layers;
+    int owner = -1;
 };
 
-// Everything that takes room. The centre line of a beta arm runs from x = from_mm to x = to_mm of
-// its frame; radius_mm is the collision buffer, the same for all.
+// The same, fixed to an arm: x runs along the beta arm from the beta axis, or along the alpha arm from the
+// alpha axis; y to the left. The radius includes the collision buffer.
+struct Part {
+    Segment line;
+    double radius_mm = 0.0;
+    bool on_alpha = false;
+    Layers layers = first_layer;
+};
+
+// Everything that takes room. parts: of each arm. Those on two alpha arms cannot touch: their discs do not.
+// @pre one row of parts for each arm, none of them empty.
 struct Bodies {
     std::vector<Arm> arms;
-    double from_mm = 0.0;
-    double to_mm = 0.0;
-    double radius_mm = 0.0;
+    std::vector<std::vector<Part>> parts;
     std::vector<Capsule> obstacles;
 };
 
@@ -72,22 +87,35 @@ struct Task {
     Limits travel{};
     // An approach that would touch may be shortened to this; empty: no approach may.
     std::vector<double> least_approach_rad{};
+    // Of single positioners, cold or worn; empty: as in the settings.
+    std::vector<double> speed_rad_s{};
+    std::vector<double> acceleration_rad_s2{};
 };
+
+// What the axes of a positioner can do.
+struct Pace {
+    double speed_rad_s = 0.0;
+    double acceleration_rad_s2 = 0.0;
+};
+
+// That of a row of the task.
+Pace pace_of(const Settings &settings, const Task &task, int robot);
 
 // The common clock of a plan. A step lasts four quarters; all times are multiples of a quarter, and
 // a quarter is a multiple of the tick of the bus.
 struct Clock {
     double quarter_s = 0.0;
-    double grid_rad = 0.0; // widest move in a step
-    int turn_quarters = 0; // how long an approach lasts
+    int turn_quarters = 0;   // how long an approach lasts
+    double widest_rad = 0.0; // of a move in a step
 
-    // The shortest steps of about settings.grid_rad that speed and acceleration allow.
-    // @pre speed, acceleration, grid and tick are above 0.
-    Clock(const Settings &settings, double highest_approach_rad);
-    // The same for the highest approach of a task.
+    // The shortest steps in which the fastest of those that may move go about settings.grid_rad, and the
+    // slowest no less than a quarter of it.
+    // @pre speeds, accelerations, grid and tick are above 0.
     Clock(const Settings &settings, const Task &task);
     // Duration of a step, s.
     double step_s() const { return 4 * quarter_s; }
+    // The widest move in a step.
+    double grid_rad(Pace pace) const;
     // The highest approach that may begin in the turn after one in which the axis has gone up to it.
     double highest_hook_rad(double acceleration_rad_s2) const;
 };
@@ -159,8 +187,8 @@ struct PlanResult {
 // blocks no other; in the worst case none moves. The same arguments give the same bits, unless it is cut
 // short: then those that still meet others are given up, and nothing is hurried or straightened any more. The
 // caller verifies what comes back (verify.hpp).
-// @pre start, goal, approach_rad and fixed have as many rows as bodies.arms, least_approach_rad as many or
-// none; approach_rad is not negative, and not below least_approach_rad; as for Clock.
+// @pre start, goal, approach_rad and fixed have as many rows as bodies.arms, the others as many or none;
+// approach_rad is not negative, and not below least_approach_rad; as for Clock.
 PlanResult plan(const Bodies &bodies, const Task &task, const Settings &settings);
 
 } // namespace fl::planning

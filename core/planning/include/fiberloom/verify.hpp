@@ -48,6 +48,9 @@ struct Violation {
 struct Rules {
     double speed_rad_s = 0.0;
     double acceleration_rad_s2 = 0.0;
+    // Of single positioners; empty: the same for all.
+    std::vector<double> own_speed_rad_s{};
+    std::vector<double> own_acceleration_rad_s2{};
     Limits travel{};
     double rounding_rad = 0.0; // how far angles may be off by rounding
     // Bodies that overlap at the start may move if their gap only grows, to within 1 um, until it is no

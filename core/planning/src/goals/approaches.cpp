@@ -77,7 +77,7 @@ Descent GoalFeasibility::lowest(PositionerIndex i) const {
 
 List<RatedDescent> GoalFeasibility::descents_of(PositionerIndex i) const {
     return descents({usual(i).alpha.height_rad, lowest(i).alpha.height_rad, settings_.approach_turns,
-                     clock_.highest_hook_rad(settings_.acceleration_rad_s2)});
+                     clock_.highest_hook_rad(pace(i).acceleration_rad_s2)});
 }
 
 void GoalFeasibility::take(PositionerIndex i, const Descent &descent) {

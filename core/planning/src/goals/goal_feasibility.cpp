@@ -21,8 +21,9 @@ int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -
 
 GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const Settings &settings,
                                  const Clock &clock)
-    : bodies_(bodies), task_(task), settings_(settings), clock_(clock),
-      need_mm_(2.0 * bodies.radius_mm + settings.clearance_mm), goals_(static_cast<int>(bodies.arms.size())) {
+    : bodies_(bodies), arms_(bodies), task_(task), settings_(settings), clock_(clock),
+      need_mm_(2.0 * arms_.radius_mm() + settings.clearance_mm),
+      goals_(static_cast<int>(bodies.arms.size())) {
     for (const PositionerIndex i : places()) {
         const Angles from = start(i), to = row(task.goal, i);
         set_goal(i, to, usual(i));
@@ -37,9 +38,7 @@ GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const S
 // Pairs of arms that can touch.
 void GoalFeasibility::find_near() {
     near_.resize(goals_.size());
-    List<Reach> reaches;
-    for (const PositionerIndex i : places()) reaches.push_back({arm(i).centre_mm, reach_mm(i)});
-    for (const NearPair &pair : near_pairs(reaches, need_mm_)) {
+    for (const NearPair &pair : near_pairs(arms_.reaches(), need_mm_)) {
         near_[PositionerIndex(pair.first)].push_back(PositionerIndex(pair.second));
         near_[PositionerIndex(pair.second)].push_back(PositionerIndex(pair.first));
     }
@@ -56,7 +55,7 @@ void GoalFeasibility::set_goal(PositionerIndex i, Angles angles, const Descent &
 GoalFeasibility::Blocked GoalFeasibility::blocked(PositionerIndex i, const SweptArm &leg) const {
     for (int k = 0; k < static_cast<int>(bodies_.obstacles.size()); ++k) {
         const Capsule &o = bodies_.obstacles[static_cast<size_t>(k)];
-        if (!stay_apart(leg, resting_arm(o.line), bodies_.radius_mm + o.radius_mm + settings_.clearance_mm))
+        if (o.owner != i.value() && !stay_apart(leg, resting_obstacle(o), obstacle_need_mm(o)))
             return {true, std::nullopt, k};
     }
     for (const PositionerIndex j : near(i))
@@ -126,15 +125,14 @@ AxisGrid GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double s
 }
 
 Robot GoalFeasibility::make_robot(PositionerIndex i) const {
-    const double step = clock_.grid_rad / goals_[i].finer;
-    Robot robot(arm_body(bodies_, arm(i)), grid(i, &Angles::alpha_rad, step),
-                grid(i, &Angles::beta_rad, step), step);
-    if (goals_[i].in_hand) robot.keep_in_hand(settings_.in_hand_mm, free_steps * clock_.grid_rad);
+    const double step = step_rad(i);
+    Robot robot(body(i), grid(i, &Angles::alpha_rad, step), grid(i, &Angles::beta_rad, step), step);
+    if (goals_[i].in_hand) robot.keep_in_hand(settings_.in_hand_mm, free_steps * clock_.grid_rad(pace(i)));
     if (settings_.late_s > 0.0) robot.set_legs(goals_[i].legs.all());
     for (const Capsule &o : bodies_.obstacles)
-        robot.add_obstacle(o.line, bodies_.radius_mm + o.radius_mm + settings_.clearance_mm);
+        if (o.owner != i.value()) robot.add_obstacle(resting_obstacle(o), obstacle_need_mm(o));
     for (const PositionerIndex j : near(i))
-        if (goals_[j].stuck) robot.add_obstacle(goals_[j].legs.rest().at[0], need_mm_);
+        if (goals_[j].stuck) robot.add_obstacle(goals_[j].legs.rest(), need_mm_);
     return robot;
 }
 
@@ -162,9 +160,7 @@ bool GoalFeasibility::settle_alone(PositionerIndex i) {
 }
 
 // Of a step on the grid: so much nearer to another than it is may an arm seem while it comes to rest.
-double GoalFeasibility::bulge_mm(PositionerIndex i) const {
-    return step_bulge_mm(body(i), clock_.grid_rad / goals_[i].finer);
-}
+double GoalFeasibility::bulge_mm(PositionerIndex i) const { return step_bulge_mm(body(i), step_rad(i)); }
 
 // Whether two stay apart on their legs, and the places where these begin can be come to one after the other.
 bool GoalFeasibility::apart(PositionerIndex i, const Legs &mine, PositionerIndex j,
@@ -173,7 +169,7 @@ bool GoalFeasibility::apart(PositionerIndex i, const Legs &mine, PositionerIndex
     if (!stay_apart(mine, theirs, need_mm_)) return false;
     if (goals_[i].still || goals_[j].still) return true;
     const double room_mm = std::min(bulge_mm(i), bulge_mm(j));
-    return distance(mine.at(0).at[0], theirs.at(0).at[0]) >= need_mm_ + room_mm;
+    return apart_at_first(mine.at(0), theirs.at(0), need_mm_ + room_mm);
 }
 
 bool GoalFeasibility::legs_touch(PositionerIndex i, PositionerIndex j) const {

@@ -64,10 +64,14 @@ class GoalFeasibility {
     struct Open;
 
     const Arm &arm(PositionerIndex i) const { return row(bodies_.arms, i); }
-    ArmBody body(PositionerIndex i) const { return arm_body(bodies_, arm(i)); }
+    const ArmBody &body(PositionerIndex i) const { return arms_[i]; }
+    Pace pace(PositionerIndex i) const { return pace_of(settings_, task_, i.value()); }
+    double obstacle_need_mm(const Capsule &o) const {
+        return arms_.radius_mm() + o.radius_mm + settings_.clearance_mm;
+    }
+    double step_rad(PositionerIndex i) const { return clock_.grid_rad(pace(i)) / goals_[i].finer; }
     Angles start(PositionerIndex i) const { return row(task_.start, i); }
     const List<PositionerIndex> &near(PositionerIndex i) const { return near_[i]; }
-    double reach_mm(PositionerIndex i) const { return body(i).reach_mm(); }
     bool away(PositionerIndex i) const { return goals_[i].stuck || goals_[i].gone; }
     Descent usual(PositionerIndex i) const;
     Descent lowest(PositionerIndex i) const;
@@ -114,6 +118,7 @@ class GoalFeasibility {
     void relax();
 
     const Bodies &bodies_;
+    ArmBodies arms_;
     const Task &task_;
     const Settings &settings_;
     const Clock &clock_;

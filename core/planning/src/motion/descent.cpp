@@ -51,7 +51,10 @@ SweptArm approach_leg(const ArmBody &body, Angles goal, Angles from, Angles to) 
     }
     const double alpha = (from.alpha_rad - to.alpha_rad) / quarters;
     const double both = alpha + (from.beta_rad - to.beta_rad) / quarters;
-    leg.bulge_mm = (std::abs(body.arm.l_alpha_mm) * alpha * alpha + body.far_mm() * both * both) / 8.0;
+    const double far_mm = std::abs(body.arm.l_alpha_mm) * alpha * alpha + body.far_mm * both * both;
+    leg.bulge_mm = std::max(far_mm, body.alpha_far_mm * alpha * alpha) / 8.0;
+    leg.extra_mm = body.extra_mm;
+    leg.shape = body.shape;
     measure_displacement_bound(leg);
     return leg;
 }

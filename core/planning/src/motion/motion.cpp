@@ -9,6 +9,9 @@ namespace {
 // Keeps speed and acceleration below the limits when positions are rounded on the bus (3e-7 deg).
 constexpr double within = 1.0 - 1e-6;
 
+// The slowest positioner takes so many steps for a way that the widest grid has one for.
+constexpr double slow_steps = 4.0;
+
 void add_point(Motion &motion, double time_s, Angles angles) {
     motion.time_s.push_back(time_s);
     motion.angles.push_back(angles);
@@ -35,6 +38,20 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
 // The last cut corner of a path ends half a step after it.
 int end_quarters(int steps) { return 4 * steps + 2; }
 
+// In which an axis can go so far and stop.
+double shortest_step_s(double way_rad, Pace pace) {
+    return std::max(way_rad / pace.speed_rad_s, std::sqrt(2.0 * way_rad / pace.acceleration_rad_s2));
+}
+
+// A third of the speed and less, so that an axis that comes up does not turn back at full speed; then the
+// last corner of a path takes half of the acceleration, and leaves this more than the approach takes.
+int least_turn_quarters(double height_rad, Pace pace, double quarter_s) {
+    const double by_speed = 3.0 * height_rad / (within * pace.speed_rad_s * quarter_s);
+    const double by_acceleration =
+        std::sqrt(2.0 * height_rad / (within * pace.acceleration_rad_s2)) / quarter_s;
+    return static_cast<int>(std::ceil(std::max(by_speed, by_acceleration)));
+}
+
 // From the end of the path down to the goal, beginning at a time that is given in quarters.
 void add_descent(Motion &motion, Angles goal, const Descent &descent, const Clock &clock, int begin) {
     const auto add = [&](int turn) {
@@ -53,24 +70,37 @@ void add_descent(Motion &motion, Angles goal, const Descent &descent, const Cloc
 
 } // namespace
 
-Clock::Clock(const Settings &s, const Task &task)
-    : Clock(s, task.approach_rad.empty()
-                   ? 0.0
-                   : *std::max_element(task.approach_rad.begin(), task.approach_rad.end())) {}
+Pace pace_of(const Settings &s, const Task &task, int robot) {
+    const auto k = static_cast<size_t>(robot);
+    return {task.speed_rad_s.empty() ? s.speed_rad_s : task.speed_rad_s[k],
+            task.acceleration_rad_s2.empty() ? s.acceleration_rad_s2 : task.acceleration_rad_s2[k]};
+}
 
-Clock::Clock(const Settings &s, double highest_approach_rad) {
-    const double step_s =
-        std::max(s.grid_rad / s.speed_rad_s, std::sqrt(2.0 * s.grid_rad / s.acceleration_rad_s2));
-    const double ticks = std::ceil(step_s / (quarters * s.tick_s) - 1e-6);
+Clock::Clock(const Settings &s, const Task &task) : widest_rad(s.grid_rad) {
+    List<Pace> paces;
+    List<double> heights;
+    for (size_t k = 0; k < task.fixed.size(); ++k)
+        if (task.fixed[k] == 0) {
+            paces.push_back(pace_of(s, task, static_cast<int>(k)));
+            heights.push_back(task.approach_rad[k]);
+        }
+    if (paces.empty()) paces.push_back({s.speed_rad_s, s.acceleration_rad_s2});
+    heights.resize(paces.size());
+    double fastest_s = shortest_step_s(s.grid_rad, paces.front()), slowest_s = 0.0;
+    for (const Pace &pace : paces) {
+        fastest_s = std::min(fastest_s, shortest_step_s(s.grid_rad, pace));
+        slowest_s = std::max(slowest_s, shortest_step_s(s.grid_rad / slow_steps, pace));
+    }
+    const double ticks = std::ceil(std::max(fastest_s, slowest_s) / (quarters * s.tick_s) - 1e-6);
     quarter_s = ticks * s.tick_s;
-    grid_rad = within * std::min({s.grid_rad, s.speed_rad_s * this->step_s(),
-                                  0.5 * s.acceleration_rad_s2 * this->step_s() * this->step_s()});
-    // a third of the speed and less, so that an axis that comes up does not turn back at full speed; then the
-    // last corner of a path takes half of the acceleration, and leaves this more than the approach takes
-    const double by_speed = 3.0 * highest_approach_rad / (within * s.speed_rad_s * quarter_s);
-    const double by_acceleration =
-        std::sqrt(2.0 * highest_approach_rad / (within * s.acceleration_rad_s2)) / quarter_s;
-    turn_quarters = std::max(2, static_cast<int>(std::ceil(std::max(by_speed, by_acceleration))));
+    turn_quarters = 2;
+    for (int k = 0; k < paces.size(); ++k)
+        turn_quarters = std::max(turn_quarters, least_turn_quarters(heights[k], paces[k], quarter_s));
+}
+
+double Clock::grid_rad(Pace pace) const {
+    return within * std::min({widest_rad, pace.speed_rad_s * step_s(),
+                              0.5 * pace.acceleration_rad_s2 * step_s() * step_s()});
 }
 
 double turn_begins_s(const Clock &clock, int steps, int turn) {

@@ -18,25 +18,26 @@ double longest_way(VelocityChange change) {
 } // namespace
 
 Robot::Robot(const ArmBody &body, AxisGrid alpha, AxisGrid beta, double step_rad)
-    : body_(body), alpha_(std::move(alpha)), beta_(std::move(beta)) {
-    const double far = body.far_mm(), l_a = std::abs(body.arm.l_alpha_mm);
+    : body_(body), limbs_(body.resting({})), alpha_(std::move(alpha)), beta_(std::move(beta)) {
     bulge_mm_ = step_bulge_mm(body, step_rad);
     for (int code = 0; code < 81; ++code) {
         const VelocityChanges c{{code / 27 - 1, code / 9 % 3 - 1}, {code / 3 % 3 - 1, code % 3 - 1}};
         const double turn_alpha = longest_way(c.alpha), turn_beta = longest_way(c.beta);
         displacement_bounds_[c.code()] =
-            c.rests() ? 0.0 : (l_a * turn_alpha + far * (turn_alpha + turn_beta)) * step_rad + bulge_mm_;
+            c.rests() ? 0.0 : body.way_mm(turn_alpha, turn_alpha + turn_beta) * step_rad + bulge_mm_;
     }
-    widest_displacement_mm_ = (l_a + 2.0 * far) * 0.5 * step_rad + bulge_mm_;
+    widest_displacement_mm_ = body.way_mm(1.0, 2.0) * 0.5 * step_rad + bulge_mm_;
 }
 
 SweptArm Robot::swept(Cell c, VelocityChanges changes) const {
-    if (changes.rests()) return resting_arm(line(c));
+    if (changes.rests()) return resting(c);
     SweptArm swept;
     for (int k = 0; k <= quarters; ++k)
         swept.at[k] = body_.line(alpha_.turn(c.alpha, changes.alpha, k), beta_.turn(c.beta, changes.beta, k));
     swept.bulge_mm = bulge_mm_ + in_hand_mm(c);
     swept.displacement_bound_mm = displacement_bound_mm(changes);
+    swept.extra_mm = body_.extra_mm;
+    swept.shape = body_.shape;
     return swept;
 }
 
@@ -61,15 +62,16 @@ double Robot::in_hand_mm(Cell c) const {
 void Robot::set_legs(List<SweptArm> legs) {
     legs_ = std::move(legs);
     const Segment here = line(goal());
-    for (const SweptArm &leg : legs_) {
-        const double away = std::max(length(leg.at[2].a - here.a), length(leg.at[2].b - here.b));
-        widest_displacement_mm_ = std::max(widest_displacement_mm_, away + leg.displacement_bound_mm);
-    }
+    for (const SweptArm &leg : legs_)
+        widest_displacement_mm_ = std::max(widest_displacement_mm_,
+                                           limbs_move_mm(leg, here, leg.at[2]) + leg.displacement_bound_mm);
 }
 
-void Robot::add_obstacle(const Segment &line, double need_mm) {
-    if (distance({centre(), centre()}, line) > reach_mm() + need_mm + in_hand_mm_) return;
-    obstacles_.push_back({resting_arm(line), need_mm});
+void Robot::add_obstacle(const SweptArm &body, double need_mm) {
+    const double extra = extra_mm() + body.extra_mm;
+    if (distance({centre(), centre()}, body.at[0]) > reach_mm() + need_mm + in_hand_mm_ + extra) return;
+    if (shape() == nullptr && body.shape == nullptr && (body.layers & first_layer) == 0) return;
+    obstacles_.push_back({body, need_mm});
     clearances_.assign(cells(), unknown);
 }
 
@@ -78,8 +80,10 @@ Robot::Clearance Robot::look(Cell c) const {
     Clearance clearance = all_clear;
     for (const Obstacle &o : obstacles_) {
         const double d = distance(here, o.swept.at[0]);
-        if (d < o.need_mm - widest_displacement_mm_) return none_clear;
-        if (d < o.need_mm + widest_displacement_mm_) clearance = some_clear;
+        const double need = o.need_mm + extra_mm() + o.swept.extra_mm;
+        const bool shaped = shape() != nullptr || o.swept.shape != nullptr;
+        if (!shaped && d < need - widest_displacement_mm_) return none_clear;
+        if (d < need + widest_displacement_mm_) clearance = some_clear;
     }
     return clearance;
 }

@@ -2,6 +2,7 @@
 // bodies at rest around it.
 #pragma once
 
+#include "bodies/body.hpp"
 #include "fiberloom/planning.hpp"
 #include "motion/grid.hpp"
 #include "motion/swept_arm.hpp"
@@ -24,29 +25,6 @@ struct VelocityChanges {
     int code() const { return ((alpha.from + 1) * 3 + alpha.to + 1) * 9 + (beta.from + 1) * 3 + beta.to + 1; }
     bool rests() const { return alpha.from == 0 && alpha.to == 0 && beta.from == 0 && beta.to == 0; }
 };
-
-// The part of the beta arm that is a body: from x = from_mm to x = to_mm of its frame.
-struct ArmBody {
-    Arm arm;
-    double from_mm = 0.0;
-    double to_mm = 0.0;
-    double far_mm() const { return std::max(std::abs(from_mm), std::abs(to_mm)); }
-    double reach_mm() const { return std::abs(arm.l_alpha_mm) + far_mm(); }
-    // The centre line for the turns of the alpha axis and of the beta axis against it.
-    Segment line(Turn alpha, Turn beta) const {
-        const Turn u = alpha * beta;
-        const Vec2 e{arm.centre_mm.x + arm.l_alpha_mm * alpha.c, arm.centre_mm.y + arm.l_alpha_mm * alpha.s};
-        return {{e.x + from_mm * u.c, e.y + from_mm * u.s}, {e.x + to_mm * u.c, e.y + to_mm * u.s}};
-    }
-};
-
-inline ArmBody arm_body(const Bodies &bodies, const Arm &arm) { return {arm, bodies.from_mm, bodies.to_mm}; }
-
-// How far an end of the arm leaves the chord of a quarter of a step, at most: both axes at full speed.
-inline double step_bulge_mm(const ArmBody &body, double step_rad) {
-    const double quarter = step_rad / quarters;
-    return (std::abs(body.arm.l_alpha_mm) + 4.0 * body.far_mm()) * quarter * quarter / 8.0;
-}
 
 class Robot {
   public:
@@ -89,6 +67,11 @@ class Robot {
     // Of a step, at most, with what is kept in hand.
     double bulge_mm() const { return bulge_mm_ + in_hand_mm_; }
     double reach_mm() const { return body_.reach_mm(); }
+    double extra_mm() const { return body_.extra_mm; }
+    const Shape *shape() const { return body_.shape; }
+    SweptArm resting(Cell c) const { return body_.resting(line(c)); }
+    // Its limbs, at no place.
+    const SweptArm &limbs() const { return limbs_; }
     Vec2 centre() const { return body_.arm.centre_mm; }
 
     // From now on an arm that moves keeps so much more to all others than they need, but where both axes are
@@ -99,8 +82,8 @@ class Robot {
     // @pre nothing more is kept in hand afterwards, no obstacle has been added.
     void set_legs(List<SweptArm> legs);
     const List<SweptArm> &legs() const { return legs_; }
-    // A body at rest, whose centre line must be kept need_mm away.
-    void add_obstacle(const Segment &line, double need_mm);
+    // A body at rest, whose centre line must be kept need_mm and its extra radius away.
+    void add_obstacle(const SweptArm &body, double need_mm);
     // Whether a step stays clear of every body at rest.
     bool clear(Cell c, VelocityChanges changes);
     bool clear(const SweptArm &swept) const;
@@ -119,6 +102,7 @@ class Robot {
     double in_hand_mm(Cell c) const;
 
     ArmBody body_;
+    SweptArm limbs_;
     AxisGrid alpha_, beta_;
     double bulge_mm_ = 0.0, widest_displacement_mm_ = 0.0;
     double displacement_bounds_[81] = {};

@@ -1,5 +1,7 @@
 #include "motion/swept_arm.hpp"
 
+#include "bodies/shape.hpp"
+
 #include <algorithm>
 
 namespace fl::planning {
@@ -54,51 +56,83 @@ double relative_displacement(const TwoLines &from, const TwoLines &to) {
     return std::sqrt(std::max(std::max(dot(aa, aa), dot(ab, ab)), std::max(dot(ba, ba), dot(bb, bb))));
 }
 
-bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
-    const double need = need_mm + p.bulge_mm + q.bulge_mm;
-    const double mid = distance(p.at[2], q.at[2]);
-    if (mid < need) return false;
-    if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
-    TwoLines before = two_lines(p.at[0], q.at[0]);
+bool chords_stay_apart(const Segment *p, const Segment *q, double need_mm) {
+    TwoLines before = two_lines(p[0], q[0]);
     for (int k = 0; k < quarters; ++k) {
-        const TwoLines after = two_lines(p.at[k + 1], q.at[k + 1]);
-        if (!chords_apart(before, after, need, most_halvings)) return false;
+        const TwoLines after = two_lines(p[k + 1], q[k + 1]);
+        if (!chords_apart(before, after, need_mm, most_halvings)) return false;
         before = after;
     }
     return true;
 }
 
-bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
-    if (p.displacement_bound_mm == 0.0 || q.displacement_bound_mm == 0.0) return stay_apart(p, q, need_mm);
-    const double need = need_mm + p.bulge_mm + q.bulge_mm;
-    const double mid = distance(p.at[2], q.at[2]);
-    if (mid < need) return false;
-    if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
+bool chords_ever_apart(const Segment *p, const Segment *q, double need_mm) {
     for (int k = 0; k < quarters; ++k)
         for (int m = 0; m < quarters; ++m)
-            if (!ever_apart(Chords{p.at[k], p.at[k + 1]}, Chords{q.at[m], q.at[m + 1]}, need,
-                            most_late_halvings))
+            if (!ever_apart(Chords{p[k], p[k + 1]}, Chords{q[m], q[m + 1]}, need_mm, most_late_halvings))
                 return false;
     return true;
 }
 
-SweptArm resting_arm(const Segment &line) {
+namespace {
+
+// Whether two bodies stay apart, by a test of lines that may come near.
+inline bool bodies_apart(const SweptArm &p, const SweptArm &q, double need_mm, ChordsTest chords_are_apart) {
+    const double need = need_mm + p.bulge_mm + q.bulge_mm + p.extra_mm + q.extra_mm;
+    const double mid = distance(p.at[2], q.at[2]);
+    const bool near = mid < need, shaped = p.shape != nullptr || q.shape != nullptr;
+    if (near && !shaped) return (p.layers & q.layers) == 0;
+    if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
+    if (shaped) return limbs_apart(p, q, need_mm, chords_are_apart);
+    return (p.layers & q.layers) == 0 || chords_are_apart(p.at, q.at, need);
+}
+
+} // namespace
+
+bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    return bodies_apart(p, q, need_mm, chords_stay_apart);
+}
+
+bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    const bool rests = p.displacement_bound_mm == 0.0 || q.displacement_bound_mm == 0.0;
+    return bodies_apart(p, q, need_mm, rests ? chords_stay_apart : chords_ever_apart);
+}
+
+SweptArm resting_arm(const Segment &line, double extra_mm, const Shape *shape) {
     SweptArm rest;
     std::fill(std::begin(rest.at), std::end(rest.at), line);
+    rest.extra_mm = extra_mm;
+    rest.shape = shape;
     return rest;
 }
 
-void measure_displacement_bound(SweptArm &swept) {
+namespace {
+
+// How far the ends of a line move from mid-step outwards.
+double displacement(const Segment *at) {
     double bound = 0.0;
     for (int side : {-1, 1}) {
         double a = 0.0, b = 0.0; // how far the two ends move from mid-step outwards
         for (int k = 0; k < quarters / 2; ++k) {
-            const Segment &from = swept.at[2 + side * k], &to = swept.at[2 + side * (k + 1)];
+            const Segment &from = at[2 + side * k], &to = at[2 + side * (k + 1)];
             a += length(to.a - from.a);
             b += length(to.b - from.b);
         }
         bound = std::max({bound, a, b});
     }
+    return bound;
+}
+
+} // namespace
+
+void measure_displacement_bound(SweptArm &swept) {
+    double bound = displacement(swept.at);
+    if (swept.shape != nullptr)
+        for (const Limb &limb : swept.shape->limbs) {
+            Segment at[quarters + 1];
+            for (int k = 0; k <= quarters; ++k) at[k] = swept.shape->place(limb, swept.at[k]);
+            bound = std::max(bound, displacement(at));
+        }
     swept.displacement_bound_mm = bound + swept.bulge_mm;
 }
 

@@ -5,7 +5,7 @@
 // chord by at most `bulge_mm`; the test treats ends as moving on chords and adds the bulges.
 #pragma once
 
-#include "fiberloom/distance.hpp"
+#include "fiberloom/planning.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -14,10 +14,15 @@ namespace fl::planning {
 
 inline constexpr int quarters = 4;
 
+struct Shape;
+
 struct SweptArm {
     Segment at[quarters + 1] = {};      // the centre line at the borders of the quarters
     double displacement_bound_mm = 0.0; // no point of the arm gets farther from its place at mid-step
     double bulge_mm = 0.0;              // arc against chord, within a quarter
+    double extra_mm = 0.0;              // its radius above the least one, which is part of what is needed
+    const Shape *shape = nullptr;       // of a body of several limbs: all within that radius
+    Layers layers = first_layer;        // of one without a shape
 };
 
 inline Vec2 operator-(Vec2 p, Vec2 q) { return {p.x - q.x, p.y - q.y}; }
@@ -65,14 +70,20 @@ struct TwoLines {
 // the distance of any two of their points change.
 double relative_displacement(const TwoLines &from, const TwoLines &to);
 
-// True only if the centre lines stay at least `need_mm` apart during the whole step.
+// True only if the centre lines stay at least `need_mm` and both extra radii apart during the whole step; of
+// bodies with shapes, those of all limbs that share a layer.
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
 // The same whatever the moments within the step at which the one and the other are.
 bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
+// The same two for lines with their places at the borders of the quarters, and all that they need.
+using ChordsTest = bool (*)(const Segment *p, const Segment *q, double need_mm);
+bool chords_stay_apart(const Segment *p, const Segment *q, double need_mm);
+bool chords_ever_apart(const Segment *p, const Segment *q, double need_mm);
+
 // A body that does not move, as a step.
-SweptArm resting_arm(const Segment &line);
+SweptArm resting_arm(const Segment &line, double extra_mm = 0.0, const Shape *shape = nullptr);
 
 // Fills in displacement_bound_mm from the centre lines at the borders and the bulge.
 void measure_displacement_bound(SweptArm &swept);

@@ -26,8 +26,7 @@ const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbo
     if (begin < 0) {
         begin = bits_.size();
         bits_.resize(begin + words(me), 0);
-        const Segment line = neighbour.line(at);
-        look(me, {line.a - me.centre(), line.b - me.centre()}, need_mm, bits_.data() + begin);
+        look_all(me, neighbour, at, need_mm, bits_.data() + begin);
     }
     return bits_.data() + begin;
 }
@@ -48,10 +47,19 @@ void BlockedCells::lay_out(const Robot &me) {
     for (int alpha = 0; alpha < me.alpha().size(); ++alpha)
         alpha_rad_.push_back(me.alpha().angle(alpha) - me.alpha().angle(0));
     touches_.resize(me.alpha().size());
+    if (me.shape() == nullptr) lines_.push_back(laid_out(me, nullptr));
+    for (int k = 0; me.shape() != nullptr && k < me.shape()->limbs.size(); ++k)
+        lines_.push_back(laid_out(me, &me.shape()->limbs[k]));
+}
+
+// limb: none of a body without a shape.
+BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) const {
+    Lines lines;
     for (int beta = 0; beta < me.beta().size(); ++beta) {
         Line line;
         for (int alpha = 0; alpha < me.alpha().size(); ++alpha) {
-            const Segment s = me.line({alpha, beta});
+            const Segment arm = me.line({alpha, beta});
+            const Segment s = limb == nullptr ? arm : me.shape()->place(*limb, arm);
             const Vec2 from = s.a - me.centre(), to = s.b - me.centre(), along = to - from;
             line.from_x.push_back(static_cast<float>(from.x));
             line.from_y.push_back(static_cast<float>(from.y));
@@ -60,24 +68,36 @@ void BlockedCells::lay_out(const Robot &me) {
             line.far_mm = std::max({line.far_mm, length(from), length(to)});
             if (alpha == 0) line.first = sector({from, to}, 0.0);
         }
-        lines_.push_back(std::move(line));
+        lines.push_back(std::move(line));
     }
+    return lines;
+}
+
+// Every limb of the one with every limb of the other.
+void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out) {
+    if (lines_.empty()) lay_out(me);
+    const Limbs mine(me.limbs()), theirs(neighbour.limbs());
+    const Segment there = neighbour.line(at);
+    all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
+        const Segment line = theirs.at(b, there);
+        look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need, out);
+        return true;
+    });
 }
 
 // Looks only where both are seen in the same direction from the centre.
-void BlockedCells::look(const Robot &me, const Segment &line, double need_mm, CellBits *out) {
-    if (lines_.empty()) lay_out(me);
+void BlockedCells::look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out) {
     const double away = distance(line, {});
     const Sector there = sector(line, need_mm);
     const auto place = [&](double alpha_rad) {
         return static_cast<int>(std::lower_bound(alpha_rad_.begin(), alpha_rad_.end(), alpha_rad) -
                                 alpha_rad_.begin());
     };
-    for (int beta = 0; beta < lines_.size(); ++beta) {
-        const Line &cells = lines_[beta];
+    for (int beta = 0; beta < lines.size(); ++beta) {
+        const Line &cells = lines[beta];
         if (away >= cells.far_mm + need_mm) continue;
         const double half = cells.first.half_rad + there.half_rad;
-        CellBits *bits_of_line = out + beta * words_per_line(me);
+        CellBits *bits_of_line = out + beta * words;
         if (half >= pi) {
             mark(cells, 0, alpha_rad_.size(), line, need_mm, bits_of_line);
             continue;

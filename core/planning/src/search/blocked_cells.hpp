@@ -18,8 +18,9 @@ class BlockedCells {
     static int words_per_line(const Robot &robot) { return (robot.alpha().size() + bits - 1) / bits; }
     static int words(const Robot &robot) { return robot.beta().size() * words_per_line(robot); }
 
-    // The cells of `me`, always the same, less than need_mm from `neighbour`, the one at place `slot` among
-    // its neighbours, when that is at a cell. As precise as single precision. Valid until the next call.
+    // The cells of `me`, always the same, less than need_mm beyond both extra radii from `neighbour`, the one
+    // at place `slot` among its neighbours, when that is at a cell. As precise as single precision. Valid
+    // until the next call.
     const CellBits *by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm);
 
   private:
@@ -27,7 +28,7 @@ class BlockedCells {
     struct Sector {
         double middle_rad = 0.0, half_rad = 0.0;
     };
-    // A line of cells: the centre lines of the arm, seen from its centre.
+    // A line of cells: the centre lines of the arm, or of one limb of it, seen from its centre.
     struct Line {
         List<float> from_x, from_y, along_x, along_y; // at each line of alpha, mm
         double far_mm = 0.0;
@@ -35,13 +36,16 @@ class BlockedCells {
     };
 
     static Sector sector(Segment line, double around_mm);
+    using Lines = List<Line>; // of a limb
     void lay_out(const Robot &me);
-    void look(const Robot &me, const Segment &line, double need_mm, CellBits *out);
+    Lines laid_out(const Robot &me, const Limb *limb) const;
+    void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out);
+    void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
     void mark(const Line &cells, int begin, int end, const Segment &line, double need_mm, CellBits *out);
 
     List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
     List<CellBits> bits_;
-    List<Line> lines_;
+    List<Lines> lines_;      // of each limb; of one body without a shape
     List<double> alpha_rad_; // from the first line of alpha
     List<int> touches_;
 };

@@ -39,7 +39,8 @@ int JointSearch::encounters(int which, const SweptArm &step, int when) const {
     int met = 0, last = -1; // no one is met twice in a step
     const Segment &mid = step.at[2];
     const Vec2 centre = middle(mid.a, mid.b);
-    const double radius = 0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm;
+    const double radius =
+        0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm + step.extra_mm;
     for (int index : ask_.moving[which]->at(ask_.backward ? ask_.steps - when : when)) {
         const MovingObstacles::Visit &e = ask_.moving[which]->visit(index);
         const Vec2 gap = e.centre - centre;

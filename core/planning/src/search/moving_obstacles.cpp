@@ -21,7 +21,7 @@ bool MovingObstacles::extends_last(int slot, int step, const SweptArm &swept) co
 
 MovingObstacles::Visit MovingObstacles::visit_of(const SweptArm &swept, int slot, int cost, Cell cell) {
     const Segment &mid = swept.at[2];
-    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm;
+    const double radius = 0.5 * length(mid.b - mid.a) + swept.displacement_bound_mm + swept.extra_mm;
     return {middle(mid.a, mid.b), radius, &swept, slot, cost, cell};
 }
 

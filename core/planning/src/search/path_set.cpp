@@ -33,15 +33,16 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
 
 void PathSet::add(Robot robot) {
     Member m(std::move(robot));
-    m.at_start = resting_arm(m.robot.line(m.robot.start()));
-    m.at_goal = resting_arm(m.robot.line(m.robot.goal()));
+    m.at_start = m.robot.resting(m.robot.start());
+    m.at_goal = m.robot.resting(m.robot.goal());
     m.deadline = steps_;
     members_.push_back(std::move(m));
 }
 
 void PathSet::find_neighbours() {
     List<Reach> reaches;
-    for (const Member &m : members_) reaches.push_back({m.robot.centre(), m.robot.reach_mm()});
+    for (const Member &m : members_)
+        reaches.push_back({m.robot.centre(), m.robot.reach_mm() + m.robot.extra_mm()});
     List<List<std::pair<double, PathIndex>>, PathIndex> near(size());
     for (const NearPair &pair : near_pairs(reaches, need_mm_)) {
         near[PathIndex(pair.first)].emplace_back(pair.gap_mm, PathIndex(pair.second));
@@ -74,7 +75,7 @@ void PathSet::extend(int steps) {
         if (m.path.empty()) continue;
         // the last step becomes one of many at rest: its second half was at rest already
         m.path.resize(steps_ + 1, m.path.back());
-        m.swept.resize(steps_ + 1, resting_arm(m.robot.line(m.path.back())));
+        m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
     }
 }
 
@@ -117,17 +118,21 @@ PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
     return {};
 }
 
+bool PathSet::within_reach(const Robot &robot, const SweptArm &them) const {
+    const Segment centre{robot.centre(), robot.centre()};
+    const double reach =
+        robot.reach_mm() + robot.extra_mm() + need_mm_ + them.displacement_bound_mm + them.extra_mm;
+    return squared_distance(centre, them.at[2]) < reach * reach;
+}
+
 void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) const {
-    const Segment centre{me.robot.centre(), me.robot.centre()};
     const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
     if (late_steps(me, me.neighbours[slot]) > 0) return gather_late(me, slot, moving);
     for (int step = 0; step <= steps_; ++step) {
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
-        const double reach = me.robot.reach_mm() + need_mm_ + seen.swept->displacement_bound_mm;
-        if (squared_distance(centre, seen.swept->at[2]) < reach * reach)
-            moving.add(slot, step, *seen.swept, them.cost, seen.cell);
+        if (within_reach(me.robot, *seen.swept)) moving.add(slot, step, *seen.swept, them.cost, seen.cell);
     }
 }
 
@@ -156,12 +161,10 @@ void PathSet::add_legs(const Member &m, List<Stay> &out) const {
 }
 
 void PathSet::gather_late(const Member &me, int slot, MovingObstacles &moving) const {
-    const Segment centre{me.robot.centre(), me.robot.centre()};
     const Member &them = at(me.neighbours[slot]);
     const int late = late_steps(me, me.neighbours[slot]);
     for (const Stay &there : stays(them)) {
-        const double reach = me.robot.reach_mm() + need_mm_ + there.swept->displacement_bound_mm;
-        if (squared_distance(centre, there.swept->at[2]) < reach * reach)
+        if (within_reach(me.robot, *there.swept))
             moving.add_late(slot, *there.swept, them.cost, there.cell, std::max(there.first - late, 0),
                             std::min(there.last + late, steps_));
     }
@@ -236,14 +239,21 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
     return true;
 }
 
+// Whether the circles around all that two sweep come too near.
+bool PathSet::circles_touch(const SweptArm &p, const SweptArm &q) const {
+    const Segment &mine = p.at[2], &theirs = q.at[2];
+    const Vec2 gap = middle(mine.a, mine.b) - middle(theirs.a, theirs.b);
+    const double touch = 0.5 * (length(mine.b - mine.a) + length(theirs.b - theirs.a)) +
+                         p.displacement_bound_mm + q.displacement_bound_mm + need_mm_ + p.extra_mm +
+                         q.extra_mm;
+    return dot(gap, gap) < touch * touch;
+}
+
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
     int count = 0;
     for (int k = 0; k < p.swept.size(); ++k) {
         const SweptArm &a = p.swept[k], &b = q.swept[k];
-        const Vec2 gap = middle(a.at[2].a, a.at[2].b) - middle(b.at[2].a, b.at[2].b);
-        const double touch = 0.5 * (length(a.at[2].b - a.at[2].a) + length(b.at[2].b - b.at[2].a)) +
-                             a.displacement_bound_mm + b.displacement_bound_mm + need_mm_;
-        if (dot(gap, gap) < touch * touch && !stay_apart(a, b, need_mm_)) ++count;
+        if (circles_touch(a, b) && !stay_apart(a, b, need_mm_)) ++count;
     }
     return count;
 }
@@ -254,15 +264,9 @@ int PathSet::late_in_conflict(const Member &p, const Member &q) const {
     const List<Stay> theirs = stays(q);
     int count = 0;
     for (const Stay &a : stays(p)) {
-        const Segment &mine = a.swept->at[2];
-        const double radius = 0.5 * length(mine.b - mine.a) + a.swept->displacement_bound_mm + need_mm_;
-        const Vec2 centre = middle(mine.a, mine.b);
         count += std::any_of(theirs.begin(), theirs.end(), [&](const Stay &b) {
             if (b.first - late > a.last || a.first - late > b.last) return false;
-            const Segment &line = b.swept->at[2];
-            const Vec2 gap = middle(line.a, line.b) - centre;
-            const double touch = radius + 0.5 * length(line.b - line.a) + b.swept->displacement_bound_mm;
-            return dot(gap, gap) < touch * touch && !ever_apart(*a.swept, *b.swept, need_mm_);
+            return circles_touch(*a.swept, *b.swept) && !ever_apart(*a.swept, *b.swept, need_mm_);
         });
     }
     return count;

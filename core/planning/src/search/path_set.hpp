@@ -111,6 +111,8 @@ class PathSet {
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
+    // Whether it could come near to what another one sweeps.
+    bool within_reach(const Robot &robot, const SweptArm &them) const;
     void gather_one(const Member &me, int slot, MovingObstacles &moving) const;
     void gather_late(const Member &me, int slot, MovingObstacles &moving) const;
     void guide(Request &request, Member &member);
@@ -137,6 +139,7 @@ class PathSet {
     int late_in_conflict(const Member &p, const Member &q) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
+    bool circles_touch(const SweptArm &p, const SweptArm &q) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;

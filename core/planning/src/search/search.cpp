@@ -141,16 +141,25 @@ void Search::gather_near(Place at) {
     near_.clear();
     const Segment here = ask_.robot->line(at.cell);
     const Vec2 centre = middle(here.a, here.b);
-    const double room = ask_.need_mm + ask_.robot->widest_displacement_mm();
+    const Robot &robot = *ask_.robot;
+    const double widest = ask_.need_mm + robot.widest_displacement_mm(), room = widest + robot.extra_mm();
     const double radius = 0.5 * length(here.b - here.a) + room;
     for (int index : ask_.moving->at(ask_.backward ? ask_.steps - at.step : at.step)) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
         const Vec2 gap = e.centre - centre;
         const double touch = radius + e.radius_mm;
         if (dot(gap, gap) >= touch * touch) continue;
-        const double close = room + e.swept->displacement_bound_mm;
-        if (squared_distance(here, e.swept->at[2]) < close * close) near_.push_back(&e);
+        const double close = room + e.swept->displacement_bound_mm + e.swept->extra_mm;
+        if (squared_distance(here, e.swept->at[2]) >= close * close) continue;
+        if (!shaped(e) || limbs_within(robot.limbs(), here, *e.swept, e.swept->at[2],
+                                       widest + e.swept->displacement_bound_mm))
+            near_.push_back(&e);
     }
+}
+
+// Whether the centre lines alone do not tell that two touch.
+bool Search::shaped(const MovingObstacles::Visit &e) const {
+    return ask_.robot->shape() != nullptr || e.swept->shape != nullptr;
 }
 
 int Search::encounters(const SweptArm &step) const {
@@ -167,7 +176,8 @@ int Search::encounters(const SweptArm &step) const {
 int Search::look_always(const SweptArm &step) const {
     const Segment &mid = step.at[2];
     const Vec2 centre = middle(mid.a, mid.b);
-    const double radius = 0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm;
+    const double radius =
+        0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + step.extra_mm + ask_.need_mm;
     int cost = 0, met = -1;
     for (const int index : ask_.moving->always()) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
@@ -212,15 +222,16 @@ int Search::encounters(Place at, VelocityChanges turn) {
     if (near_.empty()) return cost;
     // most are seen to be clear, or not, from mid-step alone
     const Segment here = ask_.robot->middle_line(at.cell, turn);
-    const double room = ask_.need_mm + ask_.robot->bulge_mm() + ask_.robot->displacement_bound_mm(turn);
+    const double room = ask_.need_mm + ask_.robot->bulge_mm() + ask_.robot->displacement_bound_mm(turn) +
+                        ask_.robot->extra_mm();
     int met = -1;
     doubtful_.clear();
     for (const MovingObstacles::Visit *e : near_) {
         if (e->slot == met) continue;
         const double d2 = squared_distance(here, e->swept->at[2]);
-        const double clear = room + e->swept->bulge_mm + e->swept->displacement_bound_mm;
+        const double clear = room + e->swept->bulge_mm + e->swept->displacement_bound_mm + e->swept->extra_mm;
         if (d2 >= clear * clear) continue;
-        if (d2 >= ask_.need_mm * ask_.need_mm) {
+        if (shaped(*e) || d2 >= ask_.need_mm * ask_.need_mm) {
             doubtful_.push_back(e);
             continue;
         }

@@ -96,6 +96,7 @@ class Search {
     void finish(NodeId id, Place at);
     void relax(Place at, const Node &here, int move);
     void gather_near(Place at);
+    bool shaped(const MovingObstacles::Visit &e) const;
     int encounters(const SweptArm &step) const;
     int rest_encounters(Cell cell);
     int leg_encounters() const;

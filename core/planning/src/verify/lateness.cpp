@@ -24,11 +24,18 @@ struct Span {
     Span half(int which) const { return {level + 1, 2 * index + which}; }
 };
 
-// One positioner in such an interval: its arm in the middle, and how far its points get from there.
-struct Place {
-    Segment line;
+// One positioner in such an interval: its parts in the middle, and how far their points get from there.
+struct Posture {
+    std::vector<Place> parts;
     double way_mm = 0.0;
 };
+
+double body_gap_mm(const std::vector<Place> &mine, const std::vector<Place> &theirs) {
+    double least = std::numeric_limits<double>::infinity();
+    for (const Place &p : mine)
+        for (const Place &q : theirs) least = std::min(least, part_gap_mm(p, q, segment_distance));
+    return least;
+}
 
 // One positioner over the whole plan; places in long intervals are found once.
 class LateTrack {
@@ -39,27 +46,33 @@ class LateTrack {
 
     double begin_s(Span span) const { return end_s_ * static_cast<double>(span.index) * size(span); }
     double end_s(Span span) const { return end_s_ * static_cast<double>(span.index + 1) * size(span); }
-    Segment line(double time_s) const { return track_.line(time_s); }
+    std::vector<Place> parts(double time_s) const {
+        std::vector<Place> out;
+        for (int part = 0; part < track_.parts(); ++part) out.push_back(track_.place(part, time_s));
+        return out;
+    }
 
-    Place place(Span span) {
-        if (span.level >= kept_levels) return look(span);
+    // Good until the next call.
+    const Posture &posture(Span span) {
+        if (span.level >= kept_levels) return last_ = look(span);
         auto &kept = kept_[span.level][span.index];
-        if (!kept) kept = std::make_unique<Place>(look(span));
+        if (!kept) kept = std::make_unique<Posture>(look(span));
         return *kept;
     }
 
   private:
     static double size(Span span) { return std::ldexp(1.0, -span.level); }
-    Place look(Span span) const {
+    Posture look(Span span) const {
         const double from = begin_s(span), to = end_s(span), middle = 0.5 * (from + to);
         const double before = track_.travelled_mm(from), here = track_.travelled_mm(middle),
                      after = track_.travelled_mm(to);
-        return {track_.line(middle), std::max(here - before, after - here)};
+        return {parts(middle), std::max(here - before, after - here)};
     }
 
     const Track &track_;
     double end_s_;
-    std::vector<std::vector<std::unique_ptr<Place>>> kept_;
+    std::vector<std::vector<std::unique_ptr<Posture>>> kept_;
+    Posture last_;
 };
 
 // Moments t of one that is late and s of another one, and the bounds of their gap. `key` orders the search.
@@ -94,6 +107,7 @@ struct Moment {
 // One that is late, and another one.
 class LateEncounter {
   public:
+    // radii_mm: of their largest parts together.
     LateEncounter(LateTrack &late, LateTrack &other, double radii_mm, double asked_s)
         : late_(late), other_(other), radii_mm_(radii_mm), asked_s_(asked_s) {}
 
@@ -113,8 +127,8 @@ class LateEncounter {
         Cell c{late, other};
         c.least_s = std::max(0.0, other_.begin_s(other) - late_.end_s(late));
         c.most_s = other_.end_s(other) - late_.begin_s(late);
-        const Place p = late_.place(late), q = other_.place(other);
-        c.gap_mm = segment_distance(p.line, q.line) - radii_mm_;
+        const Posture &p = late_.posture(late), &q = other_.posture(other);
+        c.gap_mm = body_gap_mm(p.parts, q.parts);
         c.way_late_mm = p.way_mm;
         c.way_other_mm = q.way_mm;
         return c;
@@ -142,7 +156,7 @@ class LateEncounter {
     }
 
     double gap_mm(Moment at) const {
-        return segment_distance(late_.line(at.late_at_s), other_.line(at.other_at_s)) - radii_mm_;
+        return body_gap_mm(late_.parts(at.late_at_s), other_.parts(at.other_at_s));
     }
 
     // --- the least lateness at which they touch: cells in the order of theirs ---
@@ -219,11 +233,10 @@ class LateEncounter {
 
 class LateVerifier {
   public:
-    LateVerifier(const Bodies &bodies, const std::vector<Motion> &motions, double late_s)
-        : radius_mm_(bodies.radius_mm), late_s_(late_s) {
+    LateVerifier(const Bodies &bodies, const std::vector<Motion> &motions, double late_s) : late_s_(late_s) {
         double end_s = 0.0;
         for (int i = 0; i < count(motions); ++i) {
-            tracks_.emplace_back(bodies.arms[i], bodies.from_mm, bodies.to_mm, motions[i]);
+            tracks_.emplace_back(bodies.arms[i], bodies.parts[i], motions[i]);
             end_s = std::max(end_s, tracks_.back().end_s());
         }
         for (const Track &track : tracks_) late_tracks_.emplace_back(track, end_s);
@@ -241,16 +254,18 @@ class LateVerifier {
         const Track &p = tracks_[i], &q = tracks_[j];
         const Vec2 c = p.centre_mm(), d = q.centre_mm();
         return p.moves() && q.moves() &&
-               std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - 2.0 * radius_mm_ <= 0.0;
+               std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - radii_mm(i, j) <= 0.0;
     }
+
+    double radii_mm(int i, int j) const { return tracks_[i].radius_mm() + tracks_[j].radius_mm(); }
 
     void look(int late, int other) {
         ++out_.looked_at;
-        LateEncounter pair(late_tracks_[late], late_tracks_[other], 2.0 * radius_mm_, late_s_);
+        LateEncounter pair(late_tracks_[late], late_tracks_[other], radii_mm(late, other), late_s_);
         if (pair.touch()) out_.pairs.push_back(pair.told(late, other));
     }
 
-    double radius_mm_, late_s_;
+    double late_s_;
     std::vector<Track> tracks_;
     std::vector<LateTrack> late_tracks_;
     Lateness out_;

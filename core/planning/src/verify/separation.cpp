@@ -32,9 +32,7 @@ double signed_distance(const Segment &p, const Segment &q) {
     return std::isfinite(least) ? -least : 0.0; // a point has no line; it can only touch
 }
 
-double Separation::gap_mm(double time_s) const {
-    return signed_distance(p_.line(time_s), q_ ? q_->line(time_s) : fixed_) - radii_mm_;
-}
+double Separation::gap_mm(double time_s) const { return bodies_.gap_mm(time_s, signed_distance); }
 
 Separation::Moment Separation::look(double time_s) {
     const double gap = gap_mm(time_s);
@@ -43,7 +41,7 @@ Separation::Moment Separation::look(double time_s) {
         smallest_mm_ = gap;
         smallest_s_ = time_s;
     }
-    return {time_s, gap, p_.travelled_mm(time_s) + (q_ ? q_->travelled_mm(time_s) : 0.0)};
+    return {time_s, gap, bodies_.travelled_mm(time_s)};
 }
 
 void Separation::prove() {

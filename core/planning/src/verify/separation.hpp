@@ -15,12 +15,34 @@ inline constexpr double slack_mm = 1e-3; // a gap that shall only grow may fall 
 // The distance of two segments, mm; where they cross, minus the shortest shift that parts them.
 double signed_distance(const Segment &p, const Segment &q);
 
-// A positioner and either another one or a fixed segment, over time.
+// A positioner and either another one or a fixed body.
+struct Two {
+    const Track &p;
+    const Track *q; // null: `fixed` is the other
+    Capsule fixed{};
+
+    double end_s() const { return q ? std::max(p.end_s(), q->end_s()) : p.end_s(); }
+    double travelled_mm(double time_s) const {
+        return p.travelled_mm(time_s) + (q ? q->travelled_mm(time_s) : 0.0);
+    }
+    // Of the largest parts together.
+    double radii_mm() const { return p.radius_mm() + (q ? q->radius_mm() : fixed.radius_mm); }
+    // The smallest gap of two parts that share a layer, by a distance of segments; far if none do.
+    template <class Distance> double gap_mm(double time_s, Distance distance) const {
+        double least = 1e9;
+        for (int b = 0; b < (q ? q->parts() : 1); ++b) {
+            const Place other = q ? q->place(b, time_s) : Place{fixed.line, fixed.radius_mm, fixed.layers};
+            for (int a = 0; a < p.parts(); ++a)
+                least = std::min(least, part_gap_mm(p.place(a, time_s), other, distance));
+        }
+        return least;
+    }
+};
+
+// Two bodies over time.
 class Separation {
   public:
-    // q: the other positioner, or null for `fixed`; radii_mm: of both bodies together.
-    Separation(const Track &p, const Track *q, const Segment &fixed, double radii_mm)
-        : p_(p), q_(q), fixed_(fixed), radii_mm_(radii_mm) {}
+    explicit Separation(Two bodies) : bodies_(bodies) {}
 
     // Signed gap at a moment, mm.
     double gap_mm(double time_s) const;
@@ -35,7 +57,7 @@ class Separation {
     double smallest_s() const { return smallest_s_; }
     // At the end of the motion.
     double last_mm() const { return last_mm_; }
-    double end_s() const { return q_ ? std::max(p_.end_s(), q_->end_s()) : p_.end_s(); }
+    double end_s() const { return bodies_.end_s(); }
 
   private:
     struct Moment {
@@ -48,10 +70,7 @@ class Separation {
     void judge(const Moment &at);
     void break_rule(double by_mm, double time_s);
 
-    const Track &p_;
-    const Track *q_;
-    const Segment &fixed_;
-    double radii_mm_;
+    Two bodies_;
     double highest_mm_ = -1e9; // no gap until now was larger: of bounds
     double seen_mm_ = -1e9;    // the largest gap looked at until now
     double closing_mm_ = 0.0, closing_s_ = 0.0;

@@ -13,16 +13,14 @@ namespace {
 constexpr double gap_true_mm = 1e-4; // the smallest gap is found to within this
 constexpr int deepest = 60;          // halvings; the bound settles long before
 
-// The gap of two bodies over time: a positioner and either another one or a fixed segment.
+// The gap of two bodies over time.
 class Encounter {
   public:
-    Encounter(const Track &p, const Track *q, const Segment &fixed, double radii_mm, double wanted_mm)
-        : p_(p), q_(q), fixed_(fixed), radii_mm_(radii_mm), wanted_mm_(wanted_mm) {}
+    Encounter(Two bodies, double wanted_mm) : bodies_(bodies), wanted_mm_(wanted_mm) {}
 
     // The smallest gap, if it is below `wanted_mm` or negative; otherwise some gap above both.
     Gap closest() {
-        const double end = q_ ? std::max(p_.end_s(), q_->end_s()) : p_.end_s();
-        const Moment first = look(0.0), last = look(end);
+        const Moment first = look(0.0), last = look(bodies_.end_s());
         descend(first, last, 0);
         return best_;
     }
@@ -33,9 +31,9 @@ class Encounter {
     };
 
     Moment look(double time_s) {
-        const double gap = segment_distance(p_.line(time_s), q_ ? q_->line(time_s) : fixed_) - radii_mm_;
+        const double gap = bodies_.gap_mm(time_s, segment_distance);
         if (gap < best_.gap_mm) best_ = {gap, time_s, -1, -1};
-        return {time_s, gap, p_.travelled_mm(time_s) + (q_ ? q_->travelled_mm(time_s) : 0.0)};
+        return {time_s, gap, bodies_.travelled_mm(time_s)};
     }
 
     // Above this a bound needs no closer look.
@@ -47,7 +45,7 @@ class Encounter {
     void descend(const Moment &from, const Moment &to, int depth) {
         const double way = to.travelled_mm - from.travelled_mm;
         // lines that cross cannot be nearer: nothing is gained in an interval where they stay so
-        const double bound = std::max(0.5 * (from.gap_mm + to.gap_mm - way), -radii_mm_);
+        const double bound = std::max(0.5 * (from.gap_mm + to.gap_mm - way), -bodies_.radii_mm());
         if (bound >= enough_mm()) return;
         if (depth == deepest) { // cannot be shown to be free: it is not
             if (bound < best_.gap_mm) best_ = {bound, from.time_s, -1, -1};
@@ -58,10 +56,8 @@ class Encounter {
         descend(middle, to, depth + 1);
     }
 
-    const Track &p_;
-    const Track *q_;
-    const Segment &fixed_;
-    double radii_mm_, wanted_mm_;
+    Two bodies_;
+    double wanted_mm_;
     Gap best_;
 };
 
@@ -74,6 +70,9 @@ double axis_at(const Motion &m, double Angles::*axis, double time_s) {
     return m.angles[k - 1].*axis + part * (m.angles[k].*axis - m.angles[k - 1].*axis);
 }
 
+// Of one positioner, where it has its own.
+double own(const std::vector<double> &rows, int i, double common) { return rows.empty() ? common : rows[i]; }
+
 Fault at_rest(Fault fault) { return fault == Fault::robots ? Fault::contact : Fault::obstacle_contact; }
 
 class Verifier {
@@ -85,7 +84,7 @@ class Verifier {
         for (int i = 0; i < count(motions_); ++i)
             if (!check_points(i)) return out_; // nothing else has a meaning
         for (int i = 0; i < count(motions_); ++i) {
-            tracks_.emplace_back(bodies_.arms[i], bodies_.from_mm, bodies_.to_mm, motions_[i]);
+            tracks_.emplace_back(bodies_.arms[i], bodies_.parts[i], motions_[i]);
             check_axes(i);
             check_ends(i);
         }
@@ -130,6 +129,8 @@ bool Verifier::check_points(int i) {
 // The largest breach of each kind only: one line per positioner and rule.
 void Verifier::check_speeds(int i, const std::vector<double> &speeds) {
     const auto &t = motions_[i].time_s;
+    const double top_speed = own(rules_.own_speed_rad_s, i, rules_.speed_rad_s);
+    const double top_acceleration = own(rules_.own_acceleration_rad_s2, i, rules_.acceleration_rad_s2);
     Violation fast{Fault::speed, i}, sharp{Fault::acceleration, i};
     const int last = count(speeds);
     for (int k = 0; k <= last; ++k) {
@@ -140,10 +141,10 @@ void Verifier::check_speeds(int i, const std::vector<double> &speeds) {
         out_.top_jump_rad_s = std::max(out_.top_jump_rad_s, jump);
         out_.top_speed_rad_s = std::max(out_.top_speed_rad_s, std::abs(after));
         out_.top_acceleration_rad_s2 = std::max(out_.top_acceleration_rad_s2, acceleration);
-        if (std::abs(after) - rules_.speed_rad_s > fast.depth)
-            fast = {Fault::speed, i, -1, t[k], std::abs(after) - rules_.speed_rad_s};
-        if (acceleration - rules_.acceleration_rad_s2 > sharp.depth)
-            sharp = {Fault::acceleration, i, -1, t[k], acceleration - rules_.acceleration_rad_s2};
+        if (std::abs(after) - top_speed > fast.depth)
+            fast = {Fault::speed, i, -1, t[k], std::abs(after) - top_speed};
+        if (acceleration - top_acceleration > sharp.depth)
+            sharp = {Fault::acceleration, i, -1, t[k], acceleration - top_acceleration};
     }
     for (const Violation &v : {fast, sharp})
         if (v.depth > 0.0) out_.violations.push_back(v);
@@ -251,11 +252,10 @@ bool Verifier::separates(int i, int other, Separation pair, Fault fault, Gap &sm
 void Verifier::check_pair(int i, int j) {
     const Track &p = tracks_[i], &q = tracks_[j];
     const Vec2 c = p.centre_mm(), d = q.centre_mm();
-    const double radii = 2.0 * bodies_.radius_mm;
-    if (std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - radii > 0.0) return;
-    const Segment none{};
-    if (separates(i, j, {p, &q, none, radii}, Fault::robots, out_.robots)) return;
-    const Gap gap = Encounter(p, &q, none, radii, out_.robots.gap_mm).closest();
+    const Two both{p, &q};
+    if (std::hypot(c.x - d.x, c.y - d.y) - p.reach_mm() - q.reach_mm() - both.radii_mm() > 0.0) return;
+    if (separates(i, j, Separation(both), Fault::robots, out_.robots)) return;
+    const Gap gap = Encounter(both, out_.robots.gap_mm).closest();
     note(gap, i, j, Fault::robots, p.moves() || q.moves(), out_.robots);
 }
 
@@ -265,7 +265,7 @@ void Verifier::check_pairs() {
     double reach = 0.0;
     for (int i = 0; i < count(tracks_); ++i) {
         by_x.emplace_back(tracks_[i].centre_mm().x, i);
-        reach = std::max(reach, tracks_[i].reach_mm() + bodies_.radius_mm);
+        reach = std::max(reach, tracks_[i].reach_mm() + tracks_[i].radius_mm());
     }
     std::sort(by_x.begin(), by_x.end());
     for (int a = 0; a < count(by_x); ++a)
@@ -277,12 +277,11 @@ void Verifier::check_obstacles() {
     for (int i = 0; i < count(tracks_); ++i)
         for (int k = 0; k < count(bodies_.obstacles); ++k) {
             const Capsule &o = bodies_.obstacles[k];
-            const double radii = bodies_.radius_mm + o.radius_mm;
-            if (point_segment_distance(tracks_[i].centre_mm(), o.line) > tracks_[i].reach_mm() + radii)
-                continue;
-            if (separates(i, k, {tracks_[i], nullptr, o.line, radii}, Fault::obstacle, out_.obstacles))
-                continue;
-            const Gap gap = Encounter(tracks_[i], nullptr, o.line, radii, out_.obstacles.gap_mm).closest();
+            const Two both{tracks_[i], nullptr, o};
+            const double reach = tracks_[i].reach_mm() + both.radii_mm();
+            if (o.owner == i || point_segment_distance(tracks_[i].centre_mm(), o.line) > reach) continue;
+            if (separates(i, k, Separation(both), Fault::obstacle, out_.obstacles)) continue;
+            const Gap gap = Encounter(both, out_.obstacles.gap_mm).closest();
             note(gap, i, k, Fault::obstacle, tracks_[i].moves(), out_.obstacles);
         }
 }

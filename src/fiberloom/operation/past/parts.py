@@ -12,6 +12,7 @@ import numpy as np
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane, Instrument
+from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.operation.move import Move
 from fiberloom.planning import Approach, Plan, Trajectory
 from fiberloom.planning.trajectories import KEYS
@@ -26,7 +27,7 @@ LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 PLACES = ("metrology_goal_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
 """Where fibres were to be in a move, and what a twin knows of where they were."""
 
-_POINT = "point "
+_POINT, _HANDICAP = "point ", "handicap "
 _PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
 _ASSIGNED = ("target", "fibre", "alpha_deg", "beta_deg", "approach_deg", "clearance_mm")
 
@@ -39,14 +40,21 @@ def record_begin(
     `run`: of the store; `plane`: layout by which the field is planned; `assignment`: of its positioners to
     `targets`; `about`: entries of summary.json.
     """
-    points = {_POINT + name: xy_mm for name, xy_mm in plane.points.items()}
-    instrument = {"instrument": plane.instrument.model_dump(mode="json")}
-    run.record_part(LAYOUT, pack(instrument, points | _arrays(plane, _PLANE)))
+    run.record_part(LAYOUT, packed_layout(plane))
     run.record_part(TARGETS, pack({}, _arrays(targets, [f.name for f in fields(TargetList)])))
     why = {"unassigned": list(assignment.unassigned.items()), "notes": assignment.notes}
     lead = {} if assignment.lead_mm is None else {"lead_mm": assignment.lead_mm}
     run.record_part(ASSIGNMENT, pack(why, _arrays(assignment, _ASSIGNED) | lead))
     run.record_part(ABOUT, pack({"about": about}))
+
+
+def packed_layout(plane: FocalPlane) -> bytes:
+    """A layout as a part; `plane_of` reads it."""
+    points = {_POINT + name: xy_mm for name, xy_mm in plane.points.items()}
+    handicaps = {} if plane.handicaps is None else plane.handicaps.arrays
+    kept = {_HANDICAP + name: values for name, values in handicaps.items()}
+    instrument = {"instrument": plane.instrument.model_dump(mode="json")}
+    return pack(instrument, points | kept | _arrays(plane, _PLANE))
 
 
 def record_end(run: Run, **figures: Any) -> None:
@@ -63,8 +71,13 @@ def _arrays(of: object, names: Any) -> dict[str, Array]:
 def plane_of(part: RunPart) -> FocalPlane:
     """The layout of a part."""
     points = {name.removeprefix(_POINT): xy for name, xy in part.arrays.items() if name.startswith(_POINT)}
-    instrument = Instrument.model_validate(part.head["instrument"])
-    return FocalPlane(instrument=instrument, points=points, **{name: part.arrays[name] for name in _PLANE})
+    kept = {n.removeprefix(_HANDICAP): xy for n, xy in part.arrays.items() if n.startswith(_HANDICAP)}
+    return FocalPlane(
+        instrument=Instrument.model_validate(part.head["instrument"]),
+        points=points,
+        handicaps=Handicaps(**kept) if kept else None,
+        **{name: part.arrays[name] for name in _PLANE},
+    )
 
 
 def targets_of(part: RunPart) -> TargetList:

@@ -66,8 +66,8 @@ class Clearing:
         self.plane, self.here_deg, self.mobile, self.somewhere = plane, here_deg, mobile, somewhere
         bodies = CollisionBodies.of(plane)
         discs = np.column_stack([np.tile(plane.centres_mm[somewhere], 2), plane.body_reach_mm[somewhere]])
-        self.obstacles = np.vstack([bodies.obstacles, discs])
-        self._segment, self._radius_mm = bodies.segment_mm, bodies.radius_mm
+        self.obstacles = np.vstack([bodies.obstacles[:, :5], discs])
+        self._segment, self._radius_mm = bodies.segment_mm, float(bodies.radii_mm.max())
         grid = np.stack(np.meshgrid(_BETAS_DEG, _ALPHAS_DEG, indexing="ij"), axis=-1).reshape(-1, 2)
         self._places_deg = grid[:, ::-1].copy()
 

@@ -1,0 +1,176 @@
+"""Bodies of several parts: capsules and convex polygons on layers, and keep-outs that do not move."""
+
+import math
+from functools import cache
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.spatial import ConvexHull
+
+from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
+from fiberloom.typing import Floats
+
+_TURNS = np.linspace(0.0, math.pi, 12, endpoint=False)
+"""Directions of capsules and cuts that are tried, rad."""
+_PARTS = np.linspace(0.1, 0.9, 7)
+_WIDTHS = 12
+_MOST_CAPSULES = 16
+
+Layer = Annotated[int, Field(ge=1, le=32)]
+Corner = tuple[Finite, Finite]
+
+
+def layer_bits(layers: tuple[int, ...]) -> int:
+    """A bit for each layer, the first one the lowest."""
+    return sum(1 << (layer - 1) for layer in set(layers))
+
+
+class Outline(Table):
+    """A part of a positioner: a capsule or the convex hull of a polygon, fixed to one of the arms."""
+
+    arm: Literal["alpha", "beta"]
+    """x runs along the beta arm from the beta axis, or along the alpha arm from the alpha axis."""
+    capsule_mm: tuple[Finite, Finite, Finite, Finite] | None = None
+    """x and y of both ends of its centre line."""
+    radius_mm: NotNegative = 0.0
+    """Of the capsule; of a polygon: it is so much wider on all sides."""
+    polygon_mm: tuple[Corner, ...] | None = None
+    """x and y of its corners; the convex hull counts."""
+    layers: Annotated[tuple[Layer, ...], Field(min_length=1)] = (1,)
+    """Heights that it takes up, 1 to 32. Bodies without a common one cannot touch."""
+    excess_mm: Positive = 0.1
+    """So far the capsules that cover a polygon may stick out."""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.capsule_mm is None) == (self.polygon_mm is None):
+            raise ValueError("a part needs capsule_mm or polygon_mm, one of the two")
+        if self.capsule_mm is not None and self.radius_mm == 0.0:
+            raise ValueError("radius_mm: a capsule needs one above 0")
+        if self.polygon_mm is not None and _area_mm2(np.array(self.polygon_mm)) <= 0.0:
+            raise ValueError("polygon_mm: at least three corners that do not lie on one line")
+        return self
+
+    @property
+    def capsules_mm(self) -> Floats:
+        """(k, 5) x0, y0, x1, y1, radius: what collides."""
+        if self.capsule_mm is not None:
+            return np.array([[*self.capsule_mm, self.radius_mm]])
+        covers = covered(np.array(self.polygon_mm), self.excess_mm)
+        covers[:, 4] += self.radius_mm
+        return covers
+
+    @property
+    def far_mm(self) -> float:
+        """The farthest point of the outline from the axis."""
+        capsule = self.capsule_mm or ()
+        corners = self.polygon_mm or (capsule[:2], capsule[2:])
+        return max(math.hypot(*corner) for corner in corners) + self.radius_mm
+
+    @property
+    def reach_mm(self) -> float:
+        """The farthest point of what covers it."""
+        return self.far_mm + (self.excess_mm if self.polygon_mm is not None else 0.0)
+
+
+class KeepOut(Table):
+    """Where no arm may be: a line through points, as wide as a radius, and its copies around the field."""
+
+    line_mm: Annotated[tuple[Corner, ...], Field(min_length=1)]
+    """x and y in the focal plane; one point: a disc."""
+    radius_mm: Positive
+    copies: Annotated[int, Field(ge=1, le=1000)] = 1
+    """By equal turns around the centre of the field, this one included."""
+    layers: Annotated[tuple[Layer, ...], Field(min_length=1)] = tuple(range(1, 33))
+
+    @property
+    def capsules_mm(self) -> Floats:
+        """(k, 5) x0, y0, x1, y1, radius of all copies."""
+        points = np.array([complex(*xy) for xy in self.line_mm])
+        ends = np.array([points[:-1], points[1:]]) if len(points) > 1 else np.array([points, points])
+        turned = [ends * np.exp(2j * math.pi * k / self.copies) for k in range(self.copies)]
+        first, second = np.concatenate(turned, axis=1)
+        radius = np.full(len(first), self.radius_mm)
+        return np.column_stack([first.real, first.imag, second.real, second.imag, radius])
+
+
+def covered(polygon_mm: Floats, excess_mm: float) -> Floats:
+    """(k, 5) capsules x0, y0, x1, y1, radius in mm that cover the convex hull of a polygon (n, 2) in mm.
+
+    They stick out by no more than `excess_mm`. The hull is cut in two, and the worse piece again, where that
+    helps most; each piece gets the capsule that sticks out least. What is inside is covered too, so what
+    does not touch a capsule does not touch the hull.
+    """
+    return _covered(tuple(map(tuple, polygon_mm)), excess_mm).copy()
+
+
+@cache
+def _covered(corners: tuple[Corner, ...], excess_mm: float) -> Floats:
+    points = np.array(corners)
+    hull = points[ConvexHull(points).vertices]
+    edges = np.roll(hull, -1, axis=0) - hull
+    outwards = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.hypot(*edges.T)[:, None]
+    sides = np.column_stack([outwards, (outwards * hull).sum(axis=1)])
+    pieces = [(*_around(hull, sides), hull)]
+    while max(piece[0] for piece in pieces) > excess_mm:
+        if len(pieces) == _MOST_CAPSULES:
+            raise ValueError(f"polygon_mm: {_MOST_CAPSULES} capsules stick out by more than {excess_mm} mm")
+        worst = pieces.pop(max(range(len(pieces)), key=lambda k: pieces[k][0]))
+        cuts = (_halves(worst[2], turn, part) for turn in _TURNS for part in _PARTS)
+        tried = [[(*_around(half, sides), half) for half in both] for both in cuts]
+        pieces += min(tried, key=lambda both: max(piece[0] for piece in both))
+    return np.array([capsule for _, capsule, _ in pieces])
+
+
+def _area_mm2(corners: Floats) -> float:
+    if len(corners) < 3:
+        return 0.0
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    return float(spread[-1]) if spread[-1] > 1e-6 else 0.0
+
+
+def _halves(hull: Floats, turn_rad: float, part: float) -> tuple[Floats, Floats]:
+    """Both sides of a cut across a direction, so far along its width."""
+    along = hull @ [math.cos(turn_rad), math.sin(turn_rad)]
+    at = along.min() + part * np.ptp(along)
+    ends = zip(hull, np.roll(hull, -1, axis=0), along, np.roll(along, -1), strict=True)
+    cut = [[p + (q - p) * (at - a) / (b - a)] for p, q, a, b in ends if (a - at) * (b - at) < 0.0]
+    return _in_turn(np.vstack([hull[along <= at], *cut])), _in_turn(np.vstack([hull[along >= at], *cut]))
+
+
+def _in_turn(corners: Floats) -> Floats:
+    """Corners of a convex polygon, one after the other around it."""
+    off = corners - corners.mean(axis=0)
+    return corners[np.argsort(np.arctan2(off[:, 1], off[:, 0]))]
+
+
+def _around(corners: Floats, sides: Floats) -> tuple[float, Floats]:
+    """By how much the capsule around corners sticks out that does so least, and the capsule.
+
+    `sides` (m, 3): of the polygon, outward normals and how far the sides are from the origin.
+    """
+    found = [_along(corners, turn, sides) for turn in _TURNS]
+    return min(found, key=lambda one: one[0])
+
+
+def _along(corners: Floats, turn_rad: float, sides: Floats) -> tuple[float, Floats]:
+    """The same of capsules in one direction, of many widths, with both ends of the line in the polygon.
+
+    Then no point is farther out than where an end is nearest to a side.
+    """
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    x, y = corners @ [c, s], corners @ [-s, c]
+    middle = 0.5 * (y.min() + y.max())
+    off = np.abs(y - middle)
+    most = math.hypot(np.ptp(x) / 2.0, off.max())
+    radii = np.linspace(off.max(), most + 1e-9, _WIDTHS)[:, None]
+    reach = np.sqrt(np.maximum(radii**2 - off**2, 0.0))
+    first, last = (x + reach).min(axis=1), (x - reach).max(axis=1)
+    both = np.where(first <= last, 0.0, 0.5 * (last - first))
+    first, last = first + both, last - both
+    ends = [np.stack([c * x_mm - s * middle, s * x_mm + c * middle], axis=-1) for x_mm in (first, last)]
+    out = np.maximum(*(end @ sides[:, :2].T for end in ends)) - sides[:, 2]
+    excess = np.where(out.max(axis=1) <= 1e-9, out.max(axis=1) + radii[:, 0], np.inf)
+    k = int(excess.argmin())
+    return float(excess[k]), np.array([*ends[0][k], *ends[1][k], radii[k, 0]])
