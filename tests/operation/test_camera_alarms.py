@@ -203,7 +203,7 @@ def small_instrument(folder):
 
 
 # each begins before the one before it ends: no exposure is good in between
-FAULTS = "camera_hang@40+50,camera_half@85+25,camera_stale@105+25,camera_error@125+12"
+FAULTS = "camera_hang@30+50,camera_half@77+14,camera_stale@89+14,camera_error@101+8"
 
 
 @pytest.mark.slow

@@ -44,7 +44,8 @@ def before_and_after(name: str, plane, goal_deg) -> tuple[Plan, Plan]:
     return both[0], both[1]
 
 
-@pytest.mark.parametrize("seed", range(6))
+# seed 5: one has no way at all, and 13 rounds look for it, 43 CPU s
+@pytest.mark.parametrize("seed", [*range(5), pytest.param(5, marks=pytest.mark.long)])
 def test_random_places_without_a_margin(real, seed):
     goal_deg = random_configuration(real, seed, margin_mm=0.0, approach_deg=0.0)
     before, after = before_and_after(f"random places, seed {seed}", real, goal_deg)

@@ -117,7 +117,7 @@ def test_plans_with_parts_on_layers_are_free(numbers):
 
 
 @given(st.integers(3, 12), st.integers(0, 10_000), st.sampled_from([(0, 1), (0, 1, 2), (2, 1)]))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_any_small_field_with_parts(n, seed, numbers):
     plane = with_parts(n, seed % 20, *numbers)
     rng = np.random.default_rng(seed)
@@ -177,7 +177,7 @@ def swapped(made, plane, i):
     return replace(made, robots=(*made.robots[:i], own, *made.robots[i + 1 :]))
 
 
-@pytest.mark.parametrize("plane", [desi(19), with_parts(12, 3, 0, 1, 2)], ids=["desi", "parts"])
+@pytest.mark.parametrize("plane", [desi(19), with_parts(12, 3, 0, 1)], ids=["desi", "parts"])
 def test_mutants_that_touch_are_caught_and_others_are_not(plane):
     ends = random_pair(plane, 1)
     made = plan(plane, *ends, seed=1)

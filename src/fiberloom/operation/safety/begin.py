@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
-from fiberloom.planning import MotionLimits, Plan, Trajectory, verify
+from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
@@ -283,10 +283,11 @@ def _overlaps(plane: FocalPlane, report: Report, standing: list[Standing], certa
         Trajectory(int(p), np.zeros(1), a[:1], a[1:])
         for p, a in zip(plane.positioner_id, report.angles_deg, strict=True)
     )
-    deep_mm = DEEP_SHARE * plane.collision_buffer_mm
-    as_reported = Plan(plane.instrument.name, deep_mm, robots)
-    for contact in verify(plane, as_reported, limits=MotionLimits(collision_buffer_mm=deep_mm)).contacts:
+    buffer_mm = plane.collision_buffer_mm
+    for contact in verify(plane, Plan(plane.instrument.name, buffer_mm, robots)).contacts:
         pair = [contact.positioner_id] + ([int(contact.other)] if contact.other.isdigit() else [])
+        if contact.depth <= len(pair) * (1.0 - DEEP_SHARE) * buffer_mm:
+            continue  # each of the arms has so much around it
         rows = plane.index_of(pair)
         if not (report.answered | plane.offline)[rows].all():
             continue  # a place that was not reported
