@@ -20,8 +20,8 @@ constexpr int more_time = 4;      // a deadline grows by the first one over this
 constexpr int hurry_rounds = 100; // repairs for one that hurries
 constexpr int most_hurries = 64;  // attempts of one to arrive earlier in which others have to give way
 constexpr int hurry_passes = 2;
-constexpr int late_patience = 8;  // repairs around a pair that meets only if one is late, before it is spared
-constexpr int patience = 16;      // repairs around a pair without success before the deadline grows
+constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
+constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
