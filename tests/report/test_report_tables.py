@@ -208,3 +208,20 @@ def test_a_file_is_proven_to_be_writable_and_keeps_its_content(tmp_path):
     assert path.read_text() == "kept"
     with pytest.raises(InputError, match=r"cannot write there \(Is a directory\); choose another place"):
         prepare_file(tmp_path / "new")
+
+
+def test_a_table_for_a_file_keeps_its_headings_whole(capsys):
+    row = {f"column_{k}_of_a_wide_table": f"value_{k}" for k in range(4)}
+    print_report([row])
+    heading, *_, values = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert " ".join(heading) == " ".join(row).replace("_", " ")
+    assert values == list(row.values())
+
+
+def test_a_narrow_terminal_folds_a_heading_and_drops_no_letter(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "24")
+    monkeypatch.setenv("NO_COLOR", "1")
+    print_report([{"positioners": 1, "requirement_um": 2, "images": 3}])
+    out = capsys.readouterr().out
+    assert "…" not in out

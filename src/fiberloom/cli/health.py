@@ -40,17 +40,19 @@ def health(options: HealthOptions) -> int:
 
 def _print(report: dict[str, Any]) -> None:
     """Prints one line about all positioners, and a table of those that are not healthy, worst first."""
-    from rich.console import Console
     from rich.table import Table
 
     from fiberloom.health.monitor import State
+    from fiberloom.report.tables import table_console
 
-    console = Console()
+    console = table_console()
     counts = ", ".join(f"{n} {state}" for state, n in report["states"].items() if n)
     console.print(f"{report['moves']} moves in {report['runs']} runs: {counts}")
     if not report["findings"]:
         return
-    table = Table("positioner", "state", "ailment", "axis", "evidence", "what to do")
+    table = Table()
+    for name in ("positioner", "state", "ailment", "axis", "evidence", "what to do"):
+        table.add_column(name, overflow="fold")
     order = {str(state): k for k, state in enumerate(reversed(State))}
     for row in sorted(report["findings"], key=lambda row: order[row["state"]]):
         cells = (row[k] for k in ("positioner_id", "state", "ailment", "axis", "evidence", "advice"))

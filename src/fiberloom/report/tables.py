@@ -11,10 +11,21 @@ from rich.table import Table
 
 from fiberloom.instruments import Instrument
 
+FILE_WIDTH = 120
+"""Columns of a table that goes to a file or a pipe: no terminal says how wide it is."""
+
+
+def table_console() -> Console:
+    """As wide as the terminal; `FILE_WIDTH` at least where the output is a file or a pipe."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, FILE_WIDTH)
+    return console
+
 
 def print_report(report: Any) -> None:
     """Print a mapping as two columns, a list of mappings as a table."""
-    console = Console()
+    console = table_console()
     if isinstance(report, Mapping):
         console.print(_pairs(report))
     elif report:
@@ -35,7 +46,7 @@ def _pairs(report: Mapping[str, Any]) -> Table:
 def _rows(rows: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(box=box.SIMPLE)
     for key in rows[0]:
-        table.add_column(key.replace("_", " "))
+        table.add_column(key.replace("_", " "), overflow="fold")
     for row in rows:
         table.add_row(*(_text(value) for value in row.values()))
     return table
