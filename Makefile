@@ -57,11 +57,14 @@ setup: $(STAMP)
 NATIVE := CMakeLists.txt pyproject.toml constraints.txt \
           $(shell find firmware core -path firmware/boards -prune -o -type f -print 2>/dev/null)
 
+# The lock names every package, so pip resolves nothing: with hashes, pip of Python 3.11 refuses `coverage[toml]` as soon
+# as there is a newer coverage than the lock's. `pip check` says what the lock lacks.
 $(VENV)/.dependencies: constraints.txt
 	@echo "1 of 7: an environment in $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(PROGRESS) "2 of 7: Python packages" build/packages.log --of $(shell grep -c '^[a-z]' constraints.txt) -- \
-	    $(BIN)/pip install -r constraints.txt
+	    $(BIN)/pip install --no-deps -r constraints.txt
+	@$(BIN)/pip check
 	@touch $@
 
 $(STAMP): $(VENV)/.dependencies $(NATIVE)
