@@ -309,7 +309,7 @@ def test_the_real_field(shared_sdssv, sdssv):
 
 def bodies_of(plane, radius_mm):
     parts = plain_parts(plane.n, plane.beta_segment_mm, radius_mm)
-    return _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+    return _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)[:, :5]))
 
 
 def test_the_planner_sees_no_conflict(small, result):

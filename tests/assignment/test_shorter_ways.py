@@ -40,7 +40,7 @@ def is_free(plane, found):
     """By the planner's test in continuous time, all approaching together, with the margin."""
     goals, approach = np.deg2rad(found.goal_deg), np.deg2rad(plane.instrument.approach_deg)
     parts = plain_parts(plane.n, plane.beta_segment_mm, plane.collision_buffer_mm + 0.1)
-    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)[:, :5]))
     conflicts = _core.planning.conflicts(bodies, goals, approach)
     static = _core.planning.static_ok(bodies, np.arange(plane.n), goals, approach)
     return len(conflicts) == 0 and np.all(static)

@@ -44,7 +44,7 @@ def is_sound(plane, targets, found):
     """Places free in the planner's test; fibres on targets, one each; every target is told of."""
     goals, approach = np.deg2rad(found.goal_deg), np.deg2rad(plane.instrument.approach_deg)
     parts = plain_parts(plane.n, plane.beta_segment_mm, plane.collision_buffer_mm + 0.1)
-    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)))
+    bodies = _core.planning.Bodies(plane.arms, parts, on_all_layers(obstacles(plane, 0.0)[:, :5]))
     assert len(_core.planning.conflicts(bodies, goals, approach)) == 0
     free = _core.planning.static_ok(bodies, np.arange(plane.n), goals, approach)
     assert np.all(free | plane.offline)  # an arm that is offline is an obstacle itself

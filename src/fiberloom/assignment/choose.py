@@ -72,11 +72,11 @@ def conflicts(
 ) -> tuple[Ints, Ints]:
     """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit.
 
-    `positioner` and `target` (C,): rows of the `plane` and of the target list; `segments` (C, POSES, 4)
-    mm: centre lines of the arm at the goal and on the approach; `limit_mm`: least distance of two
-    centre lines. Pairs on the same target are left out: they exclude each other anyway.
+    `positioner` and `target` (C,): rows of the `plane` and of the target list; `segments` (C, POSES, P,
+    4) mm: centre lines of the arm at the goal and on the approach; `limit_mm`: least gap between two
+    arms. Pairs on the same target are left out: they exclude each other anyway.
     """
-    all_places = places(segments)
+    all_places = places(plane, positioner, segments)
     found = [np.empty((0, 2), dtype=np.int64)]
     for a, b in _neighbouring(plane, positioner):
         other = target[a] != target[b]

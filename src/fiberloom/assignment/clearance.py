@@ -1,8 +1,9 @@
-"""Distances between arms at rest and on the approach leg, over arrays of places.
+"""Gaps between arms at rest and on the approach leg, over arrays of places.
 
 A place is a possible goal of one positioner: the goal and the short straight way to it, from
-approach_deg above on both axes. The way is kept as POSES poses of the centre line of the beta arm's
-capsule; `dip_mm` bounds how much nearer two arms can come between poses than at them.
+approach_deg above on both axes. The way is kept as POSES poses of the centre lines of the P parts of
+an arm (SDSS-V: one capsule); `dip_mm` bounds how much nearer two arms can come between poses than at
+them.
 """
 
 from typing import NamedTuple
@@ -10,27 +11,54 @@ from typing import NamedTuple
 import numpy as np
 
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.single_units import handicaps_of
+from fiberloom.planning.obstacles import (
+    BETA,
+    LAYERS,
+    RADIUS,
+    doubt_obstacles,
+    fixed_obstacles,
+    meet,
+    part_lines_mm,
+    parts_of,
+    parts_of_one,
+)
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
 POSES = 3
 """Goal, middle and start of the approach."""
 
+_ARM = 1
+"""Column of parts."""
+
+
+def outline(plane: FocalPlane) -> Floats:
+    """(P, 8) parts of an arm that is no wider than others, as in `planning.bodies.CollisionBodies.parts`."""
+    return parts_of_one(plane, plane.collision_buffer_mm)
+
+
+def arm_lines(plane: FocalPlane, angles_deg: Floats, positioner: Ints) -> Floats:
+    """(n, P, 4) mm: x0, y0, x1, y1 of the centre lines of all parts, of rows of the `plane` (n,) at angles
+    (n, 2).
+    """
+    arms, angles = plane.arms[positioner], deg_to_rad(angles_deg)
+    return np.stack([part_lines_mm(arms, part, angles) for part in outline(plane)], axis=1)
+
 
 def sweep(plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats) -> Floats:
-    """(C, POSES, 4) mm: x0, y0, x1, y1 of the centre lines at goals and on the approach to them.
+    """(C, POSES, P, 4) mm: x0, y0, x1, y1 of the centre lines at goals and on the approach to them.
 
     `positioner` (C,): rows of the `plane`, repeats allowed; `goal_deg` (C, 2): alpha, beta;
     `approach_deg`: one number, or (C,).
     """
     start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
     ways = [(1 - s) * goal_deg + s * start for s in np.linspace(0.0, 1.0, POSES)]
-    poses = [plane.beta_segments(way[:, 0], way[:, 1], positioner) for way in ways]
-    return np.stack(poses, axis=1).reshape(-1, POSES, 4)
+    return np.stack([arm_lines(plane, way, positioner) for way in ways], axis=1)
 
 
 def standing(plane: FocalPlane, goal_deg: Floats) -> Floats:
-    """(N, POSES, 4) mm: centre lines of all positioners at rest at these angles (N, 2)."""
+    """(N, POSES, P, 4) mm: centre lines of all positioners at rest at these angles (N, 2)."""
     return sweep(plane, np.arange(plane.n), goal_deg, 0.0)
 
 
@@ -42,13 +70,16 @@ def dip_mm(plane: FocalPlane, approach_deg: float, bodies: int = 2) -> float:
     r u^2 / 8. `bodies`: how many of the two move (1 against a fixed one).
     """
     step = float(deg_to_rad(approach_deg)) / (POSES - 1)
-    arm = max(map(abs, plane.beta_segment_mm))
+    parts = outline(plane)
+    far = np.hypot(parts[:, 2:6:2], parts[:, 3:7:2]).max(axis=1)
+    on_beta = parts[:, _ARM] == BETA
+    beta, alpha = far[on_beta].max(initial=0.0), far[~on_beta].max(initial=0.0)
     l_alpha = float(plane.l_alpha_mm.max(initial=0.0))
     # alpha turns the whole arm, beta its second part: twice the angle there
-    travel = step * (l_alpha + 2 * arm)
-    arc = (l_alpha * step**2 + arm * (2 * step) ** 2) / 8
-    nearest = 2 * plane.collision_buffer_mm
-    return (bodies * travel) ** 2 / (8 * nearest) + bodies * arc
+    travel = step * max(l_alpha + 2 * beta, alpha)
+    arc = max(l_alpha * step**2 + beta * (2 * step) ** 2, alpha * step**2) / 8
+    nearest = 2 * parts[:, RADIUS].min()
+    return float((bodies * travel) ** 2 / (8 * nearest) + bodies * arc)
 
 
 def point_segment_mm(point: Floats, segment: Floats) -> Floats:
@@ -86,28 +117,37 @@ def _side(segment: Floats, point: Floats) -> Floats:
 
 
 def obstacles(plane: FocalPlane, margin_mm: float) -> Floats:
-    """(K, 5) mm: capsules that do not move, x0, y0, x1, y1, radius: fiducials, guide cameras, arms of
-    offline positioners (these with their half of the margin between two arms).
+    """(K, 7) capsules that do not move, x0, y0, x1, y1, radius in mm, layers, arm (0 alpha, 1 beta).
+
+    Fiducials, guide cameras, keep-outs, parts of offline positioners and the places where these may be;
+    offline positioners with their half of the margin between two arms.
     """
     still = np.flatnonzero(plane.offline)
-    place = plane.offline_position_deg[still]
-    arms = plane.beta_segments(place[:, 0], place[:, 1], still)
-    radius = np.full((len(still), 1), plane.collision_buffer_mm + margin_mm / 2)
-    xy, r = plane.fiducials[:, :2], plane.fiducials[:, 2:]
-    return np.vstack([np.hstack([xy, xy, r]), plane.guide_cameras, np.hstack([arms, radius])])
+    parts, wider_mm = outline(plane), handicaps_of(plane).wider_mm[still]
+    lines = arm_lines(plane, plane.offline_position_deg[still], still).reshape(-1, 4)
+    radius = np.add.outer(wider_mm + margin_mm / 2, parts[:, RADIUS]).reshape(-1, 1)
+    kinds = np.tile(parts[:, [LAYERS, _ARM]], (len(still), 1))
+    doubt = doubt_obstacles(plane, parts_of(plane, plane.collision_buffer_mm))
+    doubt[:, 4] += margin_mm / 2
+    fixed = np.vstack([fixed_obstacles(plane), doubt])[:, :6]
+    arms = np.hstack([lines, radius, kinds])
+    return np.vstack([np.insert(fixed, 6, BETA, axis=1), arms])
 
 
 def obstacle_gap_mm(plane: FocalPlane, positioner: Ints, segments: Floats, bodies: Floats) -> Floats:
-    """(C,) gap in mm between the capsule of an arm and the nearest fixed body; negative where they
-    overlap.
+    """(C,) gap in mm between an arm and the nearest fixed body; negative where they overlap.
 
-    `positioner` (C,): rows of the `plane`; `segments` (C, P, 4) mm: centre lines of the arm in P poses;
-    `bodies` (K, 5) mm: capsules, x0, y0, x1, y1, radius.
+    `positioner` (C,): rows of the `plane`; `segments` (C, Q, P, 4) mm: centre lines of the arm in Q poses;
+    `bodies` (K, 7): as of `obstacles`.
     """
     gap = np.full(len(positioner), np.inf)
     which, body = _near_bodies(plane, positioner, bodies)
-    distance = segment_mm(segments[which], bodies[body, None, :4]).min(axis=1, initial=np.inf)
-    np.minimum.at(gap, which, distance - bodies[body, 4] - plane.collision_buffer_mm)
+    wider_mm = handicaps_of(plane).wider_mm[positioner]
+    for k, part in enumerate(outline(plane)):
+        here = meet(part[[_ARM, LAYERS]], bodies[:, [6, 5]])[body]
+        places, others = which[here], body[here]
+        distance = segment_mm(segments[places, :, k], bodies[others, None, :4]).min(axis=1, initial=np.inf)
+        np.minimum.at(gap, places, distance - bodies[others, 4] - (part[RADIUS] + wider_mm[places]))
     return gap
 
 
@@ -121,56 +161,91 @@ def _near_bodies(plane: FocalPlane, positioner: Ints, bodies: Floats) -> tuple[I
     return place, body
 
 
-def pair_distance_mm(first: Floats, second: Floats) -> Floats:
-    """(P,) smallest distance in mm of centre lines (P, POSES, 4) over all combinations of poses: one
-    positioner may have arrived while the other is still on its way.
-    """
-    gap: Floats = segment_mm(first[:, :, None], second[:, None, :]).min(axis=(1, 2))
-    return gap
-
-
 class Discs(NamedTuple):
-    """For each place: a disc that holds its centre line in all poses, and how far an end moves."""
+    """For each place: discs that hold the arm in all poses, and its parts at the goal."""
 
     middle: Floats
-    """(C, 2)."""
+    """(C, 2) mm."""
     radius: Floats
+    """(C,) mm."""
     travel: Floats
-
-
-def discs(segments: Floats) -> Discs:
-    """Discs around places: centre lines (C, POSES, 4) in mm."""
-    shift = segments - segments[:, :1]
-    ends = np.hypot(shift[..., 0], shift[..., 1]), np.hypot(shift[..., 2], shift[..., 3])
-    travel = np.maximum(*ends).max(axis=1)
-    start, end = segments[:, 0, :2], segments[:, 0, 2:]
-    half = np.hypot(*(end - start).T) / 2
-    return Discs((start + end) / 2, half + travel, travel)
+    """(C,) mm: how far an end of a part moves on the approach."""
+    part_middle: Floats
+    """(C, P, 2) mm."""
+    part_radius: Floats
+    """(C, P) mm."""
 
 
 class Places(NamedTuple):
-    """Places with their discs, ready to be compared many times."""
+    """C places, ready to be compared many times."""
 
     segments: Floats
+    """(C, POSES, P, 4) mm."""
+    radius: Floats
+    """(C, P) mm, of the parts."""
+    meeting: list[tuple[int, int]]
+    """Which parts of two arms can meet."""
     discs: Discs
 
 
-def places(segments: Floats) -> Places:
-    """Places with their discs, from centre lines (C, POSES, 4) in mm."""
-    return Places(segments, discs(segments))
+def places(plane: FocalPlane, positioner: Ints, segments: Floats) -> Places:
+    """Places with their discs, of rows of the `plane` (C,), from centre lines (C, POSES, P, 4) in mm."""
+    parts = outline(plane)
+    radius = np.add.outer(handicaps_of(plane).wider_mm[positioner], parts[:, RADIUS])
+    kinds = parts[:, [_ARM, LAYERS]]
+    meeting = [(int(a), int(b)) for a, b in np.argwhere(meet(kinds[:, None], kinds[None]))]
+    return Places(segments, radius, meeting, _discs(segments, radius))
+
+
+def _discs(segments: Floats, radius: Floats) -> Discs:
+    """Discs around places: centre lines (C, POSES, P, 4) and radii (C, P) in mm."""
+    shift = segments - segments[:, :1]
+    travel = np.maximum(np.hypot(shift[..., 0], shift[..., 1]), np.hypot(shift[..., 2], shift[..., 3]))
+    travel = travel.max(axis=(1, 2), initial=0.0)
+    start, end = segments[:, 0, :, :2], segments[:, 0, :, 2:]
+    part_middle = (start + end) / 2
+    along = end - start
+    part_radius = np.hypot(along[..., 0], along[..., 1]) / 2 + radius
+    middle = (part_middle.min(axis=1) + part_middle.max(axis=1)) / 2
+    away = part_middle - middle[:, None]
+    whole = (np.hypot(away[..., 0], away[..., 1]) + part_radius).max(axis=1) + travel
+    return Discs(middle, whole, travel, part_middle, part_radius)
+
+
+def gaps_mm(first: Places, a: Ints, second: Places, b: Ints, care_mm: float = np.inf) -> Floats:
+    """(n,) smallest gap in mm of `first`[`a`] and `second`[`b`] over all combinations of poses: one
+    positioner may have arrived while the other is still on its way.
+
+    Exact where it is below `care_mm`; elsewhere not below it.
+    """
+    return _gaps_mm(first, a, second, b, np.full(len(a), care_mm), POSES)
+
+
+def _gaps_mm(first: Places, a: Ints, second: Places, b: Ints, care_mm: Floats, poses: int) -> Floats:
+    """As `gaps_mm`, over the first `poses`; `care_mm` (n,)."""
+    travel = first.discs.travel[a] + second.discs.travel[b] if poses > 1 else np.zeros(len(a))
+    gap = care_mm.copy()
+    for p, q in first.meeting:
+        shift = first.discs.part_middle[a, p] - second.discs.part_middle[b, q]
+        wide = first.discs.part_radius[a, p] + second.discs.part_radius[b, q] + travel
+        near = np.flatnonzero(np.hypot(shift[:, 0], shift[:, 1]) - wide < gap)
+        i, j = a[near], b[near]
+        apart = segment_mm(first.segments[i, :poses, p][:, :, None], second.segments[j, :poses, q][:, None])
+        found = apart.min(axis=(1, 2), initial=np.inf) - (first.radius[i, p] + second.radius[j, q])
+        gap[near] = np.minimum(gap[near], found)
+    return gap
 
 
 def too_near(first: Places, a: Ints, second: Places, b: Ints, limit_mm: float) -> Flags:
-    """(P,) do `first`[`a`] and `second`[`b`] come nearer than `limit_mm`? Cheap for pairs far apart."""
+    """(n,) is the gap of `first`[`a`] and `second`[`b`] below `limit_mm`? Cheap for pairs far apart."""
     out = np.zeros(len(a), dtype=bool)
     shift = first.discs.middle[a] - second.discs.middle[b]
     gap = np.hypot(shift[:, 0], shift[:, 1]) - first.discs.radius[a] - second.discs.radius[b]
     near = np.flatnonzero(gap < limit_mm)
     # the goals decide most pairs; only the rest needs all combinations of poses
-    at_goal = segment_mm(first.segments[a[near], 0], second.segments[b[near], 0])
-    out[near] = at_goal < limit_mm
     travel = first.discs.travel[a[near]] + second.discs.travel[b[near]]
+    at_goal = _gaps_mm(first, a[near], second, b[near], limit_mm + travel, 1)
+    out[near] = at_goal < limit_mm
     rest = near[(at_goal >= limit_mm) & (at_goal - travel < limit_mm)]
-    distance = pair_distance_mm(first.segments[a[rest]], second.segments[b[rest]])
-    out[rest] = distance < limit_mm
+    out[rest] = gaps_mm(first, a[rest], second, b[rest], limit_mm) < limit_mm
     return out

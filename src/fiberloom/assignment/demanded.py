@@ -34,7 +34,7 @@ def place_demanded(
     plane = placement.plane
     bare = replace(
         rules,
-        pair_mm=2 * plane.collision_buffer_mm + dip_mm(plane, rules.approach_deg),
+        pair_mm=dip_mm(plane, rules.approach_deg),
         gap_mm=dip_mm(plane, rules.approach_deg, bodies=1),
         escape=Escape(plane, obstacles(plane, 0.0)),
     )

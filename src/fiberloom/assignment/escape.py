@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from fiberloom.assignment.clearance import obstacle_gap_mm
+from fiberloom.assignment.clearance import arm_lines, obstacle_gap_mm
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -23,7 +23,7 @@ GUARD_MM = 0.05
 
 @dataclass
 class Escape:
-    """Answers for one plane and its fixed bodies (K, 5); what was found is kept."""
+    """Answers for one plane and its fixed bodies (K, 7); what was found is kept."""
 
     plane: FocalPlane
     bodies: Floats
@@ -82,8 +82,8 @@ class Escape:
     def _gap_mm(self, positioner: Ints, alpha_deg: Floats, beta_deg: Floats) -> Floats:
         """(C,) least gap to the bodies over the P poses (C, P) of each of C positioners."""
         rows = np.repeat(positioner, alpha_deg.shape[1])
-        flat = self.plane.beta_segments(alpha_deg.ravel(), beta_deg.ravel(), index=rows)
-        segments = flat.reshape(*alpha_deg.shape, 4)
+        flat = arm_lines(self.plane, np.column_stack([alpha_deg.ravel(), beta_deg.ravel()]), rows)
+        segments = flat.reshape(*alpha_deg.shape, *flat.shape[1:])
         return obstacle_gap_mm(self.plane, positioner, segments, self.bodies)
 
     def _axes(self) -> list[Floats]:

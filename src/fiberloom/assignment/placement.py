@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from fiberloom.assignment.clearance import (
     dip_mm,
+    gaps_mm,
     obstacles,
-    pair_distance_mm,
     places,
     standing,
     too_near,
@@ -35,7 +35,7 @@ class Rules:
     approach_deg: float
     margin_mm: float
     pair_mm: float
-    """Least distance of two centre lines at the poses."""
+    """Least gap between two arms at the poses."""
     gap_mm: float
     """Least gap between an arm and a fixed body at the poses."""
     escape: Escape
@@ -43,7 +43,7 @@ class Rules:
 
     @property
     def bodies(self) -> Floats:
-        """(K, 5) mm: capsules that do not move, x0, y0, x1, y1, radius."""
+        """(K, 7) capsules that do not move, as of `clearance.obstacles`."""
         return self.escape.bodies
 
     @classmethod
@@ -52,7 +52,7 @@ class Rules:
         return cls(
             approach_deg=approach_deg,
             margin_mm=margin_mm,
-            pair_mm=2 * plane.collision_buffer_mm + margin_mm + dip_mm(plane, approach_deg),
+            pair_mm=margin_mm + dip_mm(plane, approach_deg),
             gap_mm=margin_mm / 2 + dip_mm(plane, approach_deg, bodies=1),
             escape=Escape(plane, obstacles(plane, margin_mm)),
         )
@@ -67,7 +67,7 @@ class Placement:
     """(N,) overshoot with which each goal was found free."""
     goal_deg: Floats = field(init=False)
     segments: Floats = field(init=False)
-    """(N, POSES, 4) centre lines at the goal and on the way to it."""
+    """(N, POSES, P, 4) mm: centre lines of the parts at the goal and on the way to it."""
     placed: Flags = field(init=False)
     target: Ints = field(init=False)
     fibre: NDArray[np.str_] = field(init=False)
@@ -98,8 +98,8 @@ class Placement:
     ) -> None:
         """Place positioners.
 
-        `row`: one, or (n,); `goal_deg` (n, 2); `segments` (n, POSES, 4) mm: centre lines at the goal
-        and on the approach; `approach`: overshoot in deg, one or (n,); `target`: row of the target
+        `row`: one, or (n,); `goal_deg` (n, 2); `segments` (n, POSES, P, 4) mm: centre lines at the
+        goal and on the approach; `approach`: overshoot in deg, one or (n,); `target`: row of the target
         list, NO_TARGET without one; `fibre`: its name.
         """
         self.goal_deg[row], self.segments[row], self.placed[row] = goal_deg, segments, True
@@ -113,19 +113,20 @@ class Placement:
 
     def hits(self, row: int, segments: Floats, limit_mm: float) -> tuple[Ints, Flags]:
         """Placed neighbours of a positioner that can still move, and (places, neighbours) flags: True
-        where the centre lines are nearer than `limit_mm` to a place, `segments` (C, POSES, 4) in mm.
+        where their gap to a place, `segments` (C, POSES, P, 4) in mm, is below `limit_mm`.
         """
         near = self.neighbours[row]
         near = near[self.placed[near] & ~self.plane.offline[near]]
         mine, theirs = np.indices((len(segments), len(near))).reshape(2, -1)
-        bad = too_near(places(segments), mine, places(self.segments[near]), theirs, limit_mm)
+        wanted = places(self.plane, np.full(len(segments), row), segments)
+        bad = too_near(wanted, mine, places(self.plane, near, self.segments[near]), theirs, limit_mm)
         return near, bad.reshape(len(segments), len(near))
 
     def clearance_mm(self) -> Floats:
         """(N,) gap between each arm and the nearest other one, over all poses."""
         a, b = self.plane.neighbour_pairs(1.0).T
-        gap = pair_distance_mm(self.segments[a], self.segments[b])
-        gap -= 2 * self.plane.collision_buffer_mm
+        all_places = places(self.plane, np.arange(self.plane.n), self.segments)
+        gap = gaps_mm(all_places, a, all_places, b)
         out = np.full(self.plane.n, np.inf)
         np.minimum.at(out, a, gap)
         np.minimum.at(out, b, gap)

@@ -46,8 +46,8 @@ def explain(
     """The reason for each target without a positioner, by its row in `targets`.
 
     `placement`: the placement; `found`: all C candidates; `block` (C,): what blocks each (`Block`);
-    `given_up`: target row -> positioner row that needed its place; `limit_mm`: least distance of two
-    centre lines.
+    `given_up`: target row -> positioner row that needed its place; `limit_mm`: least gap between two
+    arms.
     """
     plane = placement.plane
     taken = np.zeros(len(targets), dtype=bool)

@@ -14,7 +14,7 @@ def screen(
 ) -> Ints:
     """(C,) `Block` of each candidate: offline, beyond a stop, on a fixed body, or in a pocket.
 
-    `found`: C candidates on the `plane`; `segments` (C, POSES, 4) mm: their centre lines; `approach`:
+    `found`: C candidates on the `plane`; `segments` (C, POSES, P, 4) mm: their centre lines; `approach`:
     overshoot in deg, one or (C,); `rules`: distances to keep.
     """
     block = np.full(len(found), Block.NONE, dtype=np.int64)
@@ -33,8 +33,8 @@ def screen_placed(
 ) -> None:
     """Block also candidates that are taken, or too near to a positioner that is placed already.
 
-    `placement`: the placement; `found`: C candidates; `segments` (C, POSES, 4) mm: their centre lines;
-    `block` (C,) is changed; `limit_mm`: least distance of two centre lines.
+    `placement`: the placement; `found`: C candidates; `segments` (C, POSES, P, 4) mm: their centre lines;
+    `block` (C,) is changed; `limit_mm`: least gap between two arms.
     """
     moving = placement.placed & ~placement.plane.offline
     block[(block == Block.NONE) & moving[found.positioner]] = Block.BUSY
@@ -43,5 +43,10 @@ def screen_placed(
     mine = np.repeat(ok, [len(near[row]) for row in found.positioner[ok]])
     others = np.concatenate([*(near[row] for row in found.positioner[ok]), np.empty(0, np.int64)])
     others = others.astype(np.int64)
-    bad = too_near(places(segments), mine, places(placement.segments), others, limit_mm)
+    plane = placement.plane
+    wanted, there = (
+        places(plane, found.positioner, segments),
+        places(plane, np.arange(plane.n), placement.segments),
+    )
+    bad = too_near(wanted, mine, there, others, limit_mm)
     block[np.unique(mine[bad])] = Block.ARM

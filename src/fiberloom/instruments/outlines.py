@@ -57,7 +57,7 @@ class Outline(Table):
         """(k, 5) x0, y0, x1, y1, radius: what collides."""
         if self.capsule_mm is not None:
             return np.array([[*self.capsule_mm, self.radius_mm]])
-        covers = covered(np.array(self.polygon_mm), self.excess_mm)
+        covers = _covered_once(self.polygon_mm or (), self.excess_mm).copy()
         covers[:, 4] += self.radius_mm
         return covers
 
@@ -93,6 +93,12 @@ class KeepOut(Table):
         first, second = np.concatenate(turned, axis=1)
         radius = np.full(len(first), self.radius_mm)
         return np.column_stack([first.real, first.imag, second.real, second.imag, radius])
+
+
+@cache
+def _covered_once(polygon_mm: tuple[tuple[float, float], ...], excess_mm: float) -> Floats:
+    """As `covered`: all arms of a plane have the same outlines, and they are asked for often."""
+    return covered(np.array(polygon_mm), excess_mm)
 
 
 def covered(polygon_mm: Floats, excess_mm: float) -> Floats:

@@ -7,7 +7,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, FocalPlane
 from fiberloom.instruments.outlines import layer_bits
 from fiberloom.instruments.single_units import handicaps_of
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
 RADIUS, LAYERS = 6, 7
@@ -23,18 +23,19 @@ _MOST_IN_FAN = 1000
 
 def parts_of(plane: FocalPlane, radius_mm: float) -> Floats:
     """(P, 8) parts of all positioners with a collision buffer in mm, for `_core.planning.Bodies`."""
-    bodies = plane.instrument.bodies
-    if bodies.parts:
-        parts = _outlines(plane, radius_mm - bodies.collision_buffer_mm)
-        parts[:, RADIUS] += handicaps_of(plane).wider_mm[parts[:, 0].astype(np.int64)]
-        return parts
-    parts = plain_parts(plane.n, plane.beta_segment_mm, radius_mm)
-    parts[:, RADIUS] += handicaps_of(plane).wider_mm
+    one = parts_of_one(plane, radius_mm)
+    parts = np.tile(one, (plane.n, 1))
+    parts[:, 0] = np.repeat(np.arange(plane.n), len(one))
+    parts[:, RADIUS] += handicaps_of(plane).wider_mm[parts[:, 0].astype(np.int64)]
     return parts
 
 
-def _outlines(plane: FocalPlane, wider_mm: float) -> Floats:
-    """(P, 8) of the parts that the instrument tells, the same for all."""
+def parts_of_one(plane: FocalPlane, radius_mm: float) -> Floats:
+    """(P, 8) parts of a positioner that is no wider than others, with a collision buffer in mm; row 0."""
+    bodies = plane.instrument.bodies
+    if not bodies.parts:
+        return plain_parts(1, plane.beta_segment_mm, radius_mm)
+    wider_mm = radius_mm - bodies.collision_buffer_mm
     rows = []
     for outline in plane.instrument.bodies.parts:
         arm, bits = float(AXES.index(outline.arm)), float(layer_bits(outline.layers))
@@ -43,9 +44,14 @@ def _outlines(plane: FocalPlane, wider_mm: float) -> Floats:
     if (one[:, RADIUS] <= 0.0).any():
         least = plane.instrument.bodies.collision_buffer_mm - one[:, RADIUS].min() - wider_mm
         raise InputError(f"collision_buffer_mm: parts of {plane.instrument.name} need more than {least:g}")
-    parts = np.tile(one, (plane.n, 1))
-    parts[:, 0] = np.repeat(np.arange(plane.n), len(one))
-    return parts
+    return one
+
+
+def meet(kinds: Floats, others: Floats) -> Flags:
+    """Whether parts can touch, of their arms and layers (..., 2): they share a layer; not two alpha arms."""
+    one, other = (np.asarray(k[..., 1], dtype=np.int64) for k in (kinds, others))
+    arms = (kinds[..., 0] == BETA) | (others[..., 0] == BETA)
+    return np.asarray((one & other != 0) & arms, dtype=np.bool_)
 
 
 def plain_parts(n: int, segment_mm: tuple[float, float], radius_mm: float) -> Floats:

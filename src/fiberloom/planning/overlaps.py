@@ -8,8 +8,8 @@ import numpy as np
 from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies
-from fiberloom.planning.obstacles import BETA, LAYERS, RADIUS, obstacle_name, part_lines_mm
-from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.planning.obstacles import BETA, LAYERS, RADIUS, meet, obstacle_name, part_lines_mm
+from fiberloom.typing import Floats, Ints
 
 TOUCHING_MM = 1e-6
 """Gaps above minus this are none of the verifier's business."""
@@ -92,7 +92,7 @@ class Surroundings:
             mine = part_lines_mm(self.plane.arms[[row]], part, angles_rad)
             apart = signed_distance_mm(np.repeat(mine, len(theirs), axis=0), np.tile(theirs, (n, 1)))
             gaps = apart.reshape(n, len(theirs)) - (part[RADIUS] + rest[:, 0])
-            gaps[:, ~_meet(part[[1, LAYERS]], rest[:, 1:])] = _FAR_MM
+            gaps[:, ~meet(part[[1, LAYERS]], rest[:, 1:])] = _FAR_MM
             out = np.minimum(out, np.minimum.reduceat(gaps, begins, axis=1))
         return out
 
@@ -133,8 +133,8 @@ class Surroundings:
         pairs, mine, theirs = np.array(found, dtype=np.int64).reshape(-1, 3).T
         fixed = np.insert(self.bodies.obstacles[:, 5:6], 0, BETA, axis=1)
         kinds = np.vstack([self.bodies.parts[:, [1, LAYERS]], fixed])
-        meet = _meet(kinds[mine], kinds[theirs])
-        return pairs[meet], mine[meet], theirs[meet]
+        can = meet(kinds[mine], kinds[theirs])
+        return pairs[can], mine[can], theirs[can]
 
     def gaps_of_pairs_mm(self, here_rad: Floats) -> tuple[Ints, Ints, Floats]:
         """Rows (P,), bodies after them that their arms can touch, and their signed gaps in mm.
@@ -173,10 +173,3 @@ class Surroundings:
         if body >= n:
             return obstacle_name(self.plane, body - n)
         return f"positioner {self.plane.positioner_id[body]}"
-
-
-def _meet(kinds: Floats, others: Floats) -> Flags:
-    """Whether parts can touch, of their arms and layers (..., 2): they share a layer; not two alpha arms."""
-    one, other = (np.asarray(k[..., 1], dtype=np.int64) for k in (kinds, others))
-    arms = (kinds[..., 0] == BETA) | (others[..., 0] == BETA)
-    return np.asarray((one & other != 0) & arms, dtype=np.bool_)

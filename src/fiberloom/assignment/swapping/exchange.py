@@ -8,7 +8,7 @@ import numpy as np
 from fiberloom.assignment.assign import Assignment
 from fiberloom.assignment.candidates import Block, Candidates, find_candidates
 from fiberloom.assignment.choose import conflicts, exchange
-from fiberloom.assignment.clearance import pair_distance_mm, sweep
+from fiberloom.assignment.clearance import gaps_mm, places, sweep
 from fiberloom.assignment.placement import NO_TARGET, Placement, Rules
 from fiberloom.assignment.screen import screen, screen_placed
 from fiberloom.assignment.ways import way_cost, way_deg
@@ -74,8 +74,8 @@ class Exchanger:
         placement = self._placed(found, np.ones(self.plane.n, dtype=bool))
         near = placement.neighbours[row]
         near = near[~self.plane.offline[near]]
-        mine = np.repeat(placement.segments[row : row + 1], len(near), axis=0)
-        order: list[int] = near[np.argsort(pair_distance_mm(mine, placement.segments[near]))].tolist()
+        arms = places(self.plane, np.arange(self.plane.n), placement.segments)
+        order: list[int] = near[np.argsort(gaps_mm(arms, np.full(len(near), row), arms, near))].tolist()
         return order
 
     def _members(self, found: Assignment, rows: Iterable[int]) -> Ints:
