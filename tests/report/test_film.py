@@ -11,8 +11,9 @@ from PIL import Image
 
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
-from fiberloom.instruments import generate
+from fiberloom.instruments import FocalPlane, generate
 from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, random_pair, verify
+from fiberloom.planning.obstacles import parts_of
 from fiberloom.report.film import film, moments
 from fiberloom.report.film.film import Picture, film_title, write_film
 from fiberloom.report.film.formats import require_film
@@ -177,12 +178,12 @@ def test_buffers_obstacles_and_arms_are_drawn_to_scale(moved):
     shown = moved[0]
     picture = Picture(shown, "title")
     pt_per_mm = px_per_mm(picture.field) * 72.0 / picture.figure.dpi
-    assert picture.buffers.get_linewidths() == pytest.approx([4.0 * pt_per_mm])
+    assert picture.buffers.get_linewidths() == pytest.approx([4.0 * pt_per_mm] * shown.plane.n)
     np.testing.assert_allclose(
         np.sqrt(picture.fiducials.get_sizes()), 2.0 * shown.plane.fiducials[:, 2] * pt_per_mm
     )
     np.testing.assert_allclose(
-        picture.cameras.get_linewidths(), 2.0 * shown.plane.guide_cameras[:, 4] * pt_per_mm
+        picture.others.get_linewidths(), 2.0 * shown.plane.guide_cameras[:, 4] * pt_per_mm
     )
     moment = int(shown.pictures[40])
     picture.show(moment)
@@ -195,6 +196,34 @@ def test_buffers_obstacles_and_arms_are_drawn_to_scale(moved):
     # everything an arm reaches is inside
     left, right = picture.field.get_xlim()
     assert left < lines[..., 0].min() - 2.0 < lines[..., 0].max() + 2.0 < right
+
+
+def test_all_parts_of_arms_and_keep_outs_are_drawn():
+    """DESI: ten capsules an arm, on both axes; the edges of the petals."""
+    plane = FocalPlane.of("desi", n=37)
+    start_deg, goal_deg = random_pair(plane, 0)
+    shown = Moments(plane, plan(plane, start_deg, goal_deg), goal_deg)
+    picture = Picture(shown, "title")
+    moment = int(shown.pictures[10])
+    picture.show(moment)
+    pt_per_mm = px_per_mm(picture.field) * 72.0 / picture.figure.dpi
+    radii = parts_of(plane, plane.collision_buffer_mm)[:, 6]
+    assert len(set(radii)) > 5
+    drawn = np.array(picture.buffers.get_segments())
+    assert len(drawn) == len(radii) == 10 * plane.n
+    np.testing.assert_allclose(picture.buffers.get_linewidths(), np.maximum(2.0 * radii * pt_per_mm, 0.8))
+    # parts lie along their arm: alpha from its axis to the elbow, beta from there to the fibre
+    alpha_deg, beta_deg = shown.angles_deg[moment].T
+    axis, elbow = plane.centres_mm[3], plane.elbows_mm(alpha_deg)[3]
+    near, far = plane.beta_segments(alpha_deg, beta_deg)[3].reshape(2, 2)
+    for k, part in enumerate(parts_of(plane, plane.collision_buffer_mm)[:10]):
+        origin, along = (elbow, far - near) if part[1] else (axis, elbow - axis)
+        turn = np.array([along, [-along[1], along[0]]]) / np.hypot(*along)
+        np.testing.assert_allclose(drawn[30 + k], origin + part[2:6].reshape(2, 2) @ turn, atol=1e-6)
+    edges = np.vstack([keep_out.capsules_mm for keep_out in plane.instrument.bodies.keep_outs])
+    np.testing.assert_allclose(np.array(picture.others.get_segments()).reshape(-1, 4), edges[:, :4])
+    legend = {text.get_text() for text in picture.figure.legends[0].get_texts()}
+    assert any("keep-out" in line for line in legend)
 
 
 def test_colours_say_who_moves_who_is_near_and_who_does_not_arrive(stuck):
@@ -229,7 +258,7 @@ def test_obstacles_that_arms_come_near_are_marked(moved):
     assert obstacles[moment].any()
     picture = Picture(shown, "title")
     picture.show(moment)
-    colours = [*picture.fiducials.get_facecolors(), *picture.cameras.get_colors()]
+    colours = [*picture.fiducials.get_facecolors(), *picture.others.get_colors()]
     expected = np.where(obstacles[moment], film.NEAR, film.OBSTACLE)
     assert [to_hex(c) for c in colours] == expected.tolist()
 

@@ -143,15 +143,15 @@ class Surroundings:
         """
         rows, others = self._pairs
         pairs, mine, theirs = self._pieces_of_pairs
-        lines = np.vstack([self._all_lines_mm(here_rad), self.bodies.obstacles[:, :4]])
+        lines = np.vstack([self.all_lines_mm(here_rad), self.bodies.obstacles[:, :4]])
         radii = np.concatenate([self.bodies.parts[:, RADIUS], self.bodies.obstacles[:, 4]])
         apart = signed_distance_mm(lines[mine], lines[theirs]) - (radii[mine] + radii[theirs])
         gaps = np.full(len(rows), _FAR_MM)
         np.minimum.at(gaps, pairs, apart)
         return rows, others, gaps
 
-    def _all_lines_mm(self, here_rad: Floats) -> Floats:
-        """(P, 4) of all parts, in their order."""
+    def all_lines_mm(self, here_rad: Floats) -> Floats:
+        """(P, 4) mm: centre lines of all parts of `bodies`, in their order; the arms at (N, 2) rad."""
         parts = self.bodies.parts
         lines = np.empty((len(parts), 4))
         kinds, which = np.unique(parts[:, 1:6], axis=0, return_inverse=True)

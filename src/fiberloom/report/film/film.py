@@ -23,8 +23,10 @@ from PIL import Image
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning import Verification
+from fiberloom.planning.obstacles import RADIUS
 from fiberloom.report.film.formats import GIF, require_film
 from fiberloom.report.film.moments import NEAR_MM, Moments
+from fiberloom.units import deg_to_rad
 from fiberloom.wholefile import whole
 
 SIZE_IN, DPI = (9.0, 10.0), 100
@@ -152,9 +154,10 @@ class Picture:
         self.figure.text(0.5, 0.985, title, ha="center", va="top", fontsize=size_pt, weight="bold")
         self.field = self.figure.add_axes(_FIELD)
         self.pt_per_mm = _frame(self.field, shown)
-        self.fiducials, self.cameras = self._draw_obstacles()
+        self.fiducials, self.others = self._draw_obstacles()
         self.alpha_arms = self._lines(ALPHA, 1.0 if shown.plane.n > 100 else 2.0, 2)
-        self.buffers = self._lines(ALONE, self._pt(2.0 * shown.plan.collision_buffer_mm), 1)
+        self.buffers = self._lines(ALONE, 1.0, 1)
+        self.buffers.set_linewidth([self._pt(2.0 * r) for r in shown.bodies.parts[:, RADIUS]])
         body_mm = 2.0 * BODY_SHARE * shown.plane.collision_buffer_mm
         self.beta_arms = self._lines(RESTING, self._pt(0.6 * body_mm), 3)
         self.goals = self._draw_goals()
@@ -169,15 +172,16 @@ class Picture:
         shown, (alpha_deg, beta_deg) = self.shown, self.shown.angles_deg[moment].T
         elbows = shown.plane.elbows_mm(alpha_deg)
         self.alpha_arms.set_segments([*np.stack([shown.plane.centres_mm, elbows], axis=1)])
-        lines = [*shown.plane.beta_segments(alpha_deg, beta_deg).reshape(-1, 2, 2)]
-        self.buffers.set_segments(lines)
-        self.beta_arms.set_segments(lines)
+        self.beta_arms.set_segments([*shown.plane.beta_segments(alpha_deg, beta_deg).reshape(-1, 2, 2)])
+        parts = shown.around.all_lines_mm(deg_to_rad(shown.angles_deg[moment]))
+        self.buffers.set_segments([*parts.reshape(-1, 2, 2)])
         near, n = shown.near[moment], shown.plane.n
-        self.buffers.set_color(list(np.where(near[:n], NEAR, np.where(shown.refused, STRANDED, ALONE))))
+        halo = np.where(near[:n], NEAR, np.where(shown.refused, STRANDED, ALONE))
+        self.buffers.set_color(list(halo[shown.bodies.parts[:, 0].astype(np.int64)]))
         self.beta_arms.set_color(list(self._colours(moment)))
         obstacles, discs = list(np.where(near[n:], NEAR, OBSTACLE)), len(shown.plane.fiducials)
         self.fiducials.set_color(obstacles[:discs])
-        self.cameras.set_color(obstacles[discs:])
+        self.others.set_color(obstacles[discs:])
         self.goals.set_facecolor(list(np.where(shown.arrived[moment], ARRIVED, "white")))
         time_s = shown.time_s[moment]
         self.clock.set_text(f"{time_s:.1f} s   {int(shown.moving[moment].sum())} in motion")
@@ -198,14 +202,15 @@ class Picture:
         return lines
 
     def _draw_obstacles(self) -> tuple[PathCollection, LineCollection]:
-        """Fiducials as discs, guide cameras as lines with round ends, as large as they are."""
+        """Fiducials as discs, all others as lines with round ends, as large as they are."""
         plane = self.shown.plane
         x, y, radius = plane.fiducials.T
         discs = self.field.scatter(x, y, s=(2.0 * radius * self.pt_per_mm) ** 2, linewidths=0, zorder=0)
-        cameras = self._lines(OBSTACLE, 1.0, 0)
-        cameras.set_segments([*plane.guide_cameras[:, :4].reshape(-1, 2, 2)])
-        cameras.set_linewidth([self._pt(2.0 * r) for r in plane.guide_cameras[:, 4]] or [1.0])
-        return discs, cameras
+        others = self._lines(OBSTACLE, 1.0, 0)
+        rest = self.shown.bodies.obstacles[len(x) :]
+        others.set_segments([*rest[:, :4].reshape(-1, 2, 2)])
+        others.set_linewidth([self._pt(2.0 * r) for r in rest[:, 4]] or [1.0])
+        return discs, others
 
     def _draw_goals(self) -> PathCollection:
         plane, goal_deg = self.shown.plane, self.shown.goal_deg
@@ -248,7 +253,7 @@ class Picture:
         said += [(REFUSED, "does not arrive")] if shown.refused.any() else []
         said += [(OFFLINE, "offline")] if shown.plane.offline.any() else []
         said += [(NEAR, f"less than {NEAR_MM:g} mm beyond the buffers")]
-        said += [(OBSTACLE, "fiducial, guide camera")] if len(shown.bodies.obstacles) else []
+        said += [(OBSTACLE, ", ".join(self._kinds_of_obstacles()))] if len(shown.bodies.obstacles) else []
         marks = [Line2D([], [], color=c, linewidth=6, solid_capstyle="round", label=t) for c, t in said]
         marks.append(Line2D([], [], linestyle="", marker="o", mfc="white", mec=GOAL, label="goal"))
         top, columns = (0.96, len(marks)) if len(marks) <= _IN_A_ROW else (0.968, 4)
@@ -256,6 +261,16 @@ class Picture:
             handles=marks, loc="upper center", bbox_to_anchor=(0.5, top), ncols=columns, fontsize=8.5,
             frameon=False, labelspacing=0.2, handlelength=1.0, handletextpad=0.5, columnspacing=1.4,
         )  # fmt: skip
+
+    def _kinds_of_obstacles(self) -> list[str]:
+        plane = self.shown.plane
+        fixed = {
+            "fiducial": len(plane.fiducials),
+            "guide camera": len(plane.guide_cameras),
+            "keep-out": len(plane.instrument.bodies.keep_outs),
+            "where an arm may be": int((self.shown.bodies.obstacles[:, 6] >= 0).sum()),
+        }
+        return [name for name, count in fixed.items() if count]
 
 
 def _frame(axes: Axes, shown: Moments) -> float:

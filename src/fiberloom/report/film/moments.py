@@ -93,18 +93,23 @@ class Moments:
 
     @cached_property
     def bodies(self) -> CollisionBodies:
-        """With the collision buffer of the plan; the obstacles are fiducials, then guide cameras."""
+        """With the collision buffer of the plan; the obstacles are fiducials, guide cameras, keep-outs and
+        where offline positioners may be."""
         return CollisionBodies.of(self.plane, self.plan.collision_buffer_mm)
 
     @cached_property
+    def around(self) -> Surroundings:
+        """Which of the bodies can touch, and how near they are."""
+        return Surroundings(self.plane, self.bodies)
+
+    @cached_property
     def _gaps(self) -> tuple[Floats, Flags]:
-        around = Surroundings(self.plane, self.bodies)
         least_mm = np.full(len(self.time_s), np.inf)
         goes = np.zeros(self.plane.n + len(self.bodies.obstacles), dtype=np.bool_)
         goes[self.rows] = [robot.moves for robot in self.plan.robots]
         near = np.zeros((len(self.time_s), self.plane.n + len(self.bodies.obstacles)), dtype=np.bool_)
         for k, here_rad in enumerate(deg_to_rad(self.angles_deg)):
-            rows, others, gaps_mm = around.gaps_of_pairs_mm(here_rad)
+            rows, others, gaps_mm = self.around.gaps_of_pairs_mm(here_rad)
             least_mm[k] = gaps_mm[goes[rows] | goes[others]].min(initial=np.inf)
             close = gaps_mm < NEAR_MM
             near[k, rows[close]] = near[k, others[close]] = True
