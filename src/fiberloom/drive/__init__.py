@@ -1,0 +1,1 @@
+"""What an instrument's own motors and controllers make of a wanted way."""

@@ -1,0 +1,17 @@
+"""Stick-slip piezo motors (PFS): motor maps, and the laws that bring cobras to their targets."""
+
+from fiberloom.drive.piezo.iterations import Programme, SpeedScalingLaw
+from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings
+from fiberloom.drive.piezo.maps import FORWARD, REVERSE, MotorMaps, direction_of, pulse_factor
+
+__all__ = [
+    "FORWARD",
+    "REVERSE",
+    "LearningLaw",
+    "LearningSettings",
+    "MotorMaps",
+    "Programme",
+    "SpeedScalingLaw",
+    "direction_of",
+    "pulse_factor",
+]

@@ -1,0 +1,116 @@
+"""Our law for stick-slip motors: errors are learned, each image is used, last steps are short."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, Programme
+from fiberloom.drive.piezo.maps import MotorMaps, direction_of, pulse_factor
+from fiberloom.typing import Flags, Floats, Ints
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """What is believed of a motor before it was seen to move. All [A], but for what the maps' files tell."""
+
+    gain: float = 0.95
+    """How far a motor goes, of what its map says."""
+    gain_sigma: float = 0.20
+    drift_sigma: float = 0.10
+    """By so much the gain differs from place to place, and between pulses."""
+    move_sigma: float = 0.15
+    """Fresh scatter of a move, of its way."""
+    step_sigma: float = 0.6
+    """Fresh scatter of a move, in steps for each root of their number."""
+    fine_steps: float = 8.0
+    """A move is made of so many steps at least, by shorter pulses where these are too large."""
+    least_pulse_us: float = 12.0
+    """Shorter pulses are not used: nobody has published that a motor moves with them."""
+
+
+class LearningLaw:
+    """A filter of each motor's place and, by direction, of its gain; steps as short as the way needs."""
+
+    def __init__(self, maps: MotorMaps, curve_us: Floats, settings: LearningSettings | None = None) -> None:
+        """`maps` of M motors; `curve_us` (M,): p1 of their pulses in us."""
+        self.maps, self.curve_us, self.settings = maps, curve_us, settings or LearningSettings()
+        self.gain = np.full((maps.motors, 2), self.settings.gain)
+        self.gain_variance = np.full((maps.motors, 2), self.settings.gain_sigma**2)
+        self.move_variance = np.full(maps.motors, self.settings.move_sigma**2)
+        self._moves_seen = np.full(maps.motors, 4.0)  # so many the first belief counts as
+        self.place_deg: Floats | None = None
+        self.place_variance = np.zeros(maps.motors)
+        self._sent: tuple[Floats, Floats, Ints] | None = None
+
+    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
+        """What to send, for angles seen (M,), with their sigma (M,), and wanted (M,), in deg.
+
+        `active` (M,): motors that shall move; the others get no steps.
+        """
+        self.see(seen_deg, sigma_deg)
+        assert self.place_deg is not None
+        rows = np.arange(self.maps.motors)
+        way = np.where(active, goal_deg - self.place_deg, 0.0)
+        direction = direction_of(way)
+        usual = self.maps.pulse_us[rows, direction]
+        pulse = self._pulse_us(np.abs(way), usual, direction)
+        gain = self.gain[rows, direction] * pulse_factor(pulse, usual, self.curve_us)
+        wanted = self.maps.steps(self.place_deg, way) / gain
+        steps = np.rint(np.clip(wanted, -MOST_STEPS, MOST_STEPS)).astype(np.int64)
+        told = self.maps.way_deg(self.place_deg, steps * gain / self.gain[rows, direction])
+        step_deg = np.abs(told) / np.maximum(np.abs(steps), 1)
+        self._sent = told, step_deg, steps
+        return Programme(steps, pulse)
+
+    def see(self, seen_deg: Floats, sigma_deg: Floats) -> None:
+        """An image: angles (M,) and their sigma (M,) in deg. Gains are learned, places filtered."""
+        if self.place_deg is None or self._sent is None:
+            self.place_deg, self.place_variance = seen_deg.copy(), sigma_deg**2
+            return
+        told, step_deg, steps = self._sent
+        self._sent = None
+        rows, direction = np.arange(self.maps.motors), direction_of(told)
+        gain, variance = self.gain[rows, direction], self.gain_variance[rows, direction]
+        fresh = self._fresh_variance(told, step_deg, steps)
+        spread = variance + np.where(steps != 0, self.settings.drift_sigma**2, 0.0)
+        expected = self.place_deg + gain * told
+        doubt = self.place_variance + spread * told**2 + fresh
+        off = seen_deg - expected
+        self._learn(off, told, spread, doubt + sigma_deg**2)
+        share = doubt / (doubt + sigma_deg**2)
+        self.place_deg = expected + share * off
+        self.place_variance = (1.0 - share) * doubt
+
+    def _learn(self, off: Floats, told: Floats, spread: Floats, doubt: Floats) -> None:
+        """Gains by how far off moves ended (M,); the scatter of each by how far that is from `doubt`."""
+        rows, direction = np.arange(self.maps.motors), direction_of(told)
+        moved = told != 0.0
+        share = np.where(moved, spread * told / doubt, 0.0)
+        gain = np.clip(self.gain[rows, direction] + share * off, 0.1, 4.0)
+        left = np.where(moved, spread * (1.0 - spread * told**2 / doubt), spread)
+        self.gain[rows, direction] = gain
+        self.gain_variance[rows, direction] = left
+        far = moved & (spread * told**2 > 0.25 * doubt)  # short moves tell of steps and of the camera
+        surprise = np.where(far, off**2 / doubt, 1.0)
+        weight = np.where(far, 1.0 / (self._moves_seen + 1.0), 0.0)
+        self._moves_seen += far
+        self.move_variance *= 1.0 + weight * (np.minimum(surprise, 25.0) - 1.0)
+
+    def _fresh_variance(self, told: Floats, step_deg: Floats, steps: Ints) -> Floats:
+        """(M,) deg^2."""
+        out: Floats = self.move_variance * told**2 + (self.settings.step_sigma * step_deg) ** 2 * np.abs(
+            steps
+        )
+        return out
+
+    def _pulse_us(self, way_deg: Floats, usual_us: Floats, direction: Ints) -> Floats:
+        """(M,) whole us: the usual pulse, or the one whose steps are short enough for the way."""
+        assert self.place_deg is not None
+        rows = np.arange(self.maps.motors)
+        step = self.gain[rows, direction] * self.maps.step_at(self.place_deg, direction)
+        factor = np.minimum(way_deg / (self.settings.fine_steps * step), 1.0)
+        # the pulse t with hypot(t, p1) - p1 = factor times that of the usual one
+        height = factor * (np.hypot(usual_us, self.curve_us) - self.curve_us)
+        pulse = np.sqrt(height * (height + 2.0 * self.curve_us))
+        least = np.minimum(self.settings.least_pulse_us, usual_us)
+        return np.clip(np.rint(np.maximum(pulse, least)), 1.0, MOST_PULSE_US)
