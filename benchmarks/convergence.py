@@ -185,10 +185,14 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cobras", type=int, default=2394, help="how many, where maps are drawn")
     parser.add_argument("--maps", type=Path, help="folder of published maps")
-    parser.add_argument("--tolerance-um", type=float, default=10.0, help="a cobra stops once seen within")
+    parser.add_argument(
+        "--tolerance-um", type=float, help="a cobra stops once seen within; peer 10, ours 2.5"
+    )
     parser.add_argument("--camera-um", type=float, default=1.0, help="error of a place seen, per axis")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
+    if args.tolerance_um is None:
+        args.tolerance_um = {"peer": 10.0, "ours": 2.5}[args.law]
     try:
         found = converge(args)
     except (InputError, OSError, KeyError) as error:

@@ -202,8 +202,9 @@ def small_instrument(folder):
     return path
 
 
-# each begins before the one before it ends: no exposure is good in between
-FAULTS = "camera_hang@30+50,camera_half@77+14,camera_stale@89+14,camera_error@101+8"
+# each begins before the one before it ends: no exposure is good in between; and each lasts longer than an
+# attempt that hangs (8 s and 1 s), on a busy machine too
+FAULTS = "camera_hang@30+50,camera_half@77+24,camera_stale@99+16,camera_error@113+10"
 
 
 @pytest.mark.slow

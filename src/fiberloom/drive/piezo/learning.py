@@ -25,7 +25,7 @@ class LearningSettings:
     fine_steps: float = 8.0
     """A move is made of so many steps at least, by shorter pulses where these are too large."""
     least_pulse_us: float = 12.0
-    """Shorter pulses are not used: nobody has published that a motor moves with them."""
+    """Shorter pulses are not used: that a motor moves with them is not published."""
 
 
 class LearningLaw:
@@ -43,9 +43,10 @@ class LearningLaw:
         self._sent: tuple[Floats, Floats, Ints] | None = None
 
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
-        """What to send, for angles seen (M,), with their sigma (M,), and wanted (M,), in deg.
+        """What to send.
 
-        `active` (M,): motors that shall move; the others get no steps.
+        `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): of those seen; `active` (M,):
+        motors that shall move; the others get no steps.
         """
         self.see(seen_deg, sigma_deg)
         assert self.place_deg is not None
@@ -63,7 +64,7 @@ class LearningLaw:
         return Programme(steps, pulse)
 
     def see(self, seen_deg: Floats, sigma_deg: Floats) -> None:
-        """An image: angles (M,) and their sigma (M,) in deg. Gains are learned, places filtered."""
+        """An image: gains are learned, places filtered. `seen_deg` (M,): angles; `sigma_deg` (M,) of them."""
         if self.place_deg is None or self._sent is None:
             self.place_deg, self.place_variance = seen_deg.copy(), sigma_deg**2
             return

@@ -22,7 +22,7 @@ def pulse_factor(pulse_us: Floats, usual_us: Floats, curve_us: Floats) -> Floats
 
 
 def direction_of(way: Floats) -> Ints:
-    """FORWARD or REVERSE of signed ways or steps, of any shape."""
+    """FORWARD or REVERSE of a signed `way`, in deg or steps, of any shape."""
     return np.where(way < 0.0, REVERSE, FORWARD)
 
 

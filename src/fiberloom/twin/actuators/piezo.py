@@ -18,8 +18,9 @@ from fiberloom.typing import Floats, Ints
 BINS, BIN_DEG = 112, 400.0 / 112
 MEAN_STEP_DEG, MEAN_STEP_LOG_SD = (0.0717, 0.0705), (0.27, 0.54)
 """Theta and phi, slow: medians of 2394 cobras; the 5 and 95 % of their table."""
-MAP_SD, MAP_BINS = 0.23, 2.6
-"""Of the shape of a map: rms over mean; correlations 0.95, 0.8, 0.6, 0.2 over 1, 2, 4, 8 bins."""
+MAP_SD, MAP_BINS = 0.23, ((3.2, 0.75), (9.0, 0.25))
+"""Of the shape of a map: rms over mean; two lengths and their shares of the variance: correlations of 0.95,
+0.84, 0.64, 0.25 over 1, 2, 4, 8 bins."""
 PULSE_US = (44.0, 22.0)
 """Slow on-times of theta and phi, medians."""
 
@@ -92,7 +93,8 @@ def drawn_maps(cobras: int, seed: int) -> MotorMaps:
     mean = np.tile(MEAN_STEP_DEG, cobras) * np.exp(spread)
     # forward and reverse differ less than motors do
     both = mean[:, None] * np.exp(0.15 * rng.standard_normal((motors, 2)))
-    shape = 1.0 + MAP_SD * _smooth(rng, (motors, 2, BINS), MAP_BINS)
+    waves = [np.sqrt(share) * _smooth(rng, (motors, 2, BINS), bins) for bins, share in MAP_BINS]
+    shape = 1.0 + MAP_SD * np.sum(waves, axis=0)
     pulse = np.tile(PULSE_US, cobras)[:, None].repeat(2, axis=1)
     return MotorMaps(both[..., None] * np.clip(shape, 0.4, 1.7), BIN_DEG, pulse)
 

@@ -1,0 +1,100 @@
+"""What is sent to cobras: the published rule by hand, and what the learning law makes of what it sees."""
+
+import numpy as np
+import pytest
+
+from fiberloom.drive.piezo import LearningLaw, MotorMaps, SpeedScalingLaw, pulse_factor
+
+CURVE_US = np.array([88.0, 72.0])
+ALL = np.ones(2, dtype=bool)
+SIGMA_DEG = np.full(2, 0.01)
+
+
+def even_maps(step_deg=0.1):
+    """A theta and a phi motor, steps alike everywhere."""
+    return MotorMaps(np.full((2, 2, 40), step_deg), 10.0, np.array([[44.0, 44.0], [22.0, 22.0]]))
+
+
+def test_the_published_rule_by_hand():
+    law = SpeedScalingLaw(even_maps())
+    at, goal = np.array([100.0, 50.0]), np.array([110.0, 49.0])
+    first = law.command(at, goal, SIGMA_DEG, ALL)
+    assert first.steps.tolist() == [100, -10]
+    assert first.pulse_us.tolist() == [44.0, 22.0]
+    # theta went 8 of 10 deg; phi had 10 steps only, which tell nothing
+    second = law.command(np.array([108.0, 49.4]), goal, SIGMA_DEG, ALL)
+    assert second.steps.tolist() == [20, -4]
+    assert law.scale[0].tolist() == [1.0 + 0.25 * (10.0 / 8.0 - 1.0), 1.0]
+    assert law.scale[1].tolist() == [1.0, 1.0]
+    assert second.pulse_us.tolist() == [np.rint(44.0 * 1.0625), 22.0]
+
+
+def test_the_scale_of_a_pulse_stays_within_its_range():
+    law, at = SpeedScalingLaw(even_maps()), np.array([10.0, 10.0])
+    for _ in range(12):
+        law.command(at, at + 20.0, SIGMA_DEG, ALL)
+        at = at + 0.3  # hardly moves
+    assert np.all(law.scale[:, 0] == 2.0)
+    assert np.all(law.scale[:, 1] == 1.0)
+
+
+def test_who_is_not_active_gets_no_steps():
+    for law in (SpeedScalingLaw(even_maps()), LearningLaw(even_maps(), CURVE_US)):
+        sent = law.command(np.zeros(2), np.full(2, 30.0), SIGMA_DEG, np.array([True, False]))
+        assert sent.steps[0] > 0 == sent.steps[1]
+
+
+def test_no_move_has_more_steps_than_the_board_takes():
+    for law in (SpeedScalingLaw(even_maps(0.01)), LearningLaw(even_maps(0.01), CURVE_US)):
+        assert law.command(np.zeros(2), np.full(2, 180.0), SIGMA_DEG, ALL).steps.tolist() == [2000, 2000]
+
+
+def driven(law, gain, moves, goal_deg=(60.0, 70.0)):
+    """Angles after some moves of motors that go `gain` times what the map says, without any scatter."""
+    at = np.array([20.0, 20.0])
+    for _ in range(moves):
+        sent = law.command(at, np.array(goal_deg), np.full(2, 1e-4), ALL)
+        factor = pulse_factor(sent.pulse_us, law.maps.pulse_us[:, 0], CURVE_US)
+        at = at + gain * law.maps.way_deg(at, sent.steps * factor)
+    return at
+
+
+def test_a_lasting_gain_is_learned():
+    law = LearningLaw(even_maps(), CURVE_US)
+    gain = np.array([0.7, 1.2])
+    off = []
+    for _ in range(6):
+        law.place_deg = None  # from the same place once more
+        driven(law, gain, 2)
+        off.append(np.abs(law.gain[:, 0] / gain - 1.0).max())
+    assert off[0] < 0.15
+    assert off[5] < 0.02
+    # nothing was seen of the way back
+    assert np.all(law.gain[:, 1] == law.settings.gain)
+
+
+def test_last_steps_are_shorter_than_a_usual_one():
+    at = driven(LearningLaw(even_maps(), CURVE_US), np.array([0.9, 1.1]), 5)
+    assert np.abs(at - [60.0, 70.0]).max() < 0.02  # a usual step is 0.1 deg
+
+
+def test_a_motor_that_scatters_is_believed_less():
+    quiet, wild = LearningLaw(even_maps(), CURVE_US), LearningLaw(even_maps(), CURVE_US)
+    rng = np.random.default_rng(0)
+    for law, scatter in ((quiet, 0.02), (wild, 0.6)):
+        for _ in range(30):
+            at = np.array([100.0, 100.0])
+            law.place_deg = None
+            sent = law.command(at, at + 20.0, SIGMA_DEG, ALL)
+            law.see(at + sent.steps * 0.1 * (1.0 + scatter * rng.standard_normal(2)), SIGMA_DEG)
+    assert np.all(wild.move_variance > 9.0 * quiet.move_variance)
+
+
+def test_places_are_filtered():
+    """A motor that stands and is seen again and again is known better than by one image."""
+    rng, law = np.random.default_rng(1), LearningLaw(even_maps(), CURVE_US)
+    true = np.array([50.0, 60.0])
+    for _ in range(25):
+        law.command(true + 0.01 * rng.standard_normal(2), true, SIGMA_DEG, np.zeros(2, dtype=bool))
+    assert np.sqrt(law.place_variance) == pytest.approx([0.002, 0.002], rel=0.05)
+    assert np.abs(law.place_deg - true).max() < 0.006
