@@ -34,7 +34,7 @@ _ARM = 1
 
 
 def outline(plane: FocalPlane) -> Floats:
-    """(P, 8) parts of an arm that is no wider than others, as in `planning.bodies.CollisionBodies.parts`."""
+    """(P, 8) parts in mm, as in `planning.bodies.CollisionBodies`, of an arm that is no wider than others."""
     return parts_of_one(plane, plane.collision_buffer_mm)
 
 

@@ -43,7 +43,7 @@ class Rules:
 
     @property
     def bodies(self) -> Floats:
-        """(K, 7) capsules that do not move, as of `clearance.obstacles`."""
+        """(K, 7) mm: capsules that do not move, as of `clearance.obstacles`."""
         return self.escape.bodies
 
     @classmethod

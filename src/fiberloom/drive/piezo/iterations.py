@@ -41,8 +41,8 @@ class SpeedScalingLaw:
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
         """What to send.
 
-        `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): not used; `active` (M,): motors
-        that shall move; the others get no steps.
+        `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): not used; `active` (M,):
+        motors that shall move; the others get no steps.
         """
         self._learn(seen_deg)
         way = np.where(active, goal_deg - seen_deg, 0.0)

@@ -45,8 +45,8 @@ class LearningLaw:
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
         """What to send.
 
-        `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): of those seen; `active` (M,):
-        motors that shall move; the others get no steps.
+        `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): of those seen; `active`
+        (M,): motors that shall move; the others get no steps.
         """
         self.see(seen_deg, sigma_deg)
         assert self.place_deg is not None
