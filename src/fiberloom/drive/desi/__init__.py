@@ -1,0 +1,18 @@
+"""DESI's open-loop motors on a rotating field: move tables, their frames, and the laws that steer by them."""
+
+from fiberloom.drive.desi.frames import Command, Frame, Row, checksum, decode_row, encode_row
+from fiberloom.drive.desi.paths import FieldPath, executed_path
+from fiberloom.drive.desi.tables import MoveTables, move_tables
+
+__all__ = [
+    "Command",
+    "FieldPath",
+    "Frame",
+    "MoveTables",
+    "Row",
+    "checksum",
+    "decode_row",
+    "encode_row",
+    "executed_path",
+    "move_tables",
+]
