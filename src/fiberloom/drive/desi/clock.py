@@ -1,7 +1,8 @@
 """The motor's clock and steps: what a tick of 18 kHz does to the field.
 
-Field angles are whole tenths of a motor degree, so that what is added up stays exact. Sources: desihub/fpoffline
-`hwtable.py` (clock, steps, ramps), copies of DESI's `posmodel.py` and `posconstants.py` (gear, final directions).
+Field angles are whole tenths of a motor degree, so that what is added up stays exact. Sources:
+desihub/fpoffline `hwtable.py` (clock, steps, ramps), copies of DESI's `posmodel.py` and `posconstants.py`
+(gear, final directions).
 """
 
 import numpy as np

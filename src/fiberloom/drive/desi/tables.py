@@ -102,7 +102,7 @@ class MoveTables:
 
 
 def row_ticks(way_tenths: ArrayLike) -> Ints:
-    """Ticks that a motor needs for ways in tenths of a motor deg, by creep or cruise as `leg_steps` has it."""
+    """Ticks that a motor needs for ways in tenths of a motor deg, by creep or cruise (`leg_steps`)."""
     steps, cruise, _ = leg_steps(np.asarray(way_tenths, dtype=np.int64))
     return np.where(cruise, 2 * SPIN_TICKS + np.abs(steps), CREEP_TICKS * np.abs(steps))
 
@@ -157,7 +157,7 @@ def move_tables(
 
 
 def tables_of(legs_tenths: Ints, pause_ms: ArrayLike = 0, *, moving: ArrayLike | None = None) -> MoveTables:
-    """As `move_tables`, of ways (N, L, 2) in tenths of a motor deg; `pause_ms` (N, L), `moving` (N,) flags."""
+    """As `move_tables`, of ways (N, L, 2) in tenths of a motor deg; `pause_ms` (N, L), `moving` (N,)."""
     n, legs = legs_tenths.shape[:2]
     goes = legs_tenths.any(axis=(1, 2)) if moving is None else np.asarray(moving, dtype=bool)
     steps, cruise, rest = leg_steps(legs_tenths)
