@@ -66,11 +66,11 @@ class MoveTables:
     def __len__(self) -> int:
         return len(self.steps)
 
-    @property
+    @cached_property
     def rows(self) -> Ints:
         """(N,) rows that are not padding."""
         used = self.steps.any(axis=2) | (self.pause_ms > 0)
-        return np.where(used, np.arange(1, used.shape[1] + 1), 0).max(axis=1, initial=0)
+        return np.asarray(np.where(used, np.arange(1, used.shape[1] + 1), 0).max(axis=1, initial=0))
 
     @cached_property
     def way_tenths(self) -> Ints:
