@@ -26,7 +26,7 @@ def started(twin, tables):
 
 
 def crossing(first, second):
-    """Whether closed outlines (k,) and (l,) of complex corners overlap: a corner inside, or sides that cross."""
+    """Whether outlines (k,) and (l,) of complex corners overlap: a corner inside, or sides that cross."""
     as_path = [Outline(np.column_stack([z.real, z.imag])) for z in (first, second)]
     inside = any(
         path.contains_points(np.column_stack([z.real, z.imag])).any()

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from fiberloom._core import geometry
 from fiberloom.drive.desi.frames import ALL, POSITIONERS, Frame, tables_from
 from fiberloom.drive.desi.paths import FieldPath, executed_path
+from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
@@ -102,9 +103,14 @@ class DesiTwin:
         tables = tables_from([c.rows for c in starting])
         for controller, duration in zip(starting, tables.duration_s, strict=True):
             controller.begin(float(duration))
-        self._execute(rows, executed_path(tables))
+        self._run(rows, executed_path(tables))
 
-    def _execute(self, rows: Ints, field: FieldPath) -> None:
+    def execute(self, tables: MoveTables) -> None:
+        """Runs tables of all N units to their end, without frames: for studies of motors alone."""
+        self._run(np.arange(len(self.plane)), executed_path(tables))
+        self.run(float(tables.duration_s.max(initial=0.0)) + 1e-9)
+
+    def _run(self, rows: Ints, field: FieldPath) -> None:
         every = _with_resting(field, rows, len(self.plane))
         before = self._state
         path, self._state = true_path(self.units, before, every, self._rng)
