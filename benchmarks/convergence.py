@@ -4,8 +4,9 @@
 
 The motors are those of the twin, with published maps where they are (`--maps FOLDER`), else with drawn ones.
 Put in: the distances at the start (median and 95 % of visit 72752), the sizes of the motors' errors, the
-camera. What comes out: all that is printed below the start. `--instrument desi`: `convergence_desi.py`. The file: `unit` (n), `error_um` (n, moves;
-true), `measured_um` (n, moves), `gain` (n, moves - 1; share of the wanted way that was gone), `healthy` (n).
+camera. What comes out: all that is printed below the start; for DESI see `convergence_desi.py`. The file:
+`unit` (n), `error_um` (n, moves; true), `measured_um` (n, moves), `gain` (n, moves - 1; share of the wanted
+way that was gone), `healthy` (n).
 """
 
 import argparse

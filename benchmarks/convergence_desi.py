@@ -1,8 +1,8 @@
 """DESI for `benchmarks.convergence`: blind moves and corrections by the published law and by learned maps.
 
 The motors are those of the twin (gears, play, scatter, arms as calibrated), without contacts: one target
-after another in the whole reach. Laws see images of a camera and the air; the first `--fields` fields are only
-for what a law keeps of them, the last one is reported.
+after another in the whole reach. Laws see images of a camera and the air; the first `--fields` fields only
+teach them, the last one is reported.
 """
 
 import numpy as np

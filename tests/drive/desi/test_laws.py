@@ -55,7 +55,7 @@ def rms(values):
 
 
 def test_the_published_law_gives_the_published_errors():
-    """54 um blind and 9 um measured after one correction (Silber et al. 2022); 300 units: 3 % of statistics."""
+    """54 um blind, 9 um measured after one correction (Silber et al. 2022); 300 units: 3 % of statistics."""
     found = told("peer", 2)
     assert 48.0 < rms(found["error_um"][:, 0]) < 58.0
     assert 9.0 < rms(found["measured_um"][:, 1]) < 10.5
