@@ -91,8 +91,9 @@ def test_scales_of_degraded_motors_come_back_by_direction():
     sizes = DesiSizes(linear_phi=0.3, linear_theta=0.2, idle=0.0, scatter_deg=0.0)
     plane, units = units_of(sizes, waves=0.0)
     fit = fit_arcs(measured(plane, units, sigma_um=2.0), units.linear)
-    # a theta that hardly turns draws no arc
-    turns = (units.scale > 0.3).all(axis=(1, 2))
+    # a theta that hardly turns draws no arc; an approach of 3 deg, scaled, may not close the play
+    closed = (3.0 * units.scale.min(axis=2) > units.gears.play_deg).all(axis=1)
+    turns = (units.scale > 0.3).all(axis=(1, 2)) & closed
     assert fit.ok[turns].all()
     wrong = (fit.scale - units.scale).reshape(N, 4)[turns]
     sigma = np.sqrt(np.einsum("nuu->nu", fit.covariance))[turns, 6:]
