@@ -93,6 +93,8 @@ def missing_in_twin(instrument: Instrument) -> str:
                 f"{axis.gear:g}; the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
                 "assign, plan, verify, centroid and match work with this instrument"
             )
+    if instrument.drive.protocol != "sdssv":
+        return f"{instrument.name}: drive.protocol = '{instrument.drive.protocol}'; the twin has 'sdssv' only"
     return ""
 
 
