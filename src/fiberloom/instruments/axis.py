@@ -80,5 +80,5 @@ class Drive(Table):
 def protocol_of(axes: Iterable[Any]) -> Protocol:
     """The protocol of tables of axes that name none: "sdssv" where all are motors of its kind, else "none"."""
     wanted = {"kind": "bldc", "closed_loop": True, "gear": GEAR}
-    alike = all(isinstance(a, dict) and all(a.get(k) == v for k, v in wanted.items()) for a in axes)
-    return "sdssv" if alike else "none"
+    alike = (isinstance(a, dict) and wanted.items() <= {k: a.get(k) for k in wanted}.items() for a in axes)
+    return "sdssv" if all(alike) else "none"

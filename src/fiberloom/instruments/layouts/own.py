@@ -1,4 +1,4 @@
-"""Focal planes from folders: our own TOML + ECSV, or the calibration tables of SDSS-V."""
+"""Focal planes as files of our own: layout.toml and tables in ECSV."""
 
 from pathlib import Path
 
@@ -8,7 +8,6 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.handicaps import Handicaps
-from fiberloom.instruments.layout_sdssv import read_sdssv
 from fiberloom.instruments.model import AXES, Instrument
 from fiberloom.tables import TableFile, read_table
 from fiberloom.typing import Array, Floats
@@ -19,20 +18,6 @@ from fiberloom.wholefile import whole, write_whole
 FORMAT = 1
 INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"
 FIDUCIALS, GUIDE_CAMERAS = "fiducials.ecsv", "guide_cameras.ecsv"
-
-
-def read_layout(directory: str | Path, instrument: Instrument) -> FocalPlane:
-    """The focal plane in a folder: one that `write_layout` wrote, or SDSS-V calibrations."""
-    folder = Path(directory)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such directory; a layout is a folder of tables")
-    if (folder / INDEX).is_file():
-        return _read_own(folder, instrument)
-    if (folder / "positionerTable.csv").is_file():
-        return read_sdssv(folder, instrument)
-    raise InputError(
-        f"{folder}: neither {INDEX} (a layout of fiberloom) nor positionerTable.csv (SDSS-V) in it"
-    )
 
 
 def write_layout(plane: FocalPlane, directory: str | Path) -> None:
@@ -92,7 +77,8 @@ def _write(path: Path, columns: dict[str, Array]) -> None:
         Table(columns).write(part, format="ascii.ecsv", overwrite=True)
 
 
-def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
+def read_own(folder: Path, instrument: Instrument) -> FocalPlane:
+    """The focal plane that `write_layout` wrote into a folder."""
     _check_format(folder / INDEX)
     table = read_table(folder / POSITIONERS)
     names = tuple(instrument.positioner.points)
