@@ -482,6 +482,15 @@ class Instrument(Table):
                 )
         return self
 
+    def marked_text(self) -> str:
+        """JSON of what makes another array: without `care`, `expansion`, `drive`, and keys younger than the
+        marks of old files where they are not set."""
+        axes: dict[str, Any] = {
+            name: {"steps_per_turn"} if axis.steps_per_turn is None else set()
+            for name, axis in zip(AXES, self.axes, strict=True)
+        }
+        return self.model_dump_json(exclude={"care": True, "expansion": True, "drive": True} | axes)
+
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Alpha and beta, in the order of AXES."""
@@ -489,8 +498,13 @@ class Instrument(Table):
 
     @property
     def approach_deg(self) -> float:
-        """From how far above both axes come to their goals: the larger approach of the two."""
-        return max(axis.approach_deg for axis in self.axes)
+        """From how far both axes come to their goals: the larger approach of the two, without its sign."""
+        return max(abs(axis.approach_deg) for axis in self.axes)
+
+    @property
+    def approach_sides(self) -> tuple[float, float]:
+        """From which side of their goals alpha and beta come: 1 from above, -1 from below."""
+        return self.alpha.side, self.beta.side
 
     @property
     def least_approach_deg(self) -> float:

@@ -147,7 +147,7 @@ class Loop:
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(here_deg, image.xy_mm, self.correctable & image.seen, image.noise_mm2)
         self._tell_noise(corrections)
-        step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
+        step_deg = np.array([axis.smallest_step_deg for axis in self.plane.instrument.axes])
         goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
         goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
         self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm.copy())

@@ -441,7 +441,7 @@ async def reported_deg(hardware: Hardware, plane: FocalPlane, maps: Transmission
     wire_deg, answered = await client.positions_deg(plane.positioner_id[there])
     rows = np.flatnonzero(there)[answered]
     here_deg[rows] = maps.to_output(wire_deg[answered], index=rows)
-    return np.clip(here_deg, *plane.hard_stops_deg.T)
+    return np.clip(here_deg, *np.moveaxis(plane.stops_of(), -1, 0))
 
 
 def _moves(answer: Result) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text, shown
+from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import AXES, Instrument
@@ -44,6 +45,17 @@ _HANDICAPS = ("wider_mm", "doubt_alpha_deg", "doubt_beta_deg", "speed_share", "a
 """Columns of `Handicaps`, all of them or none."""
 
 
+_RANGES = tuple(
+    f"{axis}_{what}_{end}_deg" for what in ("target", "stop") for axis in AXES for end in ("min", "max")
+)
+"""Columns of `Ranges`, all of them or none."""
+
+
+def _flat_ranges(ranges: Ranges) -> Floats:
+    """(N, 8) in the order of the columns."""
+    return np.hstack([part.reshape(-1, 4) for part in ranges.arrays.values()])
+
+
 def _flat(handicaps: Handicaps) -> Floats:
     """(N, 5) in the order of the columns."""
     return np.column_stack(list(handicaps.arrays.values()))
@@ -64,6 +76,8 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
     }
     if plane.handicaps is not None:
         columns |= dict(zip(_HANDICAPS, _flat(plane.handicaps).T, strict=True))
+    if plane.ranges is not None:
+        columns |= dict(zip(_RANGES, _flat_ranges(plane.ranges).T, strict=True))
     for name, xy in plane.points.items():
         columns[f"has_{name}"] = plane.carries(name).astype(np.int64)
         columns |= {f"{name}_{c}_mm": np.nan_to_num(xy[:, i]) for i, c in enumerate("xy")}
@@ -110,6 +124,7 @@ def read_own(folder: Path, instrument: Instrument) -> FocalPlane:
         offline=table.integers("offline") != 0,
         offline_position_deg=np.column_stack(stand),
         handicaps=_read_handicaps(table),
+        ranges=_read_ranges(table),
     )
 
 
@@ -119,6 +134,14 @@ def _read_handicaps(table: TableFile) -> Handicaps | None:
     table.require(*_HANDICAPS)
     wider, alpha, beta, speed, acceleration = (table.numbers(name) for name in _HANDICAPS)
     return Handicaps(wider, np.column_stack([alpha, beta]), speed, acceleration)
+
+
+def _read_ranges(table: TableFile) -> Ranges | None:
+    if not any(name in table.columns for name in _RANGES):
+        return None
+    table.require(*_RANGES)
+    flat = np.column_stack([table.numbers(name) for name in _RANGES])
+    return Ranges(flat[:, :4].reshape(-1, 2, 2), flat[:, 4:].reshape(-1, 2, 2))
 
 
 def _check_format(path: Path) -> None:
