@@ -207,6 +207,7 @@ LastLeg last_leg_of(const std::array<double, 3> &leg) { return {leg[0], leg[1], 
 std::tuple<Motions, Refusals, Dict, LastLegs> plan_all(const Bodies &bodies, const Task &task,
                                                        const Settings &settings) {
     need_rows("start", task.start.size(), bodies.arms.size());
+    if (!task.travels.empty()) need_rows("travels", task.travels.size(), bodies.arms.size());
     PlanResult result;
     {
         nb::gil_scoped_release release;
