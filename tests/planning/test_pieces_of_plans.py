@@ -19,8 +19,8 @@ def test_an_axis_goes_as_far_as_targets_and_their_approach_need_and_little_farth
     below, above = np.minimum(approach, 0.0), np.maximum(approach, 0.0)
     assert (low <= plane.limits_deg[:, 0] + below + 1e-9).all()
     assert (high >= plane.limits_deg[:, 1] + above - 1e-9).all()
-    # four degrees below and ten above the range, and a degree off the stops, unless targets need it; ten below
-    # and four above where an axis comes from below, or folds there
+    # four degrees below and ten above the range, and a degree off the stops, unless targets need it; ten
+    # below and four above where an axis comes from below, or folds there
     other = np.array([False, name in ("pfs", "desi")])
     assert (low >= plane.limits_deg[:, 0] - np.where(other, 10.0, 4.0) - 1e-9).all()
     assert (high <= plane.limits_deg[:, 1] + np.where(other, 4.0, 10.0) + 1e-9).all()

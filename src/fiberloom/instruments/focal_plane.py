@@ -71,6 +71,8 @@ class FocalPlane(Views):
     """Of units that are not known exactly, cold or worn; None: there are none."""
     ranges: Ranges | None = None
     """Of units whose axes turn otherwise than the nominal one's; None: all are as the instrument says."""
+    dots_mm: Floats | None = None
+    """(N, 3) x, y, radius of the opaque spot beside each; None: there are none."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -84,6 +86,8 @@ class FocalPlane(Views):
                 )
         if self.ranges is not None and len(self.ranges.stops_deg) != n:
             raise InputError(f"focal plane: ranges of {len(self.ranges.stops_deg)} for {n} positioners")
+        if self.dots_mm is not None and self.dots_mm.shape != (n, 3):
+            raise InputError(f"focal plane: dots_mm has shape {self.dots_mm.shape}, not ({n}, 3)")
         if METROLOGY not in self.points:
             self.points[METROLOGY] = self.points[self.instrument.seen_point]
 
@@ -481,6 +485,7 @@ class FocalPlane(Views):
             points={name: xy[rows] for name, xy in self.points.items()},
             handicaps=self.handicaps and self.handicaps.select(rows),
             ranges=self.ranges and self.ranges.select(rows),
+            dots_mm=None if self.dots_mm is None else self.dots_mm[rows],
             **{k: getattr(self, k)[rows] for k in _PER_POSITIONER},
         )
 

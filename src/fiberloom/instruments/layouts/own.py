@@ -45,6 +45,9 @@ _HANDICAPS = ("wider_mm", "doubt_alpha_deg", "doubt_beta_deg", "speed_share", "a
 """Columns of `Handicaps`, all of them or none."""
 
 
+_DOTS = ("dot_x_mm", "dot_y_mm", "dot_radius_mm")
+"""Columns of `FocalPlane.dots_mm`, all of them or none."""
+
 _RANGES = tuple(
     f"{axis}_{what}_{end}_deg" for what in ("target", "stop") for axis in AXES for end in ("min", "max")
 )
@@ -76,6 +79,8 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
     }
     if plane.handicaps is not None:
         columns |= dict(zip(_HANDICAPS, _flat(plane.handicaps).T, strict=True))
+    if plane.dots_mm is not None:
+        columns |= dict(zip(_DOTS, plane.dots_mm.T, strict=True))
     if plane.ranges is not None:
         columns |= dict(zip(_RANGES, _flat_ranges(plane.ranges).T, strict=True))
     for name, xy in plane.points.items():
@@ -125,6 +130,7 @@ def read_own(folder: Path, instrument: Instrument) -> FocalPlane:
         offline_position_deg=np.column_stack(stand),
         handicaps=_read_handicaps(table),
         ranges=_read_ranges(table),
+        dots_mm=_read_dots(table),
     )
 
 
@@ -142,6 +148,13 @@ def _read_ranges(table: TableFile) -> Ranges | None:
     table.require(*_RANGES)
     flat = np.column_stack([table.numbers(name) for name in _RANGES])
     return Ranges(flat[:, :4].reshape(-1, 2, 2), flat[:, 4:].reshape(-1, 2, 2))
+
+
+def _read_dots(table: TableFile) -> Floats | None:
+    if not any(name in table.columns for name in _DOTS):
+        return None
+    table.require(*_DOTS)
+    return np.column_stack([table.numbers(name) for name in _DOTS])
 
 
 def _check_format(path: Path) -> None:
