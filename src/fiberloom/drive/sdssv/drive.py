@@ -30,7 +30,9 @@ class SdssvDrive:
         self.client = Client(transport)
         self.care = MotorCare(plane, self.client)
         alpha, beta = plane.instrument.axes
-        self.model = DriveModel(CorrectionNoise.of(plane), step_deg=(alpha.step_deg, beta.step_deg))
+        self.model = DriveModel(
+            CorrectionNoise.of(plane), step_deg=(alpha.smallest_step_deg, beta.smallest_step_deg)
+        )
 
     @property
     def ids(self) -> list[int]:
