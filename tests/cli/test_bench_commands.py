@@ -167,7 +167,7 @@ def test_an_instrument_without_requirements_says_so(tmp_path):
     [
         (
             ("calibrate", "friction", "--instrument", "megara"),
-            "megara: alpha is a stepper motor in open loop",
+            "megara: alpha is a stepper motor",
         ),
         (("calibrate", "inertia", "--instrument", "pfs"), "pfs: alpha is a piezo motor in open loop"),
         (
