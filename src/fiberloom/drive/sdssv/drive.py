@@ -29,8 +29,8 @@ class SdssvDrive:
         self.plane, self.maps = plane, maps
         self.client = Client(transport)
         self.care = MotorCare(plane, self.client)
-        alpha, beta = plane.instrument.axes
-        self.model = DriveModel(CorrectionNoise.of(plane), step_deg=(alpha.step_deg, beta.step_deg))
+        alpha_deg, beta_deg = [axis.smallest_step_deg for axis in plane.instrument.axes]
+        self.model = DriveModel(CorrectionNoise.of(plane), step_deg=(alpha_deg, beta_deg))
 
     @property
     def ids(self) -> list[int]:
