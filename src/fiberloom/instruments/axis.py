@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
@@ -127,10 +127,32 @@ class Ranges:
 
 
 class Drive(Table):
-    """What commands the motors."""
+    """What commands the motors, and how good their moves are. The defaults are those of SDSS-V."""
 
     protocol: Protocol = "none"
     """Whose frames positioners understand; none: there is no bus for them here."""
+    blind_um: Positive = 10.0
+    """Of a blind move, 2-D rms."""
+    arrival_um: NotNegative = 0.2
+    """Scatter of arrivals at the same command, 2-D rms."""
+    place_um: NotNegative = 6.0
+    """What a fibre is off that no offset of its angles explains: lengths of the arms, the camera's frame.
+    On the twin 6 and 10 um do as well, with arms that are calibrated and with arms of a table."""
+    drift_um: NotNegative = 0.0
+    """By which the offset of an arm changes from move to move, 2-D rms."""
+    slope: NotNegative = 0.1
+    """By which it changes over the way of a correction, as a share of that way, rms: the derivative of what
+    the transmission map does not know. SDSS-V accepts gears up to 0.15."""
+    astray_mm: Positive = 0.5
+    """Beyond this from where it is believed after a move, a positioner is not there: a blind move misses by
+    tens of micrometres; half a millimetre is no error of calibration."""
+    astray_share: NotNegative = 0.0
+    """Of its way, added to that."""
+    still_share: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """A positioner that moved less than this share of the way asked for did not move."""
+    allowed_mm: Positive = 0.5
+    """How far an arm may be from where it is believed, anywhere in its range, to be let move. The collision
+    buffer of two arms leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
 
 
 def protocol_of(axes: Iterable[Any]) -> Protocol:
