@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_a
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Verification
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -62,8 +61,6 @@ class DesiDrive:
     the arm, and every image teaches the map.
     """
 
-    reports = False
-
     def __init__(
         self,
         plane: FocalPlane,
@@ -76,11 +73,10 @@ class DesiDrive:
         """
         self.plane, self.transport = plane, transport
         self.maps = LearnedMaps(plane, plane.park_deg if here_deg is None else here_deg, basis)
-        noise = CorrectionNoise.of(plane)
-        self.model = DriveModel(replace(noise, blind_um=54.0), seen_is_believed=True, reports=False)
+        self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
         self.ids: list[int] = []
         self.safe_deg = safe_phi_deg(plane)
-        self._image_um = max(noise.camera_um, 1e-3)
+        self._image_um = max(self.model.noise.camera_um, 1e-3)
         self._running: tuple[float, MoveTables] | None = None
 
     @property
@@ -189,7 +185,7 @@ class DesiDrive:
         return Programme(plan, None, Tables(tables, np.zeros((len(self.plane), 2))))
 
     def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
-        """Proves the way that the tables make arms go, with tubes. `obstacles`, `programme`: as in the port."""
+        """Proves the way that tables make arms go, with tubes; `obstacles`, `programme` as in the port."""
         return proven(with_tube(obstacles, programme.tube_mm), programme.plan)
 
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:

@@ -46,6 +46,8 @@ class DesiTwin:
         if len(self.units) != len(plane):
             raise InputError(f"twin: {len(self.units)} units for {len(plane)} positioners; draw them anew")
         self.dark = self.units.dark.copy()
+        self.deaf = set(plane.positioner_id[plane.offline].tolist())
+        """Positioners that hear nothing, by number."""
         self.pointing = Pointing()
         self.time_s = 0.0
         self.controllers = {int(k): DesiController(int(k)) for k in plane.positioner_id}
@@ -88,9 +90,9 @@ class DesiTwin:
 
     def _addressed(self, frame: Frame) -> list[DesiController]:
         if frame.can_id in (ALL, POSITIONERS):
-            return list(self.controllers.values())
+            return [c for number, c in self.controllers.items() if number not in self.deaf]
         found = self.controllers.get(frame.can_id)
-        return [found] if found else []
+        return [found] if found and frame.can_id not in self.deaf else []
 
     # motion
 

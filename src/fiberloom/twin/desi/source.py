@@ -11,7 +11,6 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
-from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -19,12 +18,15 @@ from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.desi.array import DesiTwin
 from fiberloom.twin.desi.transport import DesiTransport
-from fiberloom.twin.desi.units import PUBLISHED_FAULTS, DesiSizes, DesiUnits, draw_desi_units
+from fiberloom.twin.desi.units import DesiUnits, draw_desi_units
 from fiberloom.twin.errors.sizes import TwinErrors
+from fiberloom.twin.faults.grammar import parse_faults
+from fiberloom.twin.faults.kinds import FaultKind, Reach
+from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.hardware import check_camera
 
-FAULTS = {"": DesiSizes(), "published": PUBLISHED_FAULTS}
-"""Words of --faults for this array."""
+FAULTS = Reach(("dark", "dead", "deaf", "lying"))
+"""Of --faults, for good. There is no encoder: one that is dead reports what one that lies does."""
 
 
 class DesiSource:
@@ -32,21 +34,27 @@ class DesiSource:
 
     def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> None:
         check_camera(camera)
-        if faults not in FAULTS:
-            known = ", ".join(word for word in FAULTS if word)
-            raise InputError(f"--faults {faults}: known for {plane.instrument.name} are {known}")
-        self.plane, self.seed, self.camera, self.sizes = plane, seed, camera, FAULTS[faults]
+        able = plane.positioner_id[~plane.offline]
+        self.faults = schedule_faults(parse_faults(faults, FAULTS), able, (), seed)
+        self.plane, self.seed, self.camera = plane, seed, camera
         self.errors = TwinErrors.of(plane.instrument, errors)
 
     @cached_property
     def units(self) -> DesiUnits:
-        """The true units."""
-        return draw_desi_units(self.plane, self.seed, self.sizes)
+        """The true units, with the faults asked for."""
+        units = draw_desi_units(self.plane, self.seed)
+        for fault in self.faults:
+            if fault.kind != FaultKind.DEAF:
+                broken = units.dark if fault.kind == FaultKind.DARK else units.stuck
+                broken[self.plane.index_of(fault.positioner_id)] = True
+        return units
 
     @cached_property
     def twin(self) -> DesiTwin:
         """The field, folded at first; it keeps its state from one observation to the next."""
-        return DesiTwin(self.plane, self.units, seed=self.seed)
+        twin = DesiTwin(self.plane, self.units, seed=self.seed)
+        twin.deaf |= {f.positioner_id for f in self.faults if f.kind == FaultKind.DEAF}
+        return twin
 
     @cached_property
     def hardware(self) -> Hardware:
@@ -78,7 +86,7 @@ class DesiSource:
         return {
             "put_in": {
                 "gears": "planetary orders, amplitudes by the published blind error of 54 um",
-                "scatter of a move": f"{self.sizes.scatter_deg:g} deg per axis",
+                "scatter of a move": f"{self.units.sizes.scatter_deg:g} deg per axis",
             }
         }
 
