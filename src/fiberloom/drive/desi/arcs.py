@@ -116,10 +116,10 @@ def fit_arcs(arcs: Arcs, linear: Flags | None = None) -> ArcFit:
     scaled = np.zeros((n, 2), dtype=bool) if linear is None else linear
     free = np.ones((n, UNKNOWNS), dtype=bool)
     free[:, SCALES:] = np.repeat(scaled, 2, axis=1)
-    seen = np.isfinite(arcs.xy_mm).all(axis=2)
+    seen: Flags = np.asarray(np.isfinite(arcs.xy_mm).all(axis=2))
     with np.errstate(all="ignore"):
         unknowns = _first_guess(arcs, seen)
-    started = np.isfinite(unknowns).all(axis=1)
+    started: Flags = np.asarray(np.isfinite(unknowns).all(axis=1))
     unknowns = np.where(started[:, None], unknowns, 1.0)
     for _ in range(ROUNDS):
         off, rows = _linearised(arcs, unknowns, seen, free)

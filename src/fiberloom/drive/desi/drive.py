@@ -248,9 +248,9 @@ class DesiDrive:
 
     def _sigma_mm(self, image: Measurement) -> Floats | float:
         if image.covariance_mm2 is None:
-            return 1e-3 * float(np.hypot(self._image_um, AIR_UM)) / np.sqrt(2.0)
+            return float(1e-3 * np.hypot(self._image_um, AIR_UM) / np.sqrt(2.0))
         mean = 0.5 * np.einsum("ncc->n", np.nan_to_num(image.covariance_mm2, nan=1.0))
-        return np.sqrt(np.maximum(mean, 1e-8))
+        return np.asarray(np.sqrt(np.maximum(mean, 1e-8)))
 
     async def close(self) -> None:
         """Closes the bus."""

@@ -146,7 +146,12 @@ def rows_of(tables: MoveTables, unit: int) -> list[Row]:
     last = int(tables.rows[unit]) - 1
     steps, cruise = tables.steps[unit].tolist(), tables.cruise[unit].tolist()
     return [
-        Row(*map(Motor, steps[k], cruise[k]), int(tables.pause_ms[unit, k]), k == last)
+        Row(
+            Motor(steps[k][0], cruise[k][0]),
+            Motor(steps[k][1], cruise[k][1]),
+            int(tables.pause_ms[unit, k]),
+            k == last,
+        )
         for k in range(last + 1)
     ]
 

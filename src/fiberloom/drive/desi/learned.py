@@ -55,9 +55,9 @@ class MapBasis:
         return np.concatenate([axis, axis, arms])
 
 
-PLANETARY = MapBasis(ORDERS[:6], np.array([0.4, 0.4, 0.4, 0.15, 0.15, 0.15]))
+PLANETARY = MapBasis(np.asarray(ORDERS[:6], dtype=np.float64), np.array([0.4, 0.4, 0.4, 0.15, 0.15, 0.15]))
 """[A] Waves of the last stage and of the one before, by their teeth; within a stage none is preferred."""
-SMOOTH = MapBasis(0.45 * np.arange(1, 11), np.full(10, 0.2), scatter_deg=0.05)
+SMOOTH = MapBasis(0.45 * np.arange(1.0, 11.0), np.full(10, 0.2), scatter_deg=0.05)
 """[A] A smooth function over 800 deg down to 80 deg that knows nothing of teeth; what is faster is
 scatter."""
 
@@ -87,7 +87,7 @@ class LearnedMaps:
     def output_deg(self, believed_deg: Floats) -> Floats:
         """(N, 2) angles of the arms in deg at believed ones (N, 2)."""
         waves = self.basis.at(believed_deg)
-        return believed_deg + np.einsum("nak,nak->na", waves, self._axis_means())
+        return np.asarray(believed_deg + np.einsum("nak,nak->na", waves, self._axis_means()))
 
     def places_mm(self, output_deg: Floats) -> Floats:
         """(N, 2) mm of fibres at angles of the arms (N, 2) in deg, with what is learnt of the arms."""

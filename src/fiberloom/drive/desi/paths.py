@@ -44,10 +44,12 @@ class FieldPath:
         return np.stack([interpolated(asked, self.tick, self.tenths[..., axis]) for axis in (0, 1)], axis=-1)
 
 
-def interpolated(x: Floats, xp: Ints | Floats, fp: Floats) -> Floats:
-    """(N, T) of N piecewise straight lines (N, K) at N times T places; any unit, xp never falling."""
+def interpolated(x: Floats | Ints, xp: Ints | Floats, fp: Floats) -> Floats:
+    """(N, T) of N piecewise straight lines (N, K) at N times T places, in the unit of `fp`, SI or not; `xp`
+    never falls, `x` has its unit.
+    """
     span = float(max(np.max(xp, initial=0.0), np.max(x, initial=0.0)) + 1.0)
-    inside = np.clip(x, xp[:, :1], xp[:, -1:])
+    inside: Floats = np.clip(np.asarray(x, dtype=np.float64), xp[:, :1], xp[:, -1:])
     offset = (span * np.arange(len(xp)))[:, None]
     flat = np.interp((inside + offset).ravel(), (xp + offset).ravel(), fp.ravel())
     return flat.reshape(x.shape)

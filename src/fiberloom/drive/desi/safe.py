@@ -1,4 +1,4 @@
-"""Where a phi arm is out of everyone's way, whatever theta does."""
+"""Where a phi arm is out of the way of all others, whatever theta does."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def move_tables(
 def tables_of(legs_tenths: Ints, pause_ms: ArrayLike = 0, *, moving: ArrayLike | None = None) -> MoveTables:
     """As `move_tables`, of ways (N, L, 2) in tenths of a motor deg; `pause_ms` (N, L), `moving` (N,)."""
     n, legs = legs_tenths.shape[:2]
-    goes = legs_tenths.any(axis=(1, 2)) if moving is None else np.asarray(moving, dtype=bool)
+    goes: Flags = np.asarray(legs_tenths.any(axis=(1, 2)) if moving is None else moving, dtype=bool)
     steps, cruise, rest = leg_steps(legs_tenths)
     back = np.broadcast_to(APPROACH_STEPS * FINAL_DIRECTION, (n, 2))
     last = back + rest.sum(axis=1)

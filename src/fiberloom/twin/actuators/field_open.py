@@ -128,8 +128,8 @@ def _stored_J(motor: FieldMotor, field: Floats, theta: Floats, w: Floats) -> Flo
 def lag_rad(
     motor: FieldMotor, field_rad: Floats, direction: Floats | float, load_Nm: Floats | float = 0.0
 ) -> Floats:
-    """Electrical angle in rad by which a rotor at rest is behind `field_rad`, after it came slowly in a
-    `direction` (1 or -1) against a load; NaN where the field cannot hold that.
+    """Electrical angle in rad by which the rotor of a `motor` at rest is behind `field_rad`, after it came
+    slowly in a `direction` (1 or -1) against `load_Nm`; NaN where the field cannot hold that.
 
     T_h sin(lag) = T_c direction + T_load + T_d sin(4 N_r theta + psi).
     """
@@ -145,7 +145,10 @@ def lag_rad(
 def rest_rad(
     motor: FieldMotor, field_rad: Floats, direction: Floats | float, load_Nm: Floats | float = 0.0
 ) -> Floats:
-    """Shaft angle in rad at rest: the field's `field_rad` less the lag, as `lag_rad` has it."""
+    """Shaft angle in rad at rest: the field's `field_rad` less the lag.
+
+    `motor`, `direction`, `load_Nm`: as of `lag_rad`.
+    """
     at: Floats = (field_rad - lag_rad(motor, field_rad, direction, load_Nm)) / motor.pole_pairs
     return at
 
@@ -156,7 +159,7 @@ def keeps_up(
     acceleration_rad_s2: Floats | float,
     load_Nm: Floats | float = 0.0,
 ) -> Flags:
-    """Whether the field can carry the rotor: its torque exceeds what friction, damping, load, inertia take.
+    """Whether the field can carry the rotor of a `motor`: it exceeds friction, damping, load and inertia.
 
     `speed_rad_s` and `acceleration_rad_s2` of the shaft; `load_Nm` against positive angles. Where not, the
     rotor is pulled out and loses whole turns of the field.

@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
+from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.twin.camera.air import air_shift_mm
 from fiberloom.twin.errors.frame import WrongFrame
 from fiberloom.twin.errors.sizes import AIR_LENGTH_MM, NO_ERRORS, TwinErrors
-from fiberloom.twin.twin import Twin
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
+
+
+class Fibres(Protocol):
+    """What a camera needs of a twin, whatever its motors."""
+
+    plane: FocalPlane
+    dark: Flags
+    """(N,)."""
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time."""
+        ...
+
+    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
+        """True position (N, 2) in mm of a fibre."""
+        ...
 
 
 class NoiseCamera:
@@ -22,7 +40,7 @@ class NoiseCamera:
     seen. Implements `fiberloom.metrology.Camera`.
     """
 
-    def __init__(self, twin: Twin, rms_um: float, seed: int = 0, errors: TwinErrors = NO_ERRORS) -> None:
+    def __init__(self, twin: Fibres, rms_um: float, seed: int = 0, errors: TwinErrors = NO_ERRORS) -> None:
         """`twin`: whose fibres; `errors`, um rms: of the fiducials' table and the air."""
         self._twin, self._plane, self._air_um = twin, twin.plane, errors.air_um
         self._fiducials_mm = errors.fiducials_mm(twin.plane, seed)

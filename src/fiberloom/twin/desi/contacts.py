@@ -75,7 +75,7 @@ def separation_mm(first: Floats, second: Floats) -> Floats:
 
     Above 0: they are apart, by so much at least; below: they overlap. Corners in counter-clockwise turn.
     """
-    return np.maximum(_along_normals(first, second), _along_normals(second, first))
+    return np.asarray(np.maximum(_along_normals(first, second), _along_normals(second, first)))
 
 
 def _along_normals(first: Floats, second: Floats) -> Floats:
@@ -93,13 +93,13 @@ def line_gap_mm(polygon: Floats, first: Floats, second: Floats) -> Floats:
     to_edge = _to_segments(ends[:, :, None], polygon[:, None], np.roll(polygon, -1, axis=1)[:, None])
     apart = np.minimum(to_line, to_edge.min(axis=(1, 2)))
     line = np.stack([first, second + 1e-9 * (first == second)], axis=1)
-    return np.where(separation_mm(polygon, line) < 0.0, -apart, apart)
+    return np.asarray(np.where(separation_mm(polygon, line) < 0.0, -apart, apart))
 
 
 def _to_segments(point: Floats, start: Floats, end: Floats) -> Floats:
     along = end - start
     share = np.real((point - start) * np.conj(along)) / np.maximum(np.abs(along) ** 2, 1e-18)
-    return np.abs(point - start - np.clip(share, 0.0, 1.0) * along)
+    return np.asarray(np.abs(point - start - np.clip(share, 0.0, 1.0) * along))
 
 
 class Motion(Protocol):

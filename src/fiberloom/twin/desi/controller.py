@@ -41,7 +41,7 @@ class DesiController:
         self.standby = False
         self.waiting_for_sync = False
         self.started = False
-        """Asked to run; whoever drives the motors takes that by `begin`."""
+        """Asked to run; what drives the motors takes that by `begin`."""
         self.stopped = False
 
     @property
