@@ -14,7 +14,14 @@ from fiberloom.files import MB, read_text
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.handicaps import Handicaps
-from fiberloom.instruments.layouts.folder import check_arms, points_of, required, table_of, truths
+from fiberloom.instruments.layouts.folder import (
+    check_arms,
+    lengths,
+    points_of,
+    required,
+    table_of,
+    truths,
+)
 from fiberloom.instruments.model import Instrument
 from fiberloom.tables import TableFile
 from fiberloom.typing import Floats, Ints
@@ -43,8 +50,8 @@ def read_desi(folder: Path, instrument: Instrument) -> FocalPlane:
     table = table_of(required(folder, *CALIBRATIONS), *_COLUMNS)
     rows = _latest(table)
     petal = _petals(table)[rows]
-    own, length = folder_of(folder), {c: table.numbers(c)[rows] for c in ("length_r1", "length_r2")}
-    check_arms(table.path, instrument, length["length_r1"], "DESI")
+    own, l_alpha, l_beta = _desimeter(folder), *(lengths(table, f"length_r{k}")[rows] for k in (1, 2))
+    check_arms(table.path, instrument, l_alpha, "DESI")
     xy, turn = _centres(table, rows, _surface(own), _alignments(own / "petal-alignments.yaml")[petal])
     location = table.integers("location")[rows]
     alpha_off, beta_off = (deg_to_rad(table.numbers(f"offset_{c}")[rows]) for c in "tp")
@@ -53,8 +60,8 @@ def read_desi(folder: Path, instrument: Instrument) -> FocalPlane:
         instrument=instrument,
         positioner_id=location,
         hole=np.array([f"P{where // 1000}D{where % 1000:03d}" for where in location.tolist()]),
-        arms=np.column_stack([xy, length["length_r1"], alpha_off + turn, beta_off]),
-        points=points_of(instrument, length["length_r2"]),
+        arms=np.column_stack([xy, l_alpha, alpha_off + turn, beta_off]),
+        points=points_of(instrument, l_beta),
         fiducials=_fiducials(own, instrument),
         guide_cameras=np.empty((0, 5)),
         offline=truths(table, "device_classified_nonfunctional")[rows],
@@ -74,7 +81,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def folder_of(folder: Path) -> Path:
+def _desimeter(folder: Path) -> Path:
     """Where desimeter's own tables are: in a folder of its name, or beside the calibrations."""
     return folder / "desimeter" if (folder / "desimeter").is_dir() else folder
 
@@ -151,7 +158,7 @@ def _aligned(path: Path, place: int, entry: dict[str, float]) -> tuple[float, fl
 
 
 def _ranges(table: TableFile, rows: Ints, instrument: Instrument) -> Ranges:
-    """Theta to both sides of 0, phi up to its stop; targets keep their clearance and room for the overshoot."""
+    """Theta to both sides of 0, phi up to its stop; targets keep clearance, and room for the overshoot."""
     theta, phi = (table.numbers(f"physical_range_{c}")[rows] for c in "tp")
     ends = [[-0.5 * theta, 0.5 * theta], [PHI_STOP_DEG - phi, np.full(len(phi), PHI_STOP_DEG)]]
     stops = np.moveaxis(np.array(ends), -1, 0)

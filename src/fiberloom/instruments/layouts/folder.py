@@ -42,6 +42,14 @@ def truths(table: TableFile, name: str) -> Flags:
     return is_true
 
 
+def lengths(table: TableFile, name: str) -> Floats:
+    """A column of lengths above 0, in mm."""
+    values = table.numbers(name)
+    for row in np.flatnonzero(~(values > 0.0))[:1]:
+        raise table.error(int(row), name, f"= {values[row]:g} must be above 0")
+    return values
+
+
 def check_arms(path: Path, instrument: Instrument, l_alpha_mm: Floats, maker: str) -> None:
     """InputError where most arms (N,) mm are not this instrument's: the folder is another one's."""
     nominal, found = instrument.positioner.l_alpha_mm, float(np.median(l_alpha_mm))

@@ -10,7 +10,7 @@ import numpy as np
 
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.focal_plane import FocalPlane
-from fiberloom.instruments.layouts.folder import check_arms, points_of, required, table_of, truths
+from fiberloom.instruments.layouts.folder import check_arms, lengths, points_of, required, table_of, truths
 from fiberloom.instruments.model import Instrument
 from fiberloom.tables import TableFile
 from fiberloom.typing import Floats
@@ -26,11 +26,8 @@ def read_megara(folder: Path, instrument: Instrument) -> FocalPlane:
     """derived_megara_100_rps.csv: 100 robots. The eight that are disabled are offline, folded."""
     table = table_of(required(folder, *TABLES), *_COLUMNS)
     table.unique("Id", number=True)
-    l_alpha, l_beta = (table.numbers(name) for name in ("L01", "L12"))
+    l_alpha, l_beta = (lengths(table, name) for name in ("L01", "L12"))
     check_arms(table.path, instrument, l_alpha, "MEGARA")
-    for name, arm in (("L01", l_alpha), ("L12", l_beta)):
-        for row in np.flatnonzero(~(arm > 0.0))[:1]:
-            raise table.error(int(row), name, f"= {arm[row]:g} must be above 0")
     place = [table.numbers(name) for name in ("x0", "y0")]
     number = table.integers("Id")
     n = len(table)

@@ -1,8 +1,8 @@
 """The tables of PFS: cobras by module, black dots, fiducials.
 
-Subaru-PFS/pfs_instdata. Centres are the exact lattice of pfs_utils. The module files were made on test benches:
-their lengths are pixels there, and the direction of theta = 0 is that of the bench. So that direction is drawn
-here, and by how much cobras stand beside the lattice.
+Subaru-PFS/pfs_instdata. Centres are the exact lattice of pfs_utils. The module files were made on test
+benches: lengths in them are pixels, and the direction of theta = 0 is that of the bench. So that direction is
+drawn here, and by how much cobras stand beside the lattice.
 """
 
 from pathlib import Path
@@ -62,10 +62,8 @@ def read_pfs(folder: Path, instrument: Instrument) -> FocalPlane:
     )
 
 
-_COLUMNS = (
-    "module", "positioner", "theta_ccw_home_deg", "theta_cw_home_deg", "phi_cw_limit_deg", "phi_ccw_limit_deg",
-    "link1_px", "link2_px",
-)  # fmt: skip
+_STOPS = ("theta_ccw_home_deg", "theta_cw_home_deg", "phi_cw_limit_deg", "phi_ccw_limit_deg")
+_COLUMNS = ("module", "positioner", "link1_px", "link2_px", *_STOPS)
 
 
 def _rows_by_cobra(table: TableFile, drawn: FocalPlane) -> Ints:
@@ -106,8 +104,7 @@ def _odd(length_mm: Floats, instrument: Instrument) -> Flags:
 
 def _stops(table: TableFile) -> tuple[Floats, Flags]:
     """(n, 2, 2) deg stops of alpha and beta, and (n,) where they cannot be those of a cobra."""
-    names = _COLUMNS[2:6]
-    ccw, cw, phi_cw, phi_ccw = (table.numbers(name) for name in names)
+    ccw, cw, phi_cw, phi_ccw = (table.numbers(name) for name in _STOPS)
     # the second home lies more than a turn beyond the first
     theta = 360.0 + (cw - ccw) % 360.0
     phi = np.stack([phi_ccw + FOLDED_DEG, phi_cw + FOLDED_DEG], axis=-1)
