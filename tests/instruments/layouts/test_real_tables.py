@@ -1,4 +1,4 @@
-"""Public tables of DESI, PFS and MEGARA, where they lie beside the checkout, against what is known of them."""
+"""Public tables of DESI, PFS and MEGARA, where they lie beside the checkout, against what is known."""
 
 import csv
 import gzip
@@ -44,8 +44,8 @@ def test_desi_s_units_are_those_of_the_published_statistics(desi):
     assert (theta.mean(), phi.mean()) == (pytest.approx(392.24, abs=0.05), pytest.approx(191.17, abs=0.05))
     assert (desi.stops_of()[:, 1, 1] == 185.0).all()
     low, high = np.moveaxis(desi.limits_of(), -1, 0)
-    assert (low + [0.0, -3.0] >= desi.stops_of()[..., 0] + 3.0 - 1e-9).all()
-    assert (high + [3.0, 0.0] <= desi.stops_of()[..., 1] - 3.0 + 1e-9).all()
+    assert (low + np.array([0.0, -3.0]) >= desi.stops_of()[..., 0] + 3.0 - 1e-9).all()
+    assert (high + np.array([3.0, 0.0]) <= desi.stops_of()[..., 1] - 3.0 + 1e-9).all()
     distance, _ = cKDTree(desi.centres_mm).query(desi.centres_mm, k=2)
     assert np.median(distance[:, 1]) == pytest.approx(10.4, abs=0.02)
     assert len(desi.fiducials) == 473

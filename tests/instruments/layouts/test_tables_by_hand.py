@@ -162,7 +162,7 @@ def test_a_folder_of_nothing_known(tmp_path):
         read_layout(tmp_path, DESI)
     desi_layout(tmp_path / "calib-20260101.csv")
     (tmp_path / "petal-alignments.yaml").unlink()
-    with pytest.raises(InputError, match="petal-alignments.yaml: no such file"):
+    with pytest.raises(InputError, match=r"petal-alignments\.yaml: no such file"):
         read_layout(tmp_path, DESI)
 
 

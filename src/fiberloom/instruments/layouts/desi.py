@@ -50,7 +50,8 @@ def read_desi(folder: Path, instrument: Instrument) -> FocalPlane:
     table = table_of(required(folder, *CALIBRATIONS), *_COLUMNS)
     rows = _latest(table)
     petal = _petals(table)[rows]
-    own, l_alpha, l_beta = _desimeter(folder), *(lengths(table, f"length_r{k}")[rows] for k in (1, 2))
+    own = _desimeter(folder)
+    l_alpha, l_beta = (lengths(table, f"length_r{k}")[rows] for k in (1, 2))
     check_arms(table.path, instrument, l_alpha, "DESI")
     xy, turn = _centres(table, rows, _surface(own), _alignments(own / "petal-alignments.yaml")[petal])
     location = table.integers("location")[rows]

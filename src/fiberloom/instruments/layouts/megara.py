@@ -57,4 +57,4 @@ def _ranges(table: TableFile) -> Ranges:
     targets: Floats = np.stack([-high, -low, FOLDED_DEG + folded, FOLDED_DEG + open_], axis=1).reshape(
         -1, 2, 2
     )
-    return Ranges(targets, targets + [-STOP_ROOM_DEG, STOP_ROOM_DEG])
+    return Ranges(targets, targets + np.array([-STOP_ROOM_DEG, STOP_ROOM_DEG]))
