@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fiberloom.bus.transport import Transport
+from fiberloom.drive.port import Drive
+from fiberloom.errors import InputError
 from fiberloom.instruments.pointing import Pointing
 from fiberloom.metrology import Camera
 from fiberloom.typing import Flags, Floats
@@ -33,12 +35,22 @@ class Telescope(Protocol):
 
 @dataclass(frozen=True)
 class Hardware:
-    """A bus with positioners on it and a camera that looks at them."""
+    """Positioners and a camera that looks at them."""
 
-    transport: Transport
+    transport: Transport | None
+    """Of SDSS-V's positioners; None: a `drive` of another kind."""
     camera: Camera
     truth: Truth | None = None
     vouched: Flags | None = None
     """(N,) positioners whose datum was searched since power came on: believed where a fibre is dark."""
     telescope: Telescope | None = None
     """None: it is pointed from elsewhere."""
+    drive: Drive | None = None
+    """None: SDSS-V's positioners on the `transport`."""
+
+    @property
+    def bus(self) -> Transport:
+        """The transport of SDSS-V's frames. InputError where the positioners are of another kind."""
+        if self.transport is None:
+            raise InputError("these positioners do not take SDSS-V's commands; observe them")
+        return self.transport

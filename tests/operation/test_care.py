@@ -12,10 +12,8 @@ from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.bus.protocol import Command
 from fiberloom.calibration.transmission.sweep import SweepSettings, calibrate_transmission
-from fiberloom.errors import InputError
-from fiberloom.instruments import generate, load_instrument
-from fiberloom.instruments.model import Care
-from fiberloom.operation.care.limits import (
+from fiberloom.drive.sdssv.care import MotorCare
+from fiberloom.drive.sdssv.limits import (
     cold_rule,
     groups_within_supply,
     holding_percent,
@@ -23,7 +21,9 @@ from fiberloom.operation.care.limits import (
     peak_current_A,
     temperature_C,
 )
-from fiberloom.operation.care.motors import MotorCare
+from fiberloom.errors import InputError
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.instruments.model import Care
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
 from fiberloom.planning import plan

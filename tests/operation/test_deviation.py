@@ -11,13 +11,14 @@ import pytest
 from fiberloom.bus.motion import Deviation, DeviationKind
 from fiberloom.bus.outcome import Outcome
 from fiberloom.calibration.transmission.maps import identity
+from fiberloom.drive.sdssv.drive import when_linked
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation import motion as operation
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
 from fiberloom.operation.safety.choice import cut_off_at
-from fiberloom.operation.safety.deviation import MotionRule, when_linked
+from fiberloom.operation.safety.deviation import MotionRule
 from fiberloom.operation.safety.hearing import Hearing
 from fiberloom.operation.safety.judge import Evidence
 from fiberloom.planning import Plan, Trajectory, plan, random_pair

@@ -1,1 +1,12 @@
-"""What an instrument's own motors and controllers make of a wanted way."""
+"""What an instrument's own motors make of a planned way: the port that operation sees, and the drives."""
+
+from typing import TYPE_CHECKING
+
+from fiberloom.lazy import on_use
+
+if TYPE_CHECKING:
+    from fiberloom.drive.port import Believed, Drive, DriveModel, Programme, Wanted
+
+__all__ = ["Believed", "Drive", "DriveModel", "Programme", "Wanted"]
+
+__getattr__ = on_use(__name__)

@@ -9,14 +9,15 @@ import dataclasses
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome, Results
+from fiberloom.drive.port import DriveModel
 from fiberloom.errors import InputError
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
+from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.operation.move import Recorder
 from fiberloom.operation.safety.begin import (
-    ALLOWED_MM,
     NAMED,
     Beginning,
     Report,
@@ -25,7 +26,7 @@ from fiberloom.operation.safety.begin import (
     begin_check,
 )
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
-from fiberloom.operation.safety.judge import ASTRAY_MM, Evidence
+from fiberloom.operation.safety.judge import Evidence
 from fiberloom.operation.safety.seen import where_seen
 from fiberloom.planning import Plan
 from fiberloom.typing import Flags, Floats
@@ -51,8 +52,10 @@ MOST = 0.5
 class FieldState:
     """Where every positioner is, and which of them follow commands. Arrays over N positioners."""
 
-    def __init__(self, plane: FocalPlane, recorder: Recorder) -> None:
+    def __init__(self, plane: FocalPlane, recorder: Recorder, model: DriveModel | None = None) -> None:
+        """`plane`: layout of N positioners; `recorder`: keeps events; `model`: of their drive."""
         self.plane, self.recorder = plane, recorder
+        self.model = model or DriveModel(CorrectionNoise.of(plane))
         self.faults: list[FibreStatus | None] = [
             FibreStatus.OFFLINE if offline else None for offline in plane.offline
         ]
@@ -141,10 +144,12 @@ class FieldState:
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
-            astray_mm=ASTRAY_MM + self.looser_mm,
+            still=self.model.still,
         )
+        way_mm = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
+        evidence = dataclasses.replace(evidence, astray_mm=self.model.astray_of_mm(way_mm) + self.looser_mm)
         self.seen_mm = image.xy_mm
-        allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, ALLOWED_MM + self.looser_mm)
+        allowed_mm = allowed_miss_mm(self.plane, evidence.reported_mm, self.model.allowed_mm + self.looser_mm)
         back = self.hearing.taken_back(evidence, allowed_mm)
         for i in back:
             if self.faults[i] in FROM_SILENCE:
@@ -155,7 +160,7 @@ class FieldState:
             if fault is not None and self.faults[i] is None:
                 self.flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
         self._trust_the_camera(image)
-        away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > ASTRAY_MM
+        away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > self.model.astray_mm
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
         unfinished[back] = True  # the plan went round them
         again: Flags = self.mobile & (away | unfinished)
@@ -180,7 +185,7 @@ class FieldState:
                 "check the back-illumination"
             )
         report = Report(self.here_deg, answered, image, vouched)
-        found = begin_check(self.plane, report, ALLOWED_MM + self.looser_mm, self.looser_mm)
+        found = begin_check(self.plane, report, self.model.allowed_mm + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):

@@ -14,7 +14,6 @@ from fiberloom.operation.correction import CorrectionLoop, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
 from fiberloom.operation.stopping import StopRule
-from fiberloom.planning import plan_corrections
 from fiberloom.typing import Flags, Floats
 
 NOISIER = 1.5
@@ -175,12 +174,6 @@ class Loop:
         self, number: int, label: str, wanted_deg: Floats, comparison: bool = False
     ) -> None:
         self.motion.progress(label)
-        state = self.motion.state
-        planned = await self.motion.care.planned(
-            plan_corrections,
-            state.obstacles(),
-            state.here_deg,
-            np.where(self.correctable[:, None], wanted_deg, state.here_deg),
-            approach_deg=self.goals.approach_deg,
-        )
-        await self.motion.move(number, label, planned, self.goals, comparison)
+        wanted = self.motion.wanted(self.goals, wanted_deg, self.correctable, small=True)
+        programme = await self.motion.drive.prepare(wanted)
+        await self.motion.move(number, label, programme, self.goals, comparison)

@@ -15,8 +15,8 @@ import numpy as np
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Outcome
 from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.drive.sdssv import on_the_wire
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.motion import on_the_wire
 from fiberloom.planning import Stage, Trajectory, Untangled, random_configuration, untangle
 from fiberloom.planning.crashes import Crash, random_crash
 from fiberloom.twin.draw import draw_units

@@ -69,7 +69,7 @@ class TwinSource:
     async def sweep(self, points: int, progress: Progress) -> Calibration:
         """The same units on a bench of their own, where arms do not meet, as warm as benches are."""
         bench = bench_hardware(self.plane, self.bench_units, self.seed)
-        client = Client(bench.transport)
+        client = Client(bench.bus)
         await client.discover()
         return await calibrate_transmission(
             client, bench.camera, self.plane, SweepSettings(points), seed=self.seed, progress=progress

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fiberloom.calibration.transmission.maps import identity
+from fiberloom.drive.port import Programme, verified
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
@@ -56,12 +57,15 @@ def test_a_plan_that_collides_is_refused_and_counted():
     spread = here - [0.0, 90.0]
     robots = [r if k == row else Trajectory(r.positioner_id, np.zeros(1), spread[k, :1], spread[k, 1:])
               for k, r in enumerate(robots)]  # fmt: skip
-    motion = SimpleNamespace(state=SimpleNamespace(obstacles=lambda: PLANE), collisions_verified=0)
+    drive = SimpleNamespace(verify=verified)
+    motion = SimpleNamespace(
+        state=SimpleNamespace(obstacles=lambda: PLANE), drive=drive, collisions_verified=0
+    )
     with pytest.raises(UnsafePlanError, match="the verifier refused"):
-        FieldMotion._verify(motion, Plan("sdssv", PLANE.collision_buffer_mm, tuple(robots)))
+        FieldMotion._verify(motion, Programme(Plan("sdssv", PLANE.collision_buffer_mm, tuple(robots))))
     assert motion.collisions_verified > 0
     counted = motion.collisions_verified
-    FieldMotion._verify(motion, plan(PLANE, here, here - [0.0, 20.0]))
+    FieldMotion._verify(motion, Programme(plan(PLANE, here, here - [0.0, 20.0])))
     assert motion.collisions_verified == counted
 
 

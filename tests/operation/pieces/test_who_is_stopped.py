@@ -12,6 +12,7 @@ import pytest
 from fiberloom.bus.links import Link
 from fiberloom.bus.motion import Deviation, DeviationKind, Going
 from fiberloom.calibration.transmission.maps import identity
+from fiberloom.drive.sdssv.rest import AtRest
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
@@ -390,10 +391,10 @@ def test_one_that_gives_no_answer_is_stopped_too():
 def test_planned_by_where_they_are_on_their_way_arms_touch(monkeypatch):
     """What that wait is for."""
 
-    async def stopped_only(motion):
-        await motion._stop_the_moving()
+    async def stopped_only(rest, left_moving):
+        await rest._stop_the_moving()
 
-    monkeypatch.setattr(FieldMotion, "_all_at_rest", stopped_only)
+    monkeypatch.setattr(AtRest, "reach", stopped_only)
     assert killed_and_begun_again(**STALLS_WHILE_CUT)[1]
 
 

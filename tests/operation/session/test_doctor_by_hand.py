@@ -60,7 +60,7 @@ def test_what_status_words_tell_is_said_by_number(bits, trouble):
         datums = Status.DATUMS_INITIALIZED
         return {int(i): SimpleNamespace(ok=True, values=[datums | (bits if i == ids[2] else 0)]) for i in ids}
 
-    check = ArrayCheck(PLANE, SimpleNamespace(transport=None, camera=None), DoctorLimits())
+    check = ArrayCheck(PLANE, SimpleNamespace(bus=None, camera=None), DoctorLimits())
     check.client, check.answered = SimpleNamespace(status=status), np.ones(7, dtype=bool)
     finding = asyncio.run(check._flags())
     assert finding.trouble == trouble
@@ -152,7 +152,7 @@ def test_an_owner_that_is_gone_is_told_with_what_it_was_doing(known):
 
 def asked(**client):
     """Checks of an array whose positioners answer as told."""
-    check = ArrayCheck(PLANE, SimpleNamespace(transport=None, camera=None), DoctorLimits())
+    check = ArrayCheck(PLANE, SimpleNamespace(bus=None, camera=None), DoctorLimits())
     check.client = SimpleNamespace(**client)
     return check
 

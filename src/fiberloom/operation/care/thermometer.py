@@ -9,8 +9,8 @@ import numpy as np
 from fiberloom.bus.client import Client
 from fiberloom.bus.outcome import Results
 from fiberloom.bus.protocol import Command
+from fiberloom.drive.sdssv.limits import temperature_C
 from fiberloom.instruments.model import Care, Instrument
-from fiberloom.operation.care.limits import temperature_C
 
 SPREAD_K = 3.0
 """Between the thermometers of one array, robust standard deviation: with more, half of them are wrong."""

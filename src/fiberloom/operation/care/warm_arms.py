@@ -77,12 +77,12 @@ class WarmArms:
     async def feel(self, source: Source) -> None:
         """Asks the positioners of `source` for their temperature."""
         hardware = await source.open()
-        client = Client(hardware.transport)
+        client = Client(hardware.bus)
         try:
             await client.discover()
             self.felt = await felt(client, self.calibrated.instrument)
         finally:
-            await hardware.transport.close()
+            await hardware.bus.close()
 
     @property
     def growth(self) -> float:

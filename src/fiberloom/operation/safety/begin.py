@@ -24,6 +24,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fiberloom.drive.port import ALLOWED_MM as ALLOWED_MM
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
@@ -31,10 +32,6 @@ from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
-
-ALLOWED_MM = 0.5
-"""How far an arm may be from where it reports, anywhere in its range. The collision buffer of two arms
-leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
 
 TURNS = 5
 """Motor turns that are looked at on either side."""

@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from fiberloom.bus.client import Client
-from fiberloom.bus.motion import RECONNECT_S, Deviation, DeviationKind, Going, MotionWatch
+from fiberloom.bus.motion import Deviation, DeviationKind, Going, MotionWatch
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.safety.choice import Choice, Choosing, cut_off_at, meeting
 from fiberloom.planning import Plan, Trajectory
@@ -161,13 +160,3 @@ def _told(choice: Choice, going: Going) -> Iterator[tuple[str, str]]:
     if choice.contacts:
         found = "; ".join(map(str, choice.contacts[:3]))
         yield "alarm", f"in every choice of those to stop arms may touch; in this one: {found}"
-
-
-async def when_linked(client: Client, ids: Iterable[int], within_s: float = RECONNECT_S) -> bool:
-    """Waits until every link to these positioners is up, at most `within_s`; returns whether they are."""
-    asked = list(ids)
-
-    def linked() -> bool:
-        return not client.exchange.cut_off(asked)
-
-    return linked() or await client.exchange.wait(linked, client.time_s + within_s)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fiberloom.bus.outcome import Outcome
 from fiberloom.health.status import FibreStatus
-from fiberloom.operation.safety.judge import ASTRAY_MM, Evidence, judge
+from fiberloom.operation.safety.judge import Evidence, judge
 from fiberloom.typing import Flags, Floats, Ints
 
 NOT_STARTED_MOST = 2
@@ -45,7 +45,7 @@ class Hearing:
         silent at the begin, by the rule of the begin check.
         """
         apart_mm = np.hypot(*(evidence.measured_mm - evidence.reported_mm).T)
-        near = apart_mm < np.where(self._unchecked, allowed_mm, ASTRAY_MM)
+        near = apart_mm < np.where(self._unchecked, allowed_mm, evidence.astray_mm)
         rows = np.flatnonzero(self.held_against & self._asked & self.heard & evidence.seen & near)
         self.held_against[rows], self._unchecked[rows] = False, False
         return [int(row) for row in rows]

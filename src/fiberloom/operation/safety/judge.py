@@ -11,14 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome
+from fiberloom.drive.port import ASTRAY_MM as ASTRAY_MM
+from fiberloom.drive.port import STILL
 from fiberloom.health.status import FibreStatus
 from fiberloom.typing import Flags, Floats
-
-ASTRAY_MM = 0.5
-"""A blind move misses by tens of micrometres; half a millimetre is no error of calibration."""
-
-STILL = 0.05
-"""A positioner that moved less than this share of the way asked for did not move."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +35,10 @@ class Evidence:
     """(N, 2) by the commanded angles."""
     heard: Flags | None = None
     """(N,) told their position after it; None: all did."""
-    astray_mm: float = ASTRAY_MM
-    """Beyond this from where it reports, a positioner is not there."""
+    astray_mm: Floats | float = ASTRAY_MM
+    """Beyond this from where it reports, a positioner is not there; of all, or (N,)."""
+    still: float = STILL
+    """One that moved less than this share of its way did not move."""
 
 
 def judge(evidence: Evidence) -> list[FibreStatus | None]:
@@ -48,11 +46,12 @@ def judge(evidence: Evidence) -> list[FibreStatus | None]:
     apart = np.hypot(*(evidence.measured_mm - evidence.reported_mm).T)
     asked = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
     moved = np.hypot(*(evidence.measured_mm - evidence.before_mm).T)
-    still = moved < STILL * asked
+    still = moved < evidence.still * asked
+    astray = apart > evidence.astray_mm
     heard = np.ones(len(still), dtype=bool) if evidence.heard is None else evidence.heard
     outcomes = [_told(outcome, bool(heard[i])) for i, outcome in enumerate(evidence.outcomes)]
     return [
-        _judge_one(outcome, bool(evidence.seen[i]), bool(apart[i] > evidence.astray_mm), bool(still[i]))
+        _judge_one(outcome, bool(evidence.seen[i]), bool(astray[i]), bool(still[i]))
         for i, outcome in enumerate(outcomes)
     ]
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiberloom.drive.port import SCATTER_MM as SCATTER_MM
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
-
-SCATTER_MM = 0.05
-"""Of healthy positioners about where they report, per coordinate: maps and image together."""
 
 _SAME_RADIUS = 3.0 * SCATTER_MM
 _FOLDED = 0.2

@@ -7,8 +7,8 @@ import asyncio
 import numpy as np
 
 from fiberloom.bus.protocol import Status
+from fiberloom.drive.sdssv.limits import groups_within_supply
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.care.limits import groups_within_supply
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Goals
 from fiberloom.operation.reference.declare import declare_seen_right

@@ -10,6 +10,7 @@ from fiberloom.bus.outcome import Result, Results
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.drive.port import Programme
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
@@ -143,7 +144,7 @@ class SessionMotion(FieldMotion):
         return await super().look(unknown)
 
     async def move(
-        self, number: int, label: str, planned: Plan, goals: Goals, comparison: bool = False
+        self, number: int, label: str, planned: Plan | Programme, goals: Goals, comparison: bool = False
     ) -> Flags:
         """As `FieldMotion.move`: `number`, `label`, `planned`, `goals`, `comparison`; places are kept."""
         interrupted = await super().move(number, label, planned, goals, comparison)
@@ -152,9 +153,9 @@ class SessionMotion(FieldMotion):
         await self.step(Step.REST)
         return interrupted
 
-    async def _execute(self, planned: Plan) -> Results:
+    async def _execute(self, programme: Programme) -> Results:
         await self.step(Step.MOVE)
-        return await super()._execute(planned)
+        return await super()._execute(programme)
 
     async def stop(self, why: str) -> None:
         """As `FieldMotion.stop`; the state says `why`, and where each was left is kept."""
@@ -225,11 +226,11 @@ class SessionMotion(FieldMotion):
         answers = await self.client.status(ids)
         return {on: [i for i, a in answers.items() if a.ok and a.values[0] & bit] for bit, on in _PRECISE}
 
-    def _verify(self, planned: Plan) -> None:
+    def _verify(self, programme: Programme) -> None:
         if not self._separating:
-            super()._verify(planned)
+            super()._verify(programme)
             return
-        found = verify(self.state.obstacles(), planned, limits=MotionLimits(separating=True))
+        found = verify(self.state.obstacles(), programme.plan, limits=MotionLimits(separating=True))
         self.collisions_verified += len(found.collisions)
         if not found.ok:
             raise UnsafePlanError(f"the verifier refused the way apart: {found}")

@@ -59,7 +59,7 @@ class ArrayCheck:
     def __init__(self, plane: FocalPlane, hardware: Hardware, limits: DoctorLimits) -> None:
         """`plane`: the layout; `hardware`: open; `limits`: from where on something is wrong."""
         self.plane, self.hardware, self.limits = plane, hardware, limits
-        self.client = Client(hardware.transport)
+        self.client = Client(hardware.bus)
         self.wire_deg = np.zeros((len(plane), 2))
         self.answered = np.zeros(len(plane), dtype=bool)
         self.image: Measurement | None = None

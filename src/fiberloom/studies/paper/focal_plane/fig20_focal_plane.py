@@ -104,7 +104,7 @@ def designed(seed: int, n_units: int = FIELD_UNITS, steps: tuple[int, ...] = FIE
     plane = paper_plane(seed, n_units)
     units = draw_units(plane, seed)
     bench = bench_hardware(plane, units, seed)
-    client = Client(bench.transport)
+    client = Client(bench.bus)
 
     async def calibrate() -> TransmissionMaps:
         await client.discover()

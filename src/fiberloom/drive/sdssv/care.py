@@ -14,10 +14,7 @@ from typing import Any
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.protocol import Command
-from fiberloom.errors import InputError
-from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import ColdRule
-from fiberloom.operation.care.limits import (
+from fiberloom.drive.sdssv.limits import (
     DEG_S_PER_RPM,
     cold_rule,
     holding_percent,
@@ -25,6 +22,9 @@ from fiberloom.operation.care.limits import (
     peak_current_A,
     temperature_C,
 )
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import ColdRule
 from fiberloom.planning import Plan, PlanSettings
 
 SPEED_SHARES = (1.0, 0.5, 0.25, 0.125)

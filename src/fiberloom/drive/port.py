@@ -1,0 +1,214 @@
+"""The drive port: all that operation asks of the motors of an array, whatever they are.
+
+A plan is what is wanted. A programme is what the motors are told, with the way that arms will really go and
+how far they may be from it: that is what the verifier checks, not the plan. Some drives report where they
+are; others add up what they were told, and the camera corrects them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from fiberloom.bus.motion import MotionWatch
+from fiberloom.bus.outcome import Results
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.handicaps import Handicaps
+from fiberloom.metrology import Measurement
+from fiberloom.metrology.noise import CorrectionNoise
+from fiberloom.planning import Plan, Verification, verify
+from fiberloom.typing import Flags, Floats, Ints
+
+ASTRAY_MM = 0.5
+"""A blind move misses by tens of micrometres; half a millimetre is no error of calibration."""
+
+STILL = 0.05
+"""A positioner that moved less than this share of the way asked for did not move."""
+
+ALLOWED_MM = 0.5
+"""How far an arm may be from where it is believed, anywhere in its range, to be let move. The collision
+buffer of two arms leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
+
+SCATTER_MM = 0.05
+"""Of healthy positioners about where they report, per coordinate: maps and image together."""
+
+
+@dataclass(frozen=True)
+class DriveModel:
+    """How good the moves of a drive are. Correction, judgement and begin check use it."""
+
+    noise: CorrectionNoise
+    """Of blind moves, arrivals and the camera, for the correction."""
+    astray_mm: float = ASTRAY_MM
+    """Beyond this from where it is believed after a move, a positioner is not there."""
+    astray_share: float = 0.0
+    """The same, of the way that its fibre went: added to `astray_mm`."""
+    still: float = STILL
+    """A positioner that moved less than this share of its way did not move."""
+    allowed_mm: float = ALLOWED_MM
+    """How far an arm may be from where it is believed, to be let move at all."""
+    scatter_mm: float = SCATTER_MM
+    """Of healthy positioners about where they are believed to be, per coordinate."""
+    seen_is_believed: bool = False
+    """After an image the drive believes what it shows: it is told the goal again, not a correction of it."""
+    reports: bool = True
+    """Positioners tell where they are; else the drive adds up what it has told them."""
+
+    def astray_of_mm(self, way_mm: Floats) -> Floats:
+        """(N,) mm beyond which one whose fibre went `way_mm` (N,) is astray."""
+        return np.asarray(self.astray_mm + self.astray_share * np.nan_to_num(way_mm))
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """A move that is asked for. Arrays over N positioners."""
+
+    obstacles: FocalPlane
+    """The focal plane, with those that do not move as obstacles where they are."""
+    here_deg: Floats
+    """(N, 2) where they are believed to be."""
+    goal_deg: Floats
+    """(N, 2) where they shall be; as `here_deg` for one that stays."""
+    approach_deg: Floats
+    """(N,) overshoot of the last leg."""
+    seed: int = 0
+    small: bool = False
+    """A correction: all straight and at once where that touches nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """What a drive will be told, and what its arms will do then."""
+
+    plan: Plan
+    """The way that will be executed, of all N positioners."""
+    tube_mm: Floats | None = None
+    """(N,) how far from it an arm may be on the way, mm; None: nowhere."""
+    commands: Any = None
+    """The drive's own."""
+    about: dict[str, Any] = field(default_factory=dict)
+    """For the record."""
+
+    @property
+    def moving(self) -> list[int]:
+        """Positioners that move."""
+        return [robot.positioner_id for robot in self.plan.robots if robot.moves]
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """Where n positioners are, as their drive has it."""
+
+    angles_deg: Floats
+    """(n, 2) of the arms."""
+    wire_deg: Floats
+    """(n, 2) in the drive's own angles: of the motor over its nominal gear, for the record."""
+    answered: Flags
+    """(n,) of which this is known."""
+
+
+class Drive(Protocol):
+    """The motors of an array. Every positioner is named by its number in the focal plane."""
+
+    @property
+    def model(self) -> DriveModel:
+        """How good its moves are."""
+        ...
+
+    @property
+    def ids(self) -> list[int]:
+        """Positioners that have answered, or that need not answer."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Of the bus."""
+        ...
+
+    async def sleep(self, duration_s: float) -> None:
+        """Lets time pass, s."""
+        ...
+
+    async def connect(self) -> None:
+        """Finds the positioners. InputError where none of the layout's answers."""
+        ...
+
+    async def rest(self, alarm: Callable[[str], None], left_moving: bool = False) -> None:
+        """Brings to rest whatever still moves, as a host that was killed leaves it.
+
+        `alarm`: told of what was found; `left_moving`: the record says that something may move.
+        """
+        ...
+
+    async def believed(self, ids: Ints) -> Believed:
+        """Where these (n,) are."""
+        ...
+
+    async def heard_again(self, silent: Iterable[int]) -> list[int]:
+        """Those of the `silent` that answer now."""
+        ...
+
+    async def prepare(self, wanted: Wanted) -> Programme:
+        """What to tell the motors for a move. Who cannot make it is named in the plan's `refused`."""
+        ...
+
+    async def compile(self, plan: Plan) -> Programme:
+        """What to tell the motors for a plan that was made elsewhere."""
+        ...
+
+    def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
+        """Proves what will be executed: by default `verified`."""
+        ...
+
+    async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
+        """Executes it and waits for its end; how each positioner ended that moves.
+
+        `watch`: who goes on where one does not do its part; `say`: told of a wait.
+        """
+        ...
+
+    async def settle(self, ids: list[int]) -> None:
+        """After a move that went wrong: stops these, and makes them ready to move again."""
+        ...
+
+    async def stop(self) -> list[int]:
+        """Brings every positioner to rest that can be reached; returns which have answered."""
+        ...
+
+    def seen(self, image: Measurement, mobile: Flags) -> Floats | None:
+        """What an image after a move shows, to learn from; `mobile` (N,): of these it may tell.
+
+        Returns (N, 2) angles in deg where arms are believed to be now; None: as before.
+        """
+        ...
+
+    async def close(self) -> None:
+        """Lets go of the bus."""
+        ...
+
+
+def with_tube(obstacles: FocalPlane, tube_mm: Floats | None) -> FocalPlane:
+    """The plane with arms as much thicker as each may be off its way: `tube_mm` (N,), mm."""
+    if tube_mm is None or not tube_mm.any():
+        return obstacles
+    known = obstacles.handicaps or Handicaps.none(obstacles.n)
+    return replace(obstacles, handicaps=replace(known, wider_mm=known.wider_mm + tube_mm))
+
+
+def verified(obstacles: FocalPlane, programme: Programme) -> Verification:
+    """The independent verifier on what will be executed, with arms as thick as their tubes.
+
+    `obstacles`: the focal plane of N positioners; `programme`: of these.
+    """
+    return verify(with_tube(obstacles, programme.tube_mm), programme.plan)
+
+
+def none_answers(plane: FocalPlane) -> InputError:
+    """The error where no positioner of a layout answers."""
+    return InputError(
+        f"none of the {len(plane)} positioners of this layout answers on the bus; check its power and address"
+    )
