@@ -30,6 +30,17 @@ class LearningSettings:
     """Shorter pulses are not used: that a motor moves with them is not published."""
 
 
+@dataclass(frozen=True)
+class Order:
+    """What is sent to M motors, and what is expected of it."""
+
+    programme: Programme
+    told_deg: Floats
+    """(M,) signed ways by the maps and pulses, of motors whose gain is 1."""
+    step_deg: Floats
+    """(M,) of a step."""
+
+
 class LearningLaw:
     """A filter of each motor's place and, by direction, of its gain; steps as short as the way needs."""
 
@@ -51,6 +62,15 @@ class LearningLaw:
         (M,): motors that shall move; the others get no steps.
         """
         self.see(seen_deg, sigma_deg)
+        order = self.order(goal_deg, active)
+        self.take(order)
+        return order.programme
+
+    def order(self, goal_deg: Floats, active: Flags) -> Order:
+        """What to send from where motors are believed to be.
+
+        `goal_deg` (M,): angles wanted; `active` (M,): motors that shall move.
+        """
         assert self.place_deg is not None
         rows = np.arange(self.maps.motors)
         way = np.where(active, goal_deg - self.place_deg, 0.0)
@@ -63,8 +83,21 @@ class LearningLaw:
         steps = np.rint(np.clip(wanted, -most, most)).astype(np.int64)
         told = self.maps.way_deg(self.place_deg, steps * gain / self.gain[rows, direction])
         step_deg = np.abs(told) / np.maximum(np.abs(steps), 1)
-        self._sent = told, step_deg, steps
-        return Programme(steps, pulse)
+        return Order(Programme(steps, pulse), told, step_deg)
+
+    def take(self, order: Order, done: Flags | None = None) -> None:
+        """An `order` was executed; by those `done` (M,), all when left out."""
+        steps, told = order.programme.steps, order.told_deg
+        if done is not None:
+            steps, told = np.where(done, steps, 0), np.where(done, told, 0.0)
+        self._sent = told, order.step_deg, steps
+
+    def doubt_way(self, order: Order, rows: Flags) -> None:
+        """Nobody knows how far those motors `rows` (M,) came of an `order`: half of it, or all, or nothing."""
+        half = 0.5 * self.gain_of(order.told_deg) * order.told_deg
+        assert self.place_deg is not None
+        self.place_deg = np.where(rows, self.place_deg + half, self.place_deg)
+        self.place_variance = np.where(rows, self.place_variance + half**2, self.place_variance)
 
     def believe(self, place_deg: Floats, variance: Floats) -> None:
         """Motors are at `place_deg` (M,), by a `variance` (M,) in deg^2: as after a search of the stops."""
@@ -76,7 +109,11 @@ class LearningLaw:
         if self._sent is None:
             return self.place_deg
         told = self._sent[0]
-        return self.place_deg + self.gain[np.arange(self.maps.motors), direction_of(told)] * told
+        return self.place_deg + self.gain_of(told) * told
+
+    def gain_of(self, way_deg: Floats) -> Floats:
+        """(M,) dimensionless gains in the direction of ways (M,)."""
+        return self.gain[np.arange(self.maps.motors), direction_of(way_deg)]
 
     def see(self, seen_deg: Floats, sigma_deg: Floats) -> None:
         """An image: gains are learned, places filtered.

@@ -111,9 +111,16 @@ class Stages:
         self.phi_in_deg = self.arms.phi_within_deg(self._territory_mm())
 
     @classmethod
-    def of(cls, arms: CobraArms, discs_mm: Floats, settings: StageSettings | None = None) -> Stages:
-        """`arms`; `discs_mm` (m, 3): x, y, radius of what stands between cobras; `settings`."""
-        return cls(arms, SweptCheck.of(arms, discs_mm), settings or StageSettings())
+    def of(
+        cls,
+        arms: CobraArms,
+        discs_mm: Floats,
+        settings: StageSettings | None = None,
+        dots_mm: Floats | None = None,
+    ) -> Stages:
+        """`arms` of n cobras; `discs_mm` (m, 3): x, y, radius of what stands between them; `settings`;
+        `dots_mm` (n, 3): x, y, radius of the dot of each."""
+        return cls(arms, SweptCheck.of(arms, discs_mm), settings or StageSettings(), dots_mm)
 
     def touching(self, goal_deg: Floats) -> Ints:
         """(t, 2) pairs of rows that would touch at their goals (n, 2) in deg; a disc is a row beyond n."""
