@@ -62,16 +62,26 @@ def open_hardware(
         An address that cannot be read, a camera that does not go with the bus, faults without a twin.
     """
     if isinstance(bus, str) and bus.startswith(TWIN):
-        from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
-
         name = str(camera).removeprefix(TWIN) or "image"
-        return TwinSource(plane, seed, name, faults, errors or "none")
+        return twin_source(plane, seed, name, faults, errors or "none")
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
     if isinstance(camera, str):
         return OpenedArray.of(bus, _camera(plane, camera), camera)
     return OpenedArray.of(bus, camera)
+
+
+def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> Source:
+    """The twin of a `plane`, with the motors and the boards of its instrument.
+
+    `seed` of units and noise; `camera`: noise or image; `faults` and `errors`: what goes wrong, and what is
+    off its tables. InputError where the twin does not have such motors, or does not know one of these.
+    """
+    # a real array needs no line of the twin
+    from fiberloom.twin.source import TwinSource
+
+    return TwinSource(plane, seed, camera, faults, errors)
 
 
 def _camera(plane: FocalPlane, address: str) -> Camera:

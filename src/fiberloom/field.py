@@ -15,7 +15,7 @@ from fiberloom.calibration.transmission.cache import load_for
 from fiberloom.calibration.transmission.maps import TransmissionMaps
 from fiberloom.calibration.transmission.nominal import nominal_maps
 from fiberloom.calibration.transmission.sweep import Calibration, SweepSettings, calibration_of
-from fiberloom.connect import open_hardware
+from fiberloom.connect import open_hardware, twin_source
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.known import known_so_far
@@ -156,9 +156,7 @@ class Field:
         Traceback (most recent call last):
         fiberloom.errors.InputError: --camera film: known are noise, image
         """
-        from fiberloom.twin.source import TwinSource  # a real array needs no line of the twin
-
-        return cls(plane, TwinSource(plane, seed, camera, faults, errors), seed, calibration)
+        return cls(plane, twin_source(plane, seed, camera, faults, errors), seed, calibration)
 
     @classmethod
     def open(
@@ -268,6 +266,8 @@ class Field:
         return self.maps
 
     async def _find_maps(self, points: int) -> tuple[TransmissionMaps, Path | None]:
+        if not self._has_maps:
+            return nominal_maps(self.plane), None
         if self.calibration_file is not None:
             return load_for(self.plane, self.calibration_file), self.calibration_file
         if isinstance(self.source, OpenedArray):
@@ -323,6 +323,11 @@ class Field:
         >>> bool(found.report.ok.all())
         True
         """
+        if not self._has_maps:
+            kind = self.plane.instrument.drive.protocol
+            raise InputError(
+                f"{self.plane.instrument.name}: no transmission maps with drive.protocol = '{kind}'"
+            )
         self.watcher.say("calibrating transmissions")
         if (on_bench := await self.source.sweep(points, self.watcher.count)) is not None:
             keep(on_bench)
@@ -335,6 +340,11 @@ class Field:
         await beside(keep, found)
         await beside(kept.forget)
         return found
+
+    @property
+    def _has_maps(self) -> bool:
+        """Whether the host turns arm angles into motor angles by transmission maps."""
+        return self.plane.instrument.drive.protocol in ("sdssv", "none")
 
     def _about_sweep(self, settings: SweepSettings) -> dict[str, str]:
         """What a sweep that goes on must have in common with its begin."""

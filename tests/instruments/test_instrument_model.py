@@ -128,3 +128,25 @@ def test_files_that_are_no_instrument(tmp_path, content, words):
 def test_the_twin_may_put_what_it_likes_into_its_table(data):
     data["twin"] = {"anything": {"mean": 1.0}}
     assert parse_instrument(data, "x").twin["anything"] == {"mean": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "protocol"),
+    [
+        ("alpha.gear", 1024.0, "sdssv"),
+        ("alpha.gear", 1000.0, "none"),
+        ("beta.closed_loop", False, "none"),
+        ("beta.kind", "stepper", "none"),
+        ("drive", {"protocol": "desi"}, "desi"),
+    ],
+)
+def test_the_protocol_follows_from_the_motors_where_it_is_left_out(data, key, value, protocol):
+    del data["drive"]
+    set_key(data, key, value)
+    assert parse_instrument(data, "x").drive.protocol == protocol
+
+
+def test_presets_name_their_protocols():
+    named = {name: load_instrument(name).drive.protocol for name in instrument_names()}
+    spoken = {"desi": "desi", "pfs": "pfs", "sdssv": "sdssv"}
+    assert named == {name: spoken.get(name, "none") for name in named}

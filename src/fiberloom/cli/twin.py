@@ -134,6 +134,7 @@ def _warn_of_the_network(options: TwinOptions, addresses: list[Address]) -> None
 
 def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinServer:
     from fiberloom.twin import Twin, draw_units
+    from fiberloom.twin.bench import check_bench
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.schedule import schedule_faults
@@ -141,6 +142,7 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     from fiberloom.twin.server.device import PORTS
     from fiberloom.twin.server.server import ServerSettings, TwinServer
 
+    check_bench(plane.instrument)
     places = [(device, port) for device in range(len(addresses)) for port in PORTS]
     ids = [int(i) for i in plane.positioner_id]
     schedule = schedule_faults(parse_faults(options.faults), ids, places, options.seed)

@@ -53,6 +53,8 @@ class DriveModel:
     """How far an arm may be from where it is believed, to be let move at all."""
     scatter_mm: float = SCATTER_MM
     """Of healthy positioners about where they are believed to be, per coordinate."""
+    step_deg: tuple[float, float] = (0.0, 0.0)
+    """Smallest steps of alpha and beta, of which corrections are made; 0: the drive itself sees to it."""
     seen_is_believed: bool = False
     """After an image the drive believes what it shows: it is told the goal again, not a correction of it."""
     reports: bool = True

@@ -570,8 +570,8 @@ class FocalPlane:
         Returns
         -------
         str
-            16 hex digits that change with any number of either; but `care` and `expansion` make no other
-            array of it.
+            16 hex digits that change with any number of either; but `care`, `expansion` and `drive` make no
+            other array of it.
 
         Examples
         --------
@@ -581,7 +581,7 @@ class FocalPlane:
         """
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
         arrays += self.handicaps.arrays.items() if self.handicaps else []
-        return mark_of(self.instrument.model_dump_json(exclude={"care", "expansion"}), arrays)
+        return mark_of(self.instrument.model_dump_json(exclude={"care", "expansion", "drive"}), arrays)
 
     def _posed(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None

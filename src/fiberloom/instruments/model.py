@@ -10,13 +10,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from fiberloom.instruments.axis import Axis as Axis
+from fiberloom.instruments.axis import Drive as Drive
+from fiberloom.instruments.axis import Range, protocol_of
 from fiberloom.instruments.outlines import KeepOut, Outline
 from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
 from fiberloom.units import AXES as AXES
 
 MOST_SIDE_PX = 50_000
 """Of a camera's image."""
-Range = tuple[Finite, Finite]
 
 METROLOGY = "metrology"
 
@@ -57,65 +59,6 @@ class Point(Table):
     role: Literal["metrology", "science"]
     fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of the positioners that carry this fibre."""
-
-
-OVER_BACKLASH = 1.2
-"""The shortest approach over the largest backlash. Where the slope of the gear is 0.15 too small, the worst
-that acceptance lets pass, 1 / 0.85 of the backlash is needed at the output; gears of the twin need 1.16."""
-
-
-class Axis(Table):
-    """One rotation axis: how far it turns and what turns it."""
-
-    target_range_deg: Range
-    """Angles that targets may ask for."""
-    hard_stop_deg: Range
-    """Angles at which the mechanism ends."""
-    kind: Literal["bldc", "stepper", "piezo"]
-    gear: Positive
-    """Motor turns per output turn (1 for a direct drive)."""
-    closed_loop: bool
-    """Does the motor know its own angle?"""
-    step_deg: NotNegative = 0.0
-    """Smallest step at the output, of which corrections are made; 0: continuous."""
-    speed_deg_s: Positive
-    acceleration_deg_s2: Positive
-    backlash_deg: NotNegative = 0.0
-    """Largest backlash at the output."""
-    motor_torque_uNm: Positive | None = None
-    """Of the motor at full voltage, nominal; identification of torques needs it."""
-    motor_torque_tolerance: NotNegative = 0.03
-    """Standard deviation of single motors about it, relative."""
-    approach_deg: NotNegative = 0.0
-    """Overshoot from which the last move comes, in the negative direction; 0: no such approach."""
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for key in ("target_range_deg", "hard_stop_deg"):
-            low, high = getattr(self, key)
-            if not low < high:
-                raise ValueError(f"{key} {[low, high]}: low must be below high")
-        (low, high), (stop_low, stop_high) = self.target_range_deg, self.hard_stop_deg
-        if low < stop_low or high + self.approach_deg > stop_high:
-            raise ValueError(
-                f"hard_stop_deg {[stop_low, stop_high]} must contain target_range_deg "
-                f"{[low, high]} and the approach of {self.approach_deg} deg above it"
-            )
-        if 0 < self.approach_deg < self.backlash_deg:
-            raise ValueError(f"approach_deg {self.approach_deg} must exceed backlash_deg {self.backlash_deg}")
-        if high - low > 720.0:
-            raise ValueError(f"target_range_deg {[low, high]}: more than two turns are not supported")
-        return self
-
-    @property
-    def least_approach_deg(self) -> float:
-        """The shortest approach that still closes the largest backlash; never above the usual one.
-
-        Where no backlash is known, no approach may be shortened.
-        """
-        if self.backlash_deg == 0.0:
-            return self.approach_deg
-        return min(self.approach_deg, OVER_BACKLASH * self.backlash_deg)
 
 
 class Positioner(Table):
@@ -439,6 +382,8 @@ class Instrument(Table):
     positioner: Positioner
     alpha: Axis
     beta: Axis
+    drive: Drive = Drive()
+    """Left out: by the motors, `protocol_of`."""
     bodies: Bodies
     metrology: Metrology
     camera: CameraTable | None = None
@@ -487,6 +432,14 @@ class Instrument(Table):
         )
 
     __str__ = __repr__
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled(cls, data: Any) -> Any:
+        """What is left out and follows from the rest."""
+        if not isinstance(data, dict):
+            return data
+        return {"drive": {"protocol": protocol_of([data.get(axis) for axis in AXES])}} | data
 
     @model_validator(mode="after")
     def _seen(self) -> Self:

@@ -33,6 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,46 @@ def weigh(
     covariance = keep @ p @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
     mean = offsets.mean + np.einsum("nij,nj->ni", gain, innovation_mm)
     return Offsets(mean, covariance), surprise
+
+
+class Corrections(Protocol):
+    """From an image to the next command, for N positioners."""
+
+    metrology_goal_mm: Floats
+    """(N, 2) where the camera is to see the metrology fibres."""
+    rests: Flags
+    """(N,) that another move would bring no nearer."""
+    camera_factor: float
+    """Of the variance that the camera tells, as images show; a ratio."""
+
+    def update(
+        self, believed_deg: Floats, measured_mm: Floats, active: Flags, noise_mm2: Floats | None = None
+    ) -> Floats:
+        """The angles (N, 2) in deg to command next; as `CorrectionLoop.update`."""
+        ...
+
+
+class SeenAims:
+    """For drives that believe what an image shows: they are told the goal again.
+
+    Their own filter has the image, and knows how motors err.
+    """
+
+    def __init__(self, plane: FocalPlane, goal_deg: Floats) -> None:
+        """`plane`: layout of N positioners; `goal_deg`: (N, 2) angles that bring the fibres on target."""
+        self.goal_deg = goal_deg
+        self.metrology_goal_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
+        self.rests: Flags = np.zeros(plane.n, dtype=bool)
+        self.camera_factor = 1.0
+
+    def update(
+        self, believed_deg: Floats, measured_mm: Floats, active: Flags, noise_mm2: Floats | None = None
+    ) -> Floats:
+        """The goals (N, 2) in deg, whatever the image: the drive has its own filter of it.
+
+        `believed_deg`, `measured_mm`, `active`, `noise_mm2`: as of `CorrectionLoop.update`.
+        """
+        return self.goal_deg
 
 
 class CorrectionLoop:

@@ -145,6 +145,7 @@ class FieldState:
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
             still=self.model.still,
+            still_mm=self.model.astray_mm + self.looser_mm,
         )
         way_mm = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
         evidence = dataclasses.replace(evidence, astray_mm=self.model.astray_of_mm(way_mm) + self.looser_mm)

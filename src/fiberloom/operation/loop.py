@@ -10,7 +10,7 @@ import numpy as np
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments.model import Operation
-from fiberloom.operation.correction import CorrectionLoop, whole_steps
+from fiberloom.operation.correction import CorrectionLoop, Corrections, SeenAims, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
 from fiberloom.operation.stopping import StopRule
@@ -91,13 +91,7 @@ class Loop:
         """
         self.motion.images = self.settings.images
         await self.blind_move()
-        corrections = CorrectionLoop(
-            self.plane,
-            self.goal_deg,
-            fibre=self.goals.fibre,
-            filtered=self.settings.filtered,
-            sigma_deg=self._expected_deg(),
-        )
+        corrections = self._corrections()
         for number in range(2, self.settings.moves + 1):
             if self.settings.stop.satisfied(self._open_um()):
                 break
@@ -106,6 +100,20 @@ class Loop:
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
+
+    def _corrections(self) -> Corrections:
+        """How an image becomes the next command, with this drive."""
+        model = self.motion.drive.model
+        if model.seen_is_believed:
+            return SeenAims(self.plane, self.goal_deg)
+        return CorrectionLoop(
+            self.plane,
+            self.goal_deg,
+            fibre=self.goals.fibre,
+            filtered=self.settings.filtered,
+            noise=model.noise,
+            sigma_deg=self._expected_deg(),
+        )
 
     def _open_um(self) -> Floats:
         """(n,) distances in the last image, of the fibres with a target that are seen and healthy and
@@ -136,7 +144,7 @@ class Loop:
             return None
         return self.map_sigma_deg(self.maps.to_wire(self.goal_deg))
 
-    async def correct(self, corrections: CorrectionLoop, number: int) -> None:
+    async def correct(self, corrections: Corrections, number: int) -> None:
         """Moves every healthy positioner with a target by what the last image shows.
 
         `corrections`: the state of the filter; `number`: of the move, the blind move is 1. A positioner
@@ -146,13 +154,12 @@ class Loop:
         image, here_deg = self.moves[-1].measurement, self.motion.state.here_deg
         wanted_deg = corrections.update(here_deg, image.xy_mm, self.correctable & image.seen, image.noise_mm2)
         self._tell_noise(corrections)
-        step_deg = np.array([axis.step_deg for axis in self.plane.instrument.axes])
-        goal_deg = whole_steps(here_deg, wanted_deg, step_deg)
+        goal_deg = whole_steps(here_deg, wanted_deg, np.array(self.motion.drive.model.step_deg))
         goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
         self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm.copy())
         await self._small_move(number, f"correction {number - 1}", goal_deg)
 
-    def _tell_noise(self, corrections: CorrectionLoop) -> None:
+    def _tell_noise(self, corrections: Corrections) -> None:
         """Once, where images scatter much more than the camera tells."""
         times = np.sqrt(corrections.camera_factor)
         if times > NOISIER and not self._noise_told:

@@ -10,11 +10,12 @@ import numpy as np
 
 from fiberloom.bus.client import Client
 from fiberloom.calibration.bench.rig import BenchRig
-from fiberloom.instruments import FocalPlane, generate, load_instrument
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.draw import draw_units
 from fiberloom.twin.errors.switches import GearSpectrum
-from fiberloom.twin.hardware import faulty_transport
+from fiberloom.twin.hardware import faulty_transport, foreign_motors
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
 from fiberloom.twin.weights import TwinWeights
@@ -29,6 +30,7 @@ def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> B
     `seed` decides noise, the weights' own errors and which positioners have the `faults`, a text of
     `--faults`; InputError where it cannot be read.
     """
+    check_bench(plane.instrument)
     twin = Twin(plane, units, seed=seed, neighbours=False)
     noise_um = plane.instrument.metrology.noise_rms_um
     return BenchRig(
@@ -38,6 +40,12 @@ def bench_rig(plane: FocalPlane, units: Units, seed: int, faults: str = "") -> B
         CLOSE_UP_UM,
         TwinWeights(twin, seed=seed),
     )
+
+
+def check_bench(instrument: Instrument) -> None:
+    """Refuses an instrument whose motors this bench does not have."""
+    if foreign := foreign_motors(instrument):
+        raise InputError(foreign)
 
 
 def seed_of_serial(seed: int, serial: str) -> int:
@@ -57,7 +65,9 @@ def bench_units(
     a bus up to 2047 only.
     """
     index = np.fromiter(units, dtype=np.int64)
-    size = len(_array(instrument, seed))
+    whole = _array(instrument, seed)
+    check_bench(whole.instrument)
+    size = len(whole)
     parts = [
         _array(instrument, seed + int(a)).select(index[index // size == a] % size)
         for a in np.unique(index // size)

@@ -84,15 +84,25 @@ def missing_in_twin(instrument: Instrument) -> str:
     """What the twin and its firmware lack to drive an instrument in a loop; empty: nothing."""
     if not instrument.metrology.present:
         return f"{instrument.name} has no metrology camera: it cannot be observed in a loop"
+    if not (foreign := foreign_motors(instrument)):
+        return ""
+    return f"{foreign}. assign, plan, verify, centroid and match work with this instrument"
+
+
+def foreign_motors(instrument: Instrument) -> str:
+    """Which motors are not those of the twin with SDSS-V's firmware; empty: none."""
     for name in AXES:
         axis: Axis = getattr(instrument, name)
         if (axis.kind, axis.closed_loop, axis.gear) != ("bldc", True, GEAR):
             loop = "closed" if axis.closed_loop else "open"
             return (
                 f"{instrument.name}: {name} is a {axis.kind} motor in {loop} loop with a gear of "
-                f"{axis.gear:g}; the twin drives bldc motors in closed loop with a gear of {GEAR:g} only. "
-                "assign, plan, verify, centroid and match work with this instrument"
+                f"{axis.gear:g}; this works with bldc motors in closed loop with a gear of {GEAR:g} only"
             )
+    if instrument.drive.protocol != "sdssv":
+        return (
+            f"{instrument.name}: drive.protocol = '{instrument.drive.protocol}'; this works with 'sdssv' only"
+        )
     return ""
 
 

@@ -29,7 +29,8 @@ class SdssvDrive:
         self.plane, self.maps = plane, maps
         self.client = Client(transport)
         self.care = MotorCare(plane, self.client)
-        self.model = DriveModel(CorrectionNoise.of(plane))
+        alpha, beta = plane.instrument.axes
+        self.model = DriveModel(CorrectionNoise.of(plane), step_deg=(alpha.step_deg, beta.step_deg))
 
     @property
     def ids(self) -> list[int]:

@@ -36,7 +36,9 @@ class Evidence:
     heard: Flags | None = None
     """(N,) told their position after it; None: all did."""
     astray_mm: Floats | float = ASTRAY_MM
-    """Beyond this from where it reports, a positioner is not there; of all, or (N,)."""
+    """Beyond this from where it reports, a positioner that has moved is not there; of all, or (N,)."""
+    still_mm: float = ASTRAY_MM
+    """The same, of one that has not moved."""
     still: float = STILL
     """One that moved less than this share of its way did not move."""
 
@@ -47,7 +49,7 @@ def judge(evidence: Evidence) -> list[FibreStatus | None]:
     asked = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
     moved = np.hypot(*(evidence.measured_mm - evidence.before_mm).T)
     still = moved < evidence.still * asked
-    astray = apart > evidence.astray_mm
+    astray = apart > np.where(still, evidence.still_mm, evidence.astray_mm)
     heard = np.ones(len(still), dtype=bool) if evidence.heard is None else evidence.heard
     outcomes = [_told(outcome, bool(heard[i])) for i, outcome in enumerate(evidence.outcomes)]
     return [
