@@ -13,6 +13,7 @@ from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.drive.pfs.client import Ended, FpgaClient, Orders
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings, Order
+from fiberloom.drive.piezo.loose import pair_loose
 from fiberloom.drive.piezo.maps import PULSE_CURVE_US, MotorMaps
 from fiberloom.drive.piezo.stages import PHI, THETA, Chosen, Stage, Stages, StageSettings
 from fiberloom.drive.piezo.tracking import Tracker
@@ -33,6 +34,8 @@ HOME_SIGMA_DEG = 0.2
 """[A] How well a stop is known."""
 LONGEST_RUN_S = 30.0
 """A RUN that an earlier host has begun has ended after so long."""
+ASTRAY_MM = 20.0
+"""Farther than any reach: one that went another way than it was told to is no fault, the next image tells."""
 OUTCOMES = {
     Ended.DONE: Outcome.DONE,
     Ended.REFUSED: Outcome.REFUSED,
@@ -87,7 +90,7 @@ class CobraDrive:
         self.tracker = Tracker(self.arms, self.law, dots_mm)
         self.stages = Stages.of(self.arms, plane.fiducials, self.settings.stages, dots_mm)
         self.model = DriveModel(
-            CorrectionNoise.of(plane), astray_mm=0.5, astray_share=2.0, allowed_mm=1.0, scatter_mm=0.1,
+            CorrectionNoise.of(plane), astray_mm=ASTRAY_MM, allowed_mm=1.0, scatter_mm=0.1,
             seen_is_believed=True, reports=False,
         )  # fmt: skip
         self._discs_mm = plane.fiducials
@@ -150,9 +153,26 @@ class CobraDrive:
 
     def seen(self, image: Measurement, mobile: Flags) -> Floats:
         """Learns from an `image`; `mobile` (N,): cobras of which it may tell. Returns (N, 2) deg."""
-        xy_mm = np.where((image.seen & mobile)[:, None], image.xy_mm, np.nan)
+        xy_mm = np.where(image.seen[:, None], image.xy_mm, self._loose_mm(image))
+        xy_mm[~mobile & ~image.seen] = np.nan
         self.tracker.see(xy_mm, self._camera_um(image))
         return self.tracker.place_deg + stops_deg(self.plane)[0]
+
+    def excused(self, image: Measurement) -> Flags:
+        """(N,) cobras that an `image` after a move does not show without being lost.
+
+        Their fibre may be behind its dot, or its spot is among those that belong to none for certain.
+        """
+        found = np.isfinite(self._loose_mm(image)).all(axis=1)
+        doubtful = image.ambiguous if image.ambiguous is not None else np.zeros(len(self.plane), dtype=bool)
+        return ~image.seen & (found | doubtful | self.tracker.may_hide())
+
+    def _loose_mm(self, image: Measurement) -> Floats:
+        """(N, 2) spots that can only be those of cobras that ended far from where they should; else NaN."""
+        if image.loose_mm is None:
+            return np.full((len(self.plane), 2), np.nan)
+        sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
+        return pair_loose(self.arms, self._expected_deg(), sigma, ~image.seen, image.loose_mm)
 
     def _camera_um(self, image: Measurement) -> Floats:
         """(N,) um per axis by which an image errs."""

@@ -89,6 +89,26 @@ class Tracker:
         # each possible pose of a hidden fibre comes from its own
         return np.where(seen[:, None, None], np.nan_to_num(found), expected), possible
 
+    def may_hide(self) -> Flags:
+        """(n,) cobras whose fibre may be behind its dot, after what was sent last."""
+        hides = np.zeros(len(self.arms), dtype=bool)
+        if self.dots_mm is None:
+            return hides
+        expected = self.law.expected_deg().reshape(-1, 2)
+        sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
+        for row, dot_mm in enumerate(self.dots_mm):
+            hides[row] = len(self._draws_behind(row, dot_mm, expected[row], sigma[row])) >= FEWEST_SAMPLES
+        return hides
+
+    def _draws_behind(self, row: int, dot_mm: Floats, place_deg: Floats, sigma_deg: Floats) -> Floats:
+        """(k, 2) of SAMPLES drawn poses in deg those with the fibre behind the dot."""
+        draws = place_deg + sigma_deg * self._rng.standard_normal((SAMPLES, 2))
+        draws = np.clip(draws, 0.0, self.arms.range_deg[row])
+        rows: Ints = np.full(SAMPLES, row)
+        at = self.arms.segments_mm(draws, rows)[:, 2:]
+        behind: Floats = draws[np.hypot(*(at - dot_mm[:2]).T) < dot_mm[2]]
+        return behind
+
     def _look_behind_dots(self, unseen: Flags) -> None:
         """Fibres that are not seen are behind their dot, if they may be there; else they are lost."""
         self.hidden[:], self.lost[:] = False, unseen
@@ -98,11 +118,7 @@ class Tracker:
             self._behind(int(row), self.dots_mm[row])
 
     def _behind(self, row: int, dot_mm: Floats) -> None:
-        draws = self.place_deg[row] + self.sigma_deg[row] * self._rng.standard_normal((SAMPLES, 2))
-        draws = np.clip(draws, 0.0, self.arms.range_deg[row])
-        rows: Ints = np.full(SAMPLES, row)
-        at = self.arms.segments_mm(draws, rows)[:, 2:]
-        behind = draws[np.hypot(*(at - dot_mm[:2]).T) < dot_mm[2]]
+        behind = self._draws_behind(row, dot_mm, self.place_deg[row], self.sigma_deg[row])
         if len(behind) < FEWEST_SAMPLES:
             return
         self.hidden[row], self.lost[row] = True, False
