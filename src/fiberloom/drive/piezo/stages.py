@@ -68,7 +68,7 @@ class StageSettings:
     """Half of a tube, in standard deviations of where a move ends."""
     least_share: float = 0.05
     """The same, of the way: no motor is believed to be better."""
-    direct_deg: float = 45.0
+    direct_deg: float = 60.0
     """[A] A cobra whose theta may end farther off than this turns it first, within its territory."""
     dot_margin_mm: float = 0.1
     """A fibre that turns stays so far from its dot."""
@@ -142,6 +142,7 @@ class Stages:
             out.may[waits] = False
         rank = np.random.default_rng(seed).permutation(len(goal_deg))
         stage = self._agree(options, np.where(active, Stage.GOAL, Stage.STAY), goal_deg, rank)
+        stage = self._promote(options, stage, active, rank)
         stage = self._make_way(options, stage, far, goal_deg, rank)
         rows = np.arange(len(stage))
         return Chosen(
@@ -309,6 +310,28 @@ class Stages:
             changed = np.zeros(len(self.check.arms), dtype=bool)
             changed[losers] = True
             open_ = np.flatnonzero(changed[self.check.pairs].any(axis=1))
+        return stage
+
+    def _promote(self, options: list[_Option], stage: Ints, active: Flags, rank: Ints) -> Ints:
+        """Cobras that gave way to one that gave way itself take a better option that is free now."""
+        stage, n = stage.copy(), self.check.cobras
+        boxes, rows = np.stack([o.boxes_deg for o in options]), np.arange(n)
+        order = np.append(rank, np.full(len(self.check.arms) - n, n))
+        for level in range(Stage.TURN):
+            tries = np.append(active & (stage > level) & options[level].may, np.zeros(len(order) - n, bool))
+            i, j = self.check.pairs.T
+            near = np.flatnonzero(tries[i] | tries[j])
+            now = boxes[stage, rows]
+            better = np.where(tries[:n, None, None, None], boxes[level], now)
+            # each against its neighbours as they are, then those that try against one another
+            blocked = np.zeros(len(order), dtype=bool)
+            blocked[i[near[self.check.meeting(better, now, near)]]] = True
+            blocked[j[near[self.check.meeting(now, better, near)]]] = True
+            goes = tries & ~blocked
+            both = np.flatnonzero(goes[i] & goes[j])
+            met = both[self.check.meeting(better, better, both)]
+            goes[np.where(order[i[met]] < order[j[met]], j[met], i[met])] = False
+            stage[goes[:n]] = level
         return stage
 
     def _losers(self, meets: Ints, stage: Ints, now: Floats, goal: Floats, rank: Ints) -> Ints:
