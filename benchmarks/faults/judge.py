@@ -21,7 +21,6 @@ from fiberloom.health.past_runs import health_report
 from fiberloom.health.status import FAULTS, POOR_REQUIREMENTS, FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
-from fiberloom.operation.safety.judge import ASTRAY_MM
 from fiberloom.operation.safety.looking import ALARM
 from fiberloom.store import Store
 from fiberloom.store.run import FAILED, FINISHED, INTERRUPTED, START, STOPPED, RunInfo
@@ -269,7 +268,10 @@ class _Judge:
         if not wire.any():  # it has not been heard yet
             return False
         reported = self.plane.forward(*self.maps.to_output(wire, index=[row]).T, METROLOGY, index=[row])
-        return float(np.hypot(*(image.shot.fibres[METROLOGY][row] - reported[0]))) > ASTRAY_MM
+        return (
+            float(np.hypot(*(image.shot.fibres[METROLOGY][row] - reported[0])))
+            > self.plane.instrument.drive.astray_mm
+        )
 
     def _shows_stillness(self, k: int, row: int, kind: str) -> bool:
         """It had to go; and, unless it is silent or restarts, has not while others have."""

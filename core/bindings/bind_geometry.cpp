@@ -52,17 +52,18 @@ Output<double, -1, 2> forward(Arms arms, Pairs point, Pairs angles) {
 constexpr nb::ssize_t max_solutions = fl::Solutions::max_count;
 using Inverse = std::tuple<Output<double, -1, max_solutions, 2>, Output<int, -1>, Output<double, -1>>;
 
-Inverse inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
+// limits: of the first arm; of_each: how many numbers on those of the next one are, 0 where all have the
+// same.
+Inverse inverse_within(Arms arms, Pairs point, Pairs target, const double *limits, size_t of_each) {
     const size_t n = arms.shape(0);
     same_rows(n, {point.shape(0), target.shape(0)});
-    if (limits.shape(0) != 2) throw nb::value_error("limits: [[alpha_min, alpha_max], [beta_min, beta_max]]");
-    const double *l = limits.data();
-    const fl::Limits lim{l[0], l[1], l[2], l[3]};
     constexpr size_t k = fl::Solutions::max_count;
     auto angles = new_array<double, -1, max_solutions, 2>({n, k, 2});
     auto count = new_array<int, -1>({n});
     auto gap = new_array<double, -1>({n});
     for (size_t i = 0; i < n; ++i) {
+        const double *l = limits + of_each * i;
+        const fl::Limits lim{l[0], l[1], l[2], l[3]};
         const fl::Solutions s = fl::inverse(arm_at(arms, i), vec_at(point, i), vec_at(target, i), lim);
         for (size_t j = 0; j < k; ++j) {
             angles.data()[(i * k + j) * 2] = s.angles[j].alpha_rad;
@@ -72,6 +73,16 @@ Inverse inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
         gap.data()[i] = s.gap_mm;
     }
     return {angles, count, gap};
+}
+
+Inverse inverse(Arms arms, Pairs point, Pairs target, Pairs limits) {
+    if (limits.shape(0) != 2) throw nb::value_error("limits: [[alpha_min, alpha_max], [beta_min, beta_max]]");
+    return inverse_within(arms, point, target, limits.data(), 0);
+}
+
+Inverse inverse_each(Arms arms, Pairs point, Pairs target, Input<double, -1, 2, 2> limits) {
+    same_rows(arms.shape(0), {limits.shape(0)});
+    return inverse_within(arms, point, target, limits.data(), 4);
 }
 
 Output<double, -1, 2, 2> jacobian(Arms arms, Pairs point, Pairs angles) {
@@ -130,6 +141,8 @@ void bind_geometry(nb::module_ &m) {
           nb::arg("limits_rad"),
           "Angles (N, 4, 2) in rad inside the limits, how many of the four hold, and how far in mm "
           "each target lies outside the annulus of its arms. Eq. 2, both elbows.");
+    g.def("inverse", &inverse_each, nb::arg("arms"), nb::arg("point_mm"), nb::arg("target_mm"),
+          nb::arg("limits_rad"), "The same with limits of each arm, (N, 2, 2).");
     g.def("jacobian", &jacobian, nb::arg("arms"), nb::arg("point_mm"), nb::arg("angles_rad"),
           "d(x, y)/d(alpha, beta), (N, 2, 2) in mm/rad.");
     g.def("segment_distance", &segment_distance, nb::arg("first_mm"), nb::arg("second_mm"),

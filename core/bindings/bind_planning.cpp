@@ -18,6 +18,8 @@ using Pairs = Input<double, -1, 2>;
 using Capsules = Input<double, -1, 7>;
 using PartRows = Input<double, -1, 8>;
 using Travel = Input<double, 2, 2>;
+using Travels = Input<double, -1, 2, 2>;
+using SidePair = std::array<double, 2>;
 using Flags = Input1<bool>;
 using Points = Input<double, -1, 3>;
 using Dict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -40,6 +42,20 @@ std::vector<fl::Angles> angles_of(const Pairs &rows) {
 fl::Limits limits_of(const Travel &travel) {
     const double *t = travel.data();
     return {t[0], t[1], t[2], t[3]};
+}
+
+std::vector<fl::Limits> limits_of(const Travels &travels) {
+    std::vector<fl::Limits> out;
+    for (size_t i = 0; i < travels.shape(0); ++i) {
+        const double *t = travels.data() + 4 * i;
+        out.push_back({t[0], t[1], t[2], t[3]});
+    }
+    return out;
+}
+
+Sides sides_of(SidePair sides) {
+    if (std::abs(sides[0]) != 1.0 || std::abs(sides[1]) != 1.0) throw nb::value_error("sides: 1 or -1");
+    return {sides[0], sides[1]};
 }
 
 template <class T> std::vector<T> vector_of(const Input1<T> &row) {
@@ -151,6 +167,10 @@ void task_may_shorten(Task &task, Input1<double> least) {
         task.least_approach_rad[i] = std::min(task.least_approach_rad[i], task.approach_rad[i]);
 }
 
+template <class Of> void set_travels(Of &of, Travels travels) { of.travels = limits_of(travels); }
+
+template <class Of> void set_sides(Of &of, SidePair sides) { of.sides = sides_of(sides); }
+
 void task_set_paces(Task &task, Input1<double> speed, Input1<double> acceleration) {
     need_rows("speed", speed.shape(0), task.start.size());
     need_rows("acceleration", acceleration.shape(0), task.start.size());
@@ -187,6 +207,7 @@ LastLeg last_leg_of(const std::array<double, 3> &leg) { return {leg[0], leg[1], 
 std::tuple<Motions, Refusals, Dict, LastLegs> plan_all(const Bodies &bodies, const Task &task,
                                                        const Settings &settings) {
     need_rows("start", task.start.size(), bodies.arms.size());
+    if (!task.travels.empty()) need_rows("travels", task.travels.size(), bodies.arms.size());
     PlanResult result;
     {
         nb::gil_scoped_release release;
@@ -223,6 +244,10 @@ void bind_plan(nb::module_ &m) {
             "rad. ValueError where the numbers of rows differ.")
         .def("may_shorten", &task_may_shorten, nb::arg("least"),
              "Approaches that would touch may be shortened to this, rad (N,). Without it none may.")
+        .def("set_sides", &set_sides<Task>, nb::arg("sides"),
+             "From which side of their goals alpha and beta come: 1 from above, -1 from below.")
+        .def("set_travels", &set_travels<Task>, nb::arg("travels"),
+             "The room of each positioner (N, 2, 2), instead of that of all, rad.")
         .def("set_paces", &task_set_paces, nb::arg("speed"), nb::arg("acceleration"),
              "Speed in rad/s and acceleration in rad/s2 of each positioner (N,), instead of the settings'. "
              "ValueError where the numbers of rows differ.");
@@ -261,7 +286,8 @@ void bind_plan(nb::module_ &m) {
 // --- its verification --------------------------------------------------------------------------
 
 void rules_init(Rules *self, double speed, double acceleration, double rounding, Travel travel) {
-    new (self) Rules{speed, acceleration, {}, {}, limits_of(travel), rounding, false, {}, {}, {}, {}, {}};
+    new (self)
+        Rules{speed, acceleration, {}, {}, limits_of(travel), rounding, false, {}, {}, {}, {}, {}, {}, {}};
 }
 
 void rules_set_paces(Rules &rules, Input1<double> speed, Input1<double> acceleration) {
@@ -311,6 +337,7 @@ Dict verify_all(const Bodies &bodies, const std::vector<Points> &motions, const 
     if (!rules.own_speed_rad_s.empty()) need_rows("speed", rules.own_speed_rad_s.size(), n);
     if (!rules.own_acceleration_rad_s2.empty())
         need_rows("acceleration", rules.own_acceleration_rad_s2.size(), n);
+    if (!rules.travels.empty()) need_rows("travels", rules.travels.size(), n);
     if (!rules.start.empty()) need_rows("start", rules.start.size(), n);
     if (!rules.goal.empty()) need_rows("goal", rules.goal.size(), n);
     if (!rules.approach_rad.empty()) need_rows("approach", rules.approach_rad.size(), n);
@@ -341,6 +368,10 @@ void bind_verify(nb::module_ &m) {
              "Also check the last legs of one positioner (index): height above its end in rad, begin and end "
              "in "
              "s.")
+        .def("set_sides", &set_sides<Rules>, nb::arg("sides"),
+             "From which side of their goals alpha and beta come: 1 from above, -1 from below.")
+        .def("set_travels", &set_travels<Rules>, nb::arg("travels"),
+             "The room of each positioner (N, 2, 2), instead of that of all, rad.")
         .def("set_paces", &rules_set_paces, nb::arg("speed"), nb::arg("acceleration"),
              "Limits of each positioner instead of those of all: rad/s and rad/s2 (N,).")
         .def_rw("separating", &Rules::separating,
@@ -385,9 +416,9 @@ void bind_lateness(nb::module_ &m) {
 
 // --- goals alone -------------------------------------------------------------------------------
 
-Output<int, -1, 2> find_conflicts(const Bodies &bodies, Pairs goals, double approach) {
+Output<int, -1, 2> find_conflicts(const Bodies &bodies, Pairs goals, double approach, SidePair sides) {
     need_rows("goals", goals.shape(0), bodies.arms.size());
-    const auto found = conflicts(bodies, angles_of(goals), approach);
+    const auto found = conflicts(bodies, angles_of(goals), sides_of(sides).beside(approach));
     auto out = new_array<int, -1, 2>({found.size(), 2});
     for (size_t k = 0; k < found.size(); ++k) std::copy(found[k].begin(), found[k].end(), out.data() + 2 * k);
     return out;
@@ -401,30 +432,35 @@ std::vector<int> rows_of(const Bodies &bodies, const Input1<std::int64_t> &rows)
 }
 
 Output<bool, -1> clear_of_obstacles(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
-                                    double approach) {
+                                    double approach, SidePair sides) {
     need_rows("goals", goals.shape(0), rows.shape(0));
-    return array_of(static_ok(bodies, rows_of(bodies, rows), angles_of(goals), approach));
+    const fl::Angles from = sides_of(sides).beside(approach);
+    return array_of(static_ok(bodies, rows_of(bodies, rows), angles_of(goals), from));
 }
 
 Output<bool, -1> clear_pairs(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
-                             Input1<std::int64_t> others, Pairs other_goals, double approach) {
+                             Input1<std::int64_t> others, Pairs other_goals, double approach,
+                             SidePair sides) {
     for (size_t n : {goals.shape(0), others.shape(0), other_goals.shape(0)})
         need_rows("pairs_clear", n, rows.shape(0));
     const PlacesOf first{rows_of(bodies, rows), angles_of(goals)};
     const PlacesOf second{rows_of(bodies, others), angles_of(other_goals)};
-    return array_of(pairs_clear(bodies, first, second, approach));
+    return array_of(pairs_clear(bodies, first, second, sides_of(sides).beside(approach)));
 }
 
 void bind_goals(nb::module_ &m) {
+    constexpr SidePair from_above{1.0, 1.0};
     m.def("conflicts", &find_conflicts, nb::arg("bodies"), nb::arg("goals_rad"), nb::arg("approach_rad"),
+          nb::arg("sides") = from_above,
           "Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make "
           "together.");
     m.def("static_ok", &clear_of_obstacles, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
-          nb::arg("approach_rad"),
+          nb::arg("approach_rad"), nb::arg("sides") = from_above,
           "For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of "
           "obstacles.");
     m.def("pairs_clear", &clear_pairs, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
           nb::arg("other_rows"), nb::arg("other_goals_rad"), nb::arg("approach_rad"),
+          nb::arg("sides") = from_above,
           "One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals "
           "(n, 2) and on the approach.");
 }

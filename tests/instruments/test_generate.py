@@ -7,7 +7,7 @@ from scipy.stats import kstest, truncnorm
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, instrument_names, load_instrument
-from fiberloom.instruments.generated import hexagon, spread
+from fiberloom.instruments.generated import hexagon, module_sites, spread
 
 
 def test_the_array_of_sdssv(plane):
@@ -191,3 +191,47 @@ def test_a_round_field_grows_with_its_positioners(sdssv):
     small = sdssv.model_copy(update={"layout": layout})
     assert np.hypot(*generate(small, 0).centres_mm.T).max() < 200.6
     assert generate(small, 0, 400).n == 400
+
+
+@pytest.fixture(scope="module")
+def pfs():
+    return generate(load_instrument("pfs"), 0)
+
+
+def test_cobras_are_numbered_by_field_module_and_place(pfs):
+    """Subaru-PFS/pfs_utils, grandfibermap: cobra 172 is place 1 of module 4 at (-48.497, 28.000) mm, and
+    cobra 2394 the last one."""
+    xy, names = module_sites(pfs.instrument.layout.modules, 8.0)
+    assert pfs.positioner_id.tolist() == list(range(1, 2395))
+    np.testing.assert_allclose(xy[[171, 172, 179]], [[-48.497, 28], [-55.426, 24], [-48.497, -4]], atol=6e-4)
+    assert names[[0, 56, 57, 171, 798, 2393]].tolist() == [
+        "SC01P01", "SC01P57", "SC02P01", "SC04P01", "SC15P01", "SC42P57",
+    ]  # fmt: skip
+    # three fields, each the one before turned by -120 deg; neighbours 8 mm apart
+    turn = np.exp(-2j * np.pi / 3)
+    z = xy @ [1, 1j]
+    np.testing.assert_allclose(z[798:1596], turn * z[:798], atol=1e-9)
+    distance, _ = cKDTree(xy).query(xy, k=2)
+    np.testing.assert_allclose(distance[:, 1], 8.0, atol=1e-9)
+    assert np.abs(z).max() == pytest.approx(224.0, abs=0.01)
+
+
+def test_a_part_of_the_modules_keeps_its_numbers_and_dots(pfs):
+    few = generate(load_instrument("pfs"), 0, 50)
+    rows = pfs.index_of(few.positioner_id)
+    np.testing.assert_array_equal(few.dots_mm, pfs.dots_mm[rows])
+    off = pfs.dots_mm[:, :2] - pfs.centres_mm
+    # 2394 values of sd 0.14, and 0.07 of the centres: standard error 0.003
+    np.testing.assert_allclose(off.mean(axis=0), [-0.16, 2.26], atol=0.012)
+    np.testing.assert_allclose(off.std(axis=0), np.hypot(0.14, 0.07), atol=0.01)
+    with pytest.raises(InputError, match="n_positioners = 2395: the modules have 2394"):
+        generate(load_instrument("pfs"), 0, 2395)
+
+
+def test_fiducials_of_modules_stand_between_cobras(pfs):
+    assert len(pfs.fiducials) == 96
+    # the first spoke, at 150 deg: 18 mm and steps of 16 mm
+    spoke = pfs.fiducials[:14, :2] @ [1, 1j]
+    np.testing.assert_allclose(spoke, (18 + 16 * np.arange(14)) * np.exp(1j * np.pi * 5 / 6), atol=1e-3)
+    xy, _ = module_sites(pfs.instrument.layout.modules, 8.0)
+    assert cKDTree(xy).query(pfs.fiducials[:, :2])[0].min() > 5.99

@@ -21,7 +21,7 @@ from fiberloom.operation.safety.choice import cut_off_at
 from fiberloom.operation.safety.deviation import MotionRule
 from fiberloom.operation.safety.hearing import Hearing
 from fiberloom.operation.safety.judge import Evidence
-from fiberloom.planning import Plan, Trajectory, plan, random_pair
+from fiberloom.planning import Plan, Trajectory, plan, random_pair, verify
 from fiberloom.twin import draw_units
 from fiberloom.twin.hardware import field_hardware
 
@@ -61,7 +61,7 @@ def test_the_rule_is_the_verifiers_and_allows_some_and_not_others():
         robots = list(PLANNED.robots)
         robots[row] = cut_off_at(robots[row], np.zeros(1))[0]
         whole = Plan(PLANNED.instrument, PLANNED.collision_buffer_mm, tuple(robots))
-        assert verdict == (not operation.verify(PLANE, whole).collisions)
+        assert verdict == (not verify(PLANE, whole).collisions)
 
 
 @pytest.mark.parametrize("refused", range(0, 19, 6))

@@ -16,14 +16,17 @@ from fiberloom.planning.untangling import _corners
 def test_an_axis_goes_as_far_as_targets_and_their_approach_need_and_little_farther(name):
     plane = generate(load_instrument(name), 0, n_positioners=3)
     (low, high), approach = np.rad2deg(travel_rad(plane)).T, [a.approach_deg for a in plane.instrument.axes]
-    assert (low <= plane.limits_deg[:, 0]).all()
-    assert (high >= plane.limits_deg[:, 1] + approach - 1e-9).all()
-    # four degrees below and ten above the range, and a degree off the stops, unless targets need it
-    assert (low >= plane.limits_deg[:, 0] - 4.0 - 1e-9).all()
-    assert (high <= plane.limits_deg[:, 1] + 10.0 + 1e-9).all()
+    below, above = np.minimum(approach, 0.0), np.maximum(approach, 0.0)
+    assert (low <= plane.limits_deg[:, 0] + below + 1e-9).all()
+    assert (high >= plane.limits_deg[:, 1] + above - 1e-9).all()
+    # four degrees below and ten above the range, and a degree off the stops, unless targets need it; ten
+    # below and four above where an axis comes from below, or folds there
+    other = np.array([False, name in ("pfs", "desi")])
+    assert (low >= plane.limits_deg[:, 0] - np.where(other, 10.0, 4.0) - 1e-9).all()
+    assert (high <= plane.limits_deg[:, 1] + np.where(other, 4.0, 10.0) + 1e-9).all()
     off_low, off_high = low - plane.hard_stops_deg[:, 0], plane.hard_stops_deg[:, 1] - high
-    assert ((off_low >= 1.0 - 1e-9) | np.isclose(low, plane.limits_deg[:, 0])).all()
-    assert ((off_high >= 1.0 - 1e-9) | np.isclose(high, plane.limits_deg[:, 1] + approach)).all()
+    assert ((off_low >= 1.0 - 1e-9) | np.isclose(low, plane.limits_deg[:, 0] + below)).all()
+    assert ((off_high >= 1.0 - 1e-9) | np.isclose(high, plane.limits_deg[:, 1] + above)).all()
     np.testing.assert_array_equal(BEYOND_RANGE_DEG, [-4.0, 10.0])
 
 

@@ -28,6 +28,14 @@ class Task:
         Approaches that would touch may be shortened to this, rad (N,). Without it none may.
         """
 
+    def set_sides(self, sides: Sequence[float]) -> None:
+        """
+        From which side of their goals alpha and beta come: 1 from above, -1 from below.
+        """
+
+    def set_travels(self, travels: Annotated[NDArray[numpy.float64], dict(shape=(None, 2, 2), order='C', device='cpu', writable=False)]) -> None:
+        """The room of each positioner (N, 2, 2), instead of that of all, rad."""
+
     def set_paces(self, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], acceleration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
         Speed in rad/s and acceleration in rad/s2 of each positioner (N,), instead of the settings'. ValueError where the numbers of rows differ.
@@ -136,6 +144,14 @@ class Rules:
         Also check the last legs of one positioner (index): height above its end in rad, begin and end in s.
         """
 
+    def set_sides(self, sides: Sequence[float]) -> None:
+        """
+        From which side of their goals alpha and beta come: 1 from above, -1 from below.
+        """
+
+    def set_travels(self, travels: Annotated[NDArray[numpy.float64], dict(shape=(None, 2, 2), order='C', device='cpu', writable=False)]) -> None:
+        """The room of each positioner (N, 2, 2), instead of that of all, rad."""
+
     def set_paces(self, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], acceleration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
         Limits of each positioner instead of those of all: rad/s and rad/s2 (N,).
@@ -158,17 +174,17 @@ def lateness(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64],
     Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad, of which one is late. Pairs that touch at some lateness: (which is late, other, the lateness that they bear in s, moment of the plan at which the late one is, and the other, in s, depth in mm; both of no more than `late` s where they touch then); and how many pairs both move and can meet, each order for itself. ValueError for motions that are not sound.
     """
 
-def conflicts(bodies: Bodies, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
+def conflicts(bodies: Bodies, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
     """
     Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make together.
     """
 
-def static_ok(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+def static_ok(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
     """
     For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of obstacles.
     """
 
-def pairs_clear(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], other_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+def pairs_clear(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], other_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
     """
     One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals (n, 2) and on the approach.
     """

@@ -50,7 +50,8 @@ class Assignment:
     approach_deg: Floats
     """Overshoot of the approach on both axes for which the goal was found free."""
     clearance_mm: Floats
-    """Gap to the nearest other arm at the goal and on the approach; inf without neighbours."""
+    """Gap to the nearest other arm at the goal and on the approach, among those that can come within 1 mm;
+    inf without."""
     unassigned: dict[int, str]
     """Row of the target list: why no positioner takes it."""
     notes: list[str]
@@ -137,7 +138,8 @@ def assign(
     settings = settings or AssignSettings()
     if approach_deg is None:
         approach_deg = plane.instrument.approach_deg
-    by = Preference(settings.strict, None if start_deg is None else checked_start(plane, start_deg))
+    start = None if start_deg is None else checked_start(plane, start_deg)
+    by = Preference(settings.strict, start, plane.instrument.approach_sides)
     rules = Rules.of(plane, approach_deg, settings.margin_mm)
     rng = np.random.default_rng(seed)
     placement = Placement(plane, np.full(plane.n, approach_deg))

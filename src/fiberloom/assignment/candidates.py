@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.planning.bodies import beside
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
 from fiberloom.typing import Flags, Floats, Ints
@@ -74,7 +75,8 @@ def check_targets(plane: FocalPlane, targets: TargetList) -> None:
 
 def find_candidates(plane: FocalPlane, targets: TargetList) -> Candidates:
     """Every choice that kinematics and axis limits allow, by exact inverse kinematics. Kronig 2020,
-    Eq. 2. Offline positioners included: they are told apart later, with a reason."""
+    Eq. 2. Both elbows, and turns of alpha, count where the limits have them. Offline positioners included:
+    they are told apart later, with a reason."""
     near_positioner, near_target = _within_reach(plane, targets)
     parts = [_by_fibre(plane, targets, f, near_positioner, near_target) for f in plane.science_fibres]
     positioner, target, fibre, goal = (np.concatenate(x) for x in zip(*parts, strict=True))
@@ -98,15 +100,17 @@ def _by_fibre(
     asked = targets.fibre[target]
     fits = ((asked == "") | (asked == fibre)) & plane.carries(fibre)[positioner]
     positioner, target = positioner[fits], target[fits]
-    found = plane.inverse(targets.xy_mm[target], fibre, positioner)
-    ok = found.reachable
-    goal = np.column_stack([found.alpha_deg, found.beta_deg])[ok]
-    return positioner[ok], target[ok], np.full(len(goal), fibre), goal
+    found = plane.solutions(targets.xy_mm[target], fibre, positioner)
+    pair, which = np.nonzero(np.arange(found.angles_deg.shape[1]) < found.count[:, None])
+    goal = found.angles_deg[pair, which]
+    return positioner[pair], target[pair], np.full(len(goal), fibre), goal
 
 
-def inside_stops(plane: FocalPlane, goal_deg: Floats, approach_deg: float | Floats) -> Flags:
-    """Do goal and start of the approach lie between the hard stops?"""
-    low, high = plane.hard_stops_deg.T
-    start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
-    inside: Flags = ((goal_deg >= low) & (start <= high)).all(axis=1)
+def inside_stops(
+    plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats
+) -> Flags:
+    """Do goals (C, 2) of rows of the `plane` and starts of the approach, deg, lie between the hard stops?"""
+    low, high = np.moveaxis(plane.stops_of(positioner), -1, 0)
+    start = goal_deg + beside(plane, np.broadcast_to(approach_deg, len(goal_deg)))
+    inside: Flags = ((np.minimum(goal_deg, start) >= low) & (np.maximum(goal_deg, start) <= high)).all(axis=1)
     return inside

@@ -1,9 +1,9 @@
 """Gaps between arms at rest and on the approach leg, over arrays of places.
 
 A place is a possible goal of one positioner: the goal and the short straight way to it, from
-approach_deg above on both axes. The way is kept as POSES poses of the centre lines of the P parts of
-an arm (SDSS-V: one capsule); `dip_mm` bounds how much nearer two arms can come between poses than at
-them.
+approach_deg above on both axes, or below where an axis comes from there. The way is kept as POSES poses of
+the centre lines of the P parts of an arm (SDSS-V: one capsule); `dip_mm` bounds how much nearer two arms can
+come between poses than at them.
 """
 
 from typing import NamedTuple
@@ -12,6 +12,7 @@ import numpy as np
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.single_units import handicaps_of
+from fiberloom.planning.bodies import beside
 from fiberloom.planning.obstacles import (
     BETA,
     LAYERS,
@@ -52,7 +53,7 @@ def sweep(plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: f
     `positioner` (C,): rows of the `plane`, repeats allowed; `goal_deg` (C, 2): alpha, beta;
     `approach_deg`: one number, or (C,).
     """
-    start = goal_deg + np.broadcast_to(approach_deg, len(goal_deg))[:, None]
+    start = goal_deg + beside(plane, np.broadcast_to(approach_deg, len(goal_deg)))
     ways = [(1 - s) * goal_deg + s * start for s in np.linspace(0.0, 1.0, POSES)]
     return np.stack([arm_lines(plane, way, positioner) for way in ways], axis=1)
 

@@ -45,11 +45,11 @@ def park(placement: Placement, rows: Ints, rules: Rules, worth: Floats) -> dict[
 
 def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
     """Goals (C, 2) and segments that only fixed bodies limit, the most folded first."""
-    goals = _grid_deg(plane)
+    goals = _grid_deg(plane, row)
     rows = np.full(len(goals), row)
     segments = sweep(plane, rows, goals, rules.approach_deg)
     gap = obstacle_gap_mm(plane, rows, segments, rules.bodies)
-    ok = (gap >= rules.gap_mm) & inside_stops(plane, goals, rules.approach_deg)
+    ok = (gap >= rules.gap_mm) & inside_stops(plane, rows, goals, rules.approach_deg)
     return goals[ok], segments[ok]
 
 
@@ -88,12 +88,14 @@ def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
     return others
 
 
-def _grid_deg(plane: FocalPlane) -> Floats:
+def _grid_deg(plane: FocalPlane, row: int) -> Floats:
     """Places to try, those nearest to the folded one in beta first, then in alpha."""
     park = np.array(plane.instrument.positioner.park_deg)
     axes = [
         _steps(p, low, high, step)
-        for p, (low, high), step in zip(park, plane.limits_deg, (STEP_ALPHA_DEG, STEP_BETA_DEG), strict=True)
+        for p, (low, high), step in zip(
+            park, plane.limits_of(np.array([row]))[0], (STEP_ALPHA_DEG, STEP_BETA_DEG), strict=True
+        )
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     away = np.abs(grid - park)

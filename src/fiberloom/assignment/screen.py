@@ -20,7 +20,7 @@ def screen(
     block = np.full(len(found), Block.NONE, dtype=np.int64)
     gap = obstacle_gap_mm(plane, found.positioner, segments, rules.bodies)
     block[gap < rules.gap_mm] = Block.BODY
-    block[~inside_stops(plane, found.goal_deg, approach)] = Block.STOPS
+    block[~inside_stops(plane, found.positioner, found.goal_deg, approach)] = Block.STOPS
     block[plane.offline[found.positioner]] = Block.OFFLINE
     ok = np.flatnonzero(block == Block.NONE)
     folds = rules.escape.can_fold(found.positioner[ok], found.goal_deg[ok])

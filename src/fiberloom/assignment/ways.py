@@ -16,14 +16,16 @@ POWER = 4
 TURN_DEG = 360.0
 
 
-def way_deg(start_deg: Floats, goal_deg: Floats, approach_deg: float | Floats) -> Floats:
+def way_deg(
+    start_deg: Floats, goal_deg: Floats, approach_deg: float | Floats, sides: tuple[float, float] = (1.0, 1.0)
+) -> Floats:
     """(C,) deg: the longer way of the two axes from `start_deg` to `goal_deg` (C, 2), approach included.
 
-    `approach_deg`: overshoot on both axes, one number or (C,). Over the speed this is the time below which no
-    plan is (`fiberloom.planning.bound_s`).
+    `approach_deg`: overshoot on both axes, one number or (C,); `sides`: from which each comes, 1 above, -1
+    below. Over the speed this is the time below which no plan is (`fiberloom.planning.bound_s`).
     """
     over = np.broadcast_to(approach_deg, len(goal_deg))
-    way: Floats = np.abs(goal_deg + over[:, None] - start_deg).max(axis=1) + over
+    way: Floats = np.abs(goal_deg + over[:, None] * np.array(sides) - start_deg).max(axis=1) + over
     return way
 
 
@@ -49,12 +51,14 @@ class Preference:
     """No number of targets outweighs one of a higher priority."""
     start_deg: Floats | None = None
     """(N, 2) from where the positioners go; None: ways do not matter."""
+    sides: tuple[float, float] = (1.0, 1.0)
+    """From which side of their goals the axes come: 1 above, -1 below."""
 
     def wish(self, found: Candidates, approach_deg: float | Floats) -> Wish:
         """For the candidates `found`, with their approaches in deg."""
         if self.start_deg is None:
             return Wish(self.strict)
-        way = way_deg(self.start_deg[found.positioner], found.goal_deg, approach_deg)
+        way = way_deg(self.start_deg[found.positioner], found.goal_deg, approach_deg, self.sides)
         return Wish(self.strict, way_cost(way))
 
     def levels(self, priority: Floats) -> Ints:

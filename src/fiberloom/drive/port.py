@@ -17,21 +17,15 @@ from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Results
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.axis import Drive as DriveTable
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Verification, verify
 from fiberloom.typing import Flags, Floats, Ints
 
-ASTRAY_MM = 0.5
-"""A blind move misses by tens of micrometres; half a millimetre is no error of calibration."""
-
-STILL = 0.05
-"""A positioner that moved less than this share of the way asked for did not move."""
-
-ALLOWED_MM = 0.5
-"""How far an arm may be from where it is believed, anywhere in its range, to be let move. The collision
-buffer of two arms leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
+_SAID = DriveTable()
+"""Where no instrument is named."""
 
 SCATTER_MM = 0.05
 """Of healthy positioners about where they report, per coordinate: maps and image together."""
@@ -43,22 +37,32 @@ class DriveModel:
 
     noise: CorrectionNoise
     """Of blind moves, arrivals and the camera, for the correction."""
-    astray_mm: float = ASTRAY_MM
+    astray_mm: float = _SAID.astray_mm
     """Beyond this from where it is believed after a move, a positioner is not there."""
-    astray_share: float = 0.0
+    astray_share: float = _SAID.astray_share
     """The same, of the way that its fibre went: added to `astray_mm`."""
-    still: float = STILL
+    still_share: float = _SAID.still_share
     """A positioner that moved less than this share of its way did not move."""
-    allowed_mm: float = ALLOWED_MM
+    allowed_mm: float = _SAID.allowed_mm
     """How far an arm may be from where it is believed, to be let move at all."""
-    scatter_mm: float = SCATTER_MM
-    """Of healthy positioners about where they are believed to be, per coordinate."""
     step_deg: tuple[float, float] = (0.0, 0.0)
     """Smallest steps of alpha and beta, of which corrections are made; 0: the drive itself sees to it."""
     seen_is_believed: bool = False
     """After an image the drive believes what it shows: it is told the goal again, not a correction of it."""
     reports: bool = True
     """Positioners tell where they are; else the drive adds up what it has told them."""
+
+    @classmethod
+    def of(cls, plane: FocalPlane, **others: Any) -> DriveModel:
+        """As the instrument's file says; `others`: fields that the drive knows itself."""
+        said = plane.instrument.drive
+        known = {
+            "astray_mm": said.astray_mm,
+            "astray_share": said.astray_share,
+            "still_share": said.still_share,
+            "allowed_mm": said.allowed_mm,
+        }
+        return cls(CorrectionNoise.of(plane), **(known | others))
 
     def astray_of_mm(self, way_mm: Floats) -> Floats:
         """(N,) mm beyond which one whose fibre went `way_mm` (N,) is astray."""

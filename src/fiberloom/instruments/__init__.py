@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from fiberloom.instruments.arms import Inverse
     from fiberloom.instruments.focal_plane import FocalPlane
     from fiberloom.instruments.generated import generate
-    from fiberloom.instruments.layout import read_layout, write_layout
+    from fiberloom.instruments.layouts import read_layout, write_layout
     from fiberloom.instruments.load import load_instrument, parse_instrument
     from fiberloom.instruments.model import AXES, METROLOGY, Instrument
     from fiberloom.instruments.names import instrument_names

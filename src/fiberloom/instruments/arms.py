@@ -36,6 +36,30 @@ class Inverse(NamedTuple):
     axis limits stand in the way; inf: the positioner lacks the fibre."""
 
 
+class Solutions(NamedTuple):
+    """All arm angles that put fibres on their targets: both elbows, and turns of alpha."""
+
+    angles_deg: Floats
+    """(n, k, 2) alpha and beta; beta in [0, 180] first, then by rising alpha."""
+    count: Ints
+    """(n,) how many of the k hold."""
+    gap_mm: Floats
+    """As of `Inverse`."""
+
+    def one(self, near_deg: ArrayLike | None = None) -> Inverse:
+        """The first of each, or the one nearest to angles (n, 2) in deg, turns left aside."""
+        reachable, which = self.count > 0, np.zeros(len(self.count), dtype=np.int64)
+        if near_deg is not None:
+            off = np.abs((self.angles_deg - np.asarray(near_deg)[:, None] + 180.0) % 360.0 - 180.0).sum(
+                axis=2
+            )
+            holds = np.arange(off.shape[1]) < self.count[:, None]
+            which = np.where(holds, off, np.inf).argmin(axis=1)
+        chosen = np.where(reachable[:, None], self.angles_deg[np.arange(len(which)), which], 0.0)
+        alpha, beta = chosen.T
+        return Inverse(alpha, beta, reachable, self.gap_mm)
+
+
 def columns_of(first: Floats, second: Floats, n: int) -> Floats:
     """(n, 2) of two columns of any unit, in rad as arms take them, each (n,) or one number for all."""
     pair = np.empty((n, 2))

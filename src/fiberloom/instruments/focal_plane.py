@@ -11,11 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from fiberloom._core import geometry
 from fiberloom.errors import InputError
 from fiberloom.instruments.arms import (
-    ALPHA_OFF,
-    BETA_OFF,
-    CENTRE,
-    L_ALPHA,
     Inverse,
+    Solutions,
     arm_rows,
     columns_of,
     elbows_mm,
@@ -23,16 +20,18 @@ from fiberloom.instruments.arms import (
     rows_given,
     rows_of,
 )
+from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.instruments.views import Views
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 
 @dataclass(frozen=True, eq=False)
-class FocalPlane:
+class FocalPlane(Views):
     """N positioners, each with its own geometry, M fiducials and G guide cameras. Read-only.
 
     All calls take and return arrays over positioners; frames and signs: docs/conventions.md.
@@ -70,6 +69,10 @@ class FocalPlane:
     """(N, 2) its alpha and beta if it does not move."""
     handicaps: Handicaps | None = None
     """Of units that are not known exactly, cold or worn; None: there are none."""
+    ranges: Ranges | None = None
+    """Of units whose axes turn otherwise than the nominal one's; None: all are as the instrument says."""
+    dots_mm: Floats | None = None
+    """(N, 3) x, y, radius of the opaque spot beside each; None: there are none."""
 
     def __post_init__(self) -> None:
         n = len(self.positioner_id)
@@ -81,6 +84,10 @@ class FocalPlane:
                 raise InputError(
                     f"focal plane: {name} has shape {getattr(self, name).shape}, {n} positioners need {shape}"
                 )
+        if self.ranges is not None and len(self.ranges.stops_deg) != n:
+            raise InputError(f"focal plane: ranges of {len(self.ranges.stops_deg)} for {n} positioners")
+        if self.dots_mm is not None and self.dots_mm.shape != (n, 3):
+            raise InputError(f"focal plane: dots_mm has shape {self.dots_mm.shape}, not ({n}, 3)")
         if METROLOGY not in self.points:
             self.points[METROLOGY] = self.points[self.instrument.seen_point]
 
@@ -162,71 +169,6 @@ class FocalPlane:
 
     def _repr_html_(self) -> str:
         return html_rows(repr(self), arm_rows(self.positioner_id, self.hole, self.arms))
-
-    @property
-    def n(self) -> int:
-        """Number of positioners."""
-        return len(self.positioner_id)
-
-    @property
-    def centres_mm(self) -> Floats:
-        """(N, 2) alpha axes."""
-        return self.arms[:, CENTRE]
-
-    @property
-    def l_alpha_mm(self) -> Floats:
-        """(N,) from the alpha to the beta axis."""
-        return self.arms[:, L_ALPHA]
-
-    @property
-    def l_beta_mm(self) -> Floats:
-        """(N,) from the beta axis to the metrology fibre."""
-        return np.asarray(np.hypot(*self.points[METROLOGY].T), dtype=np.float64)
-
-    @property
-    def metrology_phi_rad(self) -> Floats:
-        """(N,) direction of the metrology fibre in the frame of its beta arm."""
-        return np.arctan2(self.points[METROLOGY][:, 1], self.points[METROLOGY][:, 0])
-
-    @property
-    def alpha_off_rad(self) -> Floats:
-        """(N,) direction in the focal plane of alpha = 0."""
-        return self.arms[:, ALPHA_OFF]
-
-    @property
-    def beta_off_rad(self) -> Floats:
-        """(N,) direction of beta = 0 against the alpha arm."""
-        return self.arms[:, BETA_OFF]
-
-    @property
-    def collision_buffer_mm(self) -> float:
-        """Radius of the beta arm's capsule."""
-        return self.instrument.bodies.collision_buffer_mm
-
-    @property
-    def beta_segment_mm(self) -> tuple[float, float]:
-        """Centre line of that capsule, from and to along the arm."""
-        return self.instrument.bodies.beta_segment_mm
-
-    @property
-    def park_deg(self) -> Floats:
-        """(N, 2) folded: where positioners wait."""
-        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
-
-    @property
-    def limits_deg(self) -> Floats:
-        """[[alpha_min, alpha_max], [beta_min, beta_max]] for targets."""
-        return np.array([axis.target_range_deg for axis in self.instrument.axes])
-
-    @property
-    def hard_stops_deg(self) -> Floats:
-        """[[alpha_min, alpha_max], [beta_min, beta_max]] of the mechanism."""
-        return np.array([axis.hard_stop_deg for axis in self.instrument.axes])
-
-    @property
-    def science_fibres(self) -> tuple[str, ...]:
-        """Fibres that targets can ask for."""
-        return self.instrument.science_fibres
 
     def carries(self, fibre: str) -> Flags:
         """Which positioners have a fibre.
@@ -327,7 +269,13 @@ class FocalPlane:
         """
         return geometry.jacobian(*self._posed(alpha_deg, beta_deg, fibre, index)) * RAD_PER_DEG
 
-    def inverse(self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None) -> Inverse:
+    def inverse(
+        self,
+        xy_mm: ArrayLike,
+        fibre: str = METROLOGY,
+        index: ArrayLike | None = None,
+        near_deg: ArrayLike | None = None,
+    ) -> Inverse:
         """Angles inside the limits that put a fibre on its target. Kronig 2020, Eq. 2.
 
         Parameters
@@ -338,12 +286,14 @@ class FocalPlane:
             By its name in the instrument.
         index : array_like, optional
             Rows or a mask; all positioners when left out.
+        near_deg : array_like, optional
+            (n, 2) alpha and beta: of several solutions the one nearest to these is wanted.
 
         Returns
         -------
         Inverse
-            alpha_deg, beta_deg (0 where out of reach), reachable, gap_mm. Of two solutions the
-            right-handed elbow (beta in [0, 180]) comes first, then the lowest alpha.
+            alpha_deg, beta_deg (0 where out of reach), reachable, gap_mm. Without `near_deg`, of several
+            solutions the one with beta in [0, 180] comes first, then the lowest alpha.
 
         Raises
         ------
@@ -359,22 +309,51 @@ class FocalPlane:
         >>> bool(np.allclose(found.alpha_deg, 20.0)), bool(np.allclose(found.beta_deg, 100.0))
         (True, True)
         """
+        return self.solutions(xy_mm, fibre, index).one(near_deg)
+
+    def solutions(
+        self, xy_mm: ArrayLike, fibre: str = METROLOGY, index: ArrayLike | None = None
+    ) -> Solutions:
+        """All angles inside the limits of each positioner, both elbows and turns of alpha; else as `inverse`.
+
+        Parameters
+        ----------
+        xy_mm : array_like
+            (n, 2) targets, or one for all.
+        fibre : str
+            By its name in the instrument.
+        index : array_like, optional
+            Rows or a mask; all positioners when left out.
+
+        Returns
+        -------
+        Solutions
+            angles_deg (n, 4, 2), count (n,) of them that hold, gap_mm.
+
+        Raises
+        ------
+        InputError
+            The instrument has no such fibre.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("moons", n=7)
+        >>> plane.solutions(plane.forward(20.0, 100.0)).count.tolist()
+        [2, 2, 2, 2, 2, 2, 2]
+        """
         rows = rows_given(self.n, index)
         xy = np.broadcast_to(np.asarray(xy_mm, dtype=np.float64), (len(rows), 2))
         has = self.carries(fibre)[rows] & np.isfinite(xy).all(axis=1)
-        angles, reachable = np.zeros((len(rows), 2)), np.zeros(len(rows), dtype=bool)
-        gap = np.where(has, 0.0, np.inf)
-        found, count, gap[has] = geometry.inverse(
-            self.arms[rows[has]],
-            self._point(fibre)[rows[has]],
-            np.ascontiguousarray(xy[has]),
-            deg_to_rad(self.limits_deg),
+        limits = self.limits_of(rows[has])
+        angles = np.zeros((len(rows), geometry.MAX_SOLUTIONS, 2))
+        count, gap = np.zeros(len(rows), dtype=np.int64), np.where(has, 0.0, np.inf)
+        point, target = self._point(fibre)[rows[has]], np.ascontiguousarray(xy[has])
+        found, count[has], gap[has] = geometry.inverse(
+            self.arms[rows[has]], point, target, np.ascontiguousarray(deg_to_rad(limits))
         )
-        reachable[has] = count > 0
-        angles[has] = np.where(count[:, None] > 0, found[:, 0], 0.0)
-        alpha, beta = np.clip(rad_to_deg(angles), *self.limits_deg.T).T
-        alpha, beta = np.where(reachable, alpha, 0.0), np.where(reachable, beta, 0.0)
-        return Inverse(alpha, beta, reachable, gap)
+        angles[has] = np.clip(rad_to_deg(found), limits[:, None, :, 0], limits[:, None, :, 1])
+        return Solutions(angles, count, gap)
 
     def elbows_mm(self, alpha_deg: ArrayLike, index: ArrayLike | None = None) -> Floats:
         """Where the beta axes are.
@@ -505,6 +484,8 @@ class FocalPlane:
             self,
             points={name: xy[rows] for name, xy in self.points.items()},
             handicaps=self.handicaps and self.handicaps.select(rows),
+            ranges=self.ranges and self.ranges.select(rows),
+            dots_mm=None if self.dots_mm is None else self.dots_mm[rows],
             **{k: getattr(self, k)[rows] for k in _PER_POSITIONER},
         )
 
@@ -581,7 +562,8 @@ class FocalPlane:
         """
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
         arrays += self.handicaps.arrays.items() if self.handicaps else []
-        return mark_of(self.instrument.model_dump_json(exclude={"care", "expansion", "drive"}), arrays)
+        arrays += self.ranges.arrays.items() if self.ranges else []
+        return mark_of(self.instrument.marked_text(), arrays)
 
     def _posed(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None

@@ -10,11 +10,21 @@ from scipy.special import ndtr, ndtri
 from fiberloom.errors import InputError
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.instruments.focal_plane import FocalPlane
-from fiberloom.instruments.model import METROLOGY, MOST_POSITIONERS, Instrument, Layout, Scatter
+from fiberloom.instruments.model import (
+    METROLOGY,
+    MOST_POSITIONERS,
+    Dots,
+    Instrument,
+    Layout,
+    Modules,
+    Scatter,
+)
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
 SQRT_3_2 = math.sqrt(3.0) / 2.0
+_OF_DOTS = 1
+"""Stream of random numbers."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,7 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
         guide_cameras=guide_camera_capsules(instrument, layout),
         offline=np.zeros(len(full), dtype=bool),
         offline_position_deg=np.tile(instrument.positioner.park_deg, (len(full), 1)),
+        dots_mm=None if layout.dots is None else _draw_dots(layout.dots, xy[full], seed),
     )
     return plane.select(number)
 
@@ -100,6 +111,8 @@ def _grown(layout: Layout, n_positioners: int | None) -> Layout:
         if n_positioners is not None and n_positioners < 1:
             raise InputError(f"n_positioners = {n_positioners}: must be at least 1")
         return layout
+    if layout.modules is not None:
+        raise InputError(f"n_positioners = {n_positioners}: the modules have {layout.n_positioners}")
     wider = layout
     while np.count_nonzero(~_sites(wider).fiducial) < n_positioners:
         wider = _wider(wider)
@@ -121,6 +134,20 @@ def _wider(layout: Layout) -> Layout:
     return layout.model_copy(update=update)
 
 
+def module_sites(modules: Modules, pitch_mm: float) -> tuple[Floats, NDArray[np.str_]]:
+    """(n, 2) mm centres of all positioners and their names, by field, module and place in the module.
+
+    SC15P02: second positioner of the fifteenth module. The lattice of PFS: pfs_utils, grandfibermap.
+    """
+    field, module, place = np.indices((modules.fields, modules.per_field, modules.positioners)).reshape(3, -1)
+    k, second_row = np.divmod(place, 2)
+    x = -SQRT_3_2 * pitch_mm * (2 * module + 1 + second_row)
+    y = pitch_mm * (module + 0.5 - k - 0.5 * second_row)
+    number = modules.per_field * field + module + 1
+    names = [f"SC{n:02d}P{p:02d}" for n, p in zip(number.tolist(), (place + 1).tolist(), strict=True)]
+    return _turned(x, y, -2.0 * math.pi / modules.fields * field), np.array(names)
+
+
 @dataclass(frozen=True)
 class _Sites:
     """Holes of the whole field."""
@@ -135,6 +162,9 @@ class _Sites:
 
 def _sites(layout: Layout) -> _Sites:
     """The holes inside the field; with petals those of one wedge, about +x, turned round the field."""
+    if layout.modules is not None:
+        xy, names = module_sites(layout.modules, layout.pitch_mm)
+        return _Sites(xy, names, np.zeros(len(xy), dtype=bool), np.zeros(len(xy)))
     holes = hexagon(layout.rings)
     xy, names, fiducial = holes.xy_mm(layout.pitch_mm), np.array(holes.names()), _is_fiducial(holes, layout)
     keep = np.ones(len(xy), dtype=bool)
@@ -197,6 +227,12 @@ def _draw_point(instrument: Instrument, name: str, stretch: Floats, rng: np.rand
     return xy
 
 
+def _draw_dots(dots: Dots, xy: Floats, seed: int) -> Floats:
+    """(n, 3): x, y, radius in mm, by numbers of their own: units are the same with and without them."""
+    own = np.random.default_rng([seed, _OF_DOTS]).normal(0.0, dots.sd_mm, xy.shape)
+    return np.column_stack([xy + [dots.x_mm, dots.y_mm] + own, np.full(len(xy), dots.radius_mm)])
+
+
 def spread(n: int, fraction: float) -> Flags:
     """(n,) round(n fraction) times True, as evenly as whole numbers allow."""
     count = round(n * fraction)
@@ -219,6 +255,15 @@ def _sample(scatter: Scatter, n: int, rng: np.random.Generator) -> Floats:
     return drawn
 
 
+def _beside_modules(modules: Modules | None) -> Floats:
+    """(M, 2) mm: those of the first field, turned for the others."""
+    if modules is None or not modules.fiducials_mm:
+        return np.empty((0, 2))
+    x, y = np.array(modules.fiducials_mm).T
+    turns = -2.0 * math.pi / modules.fields * np.arange(modules.fields)
+    return np.vstack([_turned(x, y, float(turn)) for turn in turns])
+
+
 def _fiducials(instrument: Instrument, layout: Layout, sites: _Sites) -> Floats:
     """(M, 3): a row for every light, with the radius of the body round it."""
     inner, turn = sites.xy_mm[sites.fiducial], sites.turn_rad[sites.fiducial]
@@ -226,5 +271,5 @@ def _fiducials(instrument: Instrument, layout: Layout, sites: _Sites) -> Floats:
     angle = deg_to_rad(np.array(layout.outer_fiducial_directions_deg, dtype=np.float64))
     radius = layout.outer_fiducial_radius_mm or 0.0
     outer = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    xy = np.vstack([np.stack(lights, axis=1).reshape(-1, 2), outer])
+    xy = np.vstack([np.stack(lights, axis=1).reshape(-1, 2), outer, _beside_modules(layout.modules)])
     return np.column_stack([xy, np.full(len(xy), instrument.bodies.fiducial_radius_mm)])

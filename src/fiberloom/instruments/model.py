@@ -288,12 +288,45 @@ MOST_RINGS = 120
 """Enough holes for them, and for as many fiducials."""
 
 
+class Modules(Table):
+    """Positioners in modules of two rows. Fields have the same modules, each field turned clockwise against
+    the one before by an equal part of a turn. In the first one modules run along -x, rows of a module along
+    -y."""
+
+    fields: Annotated[int, Field(ge=1, le=100)]
+    per_field: Annotated[int, Field(ge=1, le=1000)]
+    """Modules of a field."""
+    positioners: Annotated[int, Field(ge=1, le=1000)]
+    """Of a module, alternately in its two rows."""
+    fiducials_mm: tuple[Range, ...] = ()
+    """x and y of the fiducials of the first field."""
+
+    @property
+    def n_positioners(self) -> int:
+        """Of all fields."""
+        return self.fields * self.per_field * self.positioners
+
+
+class Dots(Table):
+    """An opaque spot beside each positioner: a fibre behind it is dark."""
+
+    x_mm: Finite
+    y_mm: Finite
+    """Place against the centre of the positioner, in the focal plane."""
+    sd_mm: NotNegative = 0.0
+    """Standard deviation of single ones about it, per coordinate."""
+    radius_mm: Positive
+
+
 class Layout(Table):
-    """A hexagonal array of holes with positioners and fiducials in it."""
+    """A hexagonal array of holes with positioners and fiducials in it, or modules of positioners."""
 
     pitch_mm: Positive
-    rings: Annotated[int, Field(ge=0, le=MOST_RINGS)]
-    """Rings of holes around the central one."""
+    rings: Annotated[int, Field(ge=0, le=MOST_RINGS)] = 0
+    """Rings of holes around the central one; of no meaning where there are modules."""
+    modules: Modules | None = None
+    """None: a hexagon of holes."""
+    dots: Dots | None = None
     n_positioners: Annotated[int, Field(ge=1, le=MOST_POSITIONERS)]
     orientation_deg: Finite
     """Direction of alpha = 0 in the focal plane."""
@@ -319,7 +352,11 @@ class Layout(Table):
 
     @model_validator(mode="after")
     def _enough_holes(self) -> Self:
-        if self.n_positioners > self.n_holes:
+        if self.modules is not None and self.n_positioners != self.modules.n_positioners:
+            raise ValueError(
+                f"n_positioners {self.n_positioners}: modules have {self.modules.n_positioners} positioners"
+            )
+        if self.modules is None and self.n_positioners > self.n_holes:
             raise ValueError(
                 f"n_positioners {self.n_positioners}: {self.rings} rings have only {self.n_holes} holes"
             )
@@ -482,6 +519,17 @@ class Instrument(Table):
                 )
         return self
 
+    def marked_text(self) -> str:
+        """JSON of what makes another array: without `care`, `expansion`, `drive`, and keys younger than the
+        marks of old files where they are not set."""
+        axes: dict[str, Any] = {
+            name: {"steps_per_turn"} if axis.steps_per_turn is None else set()
+            for name, axis in zip(AXES, self.axes, strict=True)
+        }
+        layout = {name for name in ("modules", "dots") if getattr(self.layout, name) is None}
+        without: dict[str, Any] = {"care": True, "expansion": True, "drive": True, "layout": layout}
+        return self.model_dump_json(exclude=without | axes)
+
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Alpha and beta, in the order of AXES."""
@@ -489,8 +537,13 @@ class Instrument(Table):
 
     @property
     def approach_deg(self) -> float:
-        """From how far above both axes come to their goals: the larger approach of the two."""
-        return max(axis.approach_deg for axis in self.axes)
+        """From how far both axes come to their goals: the larger approach of the two, without its sign."""
+        return max(abs(axis.approach_deg) for axis in self.axes)
+
+    @property
+    def approach_sides(self) -> tuple[float, float]:
+        """From which side of their goals alpha and beta come: 1 from above, -1 from below."""
+        return self.alpha.side, self.beta.side
 
     @property
     def least_approach_deg(self) -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.axis import Drive
 
+_SAID = Drive()
 WORKSPACE_UM = 0.669
 """Kronig 2020, Fig. 18: the camera of the full workspace on a static fibre, 2-D rms. For those who
 name no instrument; an instrument says itself: `metrology.noise_rms_um`."""
@@ -17,20 +19,26 @@ class CorrectionNoise:
 
     camera_um: float = WORKSPACE_UM
     """Of a camera that does not tell the covariance of what it measures."""
-    repeatability_um: float = 0.2
+    repeatability_um: float = _SAID.arrival_um
     """Scatter of arrivals at the same command."""
-    blind_um: float = 10.0
+    blind_um: float = _SAID.blind_um
     """Error before the first image."""
-    place_um: float = 6.0
-    """What a fibre is off that no offset of its angles explains: lengths of the arms, the camera's frame.
-    On the twin 6 and 10 um do as well, with arms that are calibrated and with arms of a table."""
-    drift_um: float = 0.0
+    place_um: float = _SAID.place_um
+    """What a fibre is off that no offset of its angles explains: lengths of the arms, the camera's frame."""
+    drift_um: float = _SAID.drift_um
     """How much the offset itself changes from move to move."""
-    slope: float = 0.1
-    """How much it changes over the way of a correction, as a share of that way, rms: the derivative
-    of what the transmission map does not know. SDSS-V accepts gears up to 0.15."""
+    slope: float = _SAID.slope
+    """How much it changes over the way of a correction, as a share of that way, rms."""
 
     @classmethod
     def of(cls, plane: FocalPlane) -> CorrectionNoise:
-        """With the camera of this instrument."""
-        return cls(camera_um=plane.instrument.metrology.noise_rms_um)
+        """With the camera and the motors of this instrument."""
+        said = plane.instrument.drive
+        return cls(
+            camera_um=plane.instrument.metrology.noise_rms_um,
+            repeatability_um=said.arrival_um,
+            blind_um=said.blind_um,
+            place_um=said.place_um,
+            drift_um=said.drift_um,
+            slope=said.slope,
+        )

@@ -413,7 +413,7 @@ class CorrectionLoop:
         alpha_deg, beta_deg = believed_deg[rows].T
         here = self.plane.forward(alpha_deg, beta_deg, index=rows)
         command = plain_update(here, self.metrology_goal_mm[rows], measured_mm[rows])
-        found = self.plane.inverse(self._within_reach(command, rows), index=rows)
+        found = self.plane.inverse(self._within_reach(command, rows), index=rows, near_deg=believed_deg[rows])
         angles = np.column_stack([found.alpha_deg, found.beta_deg])
         # the same turn as before, and no move where the limits do not allow one
         angles[:, 0] += 360.0 * np.rint((believed_deg[rows, 0] - angles[:, 0]) / 360.0)
@@ -451,6 +451,7 @@ class CorrectionLoop:
         return np.stack([np.hypot(l_alpha, l_beta), l_beta], axis=1)
 
     def _inside(self, angles_deg: Floats) -> Floats:
-        """Short of the hard stops, with room for the approach from above."""
-        low, high = self.plane.hard_stops_deg.T
-        return np.clip(angles_deg, low, high - [axis.approach_deg for axis in self.plane.instrument.axes])
+        """Short of the hard stops, with room for the approach."""
+        low, high = np.moveaxis(self.plane.stops_of(), -1, 0)
+        approach = np.array([axis.approach_deg for axis in self.plane.instrument.axes])
+        return np.clip(angles_deg, low - np.minimum(approach, 0.0), high - np.maximum(approach, 0.0))

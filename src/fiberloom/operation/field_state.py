@@ -15,7 +15,6 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.operation.move import Recorder
 from fiberloom.operation.safety.begin import (
     NAMED,
@@ -55,7 +54,7 @@ class FieldState:
     def __init__(self, plane: FocalPlane, recorder: Recorder, model: DriveModel | None = None) -> None:
         """`plane`: layout of N positioners; `recorder`: keeps events; `model`: of their drive."""
         self.plane, self.recorder = plane, recorder
-        self.model = model or DriveModel(CorrectionNoise.of(plane))
+        self.model = model or DriveModel.of(plane)
         self.faults: list[FibreStatus | None] = [
             FibreStatus.OFFLINE if offline else None for offline in plane.offline
         ]
@@ -152,7 +151,7 @@ class FieldState:
             reported_mm=self.metrology_mm(self.here_deg),
             goal_mm=self.metrology_mm(commanded_deg),
             heard=self.hearing.heard,
-            still=self.model.still,
+            still_share=self.model.still_share,
             still_mm=self.model.astray_mm + self.looser_mm,
         )
         way_mm = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)

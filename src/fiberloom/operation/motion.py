@@ -388,4 +388,4 @@ async def reported_deg(hardware: Hardware, plane: FocalPlane, maps: Transmission
     here_deg = np.where(plane.offline[:, None], plane.offline_position_deg, plane.park_deg)
     found = await drive.believed(plane.positioner_id[there])
     here_deg[np.flatnonzero(there)[found.answered]] = found.angles_deg[found.answered]
-    return np.clip(here_deg, *plane.hard_stops_deg.T)
+    return np.clip(here_deg, *np.moveaxis(plane.stops_of(), -1, 0))

@@ -12,7 +12,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.instruments.single_units import handicaps_of
 from fiberloom.planning.obstacles import RADIUS, doubt_obstacles, fixed_obstacles, parts_of
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 from fiberloom.units import deg_to_rad
 
 ROUNDING_RAD = 1e-8
@@ -91,24 +91,34 @@ def _refuse_wide(plane: FocalPlane, radius_mm: float) -> None:
 
 def travel_rad(plane: FocalPlane) -> Floats:
     """[[alpha_min, alpha_max], [beta_min, beta_max]] within which axes move."""
-    stops, range_deg = plane.hard_stops_deg, plane.limits_deg
-    wanted = range_deg + BEYOND_RANGE_DEG
-    axes = plane.instrument.axes
-    approach_deg = np.array([axis.approach_deg for axis in axes])
-    low = np.maximum(stops[:, 0] + STOP_ROOM_DEG, wanted[:, 0])
-    high = np.minimum(stops[:, 1] - STOP_ROOM_DEG, wanted[:, 1])
+    return _travel_rad(plane, plane.hard_stops_deg, plane.limits_deg)
+
+
+def travels_rad(plane: FocalPlane) -> Floats | None:
+    """(N, 2, 2) the same of each positioner; None: all have the same."""
+    own = plane.ranges
+    return None if own is None else _travel_rad(plane, own.stops_deg, own.targets_deg)
+
+
+def _travel_rad(plane: FocalPlane, stops: Floats, range_deg: Floats) -> Floats:
+    """(..., 2, 2) between stops and around the range of targets (..., 2, 2) in deg."""
+    approach_deg = np.array([axis.approach_deg for axis in plane.instrument.axes])
+    folds_below = (approach_deg < 0.0) | (plane.limits_deg[:, 1] <= 0.0)
+    wanted = range_deg + np.where(folds_below[:, None], -BEYOND_RANGE_DEG[::-1], BEYOND_RANGE_DEG)
+    low = np.maximum(stops[..., 0] + STOP_ROOM_DEG, wanted[..., 0])
+    high = np.minimum(stops[..., 1] - STOP_ROOM_DEG, wanted[..., 1])
     # never less than what targets and their approach need
-    low = np.minimum(low, range_deg[:, 0])
-    high = np.maximum(high, range_deg[:, 1] + approach_deg)
-    return deg_to_rad(np.column_stack([low, high]))
+    low = np.minimum(low, range_deg[..., 0] + np.minimum(approach_deg, 0.0))
+    high = np.maximum(high, range_deg[..., 1] + np.maximum(approach_deg, 0.0))
+    return deg_to_rad(np.stack([low, high], axis=-1))
 
 
-def beyond_stops_deg(plane: FocalPlane, angles_deg: Floats) -> Floats:
+def beyond_stops_deg(plane: FocalPlane, angles_deg: Floats, rows: Ints | None = None) -> Floats:
     """(n, 2) deg by which alpha and beta (n, 2) lie beyond the hard stops, where no arm can be.
 
-    0 within `STOP_DOUBT_DEG` of them.
+    0 within `STOP_DOUBT_DEG` of them. `rows` (n,) of the positioners; all when left out.
     """
-    low, high = plane.hard_stops_deg.T
+    low, high = np.moveaxis(plane.stops_of(rows), -1, 0)
     beyond = np.maximum(low - angles_deg, angles_deg - high)
     return np.where(beyond > STOP_DOUBT_DEG, beyond, 0.0)
 
@@ -117,7 +127,7 @@ def require_within_stops(name: str, plane: FocalPlane, angles_deg: Floats) -> No
     """Raises InputError where a positioner that is not offline has angles (N, 2) that no arm can have."""
     beyond = np.where(plane.offline[:, None], 0.0, beyond_stops_deg(plane, angles_deg))
     for row, axis in np.argwhere(beyond > 0.0)[:1]:
-        low, high = plane.hard_stops_deg[axis]
+        low, high = plane.stops_of(np.array([row]))[0, axis]
         whose = f"positioner {plane.positioner_id[row]} has {AXES[axis]} = {angles_deg[row, axis]:g} deg"
         raise InputError(
             f"{name}: {whose}, {beyond[row, axis]:g} deg beyond its hard stop; they are at {low:g} and "
@@ -153,6 +163,12 @@ def least_approach_rad(plane: FocalPlane, approach: Floats, least_deg: float | N
     """(N,) rad to which approaches (N,) may be shortened; `least_deg`: the instrument's when left out."""
     least = plane.instrument.least_approach_deg if least_deg is None else least_deg
     return np.minimum(approach, float(deg_to_rad(least)))
+
+
+def beside(plane: FocalPlane, approach: Floats) -> Floats:
+    """(..., 2) from where to where alpha and beta make approaches (...,), of any unit: with their signs."""
+    signed: Floats = approach[..., None] * np.array(plane.instrument.approach_sides)
+    return signed
 
 
 def paces_rad(plane: FocalPlane, speed_deg_s: float, acceleration_deg_s2: float) -> tuple[Floats, Floats]:

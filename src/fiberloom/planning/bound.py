@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import angles_rad, approach_rad, paces_rad
+from fiberloom.planning.bodies import angles_rad, approach_rad, beside, paces_rad
 from fiberloom.planning.planner import PlanSettings
 
 
@@ -50,8 +50,8 @@ def bound_s(
     start, goal = (
         angles_rad(name, angles, plane) for name, angles in (("start_deg", start_deg), ("goal_deg", goal_deg))
     )
-    approach = approach_rad(plane, None)[:, None]
-    way = (np.abs(goal + approach - start) + approach).max(axis=1)
+    approach = approach_rad(plane, None)
+    way = np.abs(goal + beside(plane, approach) - start).max(axis=1) + approach
     stays = plane.offline | (start == goal).all(axis=1) | np.isin(plane.positioner_id, list(refused))
     speed, _ = paces_rad(plane, (settings or PlanSettings()).of(plane).speed_deg_s or 0.0, 0.0)
     return float((np.where(stays, 0.0, way) / speed).max(initial=0.0))

@@ -87,6 +87,7 @@ class _Drawing:
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
         self.obstacles = bodies.obstacles
         self.approach = float(approach_rad(plane, approach_deg).max(initial=0.0))
+        self.sides = plane.instrument.approach_sides
         self.angles = deg_to_rad(plane.offline_position_deg)
         self.placed = plane.offline.copy()
 
@@ -143,18 +144,27 @@ class _Drawing:
     def _anywhere(self, row: int) -> Floats:
         l_alpha = self.plane.l_alpha_mm[row]
         l_beta = float(self.plane.l_beta_mm[row])
-        low, high = deg_to_rad(self.plane.limits_deg).T
+        low, high = deg_to_rad(self.plane.limits_of(np.array([row]))[0]).T
         inner, outer = abs(l_alpha - l_beta), l_alpha + l_beta
         while True:
             reach2 = self.rng.uniform(inner**2, outer**2)
             cosine = (reach2 - l_alpha**2 - l_beta**2) / (2.0 * l_alpha * l_beta)
-            angles = np.array([self.rng.uniform(low[0], high[0]), np.arccos(cosine)])
-            if low[1] <= angles[1] <= high[1]:
-                return angles
+            alpha, elbow = self.rng.uniform(low[0], high[0]), np.arccos(cosine)
+            beta = [b for b in (elbow, -elbow, 2.0 * np.pi - elbow) if low[1] <= b <= high[1]]
+            if beta:
+                return np.array([alpha, beta[0] if len(beta) == 1 else self.rng.choice(beta)])
 
     def _free(self, row: int, angles: Floats, near: Ints) -> bool:
-        if not core.static_ok(self.alone, np.array([row]), angles[None], self.approach)[0]:
+        if not core.static_ok(self.alone, np.array([row]), angles[None], self.approach, self.sides)[0]:
             return False
         rows, places = np.full(len(near), row), np.repeat(angles[None], len(near), axis=0)
-        clear = core.pairs_clear(self.pairs, rows, places, near, self.angles[near], self.approach)
+        clear = core.pairs_clear(
+            self.pairs,
+            rows,
+            places,
+            near,
+            self.angles[near],
+            self.approach,
+            self.plane.instrument.approach_sides,
+        )
         return bool(clear.all())

@@ -46,6 +46,7 @@ class _Placing:
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
         self.approach = float(approach_rad(plane, None).max(initial=0.0))
+        self.sides = plane.instrument.approach_sides
         park = deg_to_rad(plane.instrument.positioner.park_deg)
         still = deg_to_rad(plane.offline_position_deg)
         self.angles = np.where(plane.offline[:, None], still, park)
@@ -56,7 +57,13 @@ class _Placing:
     def _clear_of_obstacles(self) -> Flags:
         n, count, _ = self.goals.shape
         flat = np.ascontiguousarray(self.goals.reshape(-1, 2))
-        ok = core.static_ok(self.alone, np.repeat(np.arange(n), count), flat, self.approach)
+        ok = core.static_ok(
+            self.alone,
+            np.repeat(np.arange(n), count),
+            flat,
+            self.approach,
+            self.plane.instrument.approach_sides,
+        )
         return np.asarray(ok, dtype=bool).reshape(n, count)
 
     def _neighbours(self) -> list[Ints]:
@@ -81,5 +88,5 @@ class _Placing:
             return np.ones(count, dtype=bool)
         rows, places = np.full(count * len(near), row), np.repeat(goals, len(near), axis=0)
         others, there = np.tile(near, count), np.tile(self.angles[near], (count, 1))
-        clear = core.pairs_clear(self.pairs, rows, places, others, there, self.approach)
+        clear = core.pairs_clear(self.pairs, rows, places, others, there, self.approach, self.sides)
         return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)

@@ -16,10 +16,12 @@ from fiberloom.planning.bodies import (
     CollisionBodies,
     angles_rad,
     approach_rad,
+    beside,
     least_approach_rad,
     paces_rad,
     require_within_stops,
     travel_rad,
+    travels_rad,
 )
 from fiberloom.planning.late import require_late
 from fiberloom.planning.obstacles import obstacle_name
@@ -149,6 +151,9 @@ class _Task:
     def compiled(self, fixed: Flags) -> core.Task:
         """As the compiled planner takes it; `fixed` (N,) cannot move."""
         asked = core.Task(self.start, self.goal, self.approach, fixed, travel_rad(self.plane))
+        asked.set_sides(self.plane.instrument.approach_sides)
+        if (own := travels_rad(self.plane)) is not None:
+            asked.set_travels(own)
         chosen = self.settings
         asked.set_paces(*paces_rad(self.plane, chosen.speed_deg_s or 0.0, chosen.acceleration_deg_s2 or 0.0))
         return asked
@@ -190,8 +195,8 @@ def plan(
     """Trajectories of all positioners at once, direct, free of collisions; verified before they leave.
 
     Each positioner that moves comes to its goal from approach_deg above on both axes, in the negative
-    direction, after all its other motion. One that is at its goal already stays, unless it is in the
-    way. Lengths and speeds are the instrument's.
+    direction, after all its other motion; from below on an axis whose approach is below 0. One that is at its
+    goal already stays, unless it is in the way. Lengths and speeds are the instrument's.
 
     Parameters
     ----------
@@ -303,8 +308,9 @@ def _approach(*legs: Sequence[float]) -> Approach:
 def _beyond_travel(task: _Task, row: int) -> str:
     """The axes on which a goal with its shortest approach is out of reach: what they would need, and have."""
     least = least_approach_rad(task.plane, task.approach, task.settings.least_approach_deg)
-    needed = rad_to_deg(np.column_stack([task.goal[row], task.goal[row] + least[row]]))
-    travel = rad_to_deg(travel_rad(task.plane))
+    ends = np.sort([task.goal[row], task.goal[row] + beside(task.plane, least[row])], axis=0)
+    needed, own = rad_to_deg(ends.T), travels_rad(task.plane)
+    travel = rad_to_deg(travel_rad(task.plane) if own is None else own[row])
     return "".join(
         f"; {axis} needs {low:g} to {high:g} deg, and has {first:g} to {last:g} deg"
         for axis, (low, high), (first, last) in zip(AXES, needed, travel, strict=True)
@@ -396,7 +402,7 @@ def _all_together(task: _Task) -> Plan:
     """Every positioner straight to the place above its goal within the same steps, then the approach."""
     settings = core.Settings(**task.settings.dynamics)
     quarter_s, grids, turn = core.clock(task.compiled(~task.moving), settings)
-    high = task.goal + task.approach[:, None]
+    high = task.goal + beside(task.plane, task.approach)
     way = np.where(task.moving[:, None], high - task.start, 0.0)
     most = (np.abs(way).max(axis=1) / np.array(grids)).max(initial=0.0)
     steps = max(1, int(np.ceil(most - 1e-9)))

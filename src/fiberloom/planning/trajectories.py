@@ -31,9 +31,9 @@ class Approach:
     """How a positioner comes to its goal where it does not come as all others: alpha, then beta."""
 
     height_deg: tuple[float, float]
-    """From how far above the goal the last leg of each axis comes."""
+    """From how far above the goal the last leg of each axis comes; below it where this is negative."""
     begin_s: tuple[float, float]
-    """When it begins; from then on the axis does not rise."""
+    """When it begins; from then on the axis does not go back."""
     end_s: tuple[float, float]
 
     def __str__(self) -> str:

@@ -19,6 +19,7 @@ from fiberloom.planning.bodies import (
     least_approach_rad,
     paces_rad,
     travel_rad,
+    travels_rad,
 )
 from fiberloom.planning.obstacles import obstacle_name
 from fiberloom.planning.trajectories import KEYS, MOST_DEG, Approach, Plan, Trajectory
@@ -184,6 +185,9 @@ def verify(
         rounding=ROUNDING_RAD,
         travel=travel_rad(plane),
     )
+    rules.set_sides(plane.instrument.approach_sides)
+    if (own_travels := travels_rad(plane)) is not None:
+        rules.set_travels(own_travels)
     if plane.handicaps is not None:
         rules.set_paces(*paces_rad(plane, speed_deg_s, acceleration_deg_s2))
     rules.expect(
@@ -265,7 +269,7 @@ def _one_after_another(parts: Iterable[Floats]) -> Floats:
 
 def _beyond_stops(plane: FocalPlane, points: _Points) -> Iterator[Violation]:
     """One for each positioner that the plan puts where no arm can be, the deepest moment."""
-    beyond = beyond_stops_deg(plane, points.angles_deg).max(axis=1, initial=0.0)
+    beyond = beyond_stops_deg(plane, points.angles_deg, points.rows[points.whose]).max(axis=1, initial=0.0)
     for robot, point in points.worst(plane, beyond):
         yield Violation("stops", robot.positioner_id, "", float(points.time_s[point]), float(beyond[point]))
 

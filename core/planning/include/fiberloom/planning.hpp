@@ -78,11 +78,18 @@ struct Settings {
     Enough enough = [] { return false; };
 };
 
+// From which side of a goal the last leg of each axis comes: 1 from above, -1 from below.
+struct Sides {
+    double alpha = 1.0, beta = 1.0;
+    // The place so far beside a goal, rad.
+    Angles beside(double height_rad) const { return {alpha * height_rad, beta * height_rad}; }
+};
+
 // What a plan must do; one row for each of Bodies::arms. travel: the room that the axes have.
 struct Task {
     std::vector<Angles> start;
     std::vector<Angles> goal;
-    std::vector<double> approach_rad; // how far above the goal the last leg starts, on both axes
+    std::vector<double> approach_rad; // how far from the goal the last leg starts, on both axes: see sides
     std::vector<std::uint8_t> fixed;  // not 0: cannot move
     Limits travel{};
     // An approach that would touch may be shortened to this; empty: no approach may.
@@ -90,7 +97,15 @@ struct Task {
     // Of single positioners, cold or worn; empty: as in the settings.
     std::vector<double> speed_rad_s{};
     std::vector<double> acceleration_rad_s2{};
+    Sides sides{};
+    // Of single positioners, where they have their own; empty: as travel.
+    std::vector<Limits> travels{};
 };
+
+// The room of a row: of a task or of rules.
+template <class Of> const Limits &travel_of(const Of &of, int robot) {
+    return of.travels.empty() ? of.travel : of.travels[static_cast<std::size_t>(robot)];
+}
 
 // What the axes of a positioner can do.
 struct Pace {
@@ -120,7 +135,8 @@ struct Clock {
     double highest_hook_rad(double acceleration_rad_s2) const;
 };
 
-// The last leg of one axis: down to the goal from a height above it, between two moments.
+// The last leg of one axis: to the goal from a height above it, or from below where that is negative, between
+// two moments.
 struct LastLeg {
     double height_rad = 0.0;
     double begin_s = 0.0;

@@ -64,6 +64,9 @@ struct Rules {
     // Of those that say in which way they come to their goals, at most one each: last legs as they say, and
     // from no less than approach_rad.
     std::vector<Approach> approaches{};
+    Sides sides{};
+    // Of single positioners, where they have their own; empty: as travel.
+    std::vector<Limits> travels{};
 };
 
 // The smallest gap between surfaces found, true to 1e-4 mm, and where: a positioner (row), and the other or

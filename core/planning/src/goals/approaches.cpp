@@ -64,20 +64,28 @@ template <class Open, class Apart> class Combination {
 
 } // namespace
 
-Descent GoalFeasibility::usual(PositionerIndex i) const {
-    const double height = row(task_.approach_rad, i);
-    return {{height}, {height}};
+Descent GoalFeasibility::coming_from(const std::vector<double> &heights_rad, PositionerIndex i) const {
+    const Angles beside = task_.sides.beside(row(heights_rad, i));
+    return {{beside.alpha_rad}, {beside.beta_rad}};
 }
+
+Descent GoalFeasibility::usual(PositionerIndex i) const { return coming_from(task_.approach_rad, i); }
 
 Descent GoalFeasibility::lowest(PositionerIndex i) const {
     if (task_.least_approach_rad.empty()) return usual(i);
-    const double height = row(task_.least_approach_rad, i);
-    return {{height}, {height}};
+    return coming_from(task_.least_approach_rad, i);
 }
 
 List<RatedDescent> GoalFeasibility::descents_of(PositionerIndex i) const {
-    return descents({usual(i).alpha.height_rad, lowest(i).alpha.height_rad, settings_.approach_turns,
-                     clock_.highest_hook_rad(pace(i).acceleration_rad_s2)});
+    const double height = row(task_.approach_rad, i);
+    const double least = task_.least_approach_rad.empty() ? height : row(task_.least_approach_rad, i);
+    List<RatedDescent> out = descents(
+        {height, least, settings_.approach_turns, clock_.highest_hook_rad(pace(i).acceleration_rad_s2)});
+    for (RatedDescent &rated : out) {
+        rated.descent.alpha.height_rad *= task_.sides.alpha;
+        rated.descent.beta.height_rad *= task_.sides.beta;
+    }
+    return out;
 }
 
 void GoalFeasibility::take(PositionerIndex i, const Descent &descent) {
@@ -94,7 +102,7 @@ bool GoalFeasibility::find_descent(PositionerIndex i) {
         const bool known = std::any_of(unreachable.begin(), unreachable.end(), [&](Angles a) {
             return a.alpha_rad == above.alpha_rad && a.beta_rad == above.beta_rad;
         });
-        if (known || !inside_travel(goals_[i].angles, descent)) continue;
+        if (known || !inside_travel(i, goals_[i].angles, descent)) continue;
         if (blocked(i, Legs(body(i), goals_[i].angles, descent)).any) continue;
         set_goal(i, goals_[i].angles, descent);
         if (find_path_alone(i)) return true;
@@ -106,10 +114,10 @@ bool GoalFeasibility::find_descent(PositionerIndex i) {
 // Gives up a goal that cannot be had whatever the others do, and says why.
 bool GoalFeasibility::give_up(PositionerIndex i) {
     const Angles goal = goals_[i].angles;
-    if (!inside_travel(goal)) return move_away(i, Refusal::goal_beyond_travel, {});
+    if (!inside_travel(i, goal)) return move_away(i, Refusal::goal_beyond_travel, {});
     if (const Blocked found = blocked(i, Legs(body(i), goal)); found.any)
         return move_away(i, Refusal::goal_blocked, found);
-    if (!inside_travel(goal, lowest(i))) return move_away(i, Refusal::approach_beyond_travel, {});
+    if (!inside_travel(i, goal, lowest(i))) return move_away(i, Refusal::approach_beyond_travel, {});
     if (const Blocked found = blocked(i, Legs(body(i), goal, lowest(i))); found.any)
         return move_away(i, Refusal::approach_blocked, found);
     return move_away(i, Refusal::no_way_alone, {});
@@ -141,7 +149,7 @@ GoalFeasibility::Open GoalFeasibility::open(PositionerIndex i, const List<Positi
     const Descent before = descent(i);
     Open out{i, {}, {}};
     for (const RatedDescent &way : descents_of(i)) {
-        if (!inside_travel(goals_[i].angles, way.descent)) continue;
+        if (!inside_travel(i, goals_[i].angles, way.descent)) continue;
         const Legs legs(body(i), goals_[i].angles, way.descent);
         if ((!alone && !blockers(i, legs, group).empty()) || blocked(i, legs).any) continue;
         set_goal(i, goals_[i].angles, way.descent);

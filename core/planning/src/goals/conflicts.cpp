@@ -8,8 +8,8 @@
 namespace fl::planning {
 namespace {
 
-SweptArm leg(const ArmBody &body, Angles goal, double approach_rad) {
-    return approach_leg(body, goal, {approach_rad, approach_rad}, {});
+SweptArm leg(const ArmBody &body, Angles goal, Angles approach) {
+    return approach_leg(body, goal, approach, {});
 }
 
 // Those of some rows alone: where few of many are looked at, the others cost no time.
@@ -28,11 +28,10 @@ PositionerIndex nth(std::size_t k) { return PositionerIndex(static_cast<int>(k))
 } // namespace
 
 std::vector<std::array<int, 2>> conflicts(const Bodies &bodies, const std::vector<Angles> &goals,
-                                          double approach_rad) {
+                                          Angles approach) {
     const ArmBodies arms(bodies);
     List<SweptArm> legs;
-    for (const Angles goal : goals)
-        legs.push_back(leg(arms[PositionerIndex(legs.size())], goal, approach_rad));
+    for (const Angles goal : goals) legs.push_back(leg(arms[PositionerIndex(legs.size())], goal, approach));
     std::vector<std::array<int, 2>> out;
     for (const auto &[i, j, gap] : near_pairs(arms.reaches(), 2.0 * arms.radius_mm()))
         if (!stay_apart(legs[i], legs[j], 2.0 * arms.radius_mm())) out.push_back({i, j});
@@ -41,12 +40,12 @@ std::vector<std::array<int, 2>> conflicts(const Bodies &bodies, const std::vecto
 }
 
 std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<int> &rows,
-                                    const std::vector<Angles> &goals, double approach_rad) {
+                                    const std::vector<Angles> &goals, Angles approach) {
     const Bodies some = picked(bodies, rows);
     const ArmBodies arms(some);
     std::vector<std::uint8_t> out;
     for (std::size_t k = 0; k < goals.size(); ++k) {
-        const SweptArm down = leg(arms[nth(k)], goals[k], approach_rad);
+        const SweptArm down = leg(arms[nth(k)], goals[k], approach);
         out.push_back(std::all_of(bodies.obstacles.begin(), bodies.obstacles.end(), [&](const Capsule &o) {
             return o.owner == rows[k] ||
                    stay_apart(down, resting_obstacle(o), arms.radius_mm() + o.radius_mm);
@@ -56,7 +55,7 @@ std::vector<std::uint8_t> static_ok(const Bodies &bodies, const std::vector<int>
 }
 
 std::vector<std::uint8_t> pairs_clear(const Bodies &bodies, const PlacesOf &first, const PlacesOf &second,
-                                      double approach_rad) {
+                                      Angles approach) {
     std::vector<int> rows = first.rows;
     rows.insert(rows.end(), second.rows.begin(), second.rows.end());
     const Bodies some = picked(bodies, rows);
@@ -64,9 +63,8 @@ std::vector<std::uint8_t> pairs_clear(const Bodies &bodies, const PlacesOf &firs
     const std::size_t n = first.rows.size();
     std::vector<std::uint8_t> out;
     for (std::size_t k = 0; k < n; ++k)
-        out.push_back(stay_apart(leg(arms[nth(k)], first.goals[k], approach_rad),
-                                 leg(arms[nth(n + k)], second.goals[k], approach_rad),
-                                 2.0 * arms.radius_mm()));
+        out.push_back(stay_apart(leg(arms[nth(k)], first.goals[k], approach),
+                                 leg(arms[nth(n + k)], second.goals[k], approach), 2.0 * arms.radius_mm()));
     return out;
 }
 

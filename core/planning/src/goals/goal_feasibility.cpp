@@ -104,19 +104,19 @@ void GoalFeasibility::freeze(PositionerIndex i) {
     for (const PositionerIndex j : near(i)) goals_[j].settled = goals_[j].stuck; // to be looked at again
 }
 
-bool GoalFeasibility::inside_travel(Angles place) const {
-    const Limits &t = task_.travel;
+bool GoalFeasibility::inside_travel(PositionerIndex i, Angles place) const {
+    const Limits &t = travel(i);
     return place.alpha_rad >= t.alpha_min_rad && place.beta_rad >= t.beta_min_rad &&
            place.alpha_rad <= t.alpha_max_rad && place.beta_rad <= t.beta_max_rad;
 }
 
-bool GoalFeasibility::inside_travel(Angles place, const Descent &descent) const {
-    return inside_travel(place) && inside_travel({place.alpha_rad + descent.alpha.height_rad,
-                                                  place.beta_rad + descent.beta.height_rad});
+bool GoalFeasibility::inside_travel(PositionerIndex i, Angles place, const Descent &descent) const {
+    return inside_travel(i, place) && inside_travel(i, {place.alpha_rad + descent.alpha.height_rad,
+                                                        place.beta_rad + descent.beta.height_rad});
 }
 
 AxisGrid GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) const {
-    const Limits &t = task_.travel;
+    const Limits &t = travel(i);
     const bool alpha = axis == &Angles::alpha_rad;
     return AxisGrid({start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
                      alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
@@ -235,7 +235,7 @@ bool GoalFeasibility::safe(PositionerIndex i, const Legs &legs) const {
 
 bool GoalFeasibility::try_place(PositionerIndex i, Angles place, bool rests) {
     const Legs legs(body(i), place, usual(i));
-    const bool comes = inside_travel(place, usual(i)) && safe(i, legs);
+    const bool comes = inside_travel(i, place, usual(i)) && safe(i, legs);
     if (rests ? !safe(i, Legs(body(i), place)) : !comes) return false;
     Goal &goal = goals_[i];
     set_goal(i, place, usual(i));
@@ -250,13 +250,17 @@ bool GoalFeasibility::try_place(PositionerIndex i, Angles place, bool rests) {
     return true;
 }
 
-// Folded arms, nearest to the start first.
+// Folded arms, nearest to the start first; with the other elbow where the room of beta is there.
 List<Angles> GoalFeasibility::folded_places(PositionerIndex i) const {
-    const Limits &t = task_.travel;
+    const Limits &t = travel(i);
+    const double elbow = t.beta_max_rad < 90.0 * degree ? -1.0 : 1.0;
     List<std::tuple<double, double, double>> order;
     for (double beta : {170.0, 175.0, 165.0, 160.0, 150.0, 140.0})
-        for (double alpha = 0.0; alpha <= 360.0; alpha += 10.0)
-            order.emplace_back(std::abs(alpha * degree - start(i).alpha_rad), beta * degree, alpha * degree);
+        for (double turn = 0.0; turn <= 360.0; turn += 10.0) {
+            const double alpha = turn * degree > t.alpha_max_rad ? turn - 360.0 : turn;
+            order.emplace_back(std::abs(alpha * degree - start(i).alpha_rad), elbow * beta * degree,
+                               alpha * degree);
+        }
     std::sort(order.begin(), order.end());
     List<Angles> out;
     for (const auto &[way, beta, alpha] : order) out.push_back({std::max(alpha, t.alpha_min_rad), beta});

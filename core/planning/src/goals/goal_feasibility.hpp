@@ -73,6 +73,8 @@ class GoalFeasibility {
     Angles start(PositionerIndex i) const { return row(task_.start, i); }
     const List<PositionerIndex> &near(PositionerIndex i) const { return near_[i]; }
     bool away(PositionerIndex i) const { return goals_[i].stuck || goals_[i].gone; }
+    const Limits &travel(PositionerIndex i) const { return travel_of(task_, i.value()); }
+    Descent coming_from(const std::vector<double> &heights_rad, PositionerIndex i) const;
     Descent usual(PositionerIndex i) const;
     Descent lowest(PositionerIndex i) const;
     List<RatedDescent> descents_of(PositionerIndex i) const;
@@ -84,8 +86,8 @@ class GoalFeasibility {
     void refuse(PositionerIndex i, Refusal why, const Blocked &by);
     bool move_away(PositionerIndex i, Refusal why, const Blocked &by);
     void set_goal(PositionerIndex i, Angles angles, const Descent &descent);
-    bool inside_travel(Angles place) const;
-    bool inside_travel(Angles place, const Descent &descent) const;
+    bool inside_travel(PositionerIndex i, Angles place) const;
+    bool inside_travel(PositionerIndex i, Angles place, const Descent &descent) const;
     AxisGrid grid(PositionerIndex i, double Angles::*axis, double step_rad) const;
     Blocked blocked(PositionerIndex i, const Legs &legs) const;
     Blocked blocked(PositionerIndex i, const SweptArm &leg) const;

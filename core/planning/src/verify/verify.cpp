@@ -106,7 +106,7 @@ class Verifier {
     void check_end(Fault fault, int i, Angles is, Angles should, double time_s);
     void check_approach(int i);
     void check_said(const Approach &said);
-    double off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const;
+    double off_last_leg(const Motion &m, double Angles::*axis, double side, const LastLeg &leg) const;
     void check_pairs();
     void check_pair(int i, int j);
     void check_obstacles();
@@ -165,7 +165,7 @@ void Verifier::check_axis(int i, double Angles::*axis, double low, double high) 
 }
 
 void Verifier::check_axes(int i) {
-    const Limits &t = rules_.travel;
+    const Limits &t = travel_of(rules_, i);
     check_axis(i, &Angles::alpha_rad, t.alpha_min_rad, t.alpha_max_rad);
     check_axis(i, &Angles::beta_rad, t.beta_min_rad, t.beta_max_rad);
 }
@@ -189,29 +189,36 @@ void Verifier::check_ends(int i) {
         check_approach(i);
 }
 
-// From the end back: as long as both axes fall, they must have come from approach_rad above.
+// From the end back: as long as both axes fall, they must have come from approach_rad above; rise, from
+// below.
 void Verifier::check_approach(int i) {
     const auto &p = motions_[i].angles;
-    int k = count(p) - 1;
-    while (k > 0 && p[k - 1].alpha_rad >= p[k].alpha_rad && p[k - 1].beta_rad >= p[k].beta_rad) --k;
-    const double height = std::min(p[k].alpha_rad - p.back().alpha_rad, p[k].beta_rad - p.back().beta_rad);
+    const auto fallen = [&](int from, int to) { // the axis that falls less
+        return std::min(rules_.sides.alpha * (p[from].alpha_rad - p[to].alpha_rad),
+                        rules_.sides.beta * (p[from].beta_rad - p[to].beta_rad));
+    };
+    const int last = count(p) - 1;
+    int k = last;
+    while (k > 0 && fallen(k - 1, k) >= 0.0) --k;
+    const double height = fallen(k, last);
     const double missing = rules_.approach_rad[i] - height;
     if (missing > 2.0 * rules_.rounding_rad)
         report(Fault::approach, i, -1, motions_[i].time_s.back(), missing);
 }
 
-// By how much an axis is not where its last leg shall begin, rises afterwards, or is not at its end in time.
-double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastLeg &leg) const {
-    const double rounding_s = 1e-9;
-    const bool sound = leg.height_rad >= 0.0 && leg.height_rad < 1e9 && leg.begin_s >= 0.0 &&
-                       leg.begin_s < leg.end_s && leg.end_s <= m.time_s.back() + rounding_s;
+// By how much an axis is not where its last leg shall begin, goes away from its goal afterwards, or is not
+// there in time.
+double Verifier::off_last_leg(const Motion &m, double Angles::*axis, double side, const LastLeg &leg) const {
+    const double rounding_s = 1e-9, height = side * leg.height_rad;
+    const bool sound = height >= 0.0 && height < 1e9 && leg.begin_s >= 0.0 && leg.begin_s < leg.end_s &&
+                       leg.end_s <= m.time_s.back() + rounding_s;
     if (!sound) return std::numeric_limits<double>::infinity();
     const double goal = m.angles.back().*axis;
     double low = axis_at(m, axis, leg.begin_s);
     double off = std::abs(low - goal - leg.height_rad);
     for (int k = 0; k < count(m.angles); ++k) {
         if (m.time_s[k] <= leg.begin_s) continue;
-        off = std::max(off, m.angles[k].*axis - low);
+        off = std::max(off, side * (m.angles[k].*axis - low));
         low = m.angles[k].*axis;
     }
     return std::max(off, std::abs(axis_at(m, axis, leg.end_s) - goal));
@@ -220,11 +227,12 @@ double Verifier::off_last_leg(const Motion &m, double Angles::*axis, const LastL
 // One that has told how it comes does so, from no less than what is asked for, whatever it did before.
 void Verifier::check_said(const Approach &said) {
     const Motion &m = motions_[said.robot];
-    double off = std::max(off_last_leg(m, &Angles::alpha_rad, said.alpha),
-                          off_last_leg(m, &Angles::beta_rad, said.beta));
+    const auto [alpha, beta] = rules_.sides;
+    double off = std::max(off_last_leg(m, &Angles::alpha_rad, alpha, said.alpha),
+                          off_last_leg(m, &Angles::beta_rad, beta, said.beta));
     if (!rules_.approach_rad.empty())
         off = std::max(off, rules_.approach_rad[said.robot] -
-                                std::min(said.alpha.height_rad, said.beta.height_rad));
+                                std::min(alpha * said.alpha.height_rad, beta * said.beta.height_rad));
     if (!(off <= 2.0 * rules_.rounding_rad)) report(Fault::approach, said.robot, -1, m.time_s.back(), off);
 }
 

@@ -143,7 +143,8 @@ class Exchanger:
         return kind, np.bincount(kind[present], minlength=len(values) + 1)
 
     def _cost(self, choices: Candidates, present: Flags, avoid: Set[Choice]) -> Floats:
-        way = way_deg(self.start_deg[choices.positioner], choices.goal_deg, self.rules.approach_deg)
+        start, sides = self.start_deg[choices.positioner], self.plane.instrument.approach_sides
+        way = way_deg(start, choices.goal_deg, self.rules.approach_deg, sides)
         cost = way_cost(way) + CHANGED * ~present
         target = np.where(choices.target < len(self.targets), choices.target, NO_TARGET).tolist()
         avoided = [pair in avoid for pair in zip(choices.positioner.tolist(), target, strict=True)]

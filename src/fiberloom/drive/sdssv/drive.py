@@ -16,7 +16,6 @@ from fiberloom.drive.sdssv.care import MotorCare
 from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Trajectory, Verification, plan, plan_corrections
 from fiberloom.typing import Flags, Ints
 
@@ -29,8 +28,8 @@ class SdssvDrive:
         self.plane, self.maps = plane, maps
         self.client = Client(transport)
         self.care = MotorCare(plane, self.client)
-        alpha, beta = plane.instrument.axes
-        self.model = DriveModel(CorrectionNoise.of(plane), step_deg=(alpha.step_deg, beta.step_deg))
+        alpha_deg, beta_deg = [axis.smallest_step_deg for axis in plane.instrument.axes]
+        self.model = DriveModel.of(plane, step_deg=(alpha_deg, beta_deg))
 
     @property
     def ids(self) -> list[int]:

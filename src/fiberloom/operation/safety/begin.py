@@ -24,14 +24,17 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fiberloom.drive.port import ALLOWED_MM as ALLOWED_MM
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.axis import Drive
 from fiberloom.metrology import Measurement
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
+
+ALLOWED_MM = Drive().allowed_mm
+"""How far an arm may be from where it reports, where no instrument says."""
 
 TURNS = 5
 """Motor turns that are looked at on either side."""

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome
-from fiberloom.drive.port import ASTRAY_MM as ASTRAY_MM
-from fiberloom.drive.port import STILL
 from fiberloom.health.status import FibreStatus
+from fiberloom.instruments.axis import Drive
 from fiberloom.typing import Flags, Floats
+
+_SAID = Drive()
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,11 @@ class Evidence:
     """(N, 2) by the commanded angles."""
     heard: Flags | None = None
     """(N,) told their position after it; None: all did."""
-    astray_mm: Floats | float = ASTRAY_MM
+    astray_mm: Floats | float = _SAID.astray_mm
     """Beyond this from where it reports, a positioner that has moved is not there; of all, or (N,)."""
-    still_mm: float = ASTRAY_MM
+    still_mm: float = _SAID.astray_mm
     """The same, of one that has not moved."""
-    still: float = STILL
+    still_share: float = _SAID.still_share
     """One that moved less than this share of its way did not move."""
 
 
@@ -48,7 +49,7 @@ def judge(evidence: Evidence) -> list[FibreStatus | None]:
     apart = np.hypot(*(evidence.measured_mm - evidence.reported_mm).T)
     asked = np.hypot(*(evidence.goal_mm - evidence.before_mm).T)
     moved = np.hypot(*(evidence.measured_mm - evidence.before_mm).T)
-    still = moved < evidence.still * asked
+    still = moved < evidence.still_share * asked
     astray = apart > np.where(still, evidence.still_mm, evidence.astray_mm)
     heard = np.ones(len(still), dtype=bool) if evidence.heard is None else evidence.heard
     outcomes = [_told(outcome, bool(heard[i])) for i, outcome in enumerate(evidence.outcomes)]

@@ -19,7 +19,7 @@ from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.operation.reference.declare import declare, unreferenced
-from fiberloom.operation.safety.begin import ALLOWED_MM, Standing, allowed_miss_mm
+from fiberloom.operation.safety.begin import Standing, allowed_miss_mm
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.array_lock import ArrayLock
@@ -127,7 +127,7 @@ class SessionMotion(FieldMotion):
         if image is None or not len(rows):
             return
         off_mm = np.hypot(*(image.xy_mm - state.metrology_mm(state.here_deg)).T)
-        moved = rows[image.seen[rows] & (off_mm[rows] > ALLOWED_MM)]
+        moved = rows[image.seen[rows] & (off_mm[rows] > self.drive.model.allowed_mm)]
         for row in moved:
             text = f"excluded, and seen {off_mm[row]:.2f} mm from where it was"
             state.recorder.event("alarm", text, int(self.plane.positioner_id[row]))

@@ -1,4 +1,4 @@
-"""Focal planes from folders: our own TOML + ECSV, or the calibration tables of SDSS-V."""
+"""Focal planes as files of our own: layout.toml and tables in ECSV."""
 
 from pathlib import Path
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text, shown
+from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.handicaps import Handicaps
-from fiberloom.instruments.layout_sdssv import read_sdssv
 from fiberloom.instruments.model import AXES, Instrument
 from fiberloom.tables import TableFile, read_table
 from fiberloom.typing import Array, Floats
@@ -19,20 +19,6 @@ from fiberloom.wholefile import whole, write_whole
 FORMAT = 1
 INDEX, POSITIONERS = "layout.toml", "positioners.ecsv"
 FIDUCIALS, GUIDE_CAMERAS = "fiducials.ecsv", "guide_cameras.ecsv"
-
-
-def read_layout(directory: str | Path, instrument: Instrument) -> FocalPlane:
-    """The focal plane in a folder: one that `write_layout` wrote, or SDSS-V calibrations."""
-    folder = Path(directory)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such directory; a layout is a folder of tables")
-    if (folder / INDEX).is_file():
-        return _read_own(folder, instrument)
-    if (folder / "positionerTable.csv").is_file():
-        return read_sdssv(folder, instrument)
-    raise InputError(
-        f"{folder}: neither {INDEX} (a layout of fiberloom) nor positionerTable.csv (SDSS-V) in it"
-    )
 
 
 def write_layout(plane: FocalPlane, directory: str | Path) -> None:
@@ -59,6 +45,20 @@ _HANDICAPS = ("wider_mm", "doubt_alpha_deg", "doubt_beta_deg", "speed_share", "a
 """Columns of `Handicaps`, all of them or none."""
 
 
+_DOTS = ("dot_x_mm", "dot_y_mm", "dot_radius_mm")
+"""Columns of `FocalPlane.dots_mm`, all of them or none."""
+
+_RANGES = tuple(
+    f"{axis}_{what}_{end}_deg" for what in ("target", "stop") for axis in AXES for end in ("min", "max")
+)
+"""Columns of `Ranges`, all of them or none."""
+
+
+def _flat_ranges(ranges: Ranges) -> Floats:
+    """(N, 8) in the order of the columns."""
+    return np.hstack([part.reshape(-1, 4) for part in ranges.arrays.values()])
+
+
 def _flat(handicaps: Handicaps) -> Floats:
     """(N, 5) in the order of the columns."""
     return np.column_stack(list(handicaps.arrays.values()))
@@ -79,6 +79,10 @@ def _positioner_columns(plane: FocalPlane) -> dict[str, Array]:
     }
     if plane.handicaps is not None:
         columns |= dict(zip(_HANDICAPS, _flat(plane.handicaps).T, strict=True))
+    if plane.dots_mm is not None:
+        columns |= dict(zip(_DOTS, plane.dots_mm.T, strict=True))
+    if plane.ranges is not None:
+        columns |= dict(zip(_RANGES, _flat_ranges(plane.ranges).T, strict=True))
     for name, xy in plane.points.items():
         columns[f"has_{name}"] = plane.carries(name).astype(np.int64)
         columns |= {f"{name}_{c}_mm": np.nan_to_num(xy[:, i]) for i, c in enumerate("xy")}
@@ -92,7 +96,8 @@ def _write(path: Path, columns: dict[str, Array]) -> None:
         Table(columns).write(part, format="ascii.ecsv", overwrite=True)
 
 
-def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
+def read_own(folder: Path, instrument: Instrument) -> FocalPlane:
+    """The focal plane that `write_layout` wrote into a folder."""
     _check_format(folder / INDEX)
     table = read_table(folder / POSITIONERS)
     names = tuple(instrument.positioner.points)
@@ -124,6 +129,8 @@ def _read_own(folder: Path, instrument: Instrument) -> FocalPlane:
         offline=table.integers("offline") != 0,
         offline_position_deg=np.column_stack(stand),
         handicaps=_read_handicaps(table),
+        ranges=_read_ranges(table),
+        dots_mm=_read_dots(table),
     )
 
 
@@ -133,6 +140,21 @@ def _read_handicaps(table: TableFile) -> Handicaps | None:
     table.require(*_HANDICAPS)
     wider, alpha, beta, speed, acceleration = (table.numbers(name) for name in _HANDICAPS)
     return Handicaps(wider, np.column_stack([alpha, beta]), speed, acceleration)
+
+
+def _read_ranges(table: TableFile) -> Ranges | None:
+    if not any(name in table.columns for name in _RANGES):
+        return None
+    table.require(*_RANGES)
+    flat = np.column_stack([table.numbers(name) for name in _RANGES])
+    return Ranges(flat[:, :4].reshape(-1, 2, 2), flat[:, 4:].reshape(-1, 2, 2))
+
+
+def _read_dots(table: TableFile) -> Floats | None:
+    if not any(name in table.columns for name in _DOTS):
+        return None
+    table.require(*_DOTS)
+    return np.column_stack([table.numbers(name) for name in _DOTS])
 
 
 def _check_format(path: Path) -> None:

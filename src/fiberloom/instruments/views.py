@@ -1,0 +1,96 @@
+"""What follows at once from the arrays of a focal plane."""
+
+import numpy as np
+
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
+from fiberloom.instruments.axis import Ranges
+from fiberloom.instruments.model import METROLOGY, Instrument
+from fiberloom.typing import Floats, Ints
+
+
+class Views:
+    """Of a `FocalPlane`, which has these."""
+
+    instrument: Instrument
+    positioner_id: Ints
+    arms: Floats
+    points: dict[str, Floats]
+    ranges: Ranges | None
+
+    @property
+    def n(self) -> int:
+        """Number of positioners."""
+        return len(self.positioner_id)
+
+    @property
+    def centres_mm(self) -> Floats:
+        """(N, 2) alpha axes."""
+        return self.arms[:, CENTRE]
+
+    @property
+    def l_alpha_mm(self) -> Floats:
+        """(N,) from the alpha to the beta axis."""
+        return self.arms[:, L_ALPHA]
+
+    @property
+    def l_beta_mm(self) -> Floats:
+        """(N,) from the beta axis to the metrology fibre."""
+        return np.asarray(np.hypot(*self.points[METROLOGY].T), dtype=np.float64)
+
+    @property
+    def metrology_phi_rad(self) -> Floats:
+        """(N,) direction of the metrology fibre in the frame of its beta arm."""
+        return np.arctan2(self.points[METROLOGY][:, 1], self.points[METROLOGY][:, 0])
+
+    @property
+    def alpha_off_rad(self) -> Floats:
+        """(N,) direction in the focal plane of alpha = 0."""
+        return self.arms[:, ALPHA_OFF]
+
+    @property
+    def beta_off_rad(self) -> Floats:
+        """(N,) direction of beta = 0 against the alpha arm."""
+        return self.arms[:, BETA_OFF]
+
+    @property
+    def collision_buffer_mm(self) -> float:
+        """Radius of the beta arm's capsule."""
+        return self.instrument.bodies.collision_buffer_mm
+
+    @property
+    def beta_segment_mm(self) -> tuple[float, float]:
+        """Centre line of that capsule, from and to along the arm."""
+        return self.instrument.bodies.beta_segment_mm
+
+    @property
+    def park_deg(self) -> Floats:
+        """(N, 2) folded: where positioners wait."""
+        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+
+    @property
+    def limits_deg(self) -> Floats:
+        """[[alpha_min, alpha_max], [beta_min, beta_max]] for targets, of the nominal positioner."""
+        return np.array([axis.target_range_deg for axis in self.instrument.axes])
+
+    @property
+    def hard_stops_deg(self) -> Floats:
+        """[[alpha_min, alpha_max], [beta_min, beta_max]] of the nominal positioner's mechanism."""
+        return np.array([axis.hard_stop_deg for axis in self.instrument.axes])
+
+    def limits_of(self, rows: Ints | None = None) -> Floats:
+        """(n, 2, 2) deg: as `limits_deg`, of positioners by row; of all when left out."""
+        return self._own_or_nominal(self.ranges and self.ranges.targets_deg, self.limits_deg, rows)
+
+    def stops_of(self, rows: Ints | None = None) -> Floats:
+        """(n, 2, 2) deg: as `hard_stops_deg`, of positioners by row; of all when left out."""
+        return self._own_or_nominal(self.ranges and self.ranges.stops_deg, self.hard_stops_deg, rows)
+
+    def _own_or_nominal(self, own: Floats | None, nominal: Floats, rows: Ints | None) -> Floats:
+        if own is not None:
+            return own if rows is None else own[rows]
+        return np.broadcast_to(nominal, (self.n if rows is None else len(rows), 2, 2))
+
+    @property
+    def science_fibres(self) -> tuple[str, ...]:
+        """Fibres that targets can ask for."""
+        return self.instrument.science_fibres
