@@ -234,7 +234,9 @@ class FieldMotion:
     def _book(self, made: MadeMove, image: Measurement) -> Flags:
         """Judges and records a move by its image; (N,) mobile positioners not at their goal."""
         end_deg = made.plan.end_deg
-        interrupted = self.state.judge(made.results, image, made.before_deg, end_deg)
+        excused = getattr(self.drive, "excused", None)  # of drives with fibres that can hide
+        hidden = None if excused is None else excused(image)
+        interrupted = self.state.judge(made.results, image, made.before_deg, end_deg, hidden)
         if (believed_deg := self.drive.seen(image, self.state.mobile)) is not None:
             self.state.here_deg = np.where(self.state.mobile[:, None], believed_deg, self.state.here_deg)
         error_um = self._measured_error_um(image, made.goals)
