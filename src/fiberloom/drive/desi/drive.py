@@ -35,10 +35,11 @@ from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Verification
 from fiberloom.typing import Flags, Floats, Ints
 
-TUBE_MM = 0.05
-"""[A] An arm may be so far from its way: gears that are not straight, 54 um rms before anything is learnt."""
+TUBE_SIGMA = 1.5
+"""[A] An arm may be so many of its map's sigma from its way: a 2-D rms, 0.1 mm before anything is learnt."""
 ANSWER_S = 0.5
-POLL_S = 0.5
+SETTLE_S = 0.05
+"""After the last table has ended."""
 ALIVE_S = 20.0
 """A unit in standby after 60 s of silence would refuse its table."""
 AIR_UM = 6.0
@@ -155,7 +156,8 @@ class DesiDrive:
         return await asyncio.to_thread(self._prepared, wanted)
 
     def _prepared(self, wanted: Wanted) -> Programme:
-        plane = with_tube(wanted.obstacles, self._tube_mm())
+        tube_mm = self._tube_mm(wanted.goal_deg)
+        plane = with_tube(wanted.obstacles, tube_mm)
         asked = np.abs(wanted.goal_deg - wanted.here_deg).max(axis=1) > 1e-9
         asked &= ~plane.offline
         way = np.where(asked[:, None], self.maps.way_deg(wanted.goal_deg), 0.0)
@@ -164,27 +166,27 @@ class DesiDrive:
         def ends(reduced: Staged) -> Aims:
             counted = counted_deg(reduced)
             there = self.maps.output_deg(self.maps.believed_deg + counted)
-            return Aims(
-                wanted.here_deg, np.where(reduced.moves[:, None], there - wanted.here_deg - counted, 0.0)
-            )
+            off = there - wanted.here_deg - counted
+            return Aims(wanted.here_deg, np.where(reduced.moves[:, None], off, 0.0))
 
         found = Resolver(plane, move, ends).resolve()
         commands = Tables(found.made.tables, degrees_of(found.made.tables.way_tenths.sum(axis=1)))
         about = {"rounds": found.rounds, "waits": found.waits}
-        return Programme(found.plan, self._tube_mm(), commands, about)
+        return Programme(found.plan, tube_mm, commands, about)
 
-    def _tube_mm(self) -> Floats:
-        return np.full(len(self.plane), TUBE_MM)
+    def _tube_mm(self, angles_deg: Floats) -> Floats:
+        """(N,) mm, by how well the map is known at angles (N, 2) in deg."""
+        return 1e-3 * TUBE_SIGMA * self.maps.sigma_um(angles_deg)
 
     async def compile(self, plan: Plan) -> Programme:
         """Only where nothing moves: InputError for a `plan` of trajectories, which no table can follow."""
         if any(robot.moves for robot in plan.robots):
             raise InputError(
-                f"{self.plane.instrument.name}: its motors run tables, not trajectories made elsewhere; observe"
+                f"{self.plane.instrument.name}: its motors run tables, not trajectories made elsewhere"
             )
         still = np.zeros((len(self.plane), 0, 2), dtype=np.int64)
         tables = MoveTables(still, still.astype(bool), np.zeros((len(self.plane), 0), dtype=np.int64))
-        return Programme(plan, self._tube_mm(), Tables(tables, np.zeros((len(self.plane), 2))))
+        return Programme(plan, None, Tables(tables, np.zeros((len(self.plane), 2))))
 
     def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
         """Proves the way that the tables make arms go, with tubes. `obstacles`, `programme`: as in the port."""
@@ -204,7 +206,7 @@ class DesiDrive:
             )
         await self._broadcast(Command.RUN, b"\x01")
         self._running = self.time_s, commands.tables
-        await self.sleep(float(commands.tables.duration_s.max(initial=0.0)))
+        await self.sleep(float(commands.tables.duration_s.max(initial=0.0)) + SETTLE_S)
         late = await self._moving(moving)
         self._running = None
         self.maps.went(commands.way_deg)
@@ -213,6 +215,8 @@ class DesiDrive:
     async def _load(self, tables: MoveTables, moving: list[int]) -> set[int]:
         """Those that do not hold their table after two tries."""
         rows = {i: rows_of(tables, int(self.plane.index_of(i))) for i in moving}
+        # a table that was run is still there, and the start is for all
+        await self._broadcast(Command.CLEAR)
         missing = set(moving)
         for _ in range(2):
             frames = [frame for i in sorted(missing) for frame in table_frames(i, rows[i])]

@@ -17,6 +17,8 @@ from fiberloom.typing import Flags, Floats
 
 ARM_TERMS = 4
 """Centre x, y and both lengths, mm."""
+LEAST_SINE = 0.1
+"""Of phi, from which on a place tells both angles."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,8 @@ class LearnedMaps:
             return
         self.surprises += lost
         here = self.output_deg(self.believed_deg)
+        # a folded or stretched arm does not tell its angles
+        lost = lost & (np.abs(np.sin(np.deg2rad(here[:, 1]))) > LEAST_SINE)
         measured = angles_near(self.plane, np.where(lost[:, None], xy_mm, 0.0), here)
         self.believed_deg = np.where(lost[:, None], self.believed_deg + measured - here, self.believed_deg)
         for zero in (0, self.basis.terms):

@@ -16,8 +16,8 @@ MARGIN_DEG = 3.5
 def safe_phi_deg(plane: FocalPlane, margin_mm: float = 0.1) -> Floats:
     """(N,) smallest phi in deg from which on, up to folded, an arm keeps within its own territory.
 
-    That is so far from its centre that it meets neither the theta bodies of neighbours nor their arms that keep
-    within theirs, with `margin_mm` to spare. Fixed obstacles are not looked at.
+    That is so far from its centre that it meets neither the theta bodies of neighbours nor their arms that
+    keep within theirs, with `margin_mm` to spare. Fixed obstacles are not looked at.
     """
     nearest = cKDTree(plane.centres_mm).query(plane.centres_mm, k=2)[0][:, 1] if len(plane) > 1 else np.inf
     theta_mm = plane.instrument.bodies.reach_mm("alpha")

@@ -93,8 +93,8 @@ class Timed:
 def staged(plane: FocalPlane, here_deg: Floats, way_deg: Floats, safe_deg: Floats, *, small: bool) -> Staged:
     """The stages of ways (N, 2) in deg.
 
-    `plane`: N positioners; `here_deg` (N, 2): where they are; `safe_deg` (N,): phi from which on theta is free;
-    `small`: all of the way at once, in the last stage before the approach.
+    `plane`: N positioners; `here_deg` (N, 2): where they are; `safe_deg` (N,): phi from which on theta is
+    free; `small`: all of the way at once, in the last stage before the approach.
     """
     n = len(plane)
     legs = np.zeros((n, 3, 2), dtype=np.int64)
