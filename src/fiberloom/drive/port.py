@@ -185,6 +185,10 @@ class Drive(Protocol):
         """Brings every positioner to rest that can be reached; returns which have answered."""
         ...
 
+    def excused(self, image: Measurement) -> Flags | None:
+        """(N,) of which an `image` after a move shows no fibre though they are not lost; None: none is."""
+        ...
+
     def seen(self, image: Measurement, mobile: Flags) -> Floats | None:
         """What an image after a move shows, to learn from; `mobile` (N,): of these it may tell.
 
