@@ -79,6 +79,10 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
     off its tables. InputError where the twin does not have such motors, or does not know one of these.
     """
     # a real array needs no line of the twin
+    if plane.instrument.drive.protocol == "pfs":
+        from fiberloom.twin.cobras.source import CobraSource
+
+        return CobraSource(plane, seed, camera, faults, errors)
     if plane.instrument.drive.protocol == "desi":
         from fiberloom.twin.desi.source import DesiSource
 

@@ -127,17 +127,25 @@ class FieldState:
             self.blocked[self.plane.index_of(positioner)] = True
             self.recorder.event("blocked", why, positioner)
 
-    def judge(self, results: Results, image: Measurement, before_deg: Floats, commanded_deg: Floats) -> Flags:
+    def judge(
+        self,
+        results: Results,
+        image: Measurement,
+        before_deg: Floats,
+        commanded_deg: Floats,
+        hidden: Flags | None = None,
+    ) -> Flags:
         """Books the faults that the image shows; (N,) mobile positioners that did not reach their goal.
 
         `results`: how the move ended on the bus, of the positioners that were moved; `image`: taken after
-        it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal.
+        it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal;
+        `hidden` (N,): fibres that it need not show: where they are not seen they are not dark.
         """
         ended = [results.get(int(p)) for p in self.plane.positioner_id]
         asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
             outcomes=asked,
-            seen=image.seen,
+            seen=image.seen if hidden is None else image.seen | hidden,
             measured_mm=image.xy_mm,
             before_mm=np.where(np.isfinite(self.seen_mm), self.seen_mm, self.metrology_mm(before_deg)),
             reported_mm=self.metrology_mm(self.here_deg),
@@ -184,7 +192,7 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        report = Report(self.here_deg, answered, image, vouched)
+        report = Report(self.here_deg, answered, image, vouched, self.model.scatter_mm)
         found = begin_check(self.plane, report, self.model.allowed_mm + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]

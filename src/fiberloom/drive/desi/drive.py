@@ -241,6 +241,9 @@ class DesiDrive:
             self._running = None
         return sorted(await self._versions(self.ids))
 
+    def excused(self, image: Measurement) -> None:
+        """None: a fibre that an `image` does not show is dark."""
+
     def seen(self, image: Measurement, mobile: Flags) -> Floats:
         """Learns from an image; (N, 2) deg where arms are believed to be now. `mobile` (N,): who may tell."""
         self.maps.see(image.xy_mm, self._sigma_mm(image), image.seen & mobile)

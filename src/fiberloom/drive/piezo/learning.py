@@ -24,8 +24,21 @@ class LearningSettings:
     """Fresh scatter of a move, in steps for each root of their number."""
     fine_steps: float = 8.0
     """A move is made of so many steps at least, by shorter pulses where these are too large."""
+    most_steps: float = float(MOST_STEPS)
+    """Of a motor in one move."""
     least_pulse_us: float = 12.0
     """Shorter pulses are not used: that a motor moves with them is not published."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is sent to M motors, and what is expected of it."""
+
+    programme: Programme
+    told_deg: Floats
+    """(M,) signed ways by the maps and pulses, of motors whose gain is 1."""
+    step_deg: Floats
+    """(M,) of a step."""
 
 
 class LearningLaw:
@@ -49,6 +62,15 @@ class LearningLaw:
         (M,): motors that shall move; the others get no steps.
         """
         self.see(seen_deg, sigma_deg)
+        order = self.order(goal_deg, active)
+        self.take(order)
+        return order.programme
+
+    def order(self, goal_deg: Floats, active: Flags) -> Order:
+        """What to send from where motors are believed to be.
+
+        `goal_deg` (M,): angles wanted; `active` (M,): motors that shall move.
+        """
         assert self.place_deg is not None
         rows = np.arange(self.maps.motors)
         way = np.where(active, goal_deg - self.place_deg, 0.0)
@@ -57,35 +79,104 @@ class LearningLaw:
         pulse = self._pulse_us(np.abs(way), usual, direction)
         gain = self.gain[rows, direction] * pulse_factor(pulse, usual, self.curve_us)
         wanted = self.maps.steps(self.place_deg, way) / gain
-        steps = np.rint(np.clip(wanted, -MOST_STEPS, MOST_STEPS)).astype(np.int64)
+        most = self.settings.most_steps
+        steps = np.rint(np.clip(wanted, -most, most)).astype(np.int64)
         told = self.maps.way_deg(self.place_deg, steps * gain / self.gain[rows, direction])
         step_deg = np.abs(told) / np.maximum(np.abs(steps), 1)
-        self._sent = told, step_deg, steps
-        return Programme(steps, pulse)
+        return Order(Programme(steps, pulse), told, step_deg)
+
+    def take(self, order: Order, done: Flags | None = None) -> None:
+        """An `order` was executed; by those `done` (M,), all when left out."""
+        steps, told = order.programme.steps, order.told_deg
+        if done is not None:
+            steps, told = np.where(done, steps, 0), np.where(done, told, 0.0)
+        self._sent = told, order.step_deg, steps
+
+    def doubt_way(self, order: Order, rows: Flags) -> None:
+        """Nobody knows how far those motors `rows` (M,) came of an `order`: half of it, or all, or nothing."""
+        half = 0.5 * self.gain_of(order.told_deg) * order.told_deg
+        assert self.place_deg is not None
+        self.place_deg = np.where(rows, self.place_deg + half, self.place_deg)
+        self.place_variance = np.where(rows, self.place_variance + half**2, self.place_variance)
+
+    def believe(self, place_deg: Floats, variance: Floats) -> None:
+        """Motors are at `place_deg` (M,), by a `variance` (M,) in deg^2: as after a search of the stops."""
+        self.place_deg, self.place_variance, self._sent = place_deg.copy(), variance.copy(), None
+
+    def expected_deg(self) -> Floats:
+        """(M,) where motors should be now in deg, after what was sent last."""
+        assert self.place_deg is not None
+        if self._sent is None:
+            return self.place_deg
+        told = self._sent[0]
+        return self.place_deg + self.gain_of(told) * told
+
+    def gain_of(self, way_deg: Floats) -> Floats:
+        """(M,) dimensionless gains in the direction of ways (M,)."""
+        return self.gain[np.arange(self.maps.motors), direction_of(way_deg)]
 
     def see(self, seen_deg: Floats, sigma_deg: Floats) -> None:
-        """An image: gains are learned, places filtered. `seen_deg` (M,): angles; `sigma_deg` (M,) of them."""
+        """An image: gains are learned, places filtered.
+
+        `seen_deg` (M,): angles, NaN where a fibre was not seen: it is believed where its steps should have
+        brought it; `sigma_deg` (M,) of them.
+        """
         if self.place_deg is None or self._sent is None:
-            self.place_deg, self.place_variance = seen_deg.copy(), sigma_deg**2
+            known = np.isfinite(seen_deg)
+            self.believe(
+                np.where(known, seen_deg, self.place_deg if self.place_deg is not None else 0.0),
+                np.where(known, sigma_deg**2, self.place_variance),
+            )
             return
+        expected = self.expected_deg()
         told, step_deg, steps = self._sent
         self._sent = None
         rows, direction = np.arange(self.maps.motors), direction_of(told)
-        gain, variance = self.gain[rows, direction], self.gain_variance[rows, direction]
+        variance = self.gain_variance[rows, direction]
         fresh = self._fresh_variance(told, step_deg, steps)
         spread = variance + np.where(steps != 0, self.settings.drift_sigma**2, 0.0)
-        expected = self.place_deg + gain * told
         doubt = self.place_variance + spread * told**2 + fresh
         off = seen_deg - expected
         self._learn(off, told, spread, doubt + sigma_deg**2)
-        share = doubt / (doubt + sigma_deg**2)
-        self.place_deg = expected + share * off
+        share = np.where(np.isfinite(off), doubt / (doubt + sigma_deg**2), 0.0)
+        self.place_deg = expected + share * np.nan_to_num(off)
         self.place_variance = (1.0 - share) * doubt
+
+    def limited_deg(self, way_deg: Floats) -> Floats:
+        """(M,) signed ways in deg as far as the steps of one move go, of the `way_deg` (M,) wanted."""
+        assert self.place_deg is not None
+        rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
+        most = self.settings.most_steps * self.gain[rows, direction]
+        farthest = self.maps.way_deg(self.place_deg, np.copysign(most, way_deg))
+        return np.clip(way_deg, np.minimum(farthest, 0.0), np.maximum(farthest, 0.0))
+
+    def doubt_deg(self, way_deg: Floats) -> Floats:
+        """(M,) standard deviations in deg of where moves by `way_deg` (M,) end."""
+        assert self.place_deg is not None
+        rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
+        gain, variance = self.gain[rows, direction], self.gain_variance[rows, direction]
+        share = (variance + self.settings.drift_sigma**2) / gain**2 + self.move_variance
+        step = self.settings.step_sigma**2 * gain * self.maps.step_at(self.place_deg, direction)
+        out: Floats = np.sqrt(self.place_variance + share * way_deg**2 + step * np.abs(way_deg))
+        return out
+
+    def innovation_sigma_deg(self) -> Floats:
+        """(M,) standard deviations in deg of where motors are after what was sent last."""
+        if self._sent is None:
+            return np.sqrt(self.place_variance)
+        told, step_deg, steps = self._sent
+        spread = self.gain_variance[np.arange(self.maps.motors), direction_of(told)]
+        spread = spread + self.settings.drift_sigma**2
+        out: Floats = np.sqrt(
+            self.place_variance + spread * told**2 + self._fresh_variance(told, step_deg, steps)
+        )
+        return out
 
     def _learn(self, off: Floats, told: Floats, spread: Floats, doubt: Floats) -> None:
         """Gains by how far off moves ended (M,); the scatter of each by how far that is from `doubt`."""
         rows, direction = np.arange(self.maps.motors), direction_of(told)
-        moved = told != 0.0
+        moved = (told != 0.0) & np.isfinite(off)
+        off = np.where(moved, off, 0.0)
         share = np.where(moved, spread * told / doubt, 0.0)
         gain = np.clip(self.gain[rows, direction] + share * off, 0.1, 4.0)
         left = np.where(moved, spread * (1.0 - spread * told**2 / doubt), spread)

@@ -104,6 +104,8 @@ async def reference(motion: FieldMotion) -> Referenced:
     of the observation or calibration: they are in the events. Raises UnsafePlanError where the verifier
     refuses a plan.
     """
+    if motion.hardware.drive is not None:
+        return Referenced()  # whole motor turns are a matter of SDSS-V's counters
     power_up = await powered_up(motion)
     if not power_up.lost.any():
         return Referenced()

@@ -6,6 +6,8 @@ and ends at a hard stop at the latest. Sources: maps and p1 from cobraCharmer; s
 reproduces the published convergence of visit 72752, of which the split into lasting and fresh is not known.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,8 +73,8 @@ class PiezoMotors:
         self.stuck = np.repeat(rng.random(cobras) < errors.stuck_share, 2)
         self._rng = rng
 
-    def run(self, steps: Ints, pulse_us: Floats) -> None:
-        """All motors make their steps (M,), signed, with pulses (M,) in us."""
+    def run(self, steps: Ints, pulse_us: Floats) -> Course:
+        """All motors make their steps (M,), signed, with pulses (M,) in us; returns how."""
         rows, direction = np.arange(self.maps.motors), direction_of(steps.astype(np.float64))
         factor = pulse_factor(pulse_us, self.maps.pulse_us[rows, direction], self.curve_us)
         factor = np.where(pulse_us < self.errors.least_pulse_us, 0.0, factor)
@@ -82,7 +84,30 @@ class PiezoMotors:
         moved = way * (1.0 + self.move_sigma * fresh[0])
         moved += step_deg * self.errors.step * np.sqrt(np.abs(steps)) * fresh[1]
         goes = (steps != 0) & ~self.stuck
-        self.angle_deg = np.clip(np.where(goes, self.angle_deg + moved, self.angle_deg), 0.0, self.stops_deg)
+        course = Course(self, self.angle_deg, steps * factor, np.where(goes, moved, 0.0), way)
+        self.angle_deg = np.clip(self.angle_deg + course.moved_deg, 0.0, self.stops_deg)
+        return course
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The way of M motors in one move."""
+
+    motors: PiezoMotors
+    start_deg: Floats
+    steps: Floats
+    """(M,) as they count on the map: of its own pulse."""
+    moved_deg: Floats
+    """(M,) signed, were there no stops."""
+    way_deg: Floats
+    """(M,) signed, by the map alone."""
+
+    def at_deg(self, share: Floats) -> Floats:
+        """(M,) angles in deg after a `share` (M,) of the steps."""
+        by_map = self.motors.maps.way_deg(self.start_deg, self.steps * share)
+        scale = self.moved_deg / np.where(self.way_deg == 0.0, 1.0, self.way_deg)
+        here: Floats = np.clip(self.start_deg + scale * by_map, 0.0, self.motors.stops_deg)
+        return here
 
 
 def drawn_maps(cobras: int, seed: int) -> MotorMaps:

@@ -1,0 +1,369 @@
+"""What each cobra does in the next iteration, so that none can meet another.
+
+A cobra that has to turn theta does so with phi folded so far that its arm stays in its own territory, whatever
+theta does. Then it goes out along phi. What it may sweep is checked against what its neighbours may (`swept`);
+who cannot go takes a shorter way, or waits for the next iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fiberloom.drive.piezo.cobras import CobraArms
+from fiberloom.drive.piezo.swept import SweptCheck, box_of
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import rad_to_deg
+
+THETA, PHI = 0, 1
+
+
+class Stage(IntEnum):
+    """What a cobra does, the best first."""
+
+    GOAL = 0
+    """To its goal."""
+    MOST = 1
+    """Theta to its goal, phi a part of its way (SHARES)."""
+    HALF = 2
+    LITTLE = 3
+    TURN = 4
+    """Theta to its goal within the territory, phi folded before where it is out."""
+    FOLD = 5
+    """Phi into the territory."""
+    STAY = 6
+
+
+FAR_DEG = 5.0
+"""A cobra whose phi lacks more has still to go out."""
+SHARES = (1.0, 0.65, 0.4, 0.2)
+"""Of phi's way, for the first stages."""
+
+
+class Motors(Protocol):
+    """What is known of 2 n motors: rows theta, phi, theta, ..."""
+
+    place_deg: Floats | None
+    """(M,) where they are believed to be."""
+    place_variance: Floats
+    """(M,) deg^2."""
+
+    def limited_deg(self, way_deg: Floats) -> Floats:
+        """(M,) ways in deg as far as one move goes."""
+        ...
+
+    def doubt_deg(self, way_deg: Floats) -> Floats:
+        """(M,) standard deviations in deg of where ways (M,) end."""
+        ...
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """How careful moves are."""
+
+    sigmas: float = 3.0
+    """Half of a tube, in standard deviations of where a move ends."""
+    least_share: float = 0.05
+    """The same, of the way: no motor is believed to be better."""
+    direct_deg: float = 60.0
+    """[A] A cobra whose theta may end farther off than this turns it first, within its territory."""
+    dot_margin_mm: float = 0.1
+    """A fibre that turns stays so far from its dot."""
+    margin_mm: float = 0.02
+    """Between territories, for the camera and the calibration."""
+
+
+class Chosen(NamedTuple):
+    """One iteration of n cobras."""
+
+    stage: Ints
+    """(n,) Stage."""
+    target_deg: Floats
+    """(n, 2) to move to; where they are for one that stays."""
+    phi_first: Flags
+    """(n,) theta waits until phi has ended; else phi waits for theta."""
+    boxes_deg: Floats
+    """(n, 2, 2, 2) what each may sweep: two boxes of theta and phi, from low to high."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    target_deg: Floats
+    phi_first: Flags
+    boxes_deg: Floats
+    may: Flags
+
+
+@dataclass(eq=False)
+class Stages:
+    """Chooses stages for n cobras among fixed discs."""
+
+    arms: CobraArms
+    check: SweptCheck
+    settings: StageSettings = field(default_factory=StageSettings)
+    dots_mm: Floats | None = None
+    """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
+
+    def __post_init__(self) -> None:
+        self.phi_in_deg = self.arms.phi_within_deg(self._territory_mm())
+
+    @classmethod
+    def of(
+        cls,
+        arms: CobraArms,
+        discs_mm: Floats,
+        settings: StageSettings | None = None,
+        dots_mm: Floats | None = None,
+    ) -> Stages:
+        """`arms` of n cobras; `discs_mm` (m, 3): x, y, radius of what stands between them; `settings`;
+        `dots_mm` (n, 3): x, y, radius of the dot of each."""
+        return cls(arms, SweptCheck.of(arms, discs_mm), settings or StageSettings(), dots_mm)
+
+    def touching(self, goal_deg: Floats) -> Ints:
+        """(t, 2) pairs of rows that would touch at their goals (n, 2) in deg; a disc is a row beyond n."""
+        boxes = box_of(goal_deg, goal_deg)[:, None]
+        found: Ints = self.check.pairs[self.check.meeting(boxes, boxes)]
+        return found
+
+    def choose(self, motors: Motors, goal_deg: Floats, active: Flags, seed: int = 0) -> Chosen:
+        """The next iteration.
+
+        `motors`: what is known of them; `goal_deg` (n, 2): angles wanted; `active` (n,): cobras that shall
+        move; `seed`: decides between equals.
+        """
+        options = self._options(motors, goal_deg)
+        assert motors.place_deg is not None
+        far = active & (np.abs(goal_deg - _by_cobra(motors.place_deg))[:, PHI] > FAR_DEG)
+        waits = self._waits(goal_deg, far)
+        for out in options[: len(SHARES)]:
+            out.may[waits] = False
+        rank = np.random.default_rng(seed).permutation(len(goal_deg))
+        stage = self._agree(options, np.where(active, Stage.GOAL, Stage.STAY), goal_deg, rank)
+        stage = self._promote(options, stage, active, rank)
+        stage = self._make_way(options, stage, far, goal_deg, rank)
+        rows = np.arange(len(stage))
+        return Chosen(
+            stage,
+            np.stack([o.target_deg for o in options])[stage, rows],
+            np.stack([o.phi_first for o in options])[stage, rows],
+            np.stack([o.boxes_deg for o in options])[stage, rows],
+        )
+
+    # options
+
+    def _options(self, motors: Motors, goal_deg: Floats) -> list[_Option]:
+        """One for each Stage."""
+        assert motors.place_deg is not None
+        here, doubt = _by_cobra(motors.place_deg), np.sqrt(_by_cobra(motors.place_variance))
+        way = self._limited(motors, goal_deg - here)
+        turn, turns_safely = self._turn(motors, here, goal_deg)
+        fold = np.column_stack([here[:, THETA], turn[:, PHI]])
+        inside, always = self._inside(here, doubt), np.ones(len(here), dtype=bool)
+        # who folds does so first, who goes out last
+        out = [
+            self._option(motors, here, here + way * np.array([1.0, share]), way[:, PHI] < 0.0)
+            for share in SHARES
+        ]
+        options = [
+            *out,
+            self._option(motors, here, turn, ~inside),
+            self._option(motors, here, fold, always),
+            self._option(motors, here, here, always),
+        ]
+        direct = self._tube(motors, way)[:, THETA] <= self.settings.direct_deg
+        for option in out:
+            option.may[:] = direct
+        options[Stage.TURN].may[:] = turns_safely & (inside | ~direct)
+        options[Stage.FOLD].may[:] = ~inside & ~direct
+        return options
+
+    def _option(self, motors: Motors, here: Floats, target: Floats, phi_first: Flags) -> _Option:
+        """Boxes of both legs: the first motor moves, then the second."""
+        start = self.settings.sigmas * np.sqrt(_by_cobra(motors.place_variance))
+        ends = self._tube(motors, target - here)
+        top = self.arms.range_deg
+        around = box_of(np.clip(here - start, 0.0, top), np.clip(here + start, 0.0, top))
+        after = box_of(np.clip(target - ends, 0.0, top), np.clip(target + ends, 0.0, top))
+        way = np.stack(
+            [np.minimum(around[..., 0], after[..., 0]), np.maximum(around[..., 1], after[..., 1])], 2
+        )
+        first, second = np.empty((2, len(here), 2, 2))
+        # what moves first: its way, at the other's start; what moves second: its way, at the first's end
+        first[:, THETA] = np.where(phi_first[:, None], around[:, THETA], way[:, THETA])
+        first[:, PHI] = np.where(phi_first[:, None], way[:, PHI], around[:, PHI])
+        second[:, THETA] = np.where(phi_first[:, None], way[:, THETA], after[:, THETA])
+        second[:, PHI] = np.where(phi_first[:, None], after[:, PHI], way[:, PHI])
+        boxes = np.stack([first, second], axis=1)
+        return _Option(target, phi_first, boxes, np.ones(len(here), dtype=bool))
+
+    def _turn(self, motors: Motors, here: Floats, goal: Floats) -> tuple[Floats, Flags]:
+        """Targets (n, 2): theta at its goal, phi as near to it as stays within the territory; where that holds."""
+        most = np.minimum(self.phi_in_deg, self._short_of_dot_deg(motors, here, goal))
+        target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
+        for _ in range(4):  # phi's tube depends on its way
+            way = self._limited(motors, target - here)
+            over = here[:, PHI] + way[:, PHI] + self._tube(motors, way)[:, PHI] - most
+            target[:, PHI] -= np.maximum(over, 0.0)
+        # into the stop and beyond, where that is what it takes: the stop holds
+        target[:, PHI] = np.maximum(target[:, PHI], -0.5 * self.arms.range_deg[:, PHI])
+        way = self._limited(motors, target - here)
+        target = here + way
+        ends = np.clip(target[:, PHI] + self._tube(motors, way)[:, PHI], 0.0, None)
+        return target, ends <= self.phi_in_deg + 1e-6
+
+    def _short_of_dot_deg(self, motors: Motors, here: Floats, goal: Floats) -> Floats:
+        """(n,) the most open phi in deg at which a fibre is seen beside its dot, where theta may end at it."""
+        if self.dots_mm is None:
+            return self.arms.range_deg[:, PHI]
+        off = self.dots_mm[:, :2] - self.arms.centre_mm
+        far, radius = np.hypot(*off.T), self.dots_mm[:, 2] + self.settings.dot_margin_mm
+        short = self.arms.phi_within_deg(np.maximum(far - radius, 0.0))
+        way = self._limited(motors, np.column_stack([goal[:, THETA] - here[:, THETA], 0.0 * far]))
+        ends = (here + way)[:, THETA]
+        # the fibre stands off the first link by about half of phi
+        fibre = (
+            ends
+            + self.arms.zero_deg[:, THETA]
+            + 0.5 * self.arms.fibre_deg(np.stack([ends, short], 1))[:, PHI]
+        )
+        beside = np.abs((fibre - rad_to_deg(np.arctan2(off[:, 1], off[:, 0])) + 180.0) % 360.0 - 180.0)
+        wide = rad_to_deg(np.arcsin(np.minimum(radius / np.maximum(far, radius), 1.0)))
+        clear = beside > wide + self._tube(motors, way)[:, THETA] + 0.5 * self.phi_in_deg
+        return np.where(clear, self.arms.range_deg[:, PHI], short)
+
+    def _limited(self, motors: Motors, way: Floats) -> Floats:
+        return _by_cobra(motors.limited_deg(way.ravel()))
+
+    def _tube(self, motors: Motors, way: Floats) -> Floats:
+        """(n, 2) deg beside where ways (n, 2) end, half a tube."""
+        doubt = self.settings.sigmas * _by_cobra(motors.doubt_deg(way.ravel()))
+        return np.maximum(doubt, self.settings.least_share * np.abs(way))
+
+    def _inside(self, here: Floats, doubt: Floats) -> Flags:
+        inside: Flags = here[:, PHI] + self.settings.sigmas * doubt[:, PHI] <= self.phi_in_deg
+        return inside
+
+    def _territory_mm(self) -> Floats:
+        """(n,) how far from its centre a fibre may be so that no neighbour in its own is touched."""
+        arms, (i, j) = self.check.arms, self.check.pairs.T
+        gap = np.hypot(*(arms.centre_mm[i] - arms.centre_mm[j]).T) - arms.radius_mm[i] - arms.radius_mm[j]
+        gap -= self.settings.margin_mm
+        fixed = j >= self.check.cobras
+        room = np.full(len(arms.centre_mm), np.inf)
+        np.minimum.at(room, i, np.where(fixed, gap, 0.5 * gap))
+        np.minimum.at(room, j, 0.5 * gap)
+        return room[: self.check.cobras]
+
+    # agreement
+
+    def _waits(self, goal: Floats, far: Flags) -> Flags:
+        """(n,) cobras that would stand in the way out of a neighbour that is `far` (n,) from its goal."""
+        way_out = box_of(np.column_stack([goal[:, THETA], np.minimum(self.phi_in_deg, goal[:, PHI])]), goal)
+        ends = box_of(goal, goal)
+        i, j = self.check.pairs.T
+        first_i = self.check.meeting(way_out[:, None], ends[:, None])
+        first_j = self.check.meeting(ends[:, None], way_out[:, None])
+        waits, far = (
+            np.zeros(len(self.check.arms), dtype=bool),
+            np.append(far, np.zeros(len(self.check.arms), bool)),
+        )
+        waits[j[first_i & ~first_j & far[i]]] = True
+        waits[i[first_j & ~first_i & far[j]]] = True
+        return waits[: self.check.cobras]
+
+    def _make_way(self, options: list[_Option], stage: Ints, far: Flags, goal: Floats, rank: Ints) -> Ints:
+        """Of two that stand in each other's way the one that is out folds."""
+        goes, stands = options[Stage.GOAL].boxes_deg, options[Stage.STAY].boxes_deg
+        stuck = np.append(far & (stage == Stage.STAY), np.zeros(len(self.check.arms), dtype=bool))
+        i, j = self.check.pairs.T
+        both = np.flatnonzero(stuck[i] & stuck[j])
+        in_way_j = self.check.meeting(goes, stands, both)
+        in_way_i = self.check.meeting(stands, goes, both)
+        out = _by_cobra(options[Stage.STAY].target_deg)[:, PHI] > self.phi_in_deg
+        i, j = i[both], j[both]
+        in_way_i, in_way_j = in_way_i & out[i], in_way_j & out[j]
+        yields_i = in_way_i & (~in_way_j | (rank[i] > rank[j]))
+        yields = np.concatenate([i[yields_i], j[in_way_j & ~yields_i]])
+        if len(yields) == 0:
+            return stage
+        options[Stage.FOLD].may[yields] = True
+        stage = stage.copy()
+        stage[yields] = Stage.FOLD
+        return self._agree(options, stage, goal, rank)
+
+    def _agree(self, options: list[_Option], stage: Ints, goal: Floats, rank: Ints) -> Ints:
+        """Stages (n,) of which no two can meet, but for those that stand."""
+        may = np.stack([o.may for o in options])
+        boxes = np.stack([o.boxes_deg for o in options])
+        stage = _next_that_may(stage, may)
+        rows, open_ = np.arange(len(stage)), np.arange(len(self.check.pairs))
+        while len(open_):
+            now = boxes[stage, rows]
+            meets = open_[self.check.meeting(now, now, open_)]
+            losers = self._losers(meets, stage, now, goal, rank)
+            if len(losers) == 0:
+                return stage
+            stage[losers] = _next_that_may(stage + 1, may)[losers]
+            changed = np.zeros(len(self.check.arms), dtype=bool)
+            changed[losers] = True
+            open_ = np.flatnonzero(changed[self.check.pairs].any(axis=1))
+        return stage
+
+    def _promote(self, options: list[_Option], stage: Ints, active: Flags, rank: Ints) -> Ints:
+        """Cobras that gave way to one that gave way itself take a better option that is free now."""
+        stage, n = stage.copy(), self.check.cobras
+        boxes, rows = np.stack([o.boxes_deg for o in options]), np.arange(n)
+        order = np.append(rank, np.full(len(self.check.arms) - n, n))
+        for level in range(Stage.TURN):
+            tries = np.append(active & (stage > level) & options[level].may, np.zeros(len(order) - n, bool))
+            i, j = self.check.pairs.T
+            near = np.flatnonzero(tries[i] | tries[j])
+            now = boxes[stage, rows]
+            better = np.where(tries[:n, None, None, None], boxes[level], now)
+            # each against its neighbours as they are, then those that try against one another
+            blocked = np.zeros(len(order), dtype=bool)
+            blocked[i[near[self.check.meeting(better, now, near)]]] = True
+            blocked[j[near[self.check.meeting(now, better, near)]]] = True
+            goes = tries & ~blocked
+            both = np.flatnonzero(goes[i] & goes[j])
+            met = both[self.check.meeting(better, better, both)]
+            goes[np.where(order[i[met]] < order[j[met]], j[met], i[met])] = False
+            stage[goes[:n]] = level
+        return stage
+
+    def _losers(self, meets: Ints, stage: Ints, now: Floats, goal: Floats, rank: Ints) -> Ints:
+        """Rows that take their next option: one of each pair that could meet."""
+        i, j = self.check.pairs[meets].T
+        n = self.check.cobras
+        kind = np.concatenate([stage, np.full(len(self.check.arms) - n, Stage.STAY)])
+        order = np.concatenate([rank, np.full(len(self.check.arms) - n, n)])
+        ends = box_of(goal, goal)[:, None]
+        # whoever would sweep where the other ends has to go before it
+        blocked_j = self.check.meeting(ends, now, meets)
+        blocked_i = self.check.meeting(now, ends, meets)
+        i_wins = order[i] < order[j]
+        i_wins = np.where(blocked_i != blocked_j, blocked_i, i_wins)
+        turns_i, turns_j = _turns(kind[i]), _turns(kind[j])
+        i_wins = np.where(turns_i != turns_j, turns_i, i_wins)
+        stands_i, stands_j = kind[i] == Stage.STAY, kind[j] == Stage.STAY
+        i_wins = np.where(stands_i != stands_j, stands_i, i_wins)
+        losers = np.where(i_wins, j, i)[~(stands_i & stands_j)]
+        return np.unique(losers)
+
+
+def _turns(kind: Ints) -> Flags:
+    turns: Flags = (kind == Stage.TURN) | (kind == Stage.FOLD)
+    return turns
+
+
+def _by_cobra(values: Floats) -> Floats:
+    return values.reshape(-1, 2)
+
+
+def _next_that_may(stage: Ints, may: Flags) -> Ints:
+    """(n,) the first of the stages from `stage` on that is open to each."""
+    later = np.arange(len(may))[:, None] >= np.minimum(stage, Stage.STAY)
+    return np.argmax(later & may, axis=0)

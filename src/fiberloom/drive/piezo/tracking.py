@@ -1,0 +1,130 @@
+"""From places of fibres to angles of motors: which elbow, which turn of theta, and where a hidden fibre is.
+
+A fibre at one place can belong to four poses: two elbows where phi can pass the folded or the stretched arm, two
+turns where theta can turn by more than 360 deg. One image does not tell; what motors did between images does.
+The likeliest sequence of poses is followed (Viterbi), so a wrong choice is put right by the next move.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fiberloom.drive.piezo.cobras import CobraArms
+from fiberloom.drive.piezo.learning import LearningLaw
+from fiberloom.typing import Flags, Floats, Ints
+
+POSES = 4
+LEAST_SIGMA_DEG = 1.0
+"""No motor is trusted to end nearer to where it should, where poses are told apart."""
+FREEDOM = 2.0
+"""Of the Student distribution of how far off moves end: some motors scatter much more than most."""
+IMPOSSIBLE = 1e6
+SAMPLES, FEWEST_SAMPLES = 400, 4
+"""Poses that are drawn to find where a hidden fibre may be, and how many must be behind the dot."""
+
+
+class Tracker:
+    """Poses of n cobras; tells the law of their motors where these are."""
+
+    def __init__(
+        self, arms: CobraArms, law: LearningLaw, dots_mm: Floats | None = None, seed: int = 0
+    ) -> None:
+        """`arms`; `law`: of their 2 n motors; `dots_mm` (n, 3): x, y, radius; `seed` of what is drawn."""
+        self.arms, self.law, self.dots_mm = arms, law, dots_mm
+        n = len(arms)
+        self.hidden, self.lost = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self._rng = np.random.default_rng(seed)
+        self._poses = np.zeros((n, POSES, 2))
+        self._cost = np.full((n, POSES), IMPOSSIBLE)
+
+    @property
+    def place_deg(self) -> Floats:
+        """(n, 2) where they are believed to be, in deg."""
+        assert self.law.place_deg is not None
+        return self.law.place_deg.reshape(-1, 2)
+
+    @property
+    def sigma_deg(self) -> Floats:
+        """(n, 2) standard deviations of that in deg."""
+        return np.sqrt(self.law.place_variance.reshape(-1, 2))
+
+    def believe(self, place_deg: Floats, sigma_deg: float | Floats) -> None:
+        """They are at `place_deg` (n, 2), known to `sigma_deg`: as after homing."""
+        variance = np.broadcast_to(np.square(sigma_deg), place_deg.shape)
+        self.law.believe(place_deg.ravel(), variance.ravel())
+        self._poses[:] = place_deg[:, None]
+        self._cost[:] = IMPOSSIBLE
+        self._cost[:, 0] = 0.0
+
+    def see(self, xy_mm: Floats, camera_um: float | Floats) -> None:
+        """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
+        seen = np.isfinite(xy_mm).all(axis=1)
+        sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
+        self._poses, self._cost, before, pose = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
+        assert self.law.place_deg is not None
+        self.law.place_deg = before.ravel()
+        error = self.arms.sigma_deg(np.where(seen[:, None], pose, before), camera_um)
+        self.law.see(np.where(seen[:, None], pose, np.nan).ravel(), error.ravel())
+        self._look_behind_dots(~seen)
+
+    def _follow(self, xy_mm: Floats, seen: Flags, sigma: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Poses (n, 4, 2) and their costs (n, 4) now; the best of them, and the one that it came from."""
+        told = (self.law.expected_deg() - self.place_deg.ravel()).reshape(-1, 2)
+        expected = np.clip(self._poses + told[:, None], 0.0, self.arms.range_deg[:, None])
+        poses, possible = self._candidates(xy_mm, expected, seen)
+        off = (poses[:, None] - expected[:, :, None]) / sigma[:, None, None]
+        step = 0.5 * (FREEDOM + 1.0) * np.log1p(off**2 / FREEDOM).sum(axis=3)
+        total = self._cost[:, :, None] + np.where(possible[:, None], step, IMPOSSIBLE)
+        rows, came_from = np.arange(len(poses)), total.argmin(axis=1)
+        cost = total.min(axis=1)
+        best = cost.argmin(axis=1)
+        before = self._poses[rows, came_from[rows, best]]
+        return poses, cost - cost.min(axis=1, keepdims=True), before, poses[rows, best]
+
+    def _candidates(self, xy_mm: Floats, expected: Floats, seen: Flags) -> tuple[Floats, Flags]:
+        """(n, 4, 2) poses at which a fibre is where it was seen, else where each was expected; if possible."""
+        found = self.arms.poses_deg(xy_mm)
+        possible = np.isfinite(found).all(axis=2)
+        possible[~seen.repeat(POSES).reshape(-1, POSES)] = True
+        # each possible pose of a hidden fibre comes from its own
+        return np.where(seen[:, None, None], np.nan_to_num(found), expected), possible
+
+    def may_hide(self) -> Flags:
+        """(n,) cobras whose fibre may be behind its dot, after what was sent last."""
+        hides = np.zeros(len(self.arms), dtype=bool)
+        if self.dots_mm is None:
+            return hides
+        expected = self.law.expected_deg().reshape(-1, 2)
+        sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
+        for row, dot_mm in enumerate(self.dots_mm):
+            hides[row] = len(self._draws_behind(row, dot_mm, expected[row], sigma[row])) >= FEWEST_SAMPLES
+        return hides
+
+    def _draws_behind(self, row: int, dot_mm: Floats, place_deg: Floats, sigma_deg: Floats) -> Floats:
+        """(k, 2) of SAMPLES drawn poses in deg those with the fibre behind the dot."""
+        draws = place_deg + sigma_deg * self._rng.standard_normal((SAMPLES, 2))
+        draws = np.clip(draws, 0.0, self.arms.range_deg[row])
+        rows: Ints = np.full(SAMPLES, row)
+        at = self.arms.segments_mm(draws, rows)[:, 2:]
+        behind: Floats = draws[np.hypot(*(at - dot_mm[:2]).T) < dot_mm[2]]
+        return behind
+
+    def _look_behind_dots(self, unseen: Flags) -> None:
+        """Fibres that are not seen are behind their dot, if they may be there; else they are lost."""
+        self.hidden[:], self.lost[:] = False, unseen
+        if self.dots_mm is None:
+            return
+        for row in np.flatnonzero(unseen):
+            self._behind(int(row), self.dots_mm[row])
+
+    def _behind(self, row: int, dot_mm: Floats) -> None:
+        behind = self._draws_behind(row, dot_mm, self.place_deg[row], self.sigma_deg[row])
+        if len(behind) < FEWEST_SAMPLES:
+            return
+        self.hidden[row], self.lost[row] = True, False
+        assert self.law.place_deg is not None
+        motors = slice(2 * row, 2 * row + 2)
+        self.law.place_deg[motors] = behind.mean(axis=0)
+        self.law.place_variance[motors] = behind.var(axis=0) + LEAST_SIGMA_DEG**2
+        self._poses[row] = behind.mean(axis=0)
+        self._cost[row] = np.where(np.arange(POSES) == 0, 0.0, IMPOSSIBLE)

@@ -1,0 +1,126 @@
+"""The twin of PFS as the hardware of a field: cobras behind their boards, in virtual time, under a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fiberloom.calibration.transmission.sweep import Calibration, Progress
+from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.pfs.numbering import COBRAS
+from fiberloom.drive.piezo import MotorMaps
+from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import Camera
+from fiberloom.twin.actuators import PiezoErrors, drawn_maps
+from fiberloom.twin.camera.models import image_camera
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.cobras.array import CobraArray
+from fiberloom.twin.cobras.streams import VirtualBoards
+from fiberloom.twin.errors.sizes import TwinErrors
+from fiberloom.twin.hardware import check_camera, draw_faults
+
+KIND = "cobras of the twin begin at home; their arms and dots are those of the layout"
+
+
+@dataclass(frozen=True)
+class CobraSource:
+    """Implements `fiberloom.operation.source.Source`; what is wrong with its arguments is told at once.
+
+    `plane` of cobras; `seed` of motors and noise; `camera`: noise or image; `faults` and `errors`: as of the
+    other twins; `maps` of the 2 N motors, without their errors, drawn when left out.
+    """
+
+    plane: FocalPlane
+    seed: int
+    camera: str
+    faults: str = ""
+    errors: str = "none"
+    maps: MotorMaps | None = None
+
+    def __post_init__(self) -> None:
+        check_camera(self.camera)
+        if self.plane.positioner_id.max(initial=0) > COBRAS:
+            raise InputError(f"cobra {self.plane.positioner_id.max()}: boards have {COBRAS} of them")
+        timed = [
+            f for f in draw_faults(self.plane, self.faults, self.seed) if f.start_s > 0 or f.end_s < np.inf
+        ]
+        if timed:
+            raise InputError(
+                f"--faults {timed[0].kind}: faults of cobras are there from the begin; leave out @ and +"
+            )
+        self._twin_errors  # noqa: B018  an unknown name is told now
+
+    @cached_property
+    def _twin_errors(self) -> TwinErrors:
+        return TwinErrors.of(self.plane.instrument, self.errors)
+
+    @cached_property
+    def known_maps(self) -> MotorMaps:
+        """What the host has: drawn for all cobras of the instrument, so that each keeps its own."""
+        if self.maps is not None:
+            return self.maps
+        every = drawn_maps(COBRAS, self.seed)
+        rows = (2 * (self.plane.positioner_id[:, None] - 1) + np.arange(2)).ravel()
+        return MotorMaps(every.step_deg[rows], every.bin_deg, every.pulse_us[rows])
+
+    @cached_property
+    def array(self) -> CobraArray:
+        """The cobras as they are."""
+        array = CobraArray(self.plane, self.known_maps, PiezoErrors(), self.seed)
+        for fault in draw_faults(self.plane, self.faults, self.seed):
+            array.inject(fault.fault)
+        return array
+
+    @cached_property
+    def boards(self) -> VirtualBoards:
+        """Their boards; the clock of all."""
+        return VirtualBoards(self.array)
+
+    @cached_property
+    def hardware(self) -> Hardware:
+        """The field; it keeps its state from one observation to the next."""
+        drive = CobraDrive(
+            self.plane, self.known_maps, FpgaClient(self.boards.connector()), self.array.dots_mm
+        )
+        vouched = np.ones(len(self.plane), dtype=bool)
+        return Hardware(None, self._camera(), self.array, vouched=vouched, telescope=self.array, drive=drive)
+
+    def _camera(self) -> Camera:
+        if self.camera == "image":
+            return image_camera(self.array, self.seed, errors=self._twin_errors)
+        noise_um = self.plane.instrument.metrology.noise_rms_um
+        return NoiseCamera(self.array, noise_um, self.seed, self._twin_errors)  # type: ignore[arg-type]
+
+    async def open(self) -> Hardware:
+        """The field as it is now."""
+        return self.hardware
+
+    async def sweep(self, points: int, progress: Progress) -> Calibration | None:
+        """Cobras have motor maps; there is no bench that sweeps `points`, and no `progress`."""
+        return None
+
+    def maps_file(self, points: int) -> Path | None:
+        """None: motor maps are not transmission maps, however many `points` these have."""
+        return None
+
+    def about(self) -> dict[str, Any]:
+        """What was put in."""
+        errors = PiezoErrors()
+        told = {
+            "motors": f"lasting errors {errors.unit_sd:g}, of a place {errors.here_sd:g}, fresh "
+            f"{errors.move_median:g} of the way; fitted to the published convergence",
+            "motor maps": "drawn as the published ones are distributed" if self.maps is None else "given",
+            "camera": self.camera,
+        }
+        return {"put_in": told, "notes": [KIND]}
+
+    @property
+    def true_plane(self) -> FocalPlane | None:
+        """The layout: its arms are the true ones."""
+        return self.plane
