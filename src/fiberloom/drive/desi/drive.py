@@ -21,7 +21,7 @@ from fiberloom.drive.desi.frames import (
     rows_of,
     table_frames,
 )
-from fiberloom.drive.desi.learned import PLANETARY, LearnedMaps, MapBasis
+from fiberloom.drive.desi.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
@@ -65,14 +65,13 @@ class DesiDrive:
         self,
         plane: FocalPlane,
         transport: Transport,
-        here_deg: Floats | None = None,
-        basis: MapBasis = PLANETARY,
+        maps: LearnedMaps | None = None,
     ) -> None:
-        """`plane`: N positioners; `transport` of their frames; `here_deg` (N, 2) after homing, folded when
-        left out; `basis`: of the maps that are learnt.
+        """`plane`: N positioners; `transport` of their frames; `maps` as learnt so far: when left out nothing,
+        and all are taken to be folded.
         """
         self.plane, self.transport = plane, transport
-        self.maps = LearnedMaps(plane, plane.park_deg if here_deg is None else here_deg, basis)
+        self.maps = maps or LearnedMaps(plane, plane.park_deg)
         self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
         self.ids: list[int] = []
         self.safe_deg = safe_phi_deg(plane)

@@ -90,7 +90,7 @@ def draw_desi_units(plane: FocalPlane, seed: int, sizes: DesiSizes | None = None
     stuck = (rng.random(n) < sizes.stuck) | plane.offline
     dark = rng.random(n) < sizes.dark
     scale = _scales(n, rng, sizes)
-    stops = np.broadcast_to(plane.hard_stops_deg, (n, 2, 2)).copy()
+    stops = plane.stops_of().copy()
     return DesiUnits(arms, lengths[:, 1], gears, scale, stops, stuck, dark, sizes)
 
 
