@@ -33,8 +33,8 @@ def test_the_angles_that_made_a_place_are_among_its_solutions(name, shares):
     found = plane.solutions(xy)
     rows, which = np.nonzero(found.holds)
     for_all = found.angles_deg[rows, which]
-    # all of them lead there, within the limits
-    assert np.abs(plane.forward(*for_all.T, index=rows) - xy[rows]).max() < 1e-8
+    # all of them lead there, within the limits; these hold to 1e-9 rad on both axes, at 25 mm at most
+    assert np.abs(plane.forward(*for_all.T, index=rows) - xy[rows]).max() < 5e-8
     low, high = np.moveaxis(plane.limits_of(rows), -1, 0)
     assert ((for_all >= low) & (for_all <= high)).all()
     # and the one that was asked for is found: 0.01 deg where an arm that is nearly straight hides digits
