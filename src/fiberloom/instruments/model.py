@@ -13,9 +13,10 @@ from pydantic import Field, model_validator
 
 from fiberloom.instruments.array import MOST_POSITIONERS as MOST_POSITIONERS
 from fiberloom.instruments.array import Dots as Dots
-from fiberloom.instruments.array import Layout, UnitScatter
+from fiberloom.instruments.array import Layout as Layout
 from fiberloom.instruments.array import Modules as Modules
 from fiberloom.instruments.array import Scatter as Scatter
+from fiberloom.instruments.array import UnitScatter as UnitScatter
 from fiberloom.instruments.axis import Axis as Axis
 from fiberloom.instruments.axis import Drive as Drive
 from fiberloom.instruments.axis import Range, protocol_of

@@ -92,7 +92,8 @@ def _latest(table: TableFile) -> Ints:
     location, time = table.integers("location"), table.strings("time_recorded")
     order = np.lexsort((time, location))
     last = np.append(location[order][1:] != location[order][:-1], True)
-    return order[last]
+    rows: Ints = order[last]
+    return rows
 
 
 def _petals(table: TableFile) -> Ints:
