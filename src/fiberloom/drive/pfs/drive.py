@@ -20,7 +20,6 @@ from fiberloom.drive.piezo.tracking import Tracker
 from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Trajectory, Verification
 from fiberloom.planning.verification import Violation
 from fiberloom.typing import Flags, Floats, Ints
@@ -89,10 +88,7 @@ class CobraDrive:
         self.law = LearningLaw(maps, curve_us, self.settings.motors)
         self.tracker = Tracker(self.arms, self.law, dots_mm)
         self.stages = Stages.of(self.arms, plane.fiducials, self.settings.stages, dots_mm)
-        self.model = DriveModel(
-            CorrectionNoise.of(plane), astray_mm=ASTRAY_MM, allowed_mm=1.0, scatter_mm=0.1,
-            seen_is_believed=True, reports=False,
-        )  # fmt: skip
+        self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
         self._discs_mm = plane.fiducials
         self._answers: list[int] = []
         self._seed = 0

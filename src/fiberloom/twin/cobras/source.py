@@ -47,9 +47,13 @@ class CobraSource:
         check_camera(self.camera)
         if self.plane.positioner_id.max(initial=0) > COBRAS:
             raise InputError(f"cobra {self.plane.positioner_id.max()}: boards have {COBRAS} of them")
-        timed = [f for f in draw_faults(self.plane, self.faults, self.seed) if f.start_s > 0 or f.end_s < np.inf]
+        timed = [
+            f for f in draw_faults(self.plane, self.faults, self.seed) if f.start_s > 0 or f.end_s < np.inf
+        ]
         if timed:
-            raise InputError(f"--faults {timed[0].kind}: faults of cobras are there from the begin; leave out @ and +")
+            raise InputError(
+                f"--faults {timed[0].kind}: faults of cobras are there from the begin; leave out @ and +"
+            )
         self._twin_errors  # noqa: B018  an unknown name is told now
 
     @cached_property
@@ -85,9 +89,7 @@ class CobraSource:
             self.plane, self.known_maps, FpgaClient(self.boards.connector()), self.array.dots_mm
         )
         vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(
-            None, self._camera(), self.array, vouched=vouched, telescope=self.array, drive=drive
-        )
+        return Hardware(None, self._camera(), self.array, vouched=vouched, telescope=self.array, drive=drive)
 
     def _camera(self) -> Camera:
         if self.camera == "image":
