@@ -131,6 +131,10 @@ class CameraTable(Table):
     """True: y in the image runs against y in the focal plane, at rotation 0."""
     field_radius_mm: Positive
     """Of the disc on which the terms of the distortion are orthonormal."""
+    turn_tolerance_deg: Positive = 15.0
+    """How far it may be turned from there, by a rotator or by how it hangs."""
+    shift_tolerance_mm: Positive = 20.0
+    """How far it may be shifted: less than the pitch where fibres at home make a lattice like the fiducials."""
     distortion_reach_mm: Positive = 3.0
     """How far distortion bends the image across a part of the field, at most."""
     fiducial_sigma_um: NotNegative = 0.0

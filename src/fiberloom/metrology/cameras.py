@@ -19,7 +19,7 @@ BENCHES = {
     "close-up": CameraGeometry(1024, 1024, 0.008),
 }
 ROTATOR_DEG, SHIFT_MM = 15.0, 20.0
-"""How far a camera may hang from where it should, in the loop."""
+"""How far a camera that no instrument describes may hang from where it should, in the loop."""
 FIDUCIALS = 4
 """Fewer do not tell where the camera looks."""
 ALL_IN_VIEW_PX = 4096
@@ -45,9 +45,9 @@ def geometry_of(instrument: Instrument) -> CameraGeometry:
 
 def reduction_settings(camera: CameraTable | None, geometry: CameraGeometry) -> ReductionSettings:
     """How images of this camera become positions; the turn that is searched is that of a rotator."""
-    loose = replace(geometry, rotation_tolerance_deg=ROTATOR_DEG, shift_tolerance_mm=SHIFT_MM)
     if camera is None:
-        return ReductionSettings(loose)
+        return ReductionSettings(_loose(geometry, ROTATOR_DEG, SHIFT_MM))
+    loose = _loose(geometry, camera.turn_tolerance_deg, camera.shift_tolerance_mm)
     return ReductionSettings(
         loose,
         terms=range(zhao_burge.N_TERMS) if camera.terms == "all" else None,
@@ -56,6 +56,10 @@ def reduction_settings(camera: CameraTable | None, geometry: CameraGeometry) -> 
         turbulence=camera.turbulence,
         acquisition=AcquisitionSettings(coarse_mm=camera.distortion_reach_mm),
     )
+
+
+def _loose(geometry: CameraGeometry, turn_deg: float, shift_mm: float) -> CameraGeometry:
+    return replace(geometry, rotation_tolerance_deg=turn_deg, shift_tolerance_mm=shift_mm)
 
 
 def view_of(plane: FocalPlane) -> tuple[CameraGeometry, float]:

@@ -20,7 +20,6 @@ from fiberloom.drive.piezo.tracking import Tracker
 from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.planning import Plan, Trajectory, Verification
 from fiberloom.planning.verification import Violation
 from fiberloom.typing import Flags, Floats, Ints
@@ -89,10 +88,7 @@ class CobraDrive:
         self.law = LearningLaw(maps, curve_us, self.settings.motors)
         self.tracker = Tracker(self.arms, self.law, dots_mm)
         self.stages = Stages.of(self.arms, plane.fiducials, self.settings.stages, dots_mm)
-        self.model = DriveModel(
-            CorrectionNoise.of(plane), astray_mm=ASTRAY_MM, allowed_mm=1.0, scatter_mm=0.1,
-            seen_is_believed=True, reports=False,
-        )  # fmt: skip
+        self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
         self._discs_mm = plane.fiducials
         self._answers: list[int] = []
         self._seed = 0
@@ -140,7 +136,7 @@ class CobraDrive:
     async def believed(self, ids: Ints) -> Believed:
         """Where these (n,) are by their steps and the images so far."""
         rows = np.atleast_1d(self.plane.index_of(ids))
-        place = self._expected_deg()[rows]
+        place = self.expected_deg[rows]
         answered = np.isin(ids, self._answers)
         return Believed(place + stops_deg(self.plane)[0][rows], place, answered)
 
@@ -172,7 +168,7 @@ class CobraDrive:
         if image.loose_mm is None:
             return np.full((len(self.plane), 2), np.nan)
         sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
-        return pair_loose(self.arms, self._expected_deg(), sigma, ~image.seen, image.loose_mm)
+        return pair_loose(self.arms, self.expected_deg, sigma, ~image.seen, image.loose_mm)
 
     def _camera_um(self, image: Measurement) -> Floats:
         """(N,) um per axis by which an image errs."""
@@ -183,7 +179,9 @@ class CobraDrive:
         told = UM_PER_MM * np.sqrt(0.5 * np.trace(noise, axis1=1, axis2=2))
         return np.where(np.isfinite(told), np.maximum(told, usual), usual)
 
-    def _expected_deg(self) -> Floats:
+    @property
+    def expected_deg(self) -> Floats:
+        """(N, 2) angles from the stops in deg where they should be now."""
         return np.clip(self.law.expected_deg().reshape(-1, 2), 0.0, self.arms.range_deg)
 
     # moves
@@ -194,7 +192,7 @@ class CobraDrive:
 
     async def compile(self, plan: Plan) -> Programme:
         """One iteration towards the end of a `plan` that was made elsewhere: its way is not that of cobras."""
-        here = self._expected_deg() + stops_deg(self.plane)[0]
+        here = self.expected_deg + stops_deg(self.plane)[0]
         return await asyncio.to_thread(self._programme, plan.end_deg, here, self.plane)
 
     def _programme(self, goal_deg: Floats, here_deg: Floats, obstacles: FocalPlane) -> Programme:

@@ -149,5 +149,5 @@ class CobraArms:
 
 def stops_deg(plane: FocalPlane) -> tuple[Floats, Floats]:
     """Hard stops (n, 2) in deg, counter-clockwise and clockwise, of alpha and beta."""
-    stops = np.broadcast_to(plane.hard_stops_deg, (len(plane), 2, 2))
+    stops = plane.stops_of()
     return stops[:, :, 0], stops[:, :, 1]

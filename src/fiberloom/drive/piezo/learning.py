@@ -18,6 +18,10 @@ class LearningSettings:
     gain_sigma: float = 0.20
     drift_sigma: float = 0.10
     """By so much the gain differs from place to place, and between pulses."""
+    measured_gain_sigma: float = 0.05
+    """The same, where a calibration has measured the map."""
+    least_scatter: float = 0.05
+    """No motor is believed to scatter less, whatever two passes of a calibration show."""
     move_sigma: float = 0.15
     """Fresh scatter of a move, of its way."""
     step_sigma: float = 0.6
@@ -54,6 +58,13 @@ class LearningLaw:
         self.place_deg: Floats | None = None
         self.place_variance = np.zeros(maps.motors)
         self._sent: tuple[Floats, Floats, Ints] | None = None
+
+    def trust_maps(self, scatter: Floats, known: Flags) -> None:
+        """Maps of motors `known` (M,) were measured; `scatter` (M,): of their moves, a share of the way."""
+        s = self.settings
+        used = known & np.isfinite(scatter)
+        self.gain[used], self.gain_variance[used] = 1.0, s.measured_gain_sigma**2
+        self.move_variance = np.where(used, np.maximum(scatter, s.least_scatter) ** 2, self.move_variance)
 
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
         """What to send.

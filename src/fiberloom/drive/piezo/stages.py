@@ -128,6 +128,16 @@ class Stages:
         found: Ints = self.check.pairs[self.check.meeting(boxes, boxes)]
         return found
 
+    def out_freely(self, theta_deg: Floats, within_deg: float) -> Flags:
+        """(n,) cobras that touch no disc whatever phi does, with theta `within_deg` of `theta_deg` (n,)."""
+        low = np.column_stack([theta_deg - within_deg, np.zeros(len(theta_deg))])
+        high = np.column_stack([theta_deg + within_deg, self.arms.range_deg[:, PHI]])
+        boxes = box_of(low, high)[:, None]
+        discs = np.flatnonzero(self.check.pairs[:, 1] >= self.check.cobras)
+        free = np.ones(len(theta_deg), dtype=bool)
+        free[self.check.pairs[discs[self.check.meeting(boxes, boxes, discs)], 0]] = False
+        return free
+
     def choose(self, motors: Motors, goal_deg: Floats, active: Flags, seed: int = 0) -> Chosen:
         """The next iteration.
 
@@ -161,7 +171,7 @@ class Stages:
         way = self._limited(motors, goal_deg - here)
         turn, turns_safely = self._turn(motors, here, goal_deg)
         fold = np.column_stack([here[:, THETA], turn[:, PHI]])
-        inside, always = self._inside(here, doubt), np.ones(len(here), dtype=bool)
+        inside, always = self.inside(here, doubt), np.ones(len(here), dtype=bool)
         # who folds does so first, who goes out last
         out = [
             self._option(motors, here, here + way * np.array([1.0, share]), way[:, PHI] < 0.0)
@@ -242,7 +252,8 @@ class Stages:
         doubt = self.settings.sigmas * _by_cobra(motors.doubt_deg(way.ravel()))
         return np.maximum(doubt, self.settings.least_share * np.abs(way))
 
-    def _inside(self, here: Floats, doubt: Floats) -> Flags:
+    def inside(self, here: Floats, doubt: Floats) -> Flags:
+        """(n,) cobras within their territories, at (n, 2) deg from the stops, known to `doubt` (n, 2)."""
         inside: Flags = here[:, PHI] + self.settings.sigmas * doubt[:, PHI] <= self.phi_in_deg
         return inside
 

@@ -82,8 +82,7 @@ class CobraArray:
         used = PiezoErrors() if errors is None else errors
         self.motors = PiezoMotors(maps, (high - low).ravel(), start.ravel(), used, seed)
         self.plane, self.pointing, self.unlit = plane, Pointing(), np.zeros(n, dtype=bool)
-        dots_mm: Floats | None = getattr(plane, "dots_mm", None)
-        self.dots_mm = drawn_dots(plane.centres_mm, seed) if dots_mm is None else dots_mm
+        self.dots_mm = drawn_dots(plane.centres_mm, seed) if plane.dots_mm is None else plane.dots_mm
         self.contacts: list[Contact] = []
         self.clock: Callable[[], float] = lambda: 0.0
         self._low = low

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fiberloom.calibration.cobras import CobraCalibration, calibrate_cobras
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.pfs.numbering import COBRAS
@@ -42,6 +43,8 @@ class CobraSource:
     faults: str = ""
     errors: str = "none"
     maps: MotorMaps | None = None
+    calibrated: bool = True
+    """Motors are calibrated before the first field, with the camera that knows whose spot is whose."""
 
     def __post_init__(self) -> None:
         check_camera(self.camera)
@@ -94,12 +97,34 @@ class CobraSource:
     def _camera(self) -> Camera:
         if self.camera == "image":
             return image_camera(self.array, self.seed, errors=self._twin_errors)
+        return self._noise_camera()
+
+    def _noise_camera(self) -> Camera:
         noise_um = self.plane.instrument.metrology.noise_rms_um
         return NoiseCamera(self.array, noise_um, self.seed, self._twin_errors)  # type: ignore[arg-type]
 
     async def open(self) -> Hardware:
-        """The field as it is now."""
+        """The field as it is now; at first home, with motors calibrated."""
+        if self.calibrated and not self.calibrations:
+            await self._calibrate()
         return self.hardware
+
+    @cached_property
+    def calibrations(self) -> list[CobraCalibration]:
+        """What was found before the first field; empty until then."""
+        return []
+
+    async def _calibrate(self) -> None:
+        bench = FpgaClient(self.boards.connector())
+        drive = CobraDrive(self.plane, self.known_maps, bench, self.array.dots_mm)
+        found = await calibrate_cobras(drive, self._noise_camera())
+        self.calibrations.append(found)
+        await drive.home()
+        self.array.contacts.clear()
+        own = self.hardware.drive
+        assert isinstance(own, CobraDrive)
+        own.law.maps = found.motors.maps
+        own.law.trust_maps(found.motors.scatter, np.array([not r for r in found.motors.reason]))
 
     async def sweep(self, points: int, progress: Progress) -> Calibration | None:
         """Cobras have motor maps; there is no bench that sweeps `points`, and no `progress`."""
