@@ -28,16 +28,19 @@ class Field:
         )
         self.recorder = SimpleNamespace(event=lambda kind, text, *which: self.events.append((kind, text)))
 
-        self.care = SimpleNamespace(planned=self.planned)
+        self.drive, self.asked = SimpleNamespace(prepare=self.prepare), []
 
-    async def planned(self, make, *args, **settings):
-        return make(*args, **settings)
+    wanted = operation.FieldMotion.wanted
+
+    async def prepare(self, wanted):
+        self.asked.append(wanted)
+        return SimpleNamespace(plan=wanted.seed)
 
     def progress(self, label):
         pass
 
     async def move(self, number, label, planned, goals):
-        self.labels.append((number, label, planned))
+        self.labels.append((number, label, planned.plan))
         return np.arange(N) < (2 if len(self.labels) <= self.interrupted_times else 0)
 
 
@@ -45,8 +48,7 @@ class Field:
     ("recoveries", "interrupted_times", "n_moves", "n_events"),
     [(0, 0, 1, 0), (0, 9, 1, 1), (2, 0, 1, 0), (2, 1, 2, 1), (2, 2, 3, 2), (2, 9, 3, 3)],
 )
-def test_an_interrupted_move_is_planned_again(monkeypatch, recoveries, interrupted_times, n_moves, n_events):
-    monkeypatch.setattr(operation, "plan", lambda plane, here, goal, *, seed, approach_deg: seed)
+def test_an_interrupted_move_is_planned_again(recoveries, interrupted_times, n_moves, n_events):
     field = Field(interrupted_times)
     asyncio.run(operation.FieldMotion.go(field, GOALS, seed=7, recoveries=recoveries))
     labels = ["blind", *(f"{operation.ROUND_FAULTS} {i}" for i in range(1, n_moves))]
@@ -55,10 +57,8 @@ def test_an_interrupted_move_is_planned_again(monkeypatch, recoveries, interrupt
     assert field.events == [("recovery", "2 positioners interrupted")] * n_events
 
 
-def test_what_cannot_move_is_planned_to_stay(monkeypatch):
-    goals = []
-    monkeypatch.setattr(operation, "plan", lambda plane, here, goal, **settings: goals.append(goal))
+def test_what_cannot_move_is_planned_to_stay():
     field = Field(0)
     field.state.mobile[1] = False
     asyncio.run(operation.FieldMotion.go(field, GOALS, recoveries=0))
-    np.testing.assert_array_equal(goals[0][:, 0], [90.0, 0.0, 90.0, 90.0])
+    np.testing.assert_array_equal(field.asked[0].goal_deg[:, 0], [90.0, 0.0, 90.0, 90.0])
