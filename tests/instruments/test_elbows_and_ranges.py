@@ -83,6 +83,11 @@ def test_a_unit_keeps_to_its_own_range():
     assert plane.inverse(xy).gap_mm[0] == 0.0  # only its limits stand in the way
     assert plane.inverse(plane.forward(40.0, 90.0)).reachable.all()
     assert plane.select([1, 0]).stops_of()[1, 0].tolist() == [8.0, 72.0]
+    # folded, but no farther than it can
+    targets = plane.limits_of().copy()
+    targets[0, 1] = 0.0, 165.0
+    short = replace(plane, ranges=Ranges(targets, plane.stops_of()))
+    assert short.park_deg[:2].tolist() == [[10.0, 165.0], [10.0, 170.0]]
 
 
 def test_ranges_are_kept_in_files_and_in_the_mark(tmp_path):

@@ -80,7 +80,8 @@ class Bodies(Table):
     """Radius of that capsule."""
     collision_shrink_mm: NotNegative = 0.0
     """By how much that radius may shrink for a configuration that was decided elsewhere."""
-    fiducial_radius_mm: Positive
+    fiducial_radius_mm: NotNegative
+    """0: no arm can touch a fiducial."""
     guide_camera_radius_mm: Positive = 1.0
     parts: tuple[Outline, ...] = ()
     """What planner and verifier take for a positioner; none: that capsule. Another collision buffer makes

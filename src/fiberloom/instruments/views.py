@@ -68,8 +68,11 @@ class Views:
 
     @property
     def park_deg(self) -> Floats:
-        """(N, 2) folded: where positioners wait."""
-        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+        """(N, 2) folded: where positioners wait, within the range of each."""
+        folded = np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+        return (
+            folded if self.ranges is None else np.clip(folded, *np.moveaxis(self.ranges.targets_deg, -1, 0))
+        )
 
     @property
     def limits_deg(self) -> Floats:

@@ -86,7 +86,7 @@ class _Drawing:
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
         self.obstacles = bodies.obstacles
-        self.approach = beside(plane, approach_rad(plane, approach_deg).max(initial=0.0))
+        self.approach = beside(plane, approach_rad(plane, approach_deg).max(initial=0.0)).tolist()
         self.angles = deg_to_rad(plane.offline_position_deg)
         self.placed = plane.offline.copy()
 

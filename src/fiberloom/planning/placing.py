@@ -45,8 +45,8 @@ class _Placing:
         bodies = CollisionBodies.of(plane)
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
-        self.approach = beside(plane, approach_rad(plane, None).max(initial=0.0))
-        park = deg_to_rad(plane.instrument.positioner.park_deg)
+        self.approach = beside(plane, approach_rad(plane, None).max(initial=0.0)).tolist()
+        park = deg_to_rad(plane.park_deg)
         still = deg_to_rad(plane.offline_position_deg)
         self.angles = np.where(plane.offline[:, None], still, park)
         self.rank = np.full(plane.n, candidates_deg.shape[1])

@@ -96,8 +96,8 @@ def most_probable(
 
 
 def estimated_angles(plane: FocalPlane, r_est: Floats, near_deg: Floats, index: Ints) -> Floats:
-    """Eq. 32: angles (n, 2) in deg by Eq. 2, on the elbow and turn nearest to `near_deg` (n, 2); NaN where out of
-    reach.
+    """Eq. 32: angles (n, 2) in deg by Eq. 2, on the elbow and turn nearest to `near_deg` (n, 2); NaN where
+    out of reach.
 
     `r_est` (n, 2) mm: the most probable place, of the rows `index` of the `plane`.
     """
