@@ -28,9 +28,13 @@ _WHY = {
 }
 
 
-def proven(plane: FocalPlane, plan: Plan) -> Verification:
-    """What the verifier finds on a way that tables make arms go."""
-    return verify(plane, plan, limits=CLOCK)
+def proven(plane: FocalPlane, plans: Iterable[Plan]) -> Verification:
+    """What the verifier finds on ways that tables make arms go: the first that is not safe, else the last."""
+    for plan in plans:
+        found = verify(plane, plan, limits=CLOCK)
+        if not found.ok:
+            return found
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,9 @@ class Resolved:
     move: Staged
     made: Timed
     plan: Plan
+    """Of gears without play."""
+    loose: Plan
+    """Of gears with as much as the instrument allows."""
     rounds: int
     waits: int
     """Units that wait for another."""
@@ -57,21 +64,22 @@ class Resolver:
     def resolve(self) -> Resolved:
         """Rounds of verifying and mending; where that does not end, those that still meet others stay."""
         for count in range(1, ROUNDS + 1):
-            made, plan = self._made()
-            found = proven(self.plane, plan)
+            made, plan, loose = self._made()
+            found = proven(self.plane, (plan, loose))
             if found.ok:
                 waits = int((self.move.turn > 0).any(axis=1).sum())
-                return Resolved(self.move, made, plan, count, waits)
+                return Resolved(self.move, made, plan, loose, count, waits)
             for violation in found.violations:
                 self._mend(made, violation, hard=count > ROUNDS // 2)
         self._hold_back(np.flatnonzero(self.move.moves), "the others, in any order that was tried")
-        made, plan = self._made()
-        return Resolved(self.move, made, plan, ROUNDS, 0)
+        made, plan, loose = self._made()
+        return Resolved(self.move, made, plan, loose, ROUNDS, 0)
 
-    def _made(self) -> tuple[Timed, Plan]:
+    def _made(self) -> tuple[Timed, Plan, Plan]:
         made = timed(self.move)
         aims = replace(self.ends(self.move), refused=dict(self.refused))
-        return made, plan_of(self.plane, made, aims)
+        theta, phi = (axis.backlash_deg for axis in self.plane.instrument.axes)
+        return made, plan_of(self.plane, made, aims), plan_of(self.plane, made, aims, (theta, phi))
 
     def _mend(self, made: Timed, violation: Violation, hard: bool) -> None:
         """Another order of two that meet, or less of a way; `hard`: no more orders are tried."""
