@@ -18,9 +18,9 @@ from fiberloom.typing import Floats
 MOST_TURNS = 3
 """Of a stage: each makes all others wait."""
 ROUNDS = 30
-CLOCK = MotionLimits(speed_deg_s=180.0, acceleration_deg_s2=1e6, separating=True)
-"""The clock of the motors sees to speeds and ramps; corners of a path are steps of it. Arms that stand nearer
-than their tubes may move apart."""
+CLOCK = MotionLimits(speed_deg_s=300.0, acceleration_deg_s2=1e6, separating=True)
+"""The clock of the motors sees to speeds and ramps: a path has corners a tick apart, with times rounded to
+1 us, and waves of gears on it. Arms that stand nearer than their tubes may move apart."""
 _WHY = {
     Level.NOT_EXTENDED: "it would meet {other} when it extends; it stays retracted",
     Level.RETRACTED: "it would meet {other} when it rotates; it stays retracted",
@@ -94,15 +94,19 @@ class Resolver:
         stage = int(stage_of[row] or 0)
         other = second if row == first else first
         if other is None or hard or not self._reorder(row, other, stage):
-            name = violation.other if other is None else f"positioner {self._name(other)}"
-            self._shorten(row, stage, name)
+            name = f"positioner {self._name(other)}" if other is not None else violation.other
+            self._shorten(row, stage, name or f"a limit ({violation.kind})")
 
     def _at_an_end(self, rows: list[int], violation: Violation) -> None:
         """They meet where one begins or ends: the one of the longer way makes less of it."""
         rows = [row for row in rows if self.move.moves[row]]
         if rows:
             row = max(rows, key=lambda k: int(np.abs(self.move.reduced[k]).sum()))
-            self._shorten(row, Stage.APPROACH, violation.other or "another")
+            other = (
+                str(violation.positioner_id) if violation.other == str(self._name(row)) else violation.other
+            )
+            name = f"positioner {other}" if other.isdigit() else other or f"a limit ({violation.kind})"
+            self._shorten(row, Stage.APPROACH, name)
 
     def _reorder(self, row: int, other: int, stage: int) -> bool:
         """Tries the one after the other, then the reverse; False: both were tried, or one does not move."""
