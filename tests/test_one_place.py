@@ -16,7 +16,7 @@ PACKAGE = Path(fiberloom.__file__).parent
 
 FACTS = {
     "columns of arms": (r"arms\[[^\]]*, ?-?[0-9]", "instruments/arms.py"),
-    "length of the beta arm": (r"hypot\(\*?[\w.]*points\[", "instruments/focal_plane.py"),
+    "length of the beta arm": (r"hypot\(\*?[\w.]*points\[", "instruments/views.py"),
     "names of the axes": (r"[(\[]['\"]alpha['\"], ['\"]beta['\"][)\]]", "units.py"),
     "gear": (r"(?<!SAMPLES = )\b1024(\.0)?\b(?!, )|\bN_BAR\b", "units.py"),
     "tick": (r"\b(0\.5e-3|5e-4|0\.0005|0\.25e-3)\b", "units.py"),

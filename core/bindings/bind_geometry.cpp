@@ -141,8 +141,8 @@ void bind_geometry(nb::module_ &m) {
           nb::arg("limits_rad"),
           "Angles (N, 4, 2) in rad inside the limits, how many of the four hold, and how far in mm "
           "each target lies outside the annulus of its arms. Eq. 2, both elbows.");
-    g.def("inverse", &inverse_each, nb::arg("arms"), nb::arg("point_mm"), nb::arg("target_mm"),
-          nb::arg("limits_rad"), "The same with limits of each arm, (N, 2, 2).");
+    g.def("inverse_each", &inverse_each, nb::arg("arms"), nb::arg("point_mm"), nb::arg("target_mm"),
+          nb::arg("limits_rad"), "As `inverse`, with limits of each arm, (N, 2, 2).");
     g.def("jacobian", &jacobian, nb::arg("arms"), nb::arg("point_mm"), nb::arg("angles_rad"),
           "d(x, y)/d(alpha, beta), (N, 2, 2) in mm/rad.");
     g.def("segment_distance", &segment_distance, nb::arg("first_mm"), nb::arg("second_mm"),

@@ -7,6 +7,7 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/function.h>
+#include <nanobind/stl/variant.h>
 
 #include <algorithm>
 
@@ -20,6 +21,7 @@ using PartRows = Input<double, -1, 8>;
 using Travel = Input<double, 2, 2>;
 using Travels = Input<double, -1, 2, 2>;
 using SidePair = std::array<double, 2>;
+using FromGoal = std::variant<double, SidePair>; // above on both axes, or of each with its sign
 using Flags = Input1<bool>;
 using Points = Input<double, -1, 3>;
 using Dict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -56,6 +58,12 @@ std::vector<fl::Limits> limits_of(const Travels &travels) {
 Sides sides_of(SidePair sides) {
     if (std::abs(sides[0]) != 1.0 || std::abs(sides[1]) != 1.0) throw nb::value_error("sides: 1 or -1");
     return {sides[0], sides[1]};
+}
+
+fl::Angles approach_of(const FromGoal &from) {
+    if (const double *above = std::get_if<double>(&from)) return {*above, *above};
+    const SidePair &of_each = std::get<SidePair>(from);
+    return {of_each[0], of_each[1]};
 }
 
 template <class T> std::vector<T> vector_of(const Input1<T> &row) {
@@ -416,9 +424,9 @@ void bind_lateness(nb::module_ &m) {
 
 // --- goals alone -------------------------------------------------------------------------------
 
-Output<int, -1, 2> find_conflicts(const Bodies &bodies, Pairs goals, double approach, SidePair sides) {
+Output<int, -1, 2> find_conflicts(const Bodies &bodies, Pairs goals, const FromGoal &approach) {
     need_rows("goals", goals.shape(0), bodies.arms.size());
-    const auto found = conflicts(bodies, angles_of(goals), sides_of(sides).beside(approach));
+    const auto found = conflicts(bodies, angles_of(goals), approach_of(approach));
     auto out = new_array<int, -1, 2>({found.size(), 2});
     for (size_t k = 0; k < found.size(); ++k) std::copy(found[k].begin(), found[k].end(), out.data() + 2 * k);
     return out;
@@ -432,35 +440,30 @@ std::vector<int> rows_of(const Bodies &bodies, const Input1<std::int64_t> &rows)
 }
 
 Output<bool, -1> clear_of_obstacles(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
-                                    double approach, SidePair sides) {
+                                    const FromGoal &approach) {
     need_rows("goals", goals.shape(0), rows.shape(0));
-    const fl::Angles from = sides_of(sides).beside(approach);
-    return array_of(static_ok(bodies, rows_of(bodies, rows), angles_of(goals), from));
+    return array_of(static_ok(bodies, rows_of(bodies, rows), angles_of(goals), approach_of(approach)));
 }
 
 Output<bool, -1> clear_pairs(const Bodies &bodies, Input1<std::int64_t> rows, Pairs goals,
-                             Input1<std::int64_t> others, Pairs other_goals, double approach,
-                             SidePair sides) {
+                             Input1<std::int64_t> others, Pairs other_goals, const FromGoal &approach) {
     for (size_t n : {goals.shape(0), others.shape(0), other_goals.shape(0)})
         need_rows("pairs_clear", n, rows.shape(0));
     const PlacesOf first{rows_of(bodies, rows), angles_of(goals)};
     const PlacesOf second{rows_of(bodies, others), angles_of(other_goals)};
-    return array_of(pairs_clear(bodies, first, second, sides_of(sides).beside(approach)));
+    return array_of(pairs_clear(bodies, first, second, approach_of(approach)));
 }
 
 void bind_goals(nb::module_ &m) {
-    constexpr SidePair from_above{1.0, 1.0};
     m.def("conflicts", &find_conflicts, nb::arg("bodies"), nb::arg("goals_rad"), nb::arg("approach_rad"),
-          nb::arg("sides") = from_above,
           "Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make "
-          "together.");
+          "together: rad above both axes, or of alpha and beta with the sign of each.");
     m.def("static_ok", &clear_of_obstacles, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
-          nb::arg("approach_rad"), nb::arg("sides") = from_above,
+          nb::arg("approach_rad"),
           "For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of "
           "obstacles.");
     m.def("pairs_clear", &clear_pairs, nb::arg("bodies"), nb::arg("rows"), nb::arg("goals_rad"),
           nb::arg("other_rows"), nb::arg("other_goals_rad"), nb::arg("approach_rad"),
-          nb::arg("sides") = from_above,
           "One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals "
           "(n, 2) and on the approach.");
 }

@@ -113,7 +113,7 @@ def setup(ids=(1,), n_axes=2, **changes):
         (lambda: planning.static_ok(BODIES, ROWS + 1, TWO, 0.01), "a goal of no positioner"),
         (lambda: geometry.forward(ARMS, TWO, THREE), "same number of rows"),
         (lambda: geometry.inverse(ARMS, TWO, TWO, THREE), r"limits: \[\[alpha_min"),
-        (lambda: geometry.inverse(ARMS, TWO, TWO, np.zeros((3, 2, 2))), "same number of rows"),
+        (lambda: geometry.inverse_each(ARMS, TWO, TWO, np.zeros((3, 2, 2))), "same number of rows"),
     ],
 )
 def test_numbers_of_rows_that_differ(call, message):

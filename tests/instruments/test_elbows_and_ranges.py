@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, read_layout, write_layout
 from fiberloom.instruments.axis import Ranges
+from fiberloom.operation.past import parts as past
+from fiberloom.store.parts import unpack
 
 PLANES = {name: FocalPlane.of(name, n=19) for name in ("sdssv", "desi", "pfs", "moons", "megara", "lamost")}
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=38, max_size=38)
@@ -29,10 +31,10 @@ def test_the_angles_that_made_a_place_are_among_its_solutions(name, shares):
     angles = inside(plane, shares)
     xy = plane.forward(*angles.T)
     found = plane.solutions(xy)
-    rows, which = np.nonzero(np.arange(found.angles_deg.shape[1]) < found.count[:, None])
+    rows, which = np.nonzero(found.holds)
     for_all = found.angles_deg[rows, which]
-    # all of them lead there, within the limits
-    assert np.abs(plane.forward(*for_all.T, index=rows) - xy[rows]).max() < 1e-8
+    # all of them lead there, within the limits; these hold to 1e-9 rad on both axes, at 25 mm at most
+    assert np.abs(plane.forward(*for_all.T, index=rows) - xy[rows]).max() < 5e-8
     low, high = np.moveaxis(plane.limits_of(rows), -1, 0)
     assert ((for_all >= low) & (for_all <= high)).all()
     # and the one that was asked for is found: 0.01 deg where an arm that is nearly straight hides digits
@@ -51,7 +53,7 @@ def test_each_elbow_is_the_one_that_the_instrument_has():
     beta = {name: PLANES[name].solutions(xy[name]).angles_deg[:, 0, 1] for name in PLANES}
     assert all((beta[name] > 0.0).all() for name in ("sdssv", "desi", "lamost", "moons"))
     assert all((beta[name] < 0.0).all() for name in ("pfs", "megara"))
-    count = {name: PLANES[name].solutions(xy[name]).count for name in PLANES}
+    count = {name: PLANES[name].solutions(xy[name]).number for name in PLANES}
     assert (count["moons"] == 2).sum() > 10  # alpha lacks 21 deg of a turn
     assert (count["sdssv"] == 1).all()
     assert (count["desi"] <= 2).all()
@@ -60,7 +62,7 @@ def test_each_elbow_is_the_one_that_the_instrument_has():
 def test_of_two_turns_the_nearer_one_is_taken():
     plane = PLANES["desi"]
     xy = plane.forward(-185.0, 90.0)
-    assert (plane.solutions(xy).count == 2).all()
+    assert (plane.solutions(xy).number == 2).all()
     for asked in (-185.0, 175.0):
         found = plane.inverse(xy, near_deg=np.tile([asked, 90.0], (plane.n, 1)))
         # both are the same place: which turn it is, the caller's side of it decides
@@ -81,6 +83,11 @@ def test_a_unit_keeps_to_its_own_range():
     assert plane.inverse(xy).gap_mm[0] == 0.0  # only its limits stand in the way
     assert plane.inverse(plane.forward(40.0, 90.0)).reachable.all()
     assert plane.select([1, 0]).stops_of()[1, 0].tolist() == [8.0, 72.0]
+    # folded, but no farther than it can
+    targets = plane.limits_of().copy()
+    targets[0, 1] = 0.0, 165.0
+    short = replace(plane, ranges=Ranges(targets, plane.stops_of()))
+    assert short.park_deg[:2].tolist() == [[10.0, 165.0], [10.0, 170.0]]
 
 
 def test_ranges_are_kept_in_files_and_in_the_mark(tmp_path):
@@ -90,6 +97,14 @@ def test_ranges_are_kept_in_files_and_in_the_mark(tmp_path):
     again = read_layout(tmp_path, plane.instrument)
     assert again.config_hash() == plane.config_hash()
     np.testing.assert_array_equal(again.stops_of(), plane.stops_of())
+
+
+def test_the_record_of_a_run_keeps_ranges_and_dots():
+    plane = narrow(PLANES["pfs"])
+    kept = past.plane_of(unpack(past.packed_layout(plane)))
+    assert kept.config_hash() == plane.config_hash()
+    np.testing.assert_array_equal(kept.stops_of(), plane.stops_of())
+    np.testing.assert_array_equal(kept.dots_mm, plane.dots_mm)
 
 
 @pytest.mark.parametrize(

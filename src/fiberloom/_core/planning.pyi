@@ -174,17 +174,17 @@ def lateness(bodies: Bodies, motions: Sequence[Annotated[NDArray[numpy.float64],
     Proof in continuous time for motions (n, 3): time_s, alpha_rad, beta_rad, of which one is late. Pairs that touch at some lateness: (which is late, other, the lateness that they bear in s, moment of the plan at which the late one is, and the other, in s, depth in mm; both of no more than `late` s where they touch then); and how many pairs both move and can meet, each order for itself. ValueError for motions that are not sound.
     """
 
-def conflicts(bodies: Bodies, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
+def conflicts(bodies: Bodies, goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float | Sequence[float]) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 2))]:
     """
-    Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make together.
+    Pairs (P, 2) of positioners that touch at their goals (N, 2) or on the approach that all make together: rad above both axes, or of alpha and beta with the sign of each.
     """
 
-def static_ok(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+def static_ok(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float | Sequence[float]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
     """
     For positioners (n,) by index, which may repeat: whether goal (n, 2) and approach are clear of obstacles.
     """
 
-def pairs_clear(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], other_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float, sides: Sequence[float] = [1.0, 1.0]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
+def pairs_clear(bodies: Bodies, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], other_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], other_goals_rad: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], approach_rad: float | Sequence[float]) -> Annotated[NDArray[numpy.bool_], dict(shape=(None,))]:
     """
     One by one: whether two positioners (n,) by index, which may repeat, stay apart at their goals (n, 2) and on the approach.
     """

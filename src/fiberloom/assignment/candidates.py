@@ -101,7 +101,7 @@ def _by_fibre(
     fits = ((asked == "") | (asked == fibre)) & plane.carries(fibre)[positioner]
     positioner, target = positioner[fits], target[fits]
     found = plane.solutions(targets.xy_mm[target], fibre, positioner)
-    pair, which = np.nonzero(np.arange(found.angles_deg.shape[1]) < found.count[:, None])
+    pair, which = np.nonzero(found.holds)
     goal = found.angles_deg[pair, which]
     return positioner[pair], target[pair], np.full(len(goal), fibre), goal
 
@@ -109,7 +109,10 @@ def _by_fibre(
 def inside_stops(
     plane: FocalPlane, positioner: Ints, goal_deg: Floats, approach_deg: float | Floats
 ) -> Flags:
-    """Do goals (C, 2) of rows of the `plane` and starts of the approach, deg, lie between the hard stops?"""
+    """(C,) do goals and starts of the approach lie between the hard stops?
+
+    `positioner` (C,): rows of the `plane`; `goal_deg` (C, 2); `approach_deg`: overshoot, one number or (C,).
+    """
     low, high = np.moveaxis(plane.stops_of(positioner), -1, 0)
     start = goal_deg + beside(plane, np.broadcast_to(approach_deg, len(goal_deg)))
     inside: Flags = ((np.minimum(goal_deg, start) >= low) & (np.maximum(goal_deg, start) <= high)).all(axis=1)

@@ -29,6 +29,10 @@ class Escape:
     bodies: Floats
     _turns: dict[int, bool] = field(default_factory=dict)
     _regions: dict[int, NDArray[np.int32]] = field(default_factory=dict)
+    _folded_deg: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._folded_deg = self.plane.park_deg
 
     def can_fold(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """(C,) which of these free places (rows, goals) are connected to the folded place."""
@@ -40,7 +44,7 @@ class Escape:
 
     def folds_straight(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """Is the way free on which beta folds the arm, then alpha turns it? Nearly always."""
-        folded = self.plane.instrument.positioner.park_deg[1]
+        folded = self._folded_deg[positioner, 1:]
         span = np.abs(folded - goal_deg[:, 1]).max(initial=0.0)
         steps = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(span / STEP_DEG))))
         # the goal itself was tested before, with its own margin
@@ -55,7 +59,7 @@ class Escape:
         if row not in self._regions:
             self._regions[row] = self._flood(row)
         region = self._regions[row]
-        home = int(region[self._cells(np.array([self.plane.instrument.positioner.park_deg]))][0])
+        home = int(region[self._cells(self._folded_deg[[row]])][0])
         if home == 0:
             sizes = np.bincount(region.ravel(), minlength=2)
             home = 1 + int(sizes[1:].argmax())
@@ -66,7 +70,7 @@ class Escape:
         """Which positioners can turn alpha over its whole range with the arm folded?"""
         new = np.array([r for r in np.unique(positioner).tolist() if r not in self._turns], int)
         alpha = np.broadcast_to(self._axes()[0], (len(new), len(self._axes()[0])))
-        beta = np.full(alpha.shape, self.plane.instrument.positioner.park_deg[1])
+        beta = np.broadcast_to(self._folded_deg[new, 1:], alpha.shape)
         free = self._gap_mm(new, alpha, beta) > GUARD_MM
         self._turns.update(zip(new.tolist(), free.tolist(), strict=True))
         return np.array([self._turns[r] for r in positioner.tolist()], dtype=bool)

@@ -65,7 +65,7 @@ def _cheapest(row: int, goals: Floats, cost: Floats, rules: Rules) -> int | None
 def _leave_folded(placement: Placement, row: int) -> None:
     """Nothing that moves could help: the positioner is walled in by what does not move."""
     plane = placement.plane
-    goal = np.array([plane.instrument.positioner.park_deg])
+    goal = plane.park_deg[[row]]
     placement.put(row, goal[0], sweep(plane, np.array([row]), goal, 0.0)[0], 0.0)
     placement.notes.append(
         f"positioner {plane.positioner_id[row]}: no place free of fiducials, guide cameras and "
@@ -76,7 +76,7 @@ def _leave_folded(placement: Placement, row: int) -> None:
 def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
     """Fold every positioner that can be folded; returns the others."""
     plane = placement.plane
-    goals = np.tile(plane.instrument.positioner.park_deg, (len(rows), 1))
+    goals = plane.park_deg[rows]
     segments = sweep(plane, rows, goals, rules.approach_deg)
     free = obstacle_gap_mm(plane, rows, segments, rules.bodies) >= rules.gap_mm
     others = []
@@ -90,7 +90,7 @@ def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
 
 def _grid_deg(plane: FocalPlane, row: int) -> Floats:
     """Places to try, those nearest to the folded one in beta first, then in alpha."""
-    park = np.array(plane.instrument.positioner.park_deg)
+    park = plane.park_deg[row]
     axes = [
         _steps(p, low, high, step)
         for p, (low, high), step in zip(

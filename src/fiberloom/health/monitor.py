@@ -216,8 +216,9 @@ class HealthMonitor:
 
     def _far_miss_deg(self, passage: ObservedMove, rows: Rows) -> Floats:
         """Where the linear way does not hold: both angles anew."""
-        found = self.plane.inverse(passage.seen_mm[rows], METROLOGY, index=rows)
-        miss = np.column_stack([found.alpha_deg, found.beta_deg]) - passage.believed_deg[rows]
+        near = passage.believed_deg[rows]
+        found = self.plane.inverse(passage.seen_mm[rows], METROLOGY, index=rows, near_deg=near)
+        miss = np.column_stack([found.alpha_deg, found.beta_deg]) - near
         miss[:, 0] -= 360.0 * np.rint(miss[:, 0] / 360.0)
         sees = found.reachable & self._regular(found.beta_deg)
         return np.where(sees[:, None], miss, np.nan)

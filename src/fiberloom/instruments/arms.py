@@ -41,20 +41,25 @@ class Solutions(NamedTuple):
 
     angles_deg: Floats
     """(n, k, 2) alpha and beta; beta in [0, 180] first, then by rising alpha."""
-    count: Ints
+    number: Ints
     """(n,) how many of the k hold."""
     gap_mm: Floats
     """As of `Inverse`."""
 
+    @property
+    def holds(self) -> Flags:
+        """(n, k) which of them do."""
+        holds: Flags = np.arange(self.angles_deg.shape[1]) < self.number[:, None]
+        return holds
+
     def one(self, near_deg: ArrayLike | None = None) -> Inverse:
         """The first of each, or the one nearest to angles (n, 2) in deg, turns left aside."""
-        reachable, which = self.count > 0, np.zeros(len(self.count), dtype=np.int64)
+        reachable, which = self.number > 0, np.zeros(len(self.number), dtype=np.int64)
         if near_deg is not None:
             off = np.abs((self.angles_deg - np.asarray(near_deg)[:, None] + 180.0) % 360.0 - 180.0).sum(
                 axis=2
             )
-            holds = np.arange(off.shape[1]) < self.count[:, None]
-            which = np.where(holds, off, np.inf).argmin(axis=1)
+            which = np.where(self.holds, off, np.inf).argmin(axis=1)
         chosen = np.where(reachable[:, None], self.angles_deg[np.arange(len(which)), which], 0.0)
         alpha, beta = chosen.T
         return Inverse(alpha, beta, reachable, self.gap_mm)

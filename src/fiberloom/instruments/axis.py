@@ -87,7 +87,7 @@ class Axis(Table):
 
     @property
     def side(self) -> float:
-        """From which side of its goal it comes: 1 from above, -1 from below."""
+        """From which side of its goal it comes: 1 from above, -1 from below, dimensionless."""
         return -1.0 if self.approach_deg < 0.0 else 1.0
 
 

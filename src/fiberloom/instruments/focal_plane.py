@@ -327,7 +327,7 @@ class FocalPlane(Views):
         Returns
         -------
         Solutions
-            angles_deg (n, 4, 2), count (n,) of them that hold, gap_mm.
+            angles_deg (n, 4, 2), number (n,) of them that hold, gap_mm.
 
         Raises
         ------
@@ -338,7 +338,7 @@ class FocalPlane(Views):
         --------
         >>> import fiberloom as fl
         >>> plane = fl.FocalPlane.of("moons", n=7)
-        >>> plane.solutions(plane.forward(20.0, 100.0)).count.tolist()
+        >>> plane.solutions(plane.forward(20.0, 100.0)).number.tolist()
         [2, 2, 2, 2, 2, 2, 2]
         """
         rows = rows_given(self.n, index)
@@ -348,7 +348,7 @@ class FocalPlane(Views):
         angles = np.zeros((len(rows), geometry.MAX_SOLUTIONS, 2))
         count, gap = np.zeros(len(rows), dtype=np.int64), np.where(has, 0.0, np.inf)
         point, target = self._point(fibre)[rows[has]], np.ascontiguousarray(xy[has])
-        found, count[has], gap[has] = geometry.inverse(
+        found, count[has], gap[has] = geometry.inverse_each(
             self.arms[rows[has]], point, target, np.ascontiguousarray(deg_to_rad(limits))
         )
         angles[has] = np.clip(rad_to_deg(found), limits[:, None, :, 0], limits[:, None, :, 1])

@@ -140,12 +140,13 @@ def module_sites(modules: Modules, pitch_mm: float) -> tuple[Floats, NDArray[np.
     SC15P02: second positioner of the fifteenth module. The lattice of PFS: pfs_utils, grandfibermap.
     """
     field, module, place = np.indices((modules.fields, modules.per_field, modules.positioners)).reshape(3, -1)
-    k, second_row = np.divmod(place, 2)
-    x = -SQRT_3_2 * pitch_mm * (2 * module + 1 + second_row)
-    y = pitch_mm * (module + 0.5 - k - 0.5 * second_row)
+    k, second_row = (part.astype(np.float64) for part in np.divmod(place, 2))
+    x: Floats = -SQRT_3_2 * pitch_mm * (2.0 * module + 1.0 + second_row)
+    y: Floats = pitch_mm * (module + 0.5 - k - 0.5 * second_row)
     number = modules.per_field * field + module + 1
     names = [f"SC{n:02d}P{p:02d}" for n, p in zip(number.tolist(), (place + 1).tolist(), strict=True)]
-    return _turned(x, y, -2.0 * math.pi / modules.fields * field), np.array(names)
+    turn: Floats = -2.0 * math.pi / modules.fields * field.astype(np.float64)
+    return _turned(x, y, turn), np.array(names)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from pydantic import Field, model_validator
 
 from fiberloom.instruments.array import MOST_POSITIONERS as MOST_POSITIONERS
 from fiberloom.instruments.array import Dots as Dots
-from fiberloom.instruments.array import Layout, UnitScatter
+from fiberloom.instruments.array import Layout as Layout
 from fiberloom.instruments.array import Modules as Modules
 from fiberloom.instruments.array import Scatter as Scatter
+from fiberloom.instruments.array import UnitScatter as UnitScatter
 from fiberloom.instruments.axis import Axis as Axis
 from fiberloom.instruments.axis import Drive as Drive
 from fiberloom.instruments.axis import Range, protocol_of
@@ -79,7 +80,8 @@ class Bodies(Table):
     """Radius of that capsule."""
     collision_shrink_mm: NotNegative = 0.0
     """By how much that radius may shrink for a configuration that was decided elsewhere."""
-    fiducial_radius_mm: Positive
+    fiducial_radius_mm: NotNegative
+    """0: no arm can touch a fiducial."""
     guide_camera_radius_mm: Positive = 1.0
     parts: tuple[Outline, ...] = ()
     """What planner and verifier take for a positioner; none: that capsule. Another collision buffer makes

@@ -84,6 +84,11 @@ class KeepOut(Table):
     """By equal turns around the centre of the field, this one included."""
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)] = tuple(range(1, 33))
 
+    def turned(self, turn_rad: float) -> "KeepOut":
+        """The same, turned about the centre of the field."""
+        points = np.array([complex(*xy) for xy in self.line_mm]) * np.exp(1j * turn_rad)
+        return self.model_copy(update={"line_mm": tuple((float(p.real), float(p.imag)) for p in points)})
+
     @property
     def capsules_mm(self) -> Floats:
         """(k, 5) x0, y0, x1, y1, radius of all copies."""

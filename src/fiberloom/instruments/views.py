@@ -68,8 +68,11 @@ class Views:
 
     @property
     def park_deg(self) -> Floats:
-        """(N, 2) folded: where positioners wait."""
-        return np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+        """(N, 2) folded: where positioners wait, within the range of each."""
+        folded = np.tile(self.instrument.positioner.park_deg, (self.n, 1))
+        return (
+            folded if self.ranges is None else np.clip(folded, *np.moveaxis(self.ranges.targets_deg, -1, 0))
+        )
 
     @property
     def limits_deg(self) -> Floats:
@@ -83,14 +86,15 @@ class Views:
 
     def limits_of(self, rows: Ints | None = None) -> Floats:
         """(n, 2, 2) deg: as `limits_deg`, of positioners by row; of all when left out."""
-        return self._own_or_nominal(self.ranges and self.ranges.targets_deg, self.limits_deg, rows)
+        return self._own_or_nominal("targets_deg", self.limits_deg, rows)
 
     def stops_of(self, rows: Ints | None = None) -> Floats:
         """(n, 2, 2) deg: as `hard_stops_deg`, of positioners by row; of all when left out."""
-        return self._own_or_nominal(self.ranges and self.ranges.stops_deg, self.hard_stops_deg, rows)
+        return self._own_or_nominal("stops_deg", self.hard_stops_deg, rows)
 
-    def _own_or_nominal(self, own: Floats | None, nominal: Floats, rows: Ints | None) -> Floats:
-        if own is not None:
+    def _own_or_nominal(self, name: str, nominal: Floats, rows: Ints | None) -> Floats:
+        if self.ranges is not None:
+            own = self.ranges.arrays[name]
             return own if rows is None else own[rows]
         return np.broadcast_to(nominal, (self.n if rows is None else len(rows), 2, 2))
 

@@ -119,7 +119,7 @@ async def survey(
             looks.keep(number, motion.moves[-1].measurement.images, np.isfinite(xy[:, 0]))
             await science.look(motion, theta)
             progress(number + 1, settings.configurations)
-        folded = np.tile(plane.instrument.positioner.park_deg, (plane.n, 1))
+        folded = plane.park_deg
         await motion.go(Goals.without_targets(wide, folded), settings.seed)
         if settings.rotator_deg:
             await asyncio.to_thread(_turn, hardware.camera, settings, 0.0)

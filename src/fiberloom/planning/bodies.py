@@ -165,9 +165,11 @@ def least_approach_rad(plane: FocalPlane, approach: Floats, least_deg: float | N
     return np.minimum(approach, float(deg_to_rad(least)))
 
 
-def beside(plane: FocalPlane, approach: Floats) -> Floats:
-    """(..., 2) from where to where alpha and beta make approaches (...,), of any unit: with their signs."""
-    signed: Floats = approach[..., None] * np.array(plane.instrument.approach_sides)
+def beside(plane: FocalPlane, approach: ArrayLike) -> Floats:
+    """(..., 2) how far above its goal each axis begins approaches (...,), rad or deg alike; below 0 where it
+    comes from below.
+    """
+    signed: Floats = np.asarray(approach)[..., None] * np.array(plane.instrument.approach_sides)
     return signed
 
 

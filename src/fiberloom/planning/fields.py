@@ -6,7 +6,7 @@ from fiberloom._core import geometry
 from fiberloom._core import planning as core
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import CollisionBodies, approach_rad
+from fiberloom.planning.bodies import CollisionBodies, approach_rad, beside
 from fiberloom.planning.planner import PlanSettings, plan
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
@@ -86,8 +86,7 @@ class _Drawing:
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
         self.obstacles = bodies.obstacles
-        self.approach = float(approach_rad(plane, approach_deg).max(initial=0.0))
-        self.sides = plane.instrument.approach_sides
+        self.approach = beside(plane, approach_rad(plane, approach_deg).max(initial=0.0)).tolist()
         self.angles = deg_to_rad(plane.offline_position_deg)
         self.placed = plane.offline.copy()
 
@@ -155,7 +154,7 @@ class _Drawing:
                 return np.array([alpha, beta[0] if len(beta) == 1 else self.rng.choice(beta)])
 
     def _free(self, row: int, angles: Floats, near: Ints) -> bool:
-        if not core.static_ok(self.alone, np.array([row]), angles[None], self.approach, self.sides)[0]:
+        if not core.static_ok(self.alone, np.array([row]), angles[None], self.approach)[0]:
             return False
         rows, places = np.full(len(near), row), np.repeat(angles[None], len(near), axis=0)
         clear = core.pairs_clear(
@@ -165,6 +164,5 @@ class _Drawing:
             near,
             self.angles[near],
             self.approach,
-            self.plane.instrument.approach_sides,
         )
         return bool(clear.all())

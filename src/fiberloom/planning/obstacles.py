@@ -72,11 +72,18 @@ def fixed_obstacles(plane: FocalPlane) -> Floats:
     """(K, 7) in mm: fiducials, then guide cameras, then keep-outs."""
     discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
     fixed = [on_all_layers(np.vstack([discs, plane.guide_cameras.reshape(-1, 5)]))]
+    fixed[0][: len(discs), 5] = np.where(discs[:, 4] > 0.0, ALL_LAYERS, _untouched_bits(plane))
     for keep_out in plane.instrument.bodies.keep_outs:
         edges = on_all_layers(keep_out.capsules_mm)
         edges[:, 5] = layer_bits(keep_out.layers)
         fixed.append(edges)
     return np.vstack(fixed)
+
+
+def _untouched_bits(plane: FocalPlane) -> float:
+    """The layers on which no arm has a part; those of what no arm can touch."""
+    taken = [layer_bits(part.layers) for part in plane.instrument.bodies.parts] or [int(FIRST_LAYER)]
+    return float(int(ALL_LAYERS) & ~int(np.bitwise_or.reduce(taken)))
 
 
 def doubt_obstacles(plane: FocalPlane, parts: Floats) -> Floats:

@@ -4,7 +4,7 @@ import numpy as np
 
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.bodies import CollisionBodies, approach_rad
+from fiberloom.planning.bodies import CollisionBodies, approach_rad, beside
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -45,9 +45,8 @@ class _Placing:
         bodies = CollisionBodies.of(plane)
         # half of the margin between two arms is each one's own; an obstacle has none
         self.pairs, self.alone = bodies.wider(margin_mm / 2).compiled, bodies.wider(margin_mm).compiled
-        self.approach = float(approach_rad(plane, None).max(initial=0.0))
-        self.sides = plane.instrument.approach_sides
-        park = deg_to_rad(plane.instrument.positioner.park_deg)
+        self.approach = beside(plane, approach_rad(plane, None).max(initial=0.0)).tolist()
+        park = deg_to_rad(plane.park_deg)
         still = deg_to_rad(plane.offline_position_deg)
         self.angles = np.where(plane.offline[:, None], still, park)
         self.rank = np.full(plane.n, candidates_deg.shape[1])
@@ -62,7 +61,6 @@ class _Placing:
             np.repeat(np.arange(n), count),
             flat,
             self.approach,
-            self.plane.instrument.approach_sides,
         )
         return np.asarray(ok, dtype=bool).reshape(n, count)
 
@@ -88,5 +86,5 @@ class _Placing:
             return np.ones(count, dtype=bool)
         rows, places = np.full(count * len(near), row), np.repeat(goals, len(near), axis=0)
         others, there = np.tile(near, count), np.tile(self.angles[near], (count, 1))
-        clear = core.pairs_clear(self.pairs, rows, places, others, there, self.approach, self.sides)
+        clear = core.pairs_clear(self.pairs, rows, places, others, there, self.approach)
         return np.asarray(np.reshape(clear, (count, -1)).all(axis=1), dtype=np.bool_)

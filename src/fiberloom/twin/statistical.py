@@ -59,7 +59,7 @@ class StatisticalTwin:
         self._noise = UnitNoise(seed, 0x57A7, units.number)
         self._approach_rad = GEAR * deg_to_rad([axis.approach_deg for axis in plane.instrument.axes])
         self.set_units(units)
-        start = plane.instrument.positioner.park_deg if start_deg is None else start_deg
+        start = plane.park_deg if start_deg is None else start_deg
         angles = deg_to_rad(np.broadcast_to(np.asarray(start, dtype=np.float64), (n, 2)))
         self._gear_rad = self.gears.gear_of(angles[..., None])[..., 0]
         # the counter was set at the place of the arms at power-up, as the sensors saw it

@@ -253,7 +253,7 @@ class Scope:
 
 
 def _start(plane: FocalPlane, start_deg: ArrayLike | None) -> Floats:
-    folded = plane.instrument.positioner.park_deg if start_deg is None else start_deg
+    folded = plane.park_deg if start_deg is None else start_deg
     start = np.array(np.broadcast_to(np.asarray(folded, dtype=np.float64), (len(plane), 2)))
     start[plane.offline] = plane.offline_position_deg[plane.offline]
     return start

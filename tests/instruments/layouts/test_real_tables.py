@@ -52,6 +52,16 @@ def test_desi_s_units_are_those_of_the_published_statistics(desi):
     assert desi.fiducials[:, :2].max() < 430.0
 
 
+def test_the_edges_of_petals_lie_between_petals(desi):
+    """No centre is nearer than 5 mm to an edge: the arms' own discs fit in."""
+    edges = np.vstack([part.capsules_mm for part in desi.instrument.bodies.keep_outs])
+    assert len(edges) == 10
+    along = edges[:, 2:4] / np.hypot(*edges[:, 2:4].T)[:, None]
+    off = np.abs(desi.centres_mm @ np.column_stack([-along[:, 1], along[:, 0]]).T)
+    ahead = desi.centres_mm @ along.T > 0.0
+    assert off[ahead].min() == pytest.approx(5.13, abs=0.15)
+
+
 def test_desi_s_fibres_come_back(desi):
     """A round trip with all units at once, each within its own range."""
     rng = np.random.default_rng(0)

@@ -253,3 +253,21 @@ def test_another_buffer_makes_all_parts_wider():
     ends = random_pair(plane, 0, collision_buffer_mm=2.2)
     made = plan(plane, *ends, settings=PlanSettings(collision_buffer_mm=2.2))
     assert smallest_gap(plane, made, CollisionBodies.of(plane, 2.2).parts, usual.obstacles) >= LEAST_MM
+
+
+def test_no_arm_can_touch_a_fiducial_without_a_body():
+    """An arm over a fiducial of DESI: refused where the fiducial has a radius, free without."""
+    plane = desi(37)
+    row = int(np.hypot(*(plane.centres_mm - plane.fiducials[0, :2]).T).argmin())
+    aim = plane.fiducials[0, :2] - plane.centres_mm[row]
+    beside = replace(
+        plane, fiducials=np.array([[*(plane.centres_mm[row] + aim * 3.0 / np.hypot(*aim)), 0.0]])
+    )
+    alone = beside.select([row])
+    goal_deg = np.array([[*alone.inverse(alone.fiducials[:, :2]).alpha_deg, 90.0]])
+    assert CollisionBodies.of(alone).obstacles[0, 5] == 2.0**32 - 4.0  # parts are on layers 1 and 2
+    made = plan(alone, alone.park_deg, goal_deg)
+    assert made.refused == {}
+    solid = replace(alone, fiducials=alone.fiducials + np.array([0.0, 0.0, 0.5]))
+    assert not verify(solid, made).ok
+    assert "fiducial 0" in next(iter(plan(solid, solid.park_deg, goal_deg).refused.values()))

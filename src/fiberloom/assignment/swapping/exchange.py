@@ -99,7 +99,7 @@ class Exchanger:
         free = (self.targets.positioner_id[reached.target] == FREE) & ~np.isin(reached.target, others)
         reached = reached.select(free)
         idle = members[found.target[members] < 0]
-        folded = np.tile(self.plane.instrument.positioner.park_deg, (len(members), 1))
+        folded = self.plane.park_deg[members]
         waits = np.concatenate([members, idle])
         # without a target: each positioner has one of its own that is none
         all_ = Candidates(

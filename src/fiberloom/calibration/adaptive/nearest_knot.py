@@ -96,12 +96,12 @@ def most_probable(
 
 
 def estimated_angles(plane: FocalPlane, r_est: Floats, near_deg: Floats, index: Ints) -> Floats:
-    """Eq. 32: angles (n, 2) in deg by Eq. 2, on the turn nearest to `near_deg` (n, 2); NaN where out of
-    reach.
+    """Eq. 32: angles (n, 2) in deg by Eq. 2, on the elbow and turn nearest to `near_deg` (n, 2); NaN where
+    out of reach.
 
     `r_est` (n, 2) mm: the most probable place, of the rows `index` of the `plane`.
     """
-    found = plane.inverse(r_est, index=index)
+    found = plane.inverse(r_est, index=index, near_deg=near_deg)
     angles = np.column_stack([found.alpha_deg, found.beta_deg])
     angles[:, 0] += 360.0 * np.rint((near_deg[:, 0] - angles[:, 0]) / 360.0)
     return np.where(found.reachable[:, None], angles, np.nan)

@@ -38,6 +38,8 @@ NOMINAL_R2_MM = 3.0
 """Length for which the outline of a phi arm is drawn (keepout.py)."""
 LEAST_LINEAR_DEG = 5.0
 """Angular expansion of the outline of a phi arm on a linear motor, at least."""
+PETAL_MIDDLE_DEG = 18.0
+"""Direction of the middle of a petal in its own frame. In the preset rows of positioners lie along x: 0."""
 ALIGNMENT_BYTES = MB
 
 
@@ -58,7 +60,7 @@ def read_desi(folder: Path, instrument: Instrument) -> FocalPlane:
     alpha_off, beta_off = (deg_to_rad(table.numbers(f"offset_{c}")[rows]) for c in "tp")
     n = len(rows)
     return FocalPlane(
-        instrument=instrument,
+        instrument=_with_edges_turned(instrument),
         positioner_id=location,
         hole=np.array([f"P{where // 1000}D{where % 1000:03d}" for where in location.tolist()]),
         arms=np.column_stack([xy, l_alpha, alpha_off + turn, beta_off]),
@@ -82,6 +84,13 @@ _COLUMNS = (
 )  # fmt: skip
 
 
+def _with_edges_turned(instrument: Instrument) -> Instrument:
+    """The instrument with its keep-outs, which are edges of petals, where the real petals have them."""
+    turned = tuple(part.turned(float(deg_to_rad(PETAL_MIDDLE_DEG))) for part in instrument.bodies.keep_outs)
+    bodies = instrument.bodies.model_copy(update={"keep_outs": turned})
+    return instrument.model_copy(update={"bodies": bodies})
+
+
 def _desimeter(folder: Path) -> Path:
     """Where desimeter's own tables are: in a folder of its name, or beside the calibrations."""
     return folder / "desimeter" if (folder / "desimeter").is_dir() else folder
@@ -92,7 +101,8 @@ def _latest(table: TableFile) -> Ints:
     location, time = table.integers("location"), table.strings("time_recorded")
     order = np.lexsort((time, location))
     last = np.append(location[order][1:] != location[order][:-1], True)
-    return order[last]
+    rows: Ints = order[last]
+    return rows
 
 
 def _petals(table: TableFile) -> Ints:

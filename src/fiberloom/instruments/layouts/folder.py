@@ -51,7 +51,11 @@ def lengths(table: TableFile, name: str) -> Floats:
 
 
 def check_arms(path: Path, instrument: Instrument, l_alpha_mm: Floats, maker: str) -> None:
-    """InputError where most arms (N,) mm are not this instrument's: the folder is another one's."""
+    """InputError where most arms are not this instrument's: the folder is another one's.
+
+    `path`: of the table; `instrument`: what it should belong to; `l_alpha_mm` (N,): alpha arms in the table;
+    `maker`: whose tables these are, for the message.
+    """
     nominal, found = instrument.positioner.l_alpha_mm, float(np.median(l_alpha_mm))
     if abs(found - nominal) > ALIKE * nominal or len(instrument.science_fibres) != 1:
         raise InputError(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fiberloom.errors import InputError
+from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.focal_plane import FocalPlane
 from fiberloom.instruments.generated import generate
@@ -46,7 +47,7 @@ def read_pfs(folder: Path, instrument: Instrument) -> FocalPlane:
     failed = failed[rows] | _odd(l_alpha, instrument) | _odd(l_beta, instrument)
     l_alpha, l_beta = (np.where(failed, instrument.positioner.l_alpha_mm, arm) for arm in (l_alpha, l_beta))
     arms = drawn.arms.copy()
-    arms[:, 2] = l_alpha
+    arms[:, L_ALPHA] = l_alpha
     return FocalPlane(
         instrument=instrument,
         positioner_id=drawn.positioner_id,

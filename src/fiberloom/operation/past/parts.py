@@ -12,6 +12,7 @@ import numpy as np
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane, Instrument
+from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.operation.move import Move
 from fiberloom.planning import Approach, Plan, Trajectory
@@ -27,7 +28,7 @@ LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 PLACES = ("metrology_goal_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
 """Where fibres were to be in a move, and what a twin knows of where they were."""
 
-_POINT, _HANDICAP = "point ", "handicap "
+_POINT, _HANDICAP, _RANGE, _DOTS = "point ", "handicap ", "range ", "dots"
 _PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
 _ASSIGNED = ("target", "fibre", "alpha_deg", "beta_deg", "approach_deg", "clearance_mm")
 
@@ -53,6 +54,10 @@ def packed_layout(plane: FocalPlane) -> bytes:
     points = {_POINT + name: xy_mm for name, xy_mm in plane.points.items()}
     handicaps = {} if plane.handicaps is None else plane.handicaps.arrays
     kept = {_HANDICAP + name: values for name, values in handicaps.items()}
+    if plane.ranges is not None:
+        kept |= {_RANGE + name: values for name, values in plane.ranges.arrays.items()}
+    if plane.dots_mm is not None:
+        kept |= {_DOTS: plane.dots_mm}
     instrument = {"instrument": plane.instrument.model_dump(mode="json")}
     return pack(instrument, points | kept | _arrays(plane, _PLANE))
 
@@ -72,10 +77,13 @@ def plane_of(part: RunPart) -> FocalPlane:
     """The layout of a part."""
     points = {name.removeprefix(_POINT): xy for name, xy in part.arrays.items() if name.startswith(_POINT)}
     kept = {n.removeprefix(_HANDICAP): xy for n, xy in part.arrays.items() if n.startswith(_HANDICAP)}
+    ranges = {n.removeprefix(_RANGE): xy for n, xy in part.arrays.items() if n.startswith(_RANGE)}
     return FocalPlane(
         instrument=Instrument.model_validate(part.head["instrument"]),
         points=points,
         handicaps=Handicaps(**kept) if kept else None,
+        ranges=Ranges(**ranges) if ranges else None,
+        dots_mm=part.arrays.get(_DOTS),
         **{name: part.arrays[name] for name in _PLANE},
     )
 

@@ -27,7 +27,7 @@ def where_seen(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Flo
     `seen_mm`: (n, 2) their metrology fibres in an image; `reported_deg`: (n, 2) the angles that they report.
     Where the place is not known the angles are the reported ones.
     """
-    found = plane.inverse(seen_mm, METROLOGY, index=rows)
+    found = plane.inverse(seen_mm, METROLOGY, index=rows, near_deg=reported_deg)
     folded = ~found.reachable | (np.abs(np.sin(np.deg2rad(found.beta_deg))) < _FOLDED)
     turned_deg, fits = _turned(plane, rows, seen_mm, reported_deg)
     angles_deg = np.where(found.reachable[:, None], np.column_stack(found[:2]), reported_deg)
