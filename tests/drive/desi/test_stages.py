@@ -127,7 +127,7 @@ def resolved(plane):
 
 def test_a_resolved_move_is_proven_and_ends_at_its_goals(plane, resolved):
     assigned, _, found = resolved
-    assert proven(plane, found.plan).ok
+    assert proven(plane, (found.plan, found.loose)).ok
     ends = found.plan.end_deg
     arrives = ~np.isin(plane.positioner_id, list(found.plan.refused))
     assert arrives.sum() >= N - 2
@@ -139,10 +139,10 @@ def test_crowded_ways_are_put_into_turns_or_refused_by_name(plane):
     here, rng = plane.park_deg, np.random.default_rng(5)
     goal = np.column_stack([rng.uniform(-150, 150, N), rng.uniform(0, 60, N)])
     move = staged(plane, here, goal - here, safe_phi_deg(plane), small=False)
-    first = proven(plane, plan_of(plane, timed(move), Aims(here, np.zeros((N, 2)))))
+    first = proven(plane, [plan_of(plane, timed(move), Aims(here, np.zeros((N, 2))))])
     assert len(first.collisions) > 5
     found = Resolver(plane, move, lambda m: Aims(here, np.zeros((N, 2)))).resolve()
-    assert proven(plane, found.plan).ok
+    assert proven(plane, (found.plan, found.loose)).ok
     assert 0 < len(found.plan.refused) < N // 2
     for number, why in found.plan.refused.items():
         assert why.startswith(f"positioner {number}: it would meet")
@@ -154,3 +154,19 @@ def test_a_small_move_goes_straight(plane):
     made = timed(staged(plane, here, way, safe_phi_deg(plane), small=True))
     # 0.5 deg by creep, and 3 deg out and back
     assert made.tables.duration_s.max() < 0.187 + 2 * 1.125 + 0.02
+
+
+def test_play_holds_arms_back_against_their_final_direction_and_not_at_the_end(plane):
+    here, way = drawn(plane, 8)
+    made = timed(staged(plane, here, way, safe_phi_deg(plane), small=False))
+    tight, loose = (plan_of(plane, made, Aims(here, np.zeros((N, 2))), play) for play in ((0, 0), (2.0, 1.0)))
+    np.testing.assert_allclose(tight.end_deg, loose.end_deg, atol=1e-9)
+    time = np.linspace(0.0, float(tight.duration_s), 400)
+    off = np.stack([b.at(time) - a.at(time) for a, b in zip(tight.robots, loose.robots, strict=True)])
+    # theta ends downwards, so upwards it is late, below its count; phi the other way round
+    # times are rounded to 1 us, at 176 deg/s
+    assert -2.0 - 5e-4 < off[..., 0].min() < -1.9
+    assert 0.9 < off[..., 1].max() < 1.0 + 5e-4
+    # a corner within a leg is met to a quarter of the leg between corners
+    assert off[..., 0].max() < 0.3
+    assert off[..., 1].min() > -0.3

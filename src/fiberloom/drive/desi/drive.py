@@ -52,6 +52,8 @@ class Tables:
     tables: MoveTables
     way_deg: Floats
     """(N, 2) counted by them."""
+    loose: Plan
+    """The way that arms go by them whose gears have all the play that they may have."""
 
 
 class DesiDrive:
@@ -67,8 +69,8 @@ class DesiDrive:
         transport: Transport,
         maps: LearnedMaps | None = None,
     ) -> None:
-        """`plane`: N positioners; `transport` of their frames; `maps` as learnt so far: when left out nothing,
-        and all are taken to be folded.
+        """`plane`: N positioners; `transport` of their frames; `maps` as learnt so far: when left out
+        nothing, and all are taken to be folded.
         """
         self.plane, self.transport = plane, transport
         self.maps = maps or LearnedMaps(plane, plane.park_deg)
@@ -165,7 +167,8 @@ class DesiDrive:
             return Aims(wanted.here_deg, np.where(reduced.moves[:, None], off, 0.0))
 
         found = Resolver(plane, move, ends).resolve()
-        commands = Tables(found.made.tables, degrees_of(found.made.tables.way_tenths.sum(axis=1)))
+        way = degrees_of(found.made.tables.way_tenths.sum(axis=1))
+        commands = Tables(found.made.tables, way, found.loose)
         about = {"rounds": found.rounds, "waits": found.waits}
         return Programme(found.plan, tube_mm, commands, about)
 
@@ -181,11 +184,12 @@ class DesiDrive:
             )
         still = np.zeros((len(self.plane), 0, 2), dtype=np.int64)
         tables = MoveTables(still, still.astype(bool), np.zeros((len(self.plane), 0), dtype=np.int64))
-        return Programme(plan, None, Tables(tables, np.zeros((len(self.plane), 2))))
+        return Programme(plan, None, Tables(tables, np.zeros((len(self.plane), 2)), plan))
 
     def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
         """Proves the way that tables make arms go, with tubes; `obstacles`, `programme` as in the port."""
-        return proven(with_tube(obstacles, programme.tube_mm), programme.plan)
+        plans = programme.plan, programme.commands.loose
+        return proven(with_tube(obstacles, programme.tube_mm), plans)
 
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
         """Loads tables, proves their checksums, starts all at once and waits. `watch` and `say`: not used.

@@ -18,9 +18,9 @@ from fiberloom.typing import Floats
 MOST_TURNS = 3
 """Of a stage: each makes all others wait."""
 ROUNDS = 30
-CLOCK = MotionLimits(speed_deg_s=180.0, acceleration_deg_s2=1e6, separating=True)
-"""The clock of the motors sees to speeds and ramps; corners of a path are steps of it. Arms that stand nearer
-than their tubes may move apart."""
+CLOCK = MotionLimits(speed_deg_s=300.0, acceleration_deg_s2=1e6, separating=True)
+"""The clock of the motors sees to speeds and ramps: a path has corners a tick apart, with times rounded to
+1 us, and waves of gears on it. Arms that stand nearer than their tubes may move apart."""
 _WHY = {
     Level.NOT_EXTENDED: "it would meet {other} when it extends; it stays retracted",
     Level.RETRACTED: "it would meet {other} when it rotates; it stays retracted",
@@ -28,9 +28,13 @@ _WHY = {
 }
 
 
-def proven(plane: FocalPlane, plan: Plan) -> Verification:
-    """What the verifier finds on a way that tables make arms go."""
-    return verify(plane, plan, limits=CLOCK)
+def proven(plane: FocalPlane, plans: Iterable[Plan]) -> Verification:
+    """What the verifier finds on ways that tables make arms go: the first that is not safe, else the last."""
+    for plan in plans:
+        found = verify(plane, plan, limits=CLOCK)
+        if not found.ok:
+            return found
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,9 @@ class Resolved:
     move: Staged
     made: Timed
     plan: Plan
+    """Of gears without play."""
+    loose: Plan
+    """Of gears with as much as the instrument allows."""
     rounds: int
     waits: int
     """Units that wait for another."""
@@ -57,21 +64,22 @@ class Resolver:
     def resolve(self) -> Resolved:
         """Rounds of verifying and mending; where that does not end, those that still meet others stay."""
         for count in range(1, ROUNDS + 1):
-            made, plan = self._made()
-            found = proven(self.plane, plan)
+            made, plan, loose = self._made()
+            found = proven(self.plane, (plan, loose))
             if found.ok:
                 waits = int((self.move.turn > 0).any(axis=1).sum())
-                return Resolved(self.move, made, plan, count, waits)
+                return Resolved(self.move, made, plan, loose, count, waits)
             for violation in found.violations:
                 self._mend(made, violation, hard=count > ROUNDS // 2)
         self._hold_back(np.flatnonzero(self.move.moves), "the others, in any order that was tried")
-        made, plan = self._made()
-        return Resolved(self.move, made, plan, ROUNDS, 0)
+        made, plan, loose = self._made()
+        return Resolved(self.move, made, plan, loose, ROUNDS, 0)
 
-    def _made(self) -> tuple[Timed, Plan]:
+    def _made(self) -> tuple[Timed, Plan, Plan]:
         made = timed(self.move)
         aims = replace(self.ends(self.move), refused=dict(self.refused))
-        return made, plan_of(self.plane, made, aims)
+        theta, phi = (axis.backlash_deg for axis in self.plane.instrument.axes)
+        return made, plan_of(self.plane, made, aims), plan_of(self.plane, made, aims, (theta, phi))
 
     def _mend(self, made: Timed, violation: Violation, hard: bool) -> None:
         """Another order of two that meet, or less of a way; `hard`: no more orders are tried."""
@@ -86,15 +94,19 @@ class Resolver:
         stage = int(stage_of[row] or 0)
         other = second if row == first else first
         if other is None or hard or not self._reorder(row, other, stage):
-            name = violation.other if other is None else f"positioner {self._name(other)}"
-            self._shorten(row, stage, name)
+            name = f"positioner {self._name(other)}" if other is not None else violation.other
+            self._shorten(row, stage, name or f"a limit ({violation.kind})")
 
     def _at_an_end(self, rows: list[int], violation: Violation) -> None:
         """They meet where one begins or ends: the one of the longer way makes less of it."""
         rows = [row for row in rows if self.move.moves[row]]
         if rows:
             row = max(rows, key=lambda k: int(np.abs(self.move.reduced[k]).sum()))
-            self._shorten(row, Stage.APPROACH, violation.other or "another")
+            other = (
+                str(violation.positioner_id) if violation.other == str(self._name(row)) else violation.other
+            )
+            name = f"positioner {other}" if other.isdigit() else other or f"a limit ({violation.kind})"
+            self._shorten(row, Stage.APPROACH, name)
 
     def _reorder(self, row: int, other: int, stage: int) -> bool:
         """Tries the one after the other, then the reverse; False: both were tried, or one does not move."""

@@ -19,7 +19,7 @@ from fiberloom.drive.desi.clock import (
     degrees_of,
     tenths_of,
 )
-from fiberloom.drive.desi.paths import executed_path
+from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables, leg_steps
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, Trajectory
@@ -167,13 +167,17 @@ class Aims:
     refused: dict[int, str] = field(default_factory=dict)
 
 
-def plan_of(plane: FocalPlane, made: Timed, aims: Aims) -> Plan:
-    """The way that arms go by these tables, with a corner wherever a motor changes."""
-    path = executed_path(made.tables)
+def plan_of(plane: FocalPlane, made: Timed, aims: Aims, play_deg: tuple[float, float] = (0.0, 0.0)) -> Plan:
+    """The way that arms of a `plane` go by tables, with a corner wherever a motor changes.
+
+    `made`: the tables; `aims`: where they begin and end; `play_deg` of theta and phi: a motor that turns
+    against its final direction moves its arm only when that is used up.
+    """
+    path = _finer(executed_path(made.tables)) if any(play_deg) else executed_path(made.tables)
     total = np.abs(path.tenths[:, -1:]) + 1e-9
     share = np.clip(np.abs(path.tenths) / total, 0.0, 1.0)
-    angles = aims.here_deg[:, None] + degrees_of(path.tenths) + share * aims.error_deg[:, None]
-    angles = np.round(angles, 9)
+    counted = _behind(degrees_of(path.tenths), np.array(play_deg))
+    angles = np.round(aims.here_deg[:, None] + counted + share * aims.error_deg[:, None], 9)
     moves = made.tables.rows > 0
     robots = []
     for row, number in enumerate(plane.positioner_id.tolist()):
@@ -191,3 +195,24 @@ def plan_of(plane: FocalPlane, made: Timed, aims: Aims) -> Plan:
         refused=aims.refused,
         statistics={},
     )
+
+
+def _finer(path: FieldPath) -> FieldPath:
+    """With three more corners between any two: play is used up within a leg."""
+    parts = np.arange(4) / 4
+    first, last = path.tick[:, :-1, None], path.tick[:, 1:, None]
+    tick = np.rint(first + parts * (last - first)).astype(np.int64).reshape(len(path.tick), -1)
+    tick = np.concatenate([tick, path.tick[:, -1:]], axis=1)
+    return FieldPath(tick, path.at(tick))
+
+
+def _behind(counted_deg: Floats, play_deg: Floats) -> Floats:
+    """(N, K, 2) deg of arms behind counts (N, K, 2), with plays (2,) that are closed at first."""
+    if not play_deg.any():
+        return counted_deg
+    low, high = np.where(FINAL_DIRECTION < 0, -play_deg, 0.0), np.where(FINAL_DIRECTION > 0, play_deg, 0.0)
+    out, at = np.empty_like(counted_deg), np.zeros_like(counted_deg[:, 0])
+    for k in range(counted_deg.shape[1]):
+        at = np.clip(at, counted_deg[:, k] + low, counted_deg[:, k] + high)
+        out[:, k] = at
+    return out

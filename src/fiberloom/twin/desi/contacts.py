@@ -217,7 +217,7 @@ def _note(first: Floats, index: Ints, time_s: Floats, gap: Floats) -> None:
 def _obstacles(plane: FocalPlane) -> Floats:
     """(K, 6) x0, y0, x1, y1, radius in mm, layers: fiducials, guide cameras, keep-outs."""
     every = float(layer_bits(tuple(range(1, 33))))
-    discs = plane.fiducials[:, [0, 1, 0, 1, 2]]
+    discs = plane.fiducials[plane.fiducials[:, 2] > 0.0][:, [0, 1, 0, 1, 2]]  # no radius: at another height
     plain = np.vstack([discs, plane.guide_cameras.reshape(-1, 5)])
     rows = [np.column_stack([plain, np.full(len(plain), every)])]
     for keep_out in plane.instrument.bodies.keep_outs:
