@@ -17,6 +17,8 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 
 BEYOND_STOP_DEG = 1.0
 """A stop is known so well, and so far beyond it an arm may be seen."""
+NEAREST_MM = 0.005
+"""A fibre on its centre shows no theta."""
 NO_LEVER_MM = 0.1
 """A fibre this near to a singular place is taken to be so far from it: errors stay finite."""
 
@@ -121,7 +123,7 @@ class CobraArms:
         """(n, 2) deg by which angles seen err, for an error of the camera in um per axis."""
         turn = deg_to_rad(self.fibre_deg(angle_deg)[:, 1])
         a, b = self.link_mm.T
-        far = np.maximum(np.abs(a + b * np.exp(1j * turn)), 3.0 * NO_LEVER_MM)
+        far = np.maximum(np.abs(a + b * np.exp(1j * turn)), NEAREST_MM)
         # how much the fibre's distance from the centre changes with phi
         lever = np.maximum(np.abs(a * b * np.sin(turn)) / far, NO_LEVER_MM)
         return rad_to_deg(1e-3 * np.asarray(camera_um) / np.stack([far, lever])).T
