@@ -78,8 +78,8 @@ class StageSettings:
     """[A] A cobra whose theta may end farther off than this turns it first, within its territory."""
     dot_margin_mm: float = 0.1
     """A fibre that turns stays so far from its dot."""
-    margin_mm: float = 0.02
-    """Between territories, for the camera and the calibration."""
+    margin_mm: float = 0.06
+    """Between territories, for camera and calibration: above what the swept check takes for a meeting."""
 
 
 class Chosen(NamedTuple):
@@ -288,7 +288,11 @@ class Stages:
         i, j = self.check.pairs.T
         for aside in ASIDE_DEG:
             turned = np.clip(goal[:, THETA] + aside, 0.0, self.arms.range_deg[:, THETA])
-            near = np.flatnonzero(np.append(tries, np.zeros(len(self.check.arms) - len(goal), bool))[self.check.pairs].any(axis=1))
+            near = np.flatnonzero(
+                np.append(tries, np.zeros(len(self.check.arms) - len(goal), bool))[self.check.pairs].any(
+                    axis=1
+                )
+            )
             ways = self._ways_aside(goal, turned)
             meets = np.zeros(len(self.check.arms), dtype=bool)
             meets[i[near[self.check.meeting(ways, ends, near)]]] = True
@@ -331,7 +335,9 @@ class Stages:
         here = _by_cobra(motors.place_deg)
         turns = active & (np.abs(goal - here)[:, THETA] > TURN_DEG)
         reach = np.minimum(goal[:, PHI], self.phi_in_deg)
-        sweep = box_of(np.column_stack([here[:, THETA], 0.0 * reach]), np.column_stack([goal[:, THETA], reach]))
+        sweep = box_of(
+            np.column_stack([here[:, THETA], 0.0 * reach]), np.column_stack([goal[:, THETA], reach])
+        )
         sweep[:, THETA] += np.array([-ROOM_DEG, ROOM_DEG])
         ends = box_of(goal, goal)
         i, j = self.check.pairs.T
