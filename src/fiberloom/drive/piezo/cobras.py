@@ -15,8 +15,11 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
-BEYOND_STOP_DEG = 1.0
-"""A stop is known so well, and so far beyond it an arm may be seen."""
+BEYOND_STOP_DEG = (8.0, 1.0)
+"""So far beyond a stop of theta and phi an arm may be seen: folded, a micrometre turns theta by degrees."""
+NEAREST_MM = 0.005
+ON_CENTRE = 10.0
+"""So many errors of the camera from its centre a fibre tells which way it is."""
 NO_LEVER_MM = 0.1
 """A fibre this near to a singular place is taken to be so far from it: errors stay finite."""
 
@@ -85,7 +88,7 @@ class CobraArms:
         stretched or folded towards them.
         """
         theta, phi = self._elbow_deg(xy_mm, -1.0)
-        highest = np.floor((self.range_deg[:, 0] + BEYOND_STOP_DEG - theta) / 360.0)
+        highest = np.floor((self.range_deg[:, 0] + BEYOND_STOP_DEG[0] - theta) / 360.0)
         turn = np.clip(np.rint((near_deg[:, 0] - theta) / 360.0), 0.0, np.maximum(highest, 0.0))
         return np.column_stack([theta + 360.0 * turn, phi])
 
@@ -101,7 +104,7 @@ class CobraArms:
             poses += [np.column_stack([theta, phi]), np.column_stack([theta + 360.0, phi])]
         found = np.stack(poses, axis=1)
         top = self.range_deg[:, None]
-        allowed = (found > -BEYOND_STOP_DEG) & (found < top + BEYOND_STOP_DEG)
+        allowed = (found > -np.array(BEYOND_STOP_DEG)) & (found < top + np.array(BEYOND_STOP_DEG))
         # the first one stands for places out of reach too
         allowed[:, 0, 1] = True
         return np.where(allowed.all(axis=2)[..., None], found, np.nan)
@@ -113,7 +116,7 @@ class CobraArms:
         between = side * np.arccos(np.clip((far**2 - a**2 - b**2) / (2.0 * a * b), -1.0, 1.0))
         bent = a + b * np.exp(1j * between)
         theta = rad_to_deg(np.arctan2(at[:, 1], at[:, 0]) - np.angle(bent)) - self.zero_deg[:, 0]
-        theta = theta + 360.0 * np.ceil((-BEYOND_STOP_DEG - theta) / 360.0)
+        theta = theta + 360.0 * np.ceil((-BEYOND_STOP_DEG[0] - theta) / 360.0)
         phi = rad_to_deg(between) - self.zero_deg[:, 1]
         return theta, phi + 360.0 * np.rint((0.5 * self.range_deg[:, 1] - phi) / 360.0)
 
@@ -121,10 +124,17 @@ class CobraArms:
         """(n, 2) deg by which angles seen err, for an error of the camera in um per axis."""
         turn = deg_to_rad(self.fibre_deg(angle_deg)[:, 1])
         a, b = self.link_mm.T
-        far = np.maximum(np.abs(a + b * np.exp(1j * turn)), 3.0 * NO_LEVER_MM)
+        far = np.maximum(np.abs(a + b * np.exp(1j * turn)), NEAREST_MM)
         # how much the fibre's distance from the centre changes with phi
         lever = np.maximum(np.abs(a * b * np.sin(turn)) / far, NO_LEVER_MM)
-        return rad_to_deg(1e-3 * np.asarray(camera_um) / np.stack([far, lever])).T
+        camera_mm = 1e-3 * np.asarray(camera_um)
+        # by how much the fibre's direction turns against the first link with phi
+        bends = b * (b + a * np.cos(turn)) / far**2
+        theta = np.hypot(camera_mm / far, bends * camera_mm / lever)
+        sigma = np.minimum(rad_to_deg(np.stack([theta, camera_mm / lever])), 180.0)
+        # a fibre on its centre shows nothing of theta
+        sigma[0] = np.where(far < ON_CENTRE * camera_mm, 180.0, sigma[0])
+        return sigma.T
 
     def reach_mm(self, phi_deg: Floats) -> Floats:
         """(n, ...) distances of fibres from their centres in mm, of phi from the stop (n, ...) in deg."""

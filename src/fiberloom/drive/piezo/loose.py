@@ -19,7 +19,7 @@ FLOOR_MM2 = 0.002
 """Density of a spot anywhere in reach: some motors scatter much more than they are believed to."""
 UNSEEN = 0.05
 """Probability that an unpaired fibre is dark or hidden."""
-SURE = 3.0
+SURE = 2.0
 """A pair counts where the next best has a probability smaller by exp of this."""
 REACH_MARGIN_MM = 0.1
 IMPOSSIBLE = 1e6
@@ -43,7 +43,7 @@ def pair_loose(
     whole = np.hstack([price, nobody])
     mine, spot = linear_sum_assignment(whole)
     for k, m in zip(mine.tolist(), spot.tolist(), strict=True):
-        if m < len(loose_mm) and _is_sure(whole, k, m):
+        if m < len(loose_mm) and _is_sure(price, k, m):
             found[rows[k]] = loose_mm[m]
     return found
 
@@ -67,6 +67,6 @@ def _prices(
 
 def _is_sure(price: Floats, k: int, m: int) -> bool:
     """No other cobra wants this spot, and this one no other spot, nearly as much."""
-    others, own = np.delete(price[:, m], k), np.delete(price[k, : price.shape[1]], m)
+    others, own = np.delete(price[:, m], k), np.delete(price[k], m)
     best = min(others.min(initial=IMPOSSIBLE), own.min(initial=IMPOSSIBLE))
     return bool(best - price[k, m] > SURE)

@@ -39,6 +39,12 @@ class Stage(IntEnum):
 
 FAR_DEG = 5.0
 """A cobra whose phi lacks more has still to go out."""
+ASIDE_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
+"""By which theta may be turned aside while phi goes out."""
+ROOM_DEG = 2.0
+"""Around such ways, for what motors miss: less would be found free and then be blocked."""
+TURN_DEG = 30.0
+"""A cobra whose theta lacks more has still to turn."""
 SHARES = (1.0, 0.65, 0.4, 0.2)
 """Of phi's way, for the first stages."""
 
@@ -72,8 +78,8 @@ class StageSettings:
     """[A] A cobra whose theta may end farther off than this turns it first, within its territory."""
     dot_margin_mm: float = 0.1
     """A fibre that turns stays so far from its dot."""
-    margin_mm: float = 0.02
-    """Between territories, for the camera and the calibration."""
+    margin_mm: float = 0.06
+    """Between territories, for camera and calibration: above what the swept check takes for a meeting."""
 
 
 class Chosen(NamedTuple):
@@ -144,10 +150,11 @@ class Stages:
         `motors`: what is known of them; `goal_deg` (n, 2): angles wanted; `active` (n,): cobras that shall
         move; `seed`: decides between equals.
         """
-        options = self._options(motors, goal_deg)
         assert motors.place_deg is not None
         far = active & (np.abs(goal_deg - _by_cobra(motors.place_deg))[:, PHI] > FAR_DEG)
-        waits = self._waits(goal_deg, far)
+        goal_deg = np.where(far[:, None], self._approach(goal_deg, active), goal_deg)
+        options = self._options(motors, goal_deg)
+        waits = self._waits(goal_deg, far) | self._lets_turn(motors, goal_deg, active)
         for out in options[: len(SHARES)]:
             out.may[waits] = False
         rank = np.random.default_rng(seed).permutation(len(goal_deg))
@@ -186,8 +193,10 @@ class Stages:
         direct = self._tube(motors, way)[:, THETA] <= self.settings.direct_deg
         for option in out:
             option.may[:] = direct
-        options[Stage.TURN].may[:] = turns_safely & (inside | ~direct)
-        options[Stage.FOLD].may[:] = ~inside & ~direct
+        # who is out and has still to go far may fold where the way is barred
+        folds = ~direct | (np.abs(goal_deg - here) > FAR_DEG).any(axis=1)
+        options[Stage.TURN].may[:] = turns_safely & (inside | folds)
+        options[Stage.FOLD].may[:] = ~inside & folds
         return options
 
     def _option(self, motors: Motors, here: Floats, target: Floats, phi_first: Flags) -> _Option:
@@ -268,6 +277,41 @@ class Stages:
         np.minimum.at(room, j, 0.5 * gap)
         return room[: self.check.cobras]
 
+    def _approach(self, goal: Floats, active: Flags) -> Floats:
+        """Goals (n, 2) in deg with theta turned aside where phi could not go out without meeting a neighbour's.
+
+        From there theta turns to its goal once phi is out. As little aside as keeps clear of all neighbours
+        where they will be; as it is where no way does.
+        """
+        ends, found = box_of(goal - ROOM_DEG, goal + ROOM_DEG)[:, None], np.zeros(len(goal))
+        tries = active & (goal[:, PHI] > self.phi_in_deg)
+        i, j = self.check.pairs.T
+        for aside in ASIDE_DEG:
+            turned = np.clip(goal[:, THETA] + aside, 0.0, self.arms.range_deg[:, THETA])
+            near = np.flatnonzero(
+                np.append(tries, np.zeros(len(self.check.arms) - len(goal), bool))[self.check.pairs].any(
+                    axis=1
+                )
+            )
+            ways = self._ways_aside(goal, turned)
+            meets = np.zeros(len(self.check.arms), dtype=bool)
+            meets[i[near[self.check.meeting(ways, ends, near)]]] = True
+            meets[j[near[self.check.meeting(ends, ways, near)]]] = True
+            free = tries & ~meets[: len(goal)]
+            found[free] = (turned - goal[:, THETA])[free]
+            tries &= ~free
+        return goal + np.column_stack([found, np.zeros(len(goal))])
+
+    def _ways_aside(self, goal: Floats, turned: Floats) -> Floats:
+        """(n, 2, 2, 2) boxes: phi out with theta at `turned` (n,), then theta to its goal."""
+        phi_in = np.minimum(self.phi_in_deg, goal[:, PHI])
+        out = box_of(np.column_stack([turned, phi_in]), np.column_stack([turned, goal[:, PHI]]))
+        across = box_of(np.column_stack([turned, goal[:, PHI]]), goal)
+        ways = np.stack([out, across], axis=1)
+        ways[..., 0] -= ROOM_DEG
+        ways[..., 1] += ROOM_DEG
+        return ways
+
     # agreement
 
     def _waits(self, goal: Floats, far: Flags) -> Flags:
@@ -284,6 +328,26 @@ class Stages:
         waits[j[first_i & ~first_j & far[i]]] = True
         waits[i[first_j & ~first_i & far[j]]] = True
         return waits[: self.check.cobras]
+
+    def _lets_turn(self, motors: Motors, goal: Floats, active: Flags) -> Flags:
+        """(n,) cobras that would stand in the way of a neighbour that has still to turn theta."""
+        assert motors.place_deg is not None
+        here = _by_cobra(motors.place_deg)
+        turns = active & (np.abs(goal - here)[:, THETA] > TURN_DEG)
+        reach = np.minimum(goal[:, PHI], self.phi_in_deg)
+        sweep = box_of(
+            np.column_stack([here[:, THETA], 0.0 * reach]), np.column_stack([goal[:, THETA], reach])
+        )
+        sweep[:, THETA] += np.array([-ROOM_DEG, ROOM_DEG])
+        ends = box_of(goal, goal)
+        i, j = self.check.pairs.T
+        turning = np.append(turns, np.zeros(len(self.check.arms) - len(goal), dtype=bool))
+        lets = np.zeros(len(turning), dtype=bool)
+        for own, other, flip in ((i, j, False), (j, i, True)):
+            near = np.flatnonzero(turning[own])
+            pair = (ends, sweep) if flip else (sweep, ends)
+            lets[other[near[self.check.meeting(pair[0][:, None], pair[1][:, None], near)]]] = True
+        return lets[: len(goal)]
 
     def _make_way(self, options: list[_Option], stage: Ints, far: Flags, goal: Floats, rank: Ints) -> Ints:
         """Of two that stand in each other's way the one that is out folds."""

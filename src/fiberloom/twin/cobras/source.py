@@ -21,7 +21,7 @@ from fiberloom.metrology import Camera
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
 from fiberloom.twin.camera.models import image_camera
 from fiberloom.twin.camera.noise_camera import NoiseCamera
-from fiberloom.twin.cobras.array import CobraArray
+from fiberloom.twin.cobras.array import CobraArray, Contact
 from fiberloom.twin.cobras.streams import VirtualBoards
 from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import check_camera, draw_faults
@@ -114,12 +114,22 @@ class CobraSource:
         """What was found before the first field; empty until then."""
         return []
 
+    @cached_property
+    def _calibration_contacts(self) -> list[Contact]:
+        return []
+
+    @property
+    def calibration_contacts(self) -> int:
+        """How often arms touched while motors were calibrated."""
+        return len(self._calibration_contacts)
+
     async def _calibrate(self) -> None:
         bench = FpgaClient(self.boards.connector())
         drive = CobraDrive(self.plane, self.known_maps, bench, self.array.dots_mm)
         found = await calibrate_cobras(drive, self._noise_camera())
         self.calibrations.append(found)
         await drive.home()
+        self._calibration_contacts.extend(self.array.contacts)
         self.array.contacts.clear()
         own = self.hardware.drive
         assert isinstance(own, CobraDrive)

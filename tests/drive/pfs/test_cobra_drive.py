@@ -1,0 +1,174 @@
+"""The drive of cobras on the twin's boards: iterations, what boards do not do, homing and stopping."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiberloom.bus.motion import MotionWatch
+from fiberloom.bus.outcome import Outcome
+from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.drive.port import Wanted
+from fiberloom.errors import InputError
+from fiberloom.twin.actuators import PiezoErrors, drawn_maps
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.cobras.array import CobraArray
+from fiberloom.twin.cobras.streams import VirtualBoards
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from support.cobras import pfs_plane
+
+N = 114
+
+
+class Rig:
+    """A drive, its twin and a camera."""
+
+    def __init__(self, errors=None, seed=0, unpowered=()):
+        self.plane = pfs_plane(N)
+        maps = drawn_maps(N, seed)
+        self.array = CobraArray(self.plane, maps, errors or PiezoErrors(), seed)
+        self.owner = VirtualBoards(self.array, set(unpowered))
+        self.drive = CobraDrive(self.plane, maps, FpgaClient(self.owner.connector()), self.plane.dots_mm)
+        self.camera = NoiseCamera(self.array, 1.4, seed)
+
+    async def iterate(self, goal, active=None):
+        """One iteration towards angles from the stops; results."""
+        here = (await self.drive.believed(self.plane.positioner_id)).angles_deg
+        wanted = goal + stops_deg(self.plane)[0]
+        moves = np.ones(N, dtype=bool) if active is None else active
+        aim = np.where(moves[:, None], wanted, here)
+        programme = await self.drive.prepare(Wanted(self.plane, here, aim, np.zeros((N, 2))))
+        assert self.drive.verify(self.plane, programme).ok
+        results = await self.drive.run(programme, MotionWatch(), lambda text: None)
+        image = self.camera.measure(None)
+        self.drive.seen(image, np.ones(N, dtype=bool))
+        return programme, results, image
+
+
+def goals(drive, seed=1):
+    """Places that do not touch: every second cobra out, the others nearly folded."""
+    rng = np.random.default_rng(seed)
+    out = np.where(np.arange(N) % 2 == 0, rng.uniform(70.0, 110.0, N), rng.uniform(20.0, 40.0, N))
+    goal = np.column_stack([rng.uniform(10.0, 350.0, N), out])
+    touching = drive.stages.touching(goal)
+    goal[np.unique(touching[:, 0]), 1] = 25.0
+    goal[np.unique(touching[:, 1][touching[:, 1] < N]), 1] = 25.0
+    return goal
+
+
+def test_a_field_comes_to_its_targets_without_contacts():
+    async def go():
+        rig = Rig()
+        await rig.drive.connect()
+        goal = goals(rig.drive)
+        off = []
+        for _ in range(8):
+            await rig.iterate(goal)
+            off.append(1e3 * np.hypot(*(rig.array.fibre_xy() - rig.drive.arms.xy_mm(goal)).T))
+        return rig, np.array(off)
+
+    rig, off_um = asyncio.run(go())
+    healthy = ~rig.array.stuck
+    # seed 0, as it is; the share falls far below this where iterations do not learn
+    assert np.mean(off_um[-1][healthy] < 5.0) > 0.8
+    assert np.median(off_um[-1]) < np.median(off_um[3]) < np.median(off_um[1])
+    assert rig.array.contacts == []
+
+
+def test_targets_that_touch_are_refused_by_name():
+    async def go():
+        rig = Rig()
+        await rig.drive.connect()
+        goal = goals(rig.drive)
+        arms, (i, j) = rig.drive.arms, rig.drive.stages.check.pairs[0]
+        at = arms.xy_mm(goal)
+        at[[i, j]] = 0.5 * (arms.centre_mm[i] + arms.centre_mm[j])
+        programme, _, _ = await rig.iterate(arms.angles_deg(at, goal))
+        return programme.plan, i, j
+
+    plan, i, j = asyncio.run(go())
+    assert plan.refused[j + 1] == f"its target would touch cobra {i + 1}"
+    assert not plan.robots[j].moves
+
+
+def test_cobras_of_a_board_without_power_are_told_and_stay():
+    async def go():
+        rig = Rig(unpowered=[3])
+        await rig.drive.connect()
+        assert rig.drive.ids == list(range(1, 58))
+        _, results, _ = await rig.iterate(goals(rig.drive))
+        return rig, results
+
+    rig, results = asyncio.run(go())
+    cut = {p for p, r in results.items() if r.outcome is Outcome.DISCONNECTED}
+    assert cut
+    assert min(cut) > 57
+    assert np.all(rig.array.angle_deg[57:] == 0.0)
+    # they are believed to be where they were
+    np.testing.assert_allclose(rig.drive.expected_deg[57:], 0.0, atol=3.0)
+
+
+def test_no_board_is_one_line():
+    async def go():
+        await Rig(unpowered=[1]).drive.connect()
+
+    with pytest.raises(InputError, match="none of the 114"):
+        asyncio.run(go())
+
+
+def test_a_run_whose_connection_was_cut_is_found_by_the_image():
+    async def go():
+        rig = Rig(PiezoErrors(stuck_share=0.0))
+        await rig.drive.connect()
+        goal = goals(rig.drive)
+        stream, write = rig.owner.open, rig.owner.open.write
+
+        async def write_and_cut(data):
+            await write(data)
+            if data[0] == 1:
+                rig.owner.cut()
+
+        stream.write = write_and_cut
+        _, results, _ = await rig.iterate(goal)
+        for _ in range(4):
+            await rig.iterate(goal)
+        return rig, results, goal
+
+    rig, results, goal = asyncio.run(go())
+    assert {r.outcome for r in results.values()} == {Outcome.STOPPED}
+    off_um = 1e3 * np.hypot(*(rig.array.fibre_xy() - rig.drive.arms.xy_mm(goal)).T)
+    assert np.median(off_um) < 300.0
+    assert rig.array.contacts == []
+
+
+def test_home_and_stop():
+    async def go():
+        rig = Rig(PiezoErrors(stuck_share=0.0))
+        await rig.drive.connect()
+        await rig.iterate(goals(rig.drive))
+        stopped = await rig.drive.stop()
+        await rig.drive.home()
+        return rig, stopped
+
+    rig, stopped = asyncio.run(go())
+    assert stopped == list(range(1, N + 1))
+    assert np.mean(rig.array.angle_deg < 1e-9) > 0.97
+    np.testing.assert_array_equal(rig.drive.expected_deg, 0.0)
+
+
+def test_a_plan_of_another_maker_is_compiled_as_one_iteration():
+    async def go():
+        rig = Rig()
+        await rig.drive.connect()
+        programme, _, _ = await rig.iterate(goals(rig.drive))
+        again = await rig.drive.compile(programme.plan)
+        return programme, again
+
+    programme, again = asyncio.run(go())
+    assert len(again.plan.robots) == N
+    assert again.plan.instrument == programme.plan.instrument
+    assert np.all(again.tube_mm >= 0.0)
