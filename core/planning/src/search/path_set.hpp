@@ -28,6 +28,12 @@ struct PathConflict {
     bool late = false; // only if one of the two is late
 };
 
+// Around all that an arm sweeps in a step.
+struct Circle {
+    Vec2 centre;
+    double radius_mm = 0.0;
+};
+
 // One positioner of a path set.
 struct Member {
     explicit Member(Robot r) : robot(std::move(r)) {}
@@ -36,6 +42,7 @@ struct Member {
     List<PathIndex> neighbours; // nearest first
     List<Cell> path;            // the cell at each step
     List<SweptArm> swept;       // the motion of each step
+    List<Circle> circles;       // around each of them
     List<PathConflict> conflicts;
     SweptArm at_start, at_goal;
     Presence presence = Presence::waiting;
@@ -53,6 +60,8 @@ struct Mode {
     bool backward = false; // in time
     int hold = 0;          // steps for which it rests first
     int most_guided = 0;   // states that are looked at with a guide before it is given up; 0: no limit
+    int unguided =
+        100; // states that are looked at before a guide is made, which takes as long as some hundred
 };
 
 // What a repair may have to take back.
@@ -60,6 +69,8 @@ struct SavedPath {
     PathIndex index;
     List<Cell> path;
     List<SweptArm> swept;
+    List<Circle> circles;
+    List<PathConflict> conflicts;
     bool still;
 };
 
@@ -108,6 +119,8 @@ class PathSet {
 
     SavedPath save(PathIndex i) const;
     void restore(SavedPath saved);
+    // Of a list that was saved at once, if nothing else has changed since: with their conflicts.
+    void restore_all(List<SavedPath> &saved);
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
@@ -139,7 +152,8 @@ class PathSet {
     int late_in_conflict(const Member &p, const Member &q) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
-    bool circles_touch(const SweptArm &p, const SweptArm &q) const;
+    Circle circle_of(const SweptArm &swept) const;
+    bool circles_touch(const Circle &p, const Circle &q) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;
