@@ -20,6 +20,13 @@ constexpr int much_too_dear = 3;
 
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
 
+// The last step in which something moves on a path.
+int last_move(const List<Cell> &path) {
+    int step = path.size() - 1;
+    while (step > 0 && path[step - 1] == path.back()) --step;
+    return step;
+}
+
 VelocityChanges changes_at(const List<Cell> &path, int step) {
     const Cell here = path[step], before = path[std::max(step - 1, 0)],
                after = path[std::min(step + 1, path.size() - 1)];
@@ -57,17 +64,16 @@ void PathSet::allow(PathIndex i, int deadline) {
     if (deadline > steps_) extend(deadline - steps_);
 }
 
-int PathSet::arrival(PathIndex i) const { return arrival(at(i)); }
+void PathSet::extend(int steps) { set_steps(steps_ + steps); }
 
-int PathSet::arrival(const Member &member) const {
-    const auto &path = member.path;
-    int step = path.size() - 1;
-    while (step > 0 && path[step - 1] == path.back()) --step;
-    return step;
+void PathSet::shorten() {
+    int last = 0;
+    for (const Member &m : members_) last = std::max({last, m.deadline, m.arrival});
+    if (last < steps_) set_steps(last);
 }
 
-void PathSet::extend(int steps) {
-    steps_ += steps;
+void PathSet::set_steps(int steps) {
+    steps_ = steps;
     for (Member &m : members_) {
         if (m.path.empty()) continue;
         // the last step becomes one of many at rest: its second half was at rest already
@@ -88,6 +94,7 @@ void PathSet::set_path(PathIndex i, const List<Cell> &path) {
         measure_displacement_bound(m.swept[k]);
         m.circles[k] = circle_of(m.swept[k]);
     }
+    m.arrival = last_move(path);
     m.presence = Presence::path;
 }
 
@@ -129,10 +136,13 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
     if (late_steps(me, me.neighbours[slot]) > 0) return gather_late(me, slot, moving);
-    for (int step = 0; step <= steps_; ++step) {
+    const int rests_from = them.presence == Presence::path ? them.arrival + 1 : steps_;
+    for (int step = 0; step <= std::min(rests_from, steps_); ++step) {
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
-        if (within_reach(me.robot, *seen.swept)) moving.add(slot, step, *seen.swept, them.cost, seen.cell);
+        const int last = step == rests_from ? steps_ : step;
+        if (within_reach(me.robot, *seen.swept))
+            moving.add(slot, step, last, {seen.swept, them.cost, seen.cell});
     }
 }
 
@@ -155,7 +165,7 @@ List<PathSet::Stay> PathSet::stays(const Member &m) const {
 // They come after the last step of all, so that the step after its own last one is early enough.
 void PathSet::add_legs(const Member &m, List<Stay> &out) const {
     if (m.still || m.presence == Presence::absent) return;
-    const int last = m.presence == Presence::path ? arrival(m) : m.deadline;
+    const int last = m.presence == Presence::path ? m.arrival : m.deadline;
     const int first = std::min(last + 1, steps_);
     for (const SweptArm &leg : m.robot.legs()) out.push_back({&leg, m.robot.goal(), first, steps_});
 }
@@ -356,7 +366,7 @@ void PathSet::end_changes(bool keep) {
 
 SavedPath PathSet::save(PathIndex i) const {
     const Member &m = at(i);
-    return {i, m.path, m.swept, m.circles, m.conflicts, m.still};
+    return {i, m.path, m.swept, m.circles, m.conflicts, m.arrival, m.still};
 }
 
 void PathSet::restore_all(List<SavedPath> &saved) {
@@ -376,6 +386,7 @@ void PathSet::restore(SavedPath saved) {
     m.path = std::move(saved.path);
     m.swept = std::move(saved.swept);
     m.circles = std::move(saved.circles);
+    m.arrival = saved.arrival;
     m.still = saved.still;
     m.presence = Presence::path;
 }

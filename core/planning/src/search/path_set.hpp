@@ -43,6 +43,7 @@ struct Member {
     List<Cell> path;            // the cell at each step
     List<SweptArm> swept;       // the motion of each step
     List<Circle> circles;       // around each of them
+    int arrival = 0;            // the last step in which it moves
     List<PathConflict> conflicts;
     SweptArm at_start, at_goal;
     Presence presence = Presence::waiting;
@@ -71,6 +72,7 @@ struct SavedPath {
     List<SweptArm> swept;
     List<Circle> circles;
     List<PathConflict> conflicts;
+    int arrival;
     bool still;
 };
 
@@ -80,7 +82,7 @@ class PathSet {
     PathSet(double need_mm, int steps, int late_steps)
         : need_mm_(need_mm), steps_(steps), late_steps_(late_steps) {}
     // The last step in which a positioner moves.
-    int arrival(PathIndex i) const;
+    int arrival(PathIndex i) const { return at(i).arrival; }
 
     Member &at(PathIndex i) { return members_[i]; }
     const Member &at(PathIndex i) const { return members_[i]; }
@@ -92,6 +94,8 @@ class PathSet {
     void find_neighbours();
     // Gives a positioner more time; those that have arrived rest at the goal during steps added.
     void allow(PathIndex i, int deadline);
+    // Ends with the last step that any of them may use.
+    void shorten();
 
     // Seeks a path of one positioner among the others as they are now; false if there is none below give_up.
     bool seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search);
@@ -130,6 +134,7 @@ class PathSet {
     void gather_late(const Member &me, int slot, MovingObstacles &moving) const;
     void guide(Request &request, Member &member);
     void extend(int steps);
+    void set_steps(int steps);
     // Where others see it in a step.
     struct Seen {
         const SweptArm *swept = nullptr; // none: not at all
@@ -144,7 +149,6 @@ class PathSet {
     };
     List<Stay> stays(const Member &member) const;
     void add_legs(const Member &member, List<Stay> &out) const;
-    int arrival(const Member &member) const;
     int late_steps(const Member &member, PathIndex other) const {
         return member.spared.contains(other) ? 0 : std::min(late_steps_, steps_);
     }

@@ -391,6 +391,7 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
         paths_.at(i).deadline = std::min(paths_.at(i).deadline, std::max(paths_.arrival(i), deadline));
         paths_.at(i).tries = 0;
     }
+    paths_.shorten();
     const int before = std::exchange(paths_.at(last).deadline, deadline);
     paths_.note_changes();
     ++statistics_.searches;
