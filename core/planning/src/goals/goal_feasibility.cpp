@@ -274,8 +274,8 @@ List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) const {
     const Angles above = usual(i).above(0);
     List<Angles> out;
     for (const Cell c : robot.reachable())
-        out.push_back({robot.alpha().angle(c.alpha) - above.alpha_rad,
-                       robot.beta().angle(c.beta) - above.beta_rad});
+        out.push_back(
+            {robot.alpha().angle(c.alpha) - above.alpha_rad, robot.beta().angle(c.beta) - above.beta_rad});
     return out;
 }
 

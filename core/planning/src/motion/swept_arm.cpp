@@ -56,14 +56,26 @@ double relative_displacement(const TwoLines &from, const TwoLines &to) {
     return std::sqrt(std::max(std::max(dot(aa, aa), dot(ab, ab)), std::max(dot(ba, ba), dot(bb, bb))));
 }
 
+namespace {
+
+// The same for two quarters: p and q begin with them. Most are seen to be apart without the border between.
+bool quarters_apart(const TwoLines &from, const TwoLines &to, const Segment *p, const Segment *q,
+                    double need) {
+    if (from.distance_mm < need || to.distance_mm < need) return false;
+    TwoLines border{p[1], q[1]};
+    const double ways = relative_displacement(from, border) + relative_displacement(border, to);
+    if (from.distance_mm + to.distance_mm - ways >= 2.0 * need) return true;
+    border.distance_mm = distance(border.p, border.q);
+    return chords_apart(from, border, need, most_halvings) && chords_apart(border, to, need, most_halvings);
+}
+
+} // namespace
+
 bool chords_stay_apart(const Segment *p, const Segment *q, double need_mm) {
-    TwoLines before = two_lines(p[0], q[0]);
-    for (int k = 0; k < quarters; ++k) {
-        const TwoLines after = two_lines(p[k + 1], q[k + 1]);
-        if (!chords_apart(before, after, need_mm, most_halvings)) return false;
-        before = after;
-    }
-    return true;
+    static_assert(quarters == 4);
+    const TwoLines middle = two_lines(p[2], q[2]);
+    return quarters_apart(two_lines(p[0], q[0]), middle, p, q, need_mm) &&
+           quarters_apart(middle, two_lines(p[4], q[4]), p + 2, q + 2, need_mm);
 }
 
 bool chords_ever_apart(const Segment *p, const Segment *q, double need_mm) {

@@ -25,13 +25,14 @@ MovingObstacles::Visit MovingObstacles::visit_of(const SweptArm &swept, int slot
     return {middle(mid.a, mid.b), radius, &swept, slot, cost, cell};
 }
 
-void MovingObstacles::add(int slot, int step, const SweptArm &swept, int cost, Cell cell) {
-    if (extends_last(slot, step, swept)) {
-        visits_.back().last = step;
+void MovingObstacles::add(int slot, int first, int last, const Seen &seen) {
+    if (extends_last(slot, first, *seen.swept)) {
+        visits_.back().last = last;
         return;
     }
-    Visit visit = visit_of(swept, slot, cost, cell);
-    visit.first = visit.last = step;
+    Visit visit = visit_of(*seen.swept, slot, seen.cost, seen.cell);
+    visit.first = first;
+    visit.last = last;
     visits_.push_back(visit);
 }
 

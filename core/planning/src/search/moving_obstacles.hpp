@@ -25,8 +25,14 @@ class MovingObstacles {
     };
 
     void clear() { visits_.clear(); }
-    // In the order of steps for each positioner. cost: of touching it in this step.
-    void add(int slot, int step, const SweptArm &swept, int cost, Cell cell);
+    // What another one sweeps from a cell, and what touching it costs, per step.
+    struct Seen {
+        const SweptArm *swept = nullptr;
+        int cost = 0;
+        Cell cell;
+    };
+    // From a step to another one; in the order of steps for each positioner.
+    void add(int slot, int first, int last, const Seen &seen);
     // What it may do at any moment of some steps, beside what else it may do then.
     void add_late(int slot, const SweptArm &swept, int cost, Cell cell, int first, int last);
     // After the last add: makes the lists by step.

@@ -12,9 +12,6 @@ namespace {
 // the others wait for nothing, shorter lets them plan through one that cannot leave in time.
 constexpr int waiting_steps = 8;
 
-// States that are looked at before a guide is made, which takes as long as some hundred more.
-constexpr int unguided = 100;
-
 // The guide sees arms in mid-step alone, where they may be farther apart than at its ends: it keeps so much
 // more between them. So it may find dear what is not; no path is given up for it unless so many times too
 // dear.
@@ -22,6 +19,13 @@ constexpr double guide_margin_mm = 0.3;
 constexpr int much_too_dear = 3;
 
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
+
+// The last step in which something moves on a path.
+int last_move(const List<Cell> &path) {
+    int step = path.size() - 1;
+    while (step > 0 && path[step - 1] == path.back()) --step;
+    return step;
+}
 
 VelocityChanges changes_at(const List<Cell> &path, int step) {
     const Cell here = path[step], before = path[std::max(step - 1, 0)],
@@ -60,22 +64,22 @@ void PathSet::allow(PathIndex i, int deadline) {
     if (deadline > steps_) extend(deadline - steps_);
 }
 
-int PathSet::arrival(PathIndex i) const { return arrival(at(i)); }
+void PathSet::extend(int steps) { set_steps(steps_ + steps); }
 
-int PathSet::arrival(const Member &member) const {
-    const auto &path = member.path;
-    int step = path.size() - 1;
-    while (step > 0 && path[step - 1] == path.back()) --step;
-    return step;
+void PathSet::shorten() {
+    int last = 0;
+    for (const Member &m : members_) last = std::max({last, m.deadline, m.arrival});
+    if (last < steps_) set_steps(last);
 }
 
-void PathSet::extend(int steps) {
-    steps_ += steps;
+void PathSet::set_steps(int steps) {
+    steps_ = steps;
     for (Member &m : members_) {
         if (m.path.empty()) continue;
         // the last step becomes one of many at rest: its second half was at rest already
         m.path.resize(steps_ + 1, m.path.back());
         m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
+        m.circles.resize(steps_ + 1, circle_of(m.swept.back()));
     }
 }
 
@@ -84,10 +88,13 @@ void PathSet::set_path(PathIndex i, const List<Cell> &path) {
     Member &m = at(i);
     m.path = path;
     m.swept.resize(path.size());
+    m.circles.resize(path.size());
     for (int k = 0; k < path.size(); ++k) {
         m.swept[k] = m.robot.swept(path[k], changes_at(path, k));
         measure_displacement_bound(m.swept[k]);
+        m.circles[k] = circle_of(m.swept[k]);
     }
+    m.arrival = last_move(path);
     m.presence = Presence::path;
 }
 
@@ -129,10 +136,13 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
     if (late_steps(me, me.neighbours[slot]) > 0) return gather_late(me, slot, moving);
-    for (int step = 0; step <= steps_; ++step) {
+    const int rests_from = them.presence == Presence::path ? them.arrival + 1 : steps_;
+    for (int step = 0; step <= std::min(rests_from, steps_); ++step) {
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
-        if (within_reach(me.robot, *seen.swept)) moving.add(slot, step, *seen.swept, them.cost, seen.cell);
+        const int last = step == rests_from ? steps_ : step;
+        if (within_reach(me.robot, *seen.swept))
+            moving.add(slot, step, last, {seen.swept, them.cost, seen.cell});
     }
 }
 
@@ -155,7 +165,7 @@ List<PathSet::Stay> PathSet::stays(const Member &m) const {
 // They come after the last step of all, so that the step after its own last one is early enough.
 void PathSet::add_legs(const Member &m, List<Stay> &out) const {
     if (m.still || m.presence == Presence::absent) return;
-    const int last = m.presence == Presence::path ? arrival(m) : m.deadline;
+    const int last = m.presence == Presence::path ? m.arrival : m.deadline;
     const int first = std::min(last + 1, steps_);
     for (const SweptArm &leg : m.robot.legs()) out.push_back({&leg, m.robot.goal(), first, steps_});
 }
@@ -225,9 +235,9 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
     Member &m = at(i);
     Request request{&m.robot, &moving_, &costs,        steps_,   m.deadline,
                     give_up,  need_mm_, mode.backward, mode.hold};
-    request.most_expansions = unguided;
-    const List<Cell> *path = &search.run(request);
-    if (search.undecided()) {
+    request.most_expansions = mode.unguided;
+    const List<Cell> *path = mode.unguided > 0 ? &search.run(request) : nullptr;
+    if (path == nullptr || search.undecided()) {
         guide(request, m);
         if (guide_.total() / much_too_dear >= give_up) return false;
         request.most_expansions = mode.most_guided;
@@ -239,22 +249,24 @@ bool PathSet::seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Sear
     return true;
 }
 
-// Whether the circles around all that two sweep come too near.
-bool PathSet::circles_touch(const SweptArm &p, const SweptArm &q) const {
-    const Segment &mine = p.at[2], &theirs = q.at[2];
-    const Vec2 gap = middle(mine.a, mine.b) - middle(theirs.a, theirs.b);
-    const double touch = 0.5 * (length(mine.b - mine.a) + length(theirs.b - theirs.a)) +
-                         p.displacement_bound_mm + q.displacement_bound_mm + need_mm_ + p.extra_mm +
-                         q.extra_mm;
+Circle PathSet::circle_of(const SweptArm &swept) const {
+    const Segment &mid = swept.at[2];
+    const double half = 0.5 * length(mid.b - mid.a);
+    return {middle(mid.a, mid.b), half + swept.displacement_bound_mm + swept.extra_mm + 0.5 * need_mm_};
+}
+
+// Whether they come too near.
+bool PathSet::circles_touch(const Circle &p, const Circle &q) const {
+    const Vec2 gap = p.centre - q.centre;
+    const double touch = p.radius_mm + q.radius_mm;
     return dot(gap, gap) < touch * touch;
 }
 
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
     int count = 0;
-    for (int k = 0; k < p.swept.size(); ++k) {
-        const SweptArm &a = p.swept[k], &b = q.swept[k];
-        if (circles_touch(a, b) && !stay_apart(a, b, need_mm_)) ++count;
-    }
+    for (int k = 0; k < p.swept.size(); ++k)
+        if (circles_touch(p.circles[k], q.circles[k]) && !stay_apart(p.swept[k], q.swept[k], need_mm_))
+            ++count;
     return count;
 }
 
@@ -266,7 +278,8 @@ int PathSet::late_in_conflict(const Member &p, const Member &q) const {
     for (const Stay &a : stays(p)) {
         count += std::any_of(theirs.begin(), theirs.end(), [&](const Stay &b) {
             if (b.first - late > a.last || a.first - late > b.last) return false;
-            return circles_touch(*a.swept, *b.swept) && !ever_apart(*a.swept, *b.swept, need_mm_);
+            return circles_touch(circle_of(*a.swept), circle_of(*b.swept)) &&
+                   !ever_apart(*a.swept, *b.swept, need_mm_);
         });
     }
     return count;
@@ -351,12 +364,29 @@ void PathSet::end_changes(bool keep) {
     for (const PathIndex i : back) count_conflicts(i);
 }
 
-SavedPath PathSet::save(PathIndex i) const { return {i, at(i).path, at(i).swept, at(i).still}; }
+SavedPath PathSet::save(PathIndex i) const {
+    const Member &m = at(i);
+    return {i, m.path, m.swept, m.circles, m.conflicts, m.arrival, m.still};
+}
+
+void PathSet::restore_all(List<SavedPath> &saved) {
+    List<PathIndex> all;
+    for (const SavedPath &one : saved) all.push_back(one.index);
+    for (const PathIndex i : all) forget_conflicts(i);
+    for (SavedPath &one : saved) {
+        for (const PathConflict &c : one.conflicts)
+            if (!all.contains(c.other)) at(c.other).conflicts.push_back({one.index, c.steps, c.late});
+        at(one.index).conflicts = std::move(one.conflicts);
+        restore(std::move(one));
+    }
+}
 
 void PathSet::restore(SavedPath saved) {
     Member &m = at(saved.index);
     m.path = std::move(saved.path);
     m.swept = std::move(saved.swept);
+    m.circles = std::move(saved.circles);
+    m.arrival = saved.arrival;
     m.still = saved.still;
     m.presence = Presence::path;
 }

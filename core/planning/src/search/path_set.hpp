@@ -28,6 +28,12 @@ struct PathConflict {
     bool late = false; // only if one of the two is late
 };
 
+// Around all that an arm sweeps in a step.
+struct Circle {
+    Vec2 centre;
+    double radius_mm = 0.0;
+};
+
 // One positioner of a path set.
 struct Member {
     explicit Member(Robot r) : robot(std::move(r)) {}
@@ -36,6 +42,8 @@ struct Member {
     List<PathIndex> neighbours; // nearest first
     List<Cell> path;            // the cell at each step
     List<SweptArm> swept;       // the motion of each step
+    List<Circle> circles;       // around each of them
+    int arrival = 0;            // the last step in which it moves
     List<PathConflict> conflicts;
     SweptArm at_start, at_goal;
     Presence presence = Presence::waiting;
@@ -53,6 +61,8 @@ struct Mode {
     bool backward = false; // in time
     int hold = 0;          // steps for which it rests first
     int most_guided = 0;   // states that are looked at with a guide before it is given up; 0: no limit
+    int unguided =
+        100; // states that are looked at before a guide is made, which takes as long as some hundred
 };
 
 // What a repair may have to take back.
@@ -60,6 +70,9 @@ struct SavedPath {
     PathIndex index;
     List<Cell> path;
     List<SweptArm> swept;
+    List<Circle> circles;
+    List<PathConflict> conflicts;
+    int arrival;
     bool still;
 };
 
@@ -69,7 +82,7 @@ class PathSet {
     PathSet(double need_mm, int steps, int late_steps)
         : need_mm_(need_mm), steps_(steps), late_steps_(late_steps) {}
     // The last step in which a positioner moves.
-    int arrival(PathIndex i) const;
+    int arrival(PathIndex i) const { return at(i).arrival; }
 
     Member &at(PathIndex i) { return members_[i]; }
     const Member &at(PathIndex i) const { return members_[i]; }
@@ -81,6 +94,8 @@ class PathSet {
     void find_neighbours();
     // Gives a positioner more time; those that have arrived rest at the goal during steps added.
     void allow(PathIndex i, int deadline);
+    // Ends with the last step that any of them may use.
+    void shorten();
 
     // Seeks a path of one positioner among the others as they are now; false if there is none below give_up.
     bool seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search);
@@ -108,6 +123,8 @@ class PathSet {
 
     SavedPath save(PathIndex i) const;
     void restore(SavedPath saved);
+    // Of a list that was saved at once, if nothing else has changed since: with their conflicts.
+    void restore_all(List<SavedPath> &saved);
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
@@ -117,6 +134,7 @@ class PathSet {
     void gather_late(const Member &me, int slot, MovingObstacles &moving) const;
     void guide(Request &request, Member &member);
     void extend(int steps);
+    void set_steps(int steps);
     // Where others see it in a step.
     struct Seen {
         const SweptArm *swept = nullptr; // none: not at all
@@ -131,7 +149,6 @@ class PathSet {
     };
     List<Stay> stays(const Member &member) const;
     void add_legs(const Member &member, List<Stay> &out) const;
-    int arrival(const Member &member) const;
     int late_steps(const Member &member, PathIndex other) const {
         return member.spared.contains(other) ? 0 : std::min(late_steps_, steps_);
     }
@@ -139,7 +156,8 @@ class PathSet {
     int late_in_conflict(const Member &p, const Member &q) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
-    bool circles_touch(const SweptArm &p, const SweptArm &q) const;
+    Circle circle_of(const SweptArm &swept) const;
+    bool circles_touch(const Circle &p, const Circle &q) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;

@@ -14,12 +14,13 @@ constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 20000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
-constexpr int tidy_excess = 60;   // cost above the least
-constexpr int joint_every = 12;   // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;      // a deadline grows by the first one over this
-constexpr int hurry_rounds = 100; // repairs for one that hurries
-constexpr int most_hurries = 64;  // attempts of one to arrive earlier in which others have to give way
-constexpr int hurry_passes = 2;
+constexpr Mode guided{false, 0, 0, 0}; // without a first look for a path that nothing is in the way of
+constexpr int tidy_excess = 60;        // cost above the least
+constexpr int joint_every = 12;        // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;           // a deadline grows by the first one over this
+constexpr int hurry_rounds = 25;       // repairs for one that hurries ...
+constexpr int last_hurry_rounds = 150; // ... and in the end
+constexpr int most_hurries = 64;       // attempts of one to arrive earlier in which others have to give way
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
@@ -190,7 +191,7 @@ Costs Repair::random_costs(const Robot &robot) {
 
 // Early or late, and now and then with a wait at one end: those that interlock need the right order in time.
 Mode Repair::random_mode(const Robot &robot, int deadline) {
-    Mode mode{random_.chance(50), 0, most_states};
+    Mode mode{random_.chance(50), 0, most_states, 0};
     const int slack = std::min(deadline - robot.travel_steps(), longest_hold);
     if (slack > 0 && random_.chance(50)) mode.hold = random_.below(slack + 1);
     return mode;
@@ -216,11 +217,8 @@ bool Repair::replan(const List<PathIndex> &members, int most_cost, int most_pair
 }
 
 void Repair::take_back(Group &group) {
-    for (SavedPath &saved : group.before) {
-        paths_.at(saved.index).cost = conflict_cost;
-        paths_.restore(std::move(saved));
-    }
-    for (const PathIndex i : group.members) paths_.count_conflicts(i);
+    for (const PathIndex i : group.members) paths_.at(i).cost = conflict_cost;
+    paths_.restore_all(group.before);
 }
 
 int Repair::tries(Pair pair) const {
@@ -291,7 +289,6 @@ void Repair::round(Pair pair) {
         take_back(group);
         return judge(pair, group, group.conflicts);
     }
-    for (const PathIndex i : group.members) paths_.count_conflicts(i);
     const int now = touching(group);
     if (now > group.conflicts) take_back(group);
     judge(pair, group, now);
@@ -363,43 +360,49 @@ PathIndex Repair::last_to_arrive() const {
 }
 
 // Those that were given more time in need may do with less of it. One at a time, the last to arrive: halves
-// what it is above the wish. What one knot cannot do without costs the others nothing.
+// what it is above the wish, and where that fails what is above the middle. What one knot cannot do without
+// costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
-    int low = wanted_steps, with_repairs = 0, passes = 0;
-    const int most =
-        most_hurries + 4 * paths_.size(); // of all attempts: most need no repair, and little time
-    for (int k = 0; k < most && with_repairs < most_hurries && paths_.size() > 0 && !enough(); ++k) {
-        const auto repairs = statistics_.repairs;
+    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries};
+    List<int, PathIndex> low(paths_.size(), wanted_steps); // what each of them may hope for
+    while (may_hurry()) {
         const PathIndex last = last_to_arrive();
         const int arrival = paths_.arrival(last);
-        if (arrival <= low) {
-            if (low == wanted_steps || ++passes == hurry_passes) return;
-            low = wanted_steps;
-            continue;
+        if (arrival <= wanted_steps) return;
+        if (arrival > low[last]) {
+            const int deadline = (low[last] + arrival) / 2;
+            if (!squeeze(last, deadline, hurry_rounds)) low[last] = deadline + 1;
+        } else {
+            if (!squeeze(last, arrival - 1, last_hurry_rounds)) return;
+            low[last] = wanted_steps;
         }
-        const int deadline = (low + arrival) / 2;
-        if (!squeeze(last, deadline)) low = deadline + 1;
-        with_repairs += statistics_.repairs > repairs ? 1 : 0;
     }
 }
 
+bool Repair::may_hurry() {
+    return paths_.size() > 0 && attempts_.all-- > 0 && attempts_.with_repairs > 0 && !enough();
+}
+
 // One by an earlier deadline, and those in its way as late as they are, at most; all as before if that fails.
-bool Repair::squeeze(PathIndex last, int deadline) {
+bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
+    const auto repairs = statistics_.repairs;
     for (const PathIndex i : paths_.places()) {
         paths_.at(i).deadline = std::min(paths_.at(i).deadline, std::max(paths_.arrival(i), deadline));
         paths_.at(i).tries = 0;
     }
+    paths_.shorten();
     const int before = std::exchange(paths_.at(last).deadline, deadline);
     paths_.note_changes();
     ++statistics_.searches;
     bool done = paths_.seek(last, {}, any_cost, {}, search_);
     if (done) {
         paths_.count_conflicts(last);
-        done = rounds(static_cast<int>(settings_.effort * hurry_rounds));
+        done = rounds(static_cast<int>(settings_.effort * most_repairs));
     }
     paths_.end_changes(done);
     if (!done) paths_.at(last).deadline = before;
+    if (statistics_.repairs > repairs) --attempts_.with_repairs;
     return done;
 }
 
@@ -431,7 +434,7 @@ void Repair::tidy_one(PathIndex i, const Costs &costs) {
     const int cost = path_cost(member, costs);
     if (cost <= least_cost(member.robot, costs)) return;
     ++statistics_.searches;
-    paths_.seek(i, costs, cost, {}, search_);
+    paths_.seek(i, costs, cost, guided, search_);
 }
 
 void Repair::tidy() {

@@ -56,7 +56,8 @@ class Repair {
     bool spare_around(PathIndex i);
     bool be_on_time(PathIndex i);
     void judge(Pair pair, const Group &group, int conflicts_now);
-    bool squeeze(PathIndex last, int deadline);
+    bool may_hurry();
+    bool squeeze(PathIndex last, int deadline, int most_repairs);
     PathIndex last_to_arrive() const;
     bool rounds(int most);
     bool enough();
@@ -72,6 +73,10 @@ class Repair {
     Random random_;
     Search search_;
     JointSearch joint_;
+    // Attempts of one to arrive earlier that are left: of all, and of those in which others have to give way.
+    struct Attempts {
+        int all = 0, with_repairs = 0;
+    } attempts_;
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
 };
