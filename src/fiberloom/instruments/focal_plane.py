@@ -23,7 +23,7 @@ from fiberloom.instruments.arms import (
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import METROLOGY, Instrument
-from fiberloom.instruments.views import Views, mark_of
+from fiberloom.instruments.views import Views, mark_of, marked_text
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
@@ -338,7 +338,7 @@ class FocalPlane(Views):
         --------
         >>> import fiberloom as fl
         >>> plane = fl.FocalPlane.of("moons", n=7)
-        >>> plane.solutions(plane.forward(20.0, 100.0)).number.tolist()
+        >>> plane.solutions(plane.forward(60.0, 100.0)).number.tolist()
         [2, 2, 2, 2, 2, 2, 2]
         """
         rows = rows_given(self.n, index)
@@ -562,7 +562,7 @@ class FocalPlane(Views):
         arrays = [(f.name, getattr(self, f.name)) for f in fields(self)] + sorted(self.points.items())
         arrays += self.handicaps.arrays.items() if self.handicaps else []
         arrays += self.ranges.arrays.items() if self.ranges else []
-        return mark_of(self.instrument.marked_text(), arrays)
+        return mark_of(marked_text(self.instrument), arrays)
 
     def _posed(
         self, alpha_deg: ArrayLike, beta_deg: ArrayLike, fibre: str, index: ArrayLike | None

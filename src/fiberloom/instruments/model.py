@@ -396,17 +396,6 @@ class Instrument(Table):
                     f"positioner.park_deg: {axis} {angle} is outside {axis}.target_range_deg {[low, high]}"
                 )
 
-    def marked_text(self) -> str:
-        """JSON of what makes another array: without `care`, `expansion`, `drive`, and keys younger than the
-        marks of old files where they are not set."""
-        axes: dict[str, Any] = {
-            name: {"steps_per_turn"} if axis.steps_per_turn is None else set()
-            for name, axis in zip(AXES, self.axes, strict=True)
-        }
-        layout = {name for name in ("modules", "dots") if getattr(self.layout, name) is None}
-        without: dict[str, Any] = {"care": True, "expansion": True, "drive": True, "layout": layout}
-        return self.model_dump_json(exclude=without | axes)
-
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Alpha and beta, in the order of AXES."""

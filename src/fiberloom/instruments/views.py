@@ -10,6 +10,7 @@ from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.model import METROLOGY, Instrument
 from fiberloom.typing import Array, Floats, Ints
+from fiberloom.units import AXES
 
 
 class Views:
@@ -102,6 +103,19 @@ class Views:
     def science_fibres(self) -> tuple[str, ...]:
         """Fibres that targets can ask for."""
         return self.instrument.science_fibres
+
+
+def marked_text(instrument: Instrument) -> str:
+    """JSON of what makes another array of an `instrument`: without `care`, `expansion`, `drive`, and keys
+    younger than the marks of old files where they are not set.
+    """
+    axes: dict[str, Any] = {
+        name: {"steps_per_turn"} if axis.steps_per_turn is None else set()
+        for name, axis in zip(AXES, instrument.axes, strict=True)
+    }
+    layout = {name for name in ("modules", "dots") if getattr(instrument.layout, name) is None}
+    without: dict[str, Any] = {"care": True, "expansion": True, "drive": True, "layout": layout}
+    return instrument.model_dump_json(exclude=without | axes)
 
 
 def mark_of(text: str, arrays: Iterable[tuple[str, Any]]) -> str:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiberloom.bus.motion import MotionWatch
 from fiberloom.calibration.cobras.maps import MapFit, Moves, fit_maps
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
-from fiberloom.bus.motion import MotionWatch
 from fiberloom.drive.pfs.client import Orders
 from fiberloom.drive.pfs.drive import HOME_STEPS, CobraDrive
 from fiberloom.drive.pfs.numbering import COBRAS_PER_MODULE
