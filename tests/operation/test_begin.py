@@ -168,7 +168,7 @@ def test_what_is_allowed_shrinks_with_the_radius_of_the_fibre():
 @pytest.mark.parametrize("name", ["pfs", "desi"])
 def test_an_arm_folded_onto_its_axis_needs_its_datum_on_record(name):
     equal = generate(load_instrument(name), 0, n_positioners=7)
-    folded = np.column_stack([np.full(7, 30.0), np.full(7, equal.limits_deg[1, 1])])
+    folded = np.column_stack([np.full(7, 30.0), equal.park_deg[:, 1]])
     xy = equal.forward(*folded.T)
     assert (allowed_miss_mm(equal, xy) < 0.03).all()  # both arms are of the same length
     seen = Measurement(*xy.T, np.ones(7, dtype=bool), 0.0)
