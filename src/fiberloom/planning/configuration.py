@@ -38,12 +38,13 @@ def read_configuration(path: str | Path, plane: FocalPlane) -> Floats:
             f"({int(missing.sum())} missing); every positioner needs one"
         )
     found = np.column_stack(angles)
-    for row, axis in np.argwhere(beyond_stops_deg(plane, found) > 0.0)[:1]:
-        low, high = plane.hard_stops_deg[axis]
+    rows = plane.index_of(ids)
+    for row, axis in np.argwhere(beyond_stops_deg(plane, found, rows) > 0.0)[:1]:
+        low, high = plane.stops_of(rows)[row, axis]
         problem = f"= {found[row, axis]:g}: beyond the hard stops at {low:g} and {high:g} deg"
         raise table.error(int(row), COLUMNS[1 + axis], problem)
     out = plane.offline_position_deg.astype(np.float64)
-    out[plane.index_of(ids)] = found
+    out[rows] = found
     return out
 
 
