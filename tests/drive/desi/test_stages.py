@@ -170,3 +170,12 @@ def test_play_holds_arms_back_against_their_final_direction_and_not_at_the_end(p
     # a corner within a leg is met to a quarter of the leg between corners
     assert off[..., 0].max() < 0.3
     assert off[..., 1].min() > -0.3
+
+
+def test_wider_arms_fold_farther(plane):
+    from fiberloom.drive.port import with_tube
+
+    safe, wider = safe_phi_deg(plane), safe_phi_deg(with_tube(plane, np.full(N, 0.15)))
+    assert np.all(wider >= safe)
+    # a point of phi goes in by less than 4 mm a radian: 0.3 mm less on both sides are 4 deg at least
+    assert np.median((wider - safe)[safe < 170.0]) > 4.0

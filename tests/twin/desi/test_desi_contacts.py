@@ -101,3 +101,20 @@ def test_gaps_by_hand():
     assert gaps[1] < 0.0
     assert gaps[2] == pytest.approx(5.0)
     assert gaps[3] == pytest.approx(-0.5)
+
+
+def test_what_touches_already_is_told_once(plane):
+    """Arms that cross, and then move on across each other: one contact, when it came about."""
+    folded = np.tile([0.0, 180.0], (60, 1))
+    rng = np.random.default_rng(1)
+    out = np.stack([rng.uniform(-150, 150, (60, 1)), rng.uniform(-170, -150, (60, 1))], axis=2)
+    twin = DesiTwin(plane, seed=1, start_deg=folded)
+    twin.execute(move_tables(out))
+    pairs = touching_at(twin, twin.truth())
+    first = twin.touches()
+    assert len(pairs) > 0
+    twin.execute(move_tables(np.full((60, 1, 2), -0.01)))
+    again = {(t.positioner_id, t.other) for t in twin.touches()}
+    stand = {tuple(plane.positioner_id[list(pair)].tolist()) for pair in pairs}
+    assert stand <= {(t.positioner_id, t.other) for t in first}
+    assert not stand & again

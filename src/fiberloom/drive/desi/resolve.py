@@ -70,6 +70,8 @@ class Resolver:
                 waits = int((self.move.turn > 0).any(axis=1).sum())
                 return Resolved(self.move, made, plan, loose, count, waits)
             for violation in found.violations:
+                if violation in found.contacts:
+                    continue  # of bodies that do not move
                 self._mend(made, violation, hard=count > ROUNDS // 2)
         self._hold_back(np.flatnonzero(self.move.moves), "the others, in any order that was tried")
         made, plan, loose = self._made()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
@@ -13,20 +12,30 @@ MARGIN_DEG = 3.5
 """For the overshoot of an approach, and a little."""
 
 
-def safe_phi_deg(plane: FocalPlane, margin_mm: float = 0.1) -> Floats:
+def safe_phi_deg(plane: FocalPlane, margin_mm: float = 0.2) -> Floats:
     """(N,) smallest phi in deg from which on, up to folded, an arm keeps within its own territory.
 
-    That is so far from its centre that it meets neither the theta bodies of neighbours nor their arms that
-    keep within theirs, with `margin_mm` to spare. Fixed obstacles are not looked at.
+    There it meets neither the theta bodies of neighbours nor their arms that keep within theirs, with
+    `margin_mm` to spare, and as much as arms are wider. Fixed obstacles are not looked at.
     """
-    nearest = cKDTree(plane.centres_mm).query(plane.centres_mm, k=2)[0][:, 1] if len(plane) > 1 else np.inf
-    theta_mm = plane.instrument.bodies.reach_mm("alpha")
-    limit = np.minimum(nearest - theta_mm, 0.5 * nearest) - margin_mm
-    inside = _outermost_mm(plane) <= np.broadcast_to(limit, (len(plane),))[:, None]
+    inside = _outermost_mm(plane) <= (_territory_mm(plane) - margin_mm)[:, None]
     # from the folded end: the last angle of an unbroken run
     run = np.cumprod(inside[:, ::-1], axis=1).sum(axis=1)
     first = _PHI_DEG[len(_PHI_DEG) - np.maximum(run, 1)]
     return np.asarray(np.minimum(first - np.rad2deg(plane.beta_off_rad) + MARGIN_DEG, 180.0))
+
+
+def _territory_mm(plane: FocalPlane) -> Floats:
+    """(N,) radius round each centre that is left by the theta bodies of neighbours, and by their share."""
+    theta_mm = plane.instrument.bodies.reach_mm("alpha")
+    wider = plane.handicaps.wider_mm if plane.handicaps is not None else np.zeros(len(plane))
+    out = np.full(len(plane), np.inf)
+    pairs = plane.neighbour_pairs()
+    for own, other in (pairs.T, pairs.T[::-1]):
+        apart = np.hypot(*(plane.centres_mm[own] - plane.centres_mm[other]).T)
+        left = np.minimum(apart - theta_mm - wider[other], 0.5 * apart) - wider[own]
+        np.minimum.at(out, own, left)
+    return out
 
 
 def _outermost_mm(plane: FocalPlane) -> Floats:

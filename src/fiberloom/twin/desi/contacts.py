@@ -132,7 +132,10 @@ class ContactFinder:
         self.fixed = self._near_obstacles()
 
     def find(self, motion: Motion) -> list[Touching]:
-        """Pairs that overlap at some moment of a motion, each once, with the first moment found."""
+        """Pairs that come to overlap during a motion, each once, with the first moment found.
+
+        Those that overlap before it begins are none: that was told when it came about.
+        """
         units = [self._search(motion, self.pairs, self._pair_gap)]
         if len(self.fixed):
             units.append(self._search(motion, self.fixed, self._fixed_gap))
@@ -153,7 +156,9 @@ class ContactFinder:
         index = np.arange(len(pairs))
         early, late = np.zeros(len(pairs)), np.full(len(pairs), motion.end_s)
         before, after = gap(motion, pairs, early), gap(motion, pairs, late)
-        _note(first, index, early, before[0])
+        apart = before[0] >= 0.0
+        index, early, late = index[apart], early[apart], late[apart]
+        before, after = (tuple(x[apart] for x in side) for side in (before, after))
         _note(first, index, late, after[0])
         while len(index):
             way = after[1] - before[1]
