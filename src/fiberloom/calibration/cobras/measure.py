@@ -1,8 +1,9 @@
 """The moves that calibrate cobras, and what circles through the images tell.
 
-Home; theta to where all arms are parallel: then phi goes from its stop out and back without touching neighbours.
-Theta goes out and back with phi folded so far that arms stay in their territories: all at once, or in three groups
-that cannot meet (cobraCharmer). A cobra whose arm could touch a fiducial, or a neighbour that does not get there, is not swept in phi.
+Home; theta to where all arms are parallel: then phi goes from its stop out and back without touching
+neighbours. Theta goes out and back with phi folded so far that arms stay in their territories: all at once,
+or in three groups that cannot meet (cobraCharmer). A cobra whose arm could touch a fiducial, or a neighbour
+that does not get there, is not swept in phi.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiberloom.bus.motion import MotionWatch
 from fiberloom.calibration.cobras.maps import MapFit, Moves, fit_maps
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
-from fiberloom.bus.motion import MotionWatch
 from fiberloom.drive.pfs.client import Orders
 from fiberloom.drive.pfs.drive import HOME_STEPS, CobraDrive
 from fiberloom.drive.pfs.numbering import COBRAS_PER_MODULE
@@ -158,7 +159,7 @@ class _Work:
         await self._run(axis, -HOME_STEPS[axis], np.ones(len(self.cobra_id), dtype=bool))
 
     async def make_parallel(self, s: SweepSettings) -> Flags:
-        """First links in one direction; (n,) cobras whose phi can go out there without touching a fiducial."""
+        """First links in one direction; (n,) cobras whose phi can go out there without touching anything."""
         arms = self.drive.arms
         theta = (s.direction_deg - arms.zero_deg[:, THETA] - SHORT_OF_STOP_DEG) % 360.0 + SHORT_OF_STOP_DEG
         phi = arms.phi_within_deg(np.full(len(arms), s.reach_mm))
@@ -244,7 +245,7 @@ def evaluate(
 
 
 def _theta_zero(fibre_mm: Floats, link: Floats) -> Floats:
-    """(n,) deg, the direction of the first link at theta's stop, by where fibres (n, 2) were from the centres."""
+    """(n,) deg, the direction of the first link at theta's stop, by fibres (n, 2) less their centres."""
     a, b = link.T
     bend = ((fibre_mm**2).sum(axis=1) - a**2 - b**2) / (2.0 * a * b)
     bent = a + b * np.exp(-1j * np.arccos(np.clip(bend, -1.0, 1.0)))

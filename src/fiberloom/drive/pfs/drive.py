@@ -86,6 +86,7 @@ class CobraDrive:
         self.arms = CobraArms.of(plane)
         curve_us = np.tile(PULSE_CURVE_US, len(plane))
         self.law = LearningLaw(maps, curve_us, self.settings.motors)
+        self.law.range_deg = self.arms.range_deg.ravel()
         self.tracker = Tracker(self.arms, self.law, dots_mm)
         self.stages = Stages.of(self.arms, plane.fiducials, self.settings.stages, dots_mm)
         self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
@@ -182,7 +183,7 @@ class CobraDrive:
     @property
     def expected_deg(self) -> Floats:
         """(N, 2) angles from the stops in deg where they should be now."""
-        return np.clip(self.law.expected_deg().reshape(-1, 2), 0.0, self.arms.range_deg)
+        return self.law.expected_deg().reshape(-1, 2)
 
     # moves
 
@@ -191,7 +192,7 @@ class CobraDrive:
         return await asyncio.to_thread(self._programme, wanted.goal_deg, wanted.here_deg, wanted.obstacles)
 
     async def compile(self, plan: Plan) -> Programme:
-        """One iteration towards the end of a `plan` that was made elsewhere: its way is not that of cobras."""
+        """One iteration towards the end of a `plan` that was made elsewhere; its way is not gone."""
         here = self.expected_deg + stops_deg(self.plane)[0]
         return await asyncio.to_thread(self._programme, plan.end_deg, here, self.plane)
 

@@ -1,8 +1,8 @@
 """What each cobra does in the next iteration, so that none can meet another.
 
-A cobra that has to turn theta does so with phi folded so far that its arm stays in its own territory, whatever
-theta does. Then it goes out along phi. What it may sweep is checked against what its neighbours may (`swept`);
-who cannot go takes a shorter way, or waits for the next iteration.
+A cobra that has to turn theta does so with phi folded so far that its arm stays in its own territory,
+whatever theta does. Then it goes out along phi. What it may sweep is checked against what its neighbours
+may (`swept`); who cannot go takes a shorter way, or waits for the next iteration.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ class Stages:
         return _Option(target, phi_first, boxes, np.ones(len(here), dtype=bool))
 
     def _turn(self, motors: Motors, here: Floats, goal: Floats) -> tuple[Floats, Flags]:
-        """Targets (n, 2): theta at its goal, phi as near to it as stays within the territory; where that holds."""
+        """Targets (n, 2): theta at its goal, phi as near to it as the territory allows; where that holds."""
         most = np.minimum(self.phi_in_deg, self._short_of_dot_deg(motors, here, goal))
         target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
         for _ in range(4):  # phi's tube depends on its way
@@ -234,7 +234,7 @@ class Stages:
         return target, ends <= self.phi_in_deg + 1e-6
 
     def _short_of_dot_deg(self, motors: Motors, here: Floats, goal: Floats) -> Floats:
-        """(n,) the most open phi in deg at which a fibre is seen beside its dot, where theta may end at it."""
+        """(n,) the most open phi in deg at which a fibre is seen, where theta may end at its dot."""
         if self.dots_mm is None:
             return self.arms.range_deg[:, PHI]
         off = self.dots_mm[:, :2] - self.arms.centre_mm
@@ -278,7 +278,7 @@ class Stages:
         return room[: self.check.cobras]
 
     def _approach(self, goal: Floats, active: Flags) -> Floats:
-        """Goals (n, 2) in deg with theta turned aside where phi could not go out without meeting a neighbour's.
+        """Goals (n, 2) in deg with theta turned aside where phi could not go out past a neighbour's goal.
 
         From there theta turns to its goal once phi is out. As little aside as keeps clear of all neighbours
         where they will be; as it is where no way does.
