@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, Programme
+from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, MotorSteps
 from fiberloom.drive.piezo.maps import MotorMaps, direction_of, pulse_factor
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -40,7 +40,7 @@ class LearningSettings:
 class Order:
     """What is sent to M motors, and what is expected of it."""
 
-    programme: Programme
+    programme: MotorSteps
     told_deg: Floats
     """(M,) signed ways by the maps and pulses, of motors whose gain is 1."""
     step_deg: Floats
@@ -70,7 +70,7 @@ class LearningLaw:
         self.gain[used], self.gain_variance[used] = 1.0, s.measured_gain_sigma**2
         self.move_variance = np.where(used, np.maximum(scatter, s.least_scatter) ** 2, self.move_variance)
 
-    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
+    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> MotorSteps:
         """What to send.
 
         `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): of those seen; `active`
@@ -98,7 +98,7 @@ class LearningLaw:
         steps = np.rint(np.clip(wanted, -most, most)).astype(np.int64)
         told = self.maps.way_deg(self.place_deg, steps * gain / self.gain[rows, direction])
         step_deg = np.abs(told) / np.maximum(np.abs(steps), 1)
-        return Order(Programme(steps, pulse), told, step_deg)
+        return Order(MotorSteps(steps, pulse), told, step_deg)
 
     def take(self, order: Order, done: Flags | None = None) -> None:
         """An `order` was executed; by those `done` (M,), all when left out."""

@@ -105,7 +105,7 @@ async def reference(motion: FieldMotion) -> Referenced:
     refuses a plan.
     """
     if motion.hardware.drive is not None:
-        return None  # whole motor turns are a matter of SDSS-V's counters
+        return Referenced()  # whole motor turns are a matter of SDSS-V's counters
     power_up = await powered_up(motion)
     if not power_up.lost.any():
         return Referenced()

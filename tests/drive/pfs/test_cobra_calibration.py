@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiberloom.calibration.cobras import (
+from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.pfs.calibration import (
     FAST_STEP_DEG,
     SLOW_STEP_DEG,
+    CobraSweepSettings,
     Moves,
-    SweepSettings,
     calibrate_cobras,
     fit_maps,
     maps_at,
     pulses_for,
 )
-from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
 from fiberloom.twin.camera.noise_camera import NoiseCamera
@@ -36,7 +36,7 @@ def calibrated():
     plane, maps = pfs_plane(N), drawn_maps(N, 0)
     array = CobraArray(plane, maps, PiezoErrors(), seed=0)
     drive = CobraDrive(plane, maps, FpgaClient(VirtualBoards(array).connector()), plane.dots_mm)
-    found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), SweepSettings()))
+    found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), CobraSweepSettings()))
     return drive, array, maps, found
 
 
