@@ -4,8 +4,9 @@
 
 The motors are those of the twin, with published maps where they are (`--maps FOLDER`), else with drawn ones.
 Put in: the distances at the start (median and 95 % of visit 72752), the sizes of the motors' errors, the
-camera. What comes out: all that is printed below the start. The file: `unit` (n), `error_um` (n, moves;
-true), `measured_um` (n, moves), `gain` (n, moves - 1; share of the wanted way that was gone), `healthy` (n).
+camera. What comes out: all that is printed below the start; for DESI see `convergence_desi.py`. The file:
+`unit` (n), `error_um` (n, moves; true), `measured_um` (n, moves), `gain` (n, moves - 1; share of the wanted
+way that was gone), `healthy` (n).
 """
 
 import argparse
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarks import convergence_desi
 
 from fiberloom.drive.piezo import LearningLaw, MotorMaps, SpeedScalingLaw
 from fiberloom.drive.piezo.maps import PULSE_CURVE_US
@@ -179,7 +181,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--instrument", choices=["pfs"], default="pfs")
+    parser.add_argument("--instrument", choices=["pfs", "desi"], default="pfs")
     parser.add_argument("--law", choices=["peer", "ours"], default="ours")
     parser.add_argument("--moves", type=int, default=8, help="iterations to one target")
     parser.add_argument("--seed", type=int, default=0)
@@ -188,17 +190,27 @@ def main():
     parser.add_argument(
         "--tolerance-um", type=float, help="a cobra stops once seen within; peer 10, ours 2.5"
     )
-    parser.add_argument("--camera-um", type=float, default=1.0, help="error of a place seen, per axis")
+    parser.add_argument(
+        "--camera-um", type=float, help="error of a place seen; pfs: 1, per axis; desi: 3, both axes together"
+    )
+    parser.add_argument("--air-um", type=float, default=6.0, help="desi: of the air, both axes together")
+    parser.add_argument("--fields", type=int, default=30, help="desi: fields before the one that counts")
+    parser.add_argument("--units", type=int, default=4647, help="desi: how many")
+    parser.add_argument("--basis", choices=["planetary", "smooth"], default="planetary", help="desi, ours")
+    parser.add_argument("--faults", action="store_true", help="desi: broken units as published")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     if args.tolerance_um is None:
         args.tolerance_um = {"peer": 10.0, "ours": 2.5}[args.law]
+    of = convergence_desi if args.instrument == "desi" else sys.modules[__name__]
+    if args.camera_um is None:
+        args.camera_um = {"pfs": 1.0, "desi": 3.0}[args.instrument]
     try:
-        found = converge(args)
+        found = of.converge(args)
     except (InputError, OSError, KeyError) as error:
         print(f"convergence: {error}", file=sys.stderr)
         return 2
-    print("\n".join(table(found)))
+    print("\n".join(of.table(found)))
     if args.out:
         np.savez(args.out, **found)
     return 0

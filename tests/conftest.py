@@ -35,15 +35,38 @@ def patch(sdssv):
     return generate(sdssv, seed=0, n_positioners=37)
 
 
-@pytest.fixture(scope="session")
-def shared_sdssv():
-    """The SDSS-V data beside the checkout (or beside the folder of its worktrees)."""
+def beside_checkout(name):
+    """A folder of data beside the checkout (or beside the folder of its worktrees)."""
     root = Path(__file__).resolve().parents[1]
     for parent in (root.parent, root.parent.parent):
-        folder = parent / "shared" / "data" / "sdssv"
+        folder = parent / "shared" / "data" / name
         if folder.is_dir():
             return folder
-    pytest.skip("no ../shared/data/sdssv beside the checkout: the real tables are not public")
+    pytest.skip(f"no ../shared/data/{name} beside the checkout: its tables are not part of this project")
+
+
+@pytest.fixture(scope="session")
+def shared_sdssv():
+    """The SDSS-V data."""
+    return beside_checkout("sdssv")
+
+
+@pytest.fixture(scope="session")
+def shared_desi():
+    """Calibrations and alignments of DESI."""
+    return beside_checkout("desi")
+
+
+@pytest.fixture(scope="session")
+def shared_pfs():
+    """Cobras, dots and fiducials of PFS."""
+    return beside_checkout("pfs")
+
+
+@pytest.fixture(scope="session")
+def shared_megara():
+    """Robots of MEGARA."""
+    return beside_checkout("megara")
 
 
 @pytest.fixture

@@ -83,6 +83,10 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
         from fiberloom.twin.cobras.source import CobraSource
 
         return CobraSource(plane, seed, camera, faults, errors)
+    if plane.instrument.drive.protocol == "desi":
+        from fiberloom.twin.desi.source import DesiSource
+
+        return DesiSource(plane, seed, camera, faults, errors)
     from fiberloom.twin.source import TwinSource
 
     return TwinSource(plane, seed, camera, faults, errors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,6 +23,10 @@ class Truth(Protocol):
 
     def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
         """The same (N, 2), mm, were the telescope to point elsewhere and nothing else to move."""
+        ...
+
+    def touches(self) -> Sequence[object]:
+        """Bodies that have come into contact since the last call: the first moments of it."""
         ...
 
 

@@ -18,7 +18,7 @@ from fiberloom.files import check_axes, read_bytes, read_text
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.wholefile import write_whole
 
-SUFFIXES = (".csv", ".ecsv", ".fits", ".fit", ".fits.gz")
+SUFFIXES = (".csv", ".csv.gz", ".ecsv", ".fits", ".fit", ".fits.gz")
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,12 @@ class TableFile:
             if wanted is not None:
                 return f"; '{column}' is not read: give {wanted}, in {wanted.rpartition('_')[2]}"
         return ""
+
+    def select(self, rows: Ints) -> "TableFile":
+        """Some rows of it, which keep their places."""
+        chosen = rows.tolist()
+        columns = {name: [cells[k] for k in chosen] for name, cells in self.columns.items()}
+        return TableFile(self.path, columns, [self.places[k] for k in chosen], self.head)
 
     def error(self, row: int, name: str, problem: str) -> InputError:
         """The complaint about one cell."""
@@ -115,7 +121,7 @@ def read_table(path: str | Path) -> TableFile:
         raise InputError(f"{path}: unknown kind of table '{suffix}'; known are {' '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    if suffix == ".csv" and not _is_ecsv(path):
+    if suffix == ".csv.gz" or (suffix == ".csv" and not _is_ecsv(path)):
         return read_csv(path)
     return _read_astropy(path, "ascii.ecsv" if suffix in (".csv", ".ecsv") else "fits")
 

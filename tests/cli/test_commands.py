@@ -192,6 +192,23 @@ def test_instruments(fl):
     assert json.loads(fl("instruments", "pfs", "--json")[1])["name"] == "pfs"
 
 
+def test_the_file_of_an_instrument_is_printed_to_be_changed(fl, tmp_path):
+    code, text, _ = fl("instruments", "desi", "--toml")
+    assert code == 0
+    assert "# [Q] phi ends in the positive direction" in text
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace('name = "desi"', 'name = "mine"'))
+    assert json.loads(fl("instruments", path, "--json")[1])["name"] == "mine"
+    assert fl("instruments", path, "--toml")[1] == path.read_text()
+    path.write_text(text.replace("gear = 337.36", "gear = -1").replace('sees = "fibre"', "sees = 3"))
+    code, _, complaint = fl("instruments", path, "--toml")
+    assert code != 0
+    assert "alpha.gear = -1: " in complaint
+    assert "metrology.sees = 3: " in complaint
+    assert "choose one of the two" in fl("instruments", "desi", "--toml", "--json")[2]
+    assert "name a preset" in fl("instruments", "--toml")[2]
+
+
 def test_lifetime_of_one_positioner(fl, tmp_path):
     words = ("--cycles", 1, "--positioners", 1, "--points", 8, "--targets", 2, "--out", tmp_path)
     code, out, err = fl("lifetime", *words)

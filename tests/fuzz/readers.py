@@ -21,13 +21,14 @@ from pathlib import Path
 
 import numpy as np
 from mutations import mutated, page_mutated, seed_of
-from valid_files import PLANE, WRITERS
+from valid_files import PLANE, SMALL_PFS, WRITERS
 
 import fiberloom as fl
 from fiberloom.calibration.fibres.exposures_file import read_exposures
 from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
 from fiberloom.cli.array.site import load_site
+from fiberloom.drive.piezo import read_module_maps
 from fiberloom.errors import InputError
 from fiberloom.instruments import read_layout
 from fiberloom.metrology import read_spots
@@ -38,6 +39,8 @@ from fiberloom.store.learnt import LearntHistory, generations
 from fiberloom.store.listing import runs_below
 from fiberloom.tables import read_table
 from fiberloom.targets import read_targets
+
+DESI, MEGARA = fl.Instrument.of("desi"), fl.Instrument.of("megara")
 
 CPU_S = 20.0
 """A file that takes longer is an endless one."""
@@ -95,6 +98,25 @@ READERS: dict[str, Callable[[Path], object]] = {
     "layout/fiducials.ecsv": lambda path: read_layout(path.parent, PLANE.instrument),
     "sdssv/positionerTable.csv": lambda path: read_layout(path.parent, PLANE.instrument),
     "sdssv/wokCoords.csv": lambda path: read_layout(path.parent, PLANE.instrument),
+    **dict.fromkeys(
+        (
+            "desi/calib-20260101.csv",
+            "desi/petal-alignments.yaml",
+            "desi/focal_surface_lookup.csv",
+            "desi/fp-metrology.csv",
+        ),
+        lambda path: read_layout(path.parent, DESI),
+    ),
+    **dict.fromkeys(
+        (
+            "pfs/pfs_6_cobras_scalars.csv",
+            "pfs/black_dots_mm-2024-01-01.csv",
+            "pfs/fiducial_positions_20240101.csv",
+        ),
+        lambda path: read_layout(path.parent, SMALL_PFS),
+    ),
+    "megara/derived_megara_3_rps.csv": lambda path: read_layout(path.parent, MEGARA),
+    "module.xml": read_module_maps,
     "instrument.toml": lambda path: fl.FocalPlane.of(path, n=7),
     "site.toml": lambda path: load_site(path).defaults(),
     "maps.npz": read_maps,

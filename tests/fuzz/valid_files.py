@@ -15,6 +15,7 @@ from fiberloom.calibration.focal_plane.arms_file import save_arms
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, FocalPlaneFit
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.instruments import write_layout
+from fiberloom.instruments.model import Modules
 from fiberloom.metrology import CameraImage, write_image, write_spots
 from fiberloom.planning import write_configuration
 from fiberloom.store import Store
@@ -97,6 +98,91 @@ def sdssv_layout(path: Path) -> None:
         f"A,ApogeeBoss,0.0,0.0,{frame}\nB,Boss,22.4,0.0,{frame}\nF1,Fiducial,11.2,19.4,{frame}\n"
     )
     path.with_name("fiducialCoords.csv").write_text("holeID,xWok,yWok\nF1,11.2,19.4\n")
+
+
+SMALL_PFS = fl.Instrument.of("pfs").model_copy(
+    update={
+        "layout": fl.Instrument.of("pfs").layout.model_copy(
+            update={"n_positioners": 6, "modules": Modules(fields=1, per_field=2, positioners=3)}
+        )
+    }
+)
+"""PFS with two modules of three cobras."""
+
+
+def desi_layout(path: Path) -> None:
+    """As the calibrations of DESI: three units in two petals, one of them there twice."""
+    names = [
+        "petal_id", "location", "time_recorded", "length_r1", "length_r2", "offset_x", "offset_y", "offset_t",
+        "offset_p", "physical_range_t", "physical_range_p", "device_classified_nonfunctional", "zeno_motor_p",
+        "keepout_expansion_theta_radial", "keepout_expansion_theta_angular", "keepout_expansion_phi_radial",
+        "keepout_expansion_phi_angular",
+    ]  # fmt: skip
+    rows = [
+        "4,11,2023-05-01,3.01,3.06,60.5,20.25,10.0,-1.0,392.0,191.0,False,,0,0,0,0",
+        "4,11,2021-05-01,2.90,3.00,60.4,20.25,10.0,-1.0,392.0,191.0,True,,0,0,0,0",
+        "4,12,2023-05-01,2.95,3.10,70.5,20.25,-170.0,2.0,391.0,190.0,False,True,0,5.5,0,5.5",
+        "5,1300,2023-05-01,3.00,3.05,200.5,-20.25,80.0,0.0,390.0,189.0,True,,0,0,0,0",
+    ]
+    path.with_name("calib-20260101.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+    surface = "".join(f"{r},{-1e-4 * r**2},{r + 1e-9 * r**3}\n" for r in range(430))
+    path.with_name("focal_surface_lookup.csv").write_text(f"# R mm\nR,Z,S\n{surface}")
+    aligned = "".join(
+        f"{k}:\n  Tx: {0.01 * k}\n  Ty: -0.02\n  alpha: 0.0\n  beta: 0.0\n  gamma: {0.6283 * k - 1.885}\n"
+        for k in range(10)
+    )
+    path.with_name("petal-alignments.yaml").write_text(f"# petals\n{aligned}")
+    path.with_name("fp-metrology.csv").write_text(
+        "DEVICE_TYPE,PINHOLE_ID,X_FP,Y_FP\nFIF,1,10.0,20.0\nFIF,2,10.5,21.0\nGIF,1,390.0,1.0\nPOS,0,1.0,2.0\n"
+    )
+
+
+def pfs_layout(path: Path) -> None:
+    """As the tables of PFS, of six cobras, the last of which has failed fits."""
+    path.with_name("pfs_6_cobras_scalars.csv").write_text(
+        "module,positioner,theta_ccw_home_deg,theta_cw_home_deg,phi_cw_limit_deg,phi_ccw_limit_deg,link1_px,link2_px\n"
+        "SC01,1,78.0,94.9,181.8,-2.6,29.0,29.8\nSC01,2,248.6,270.5,184.9,-1.7,30.8,30.2\n"
+        "SC01,3,350.0,12.0,189.0,2.0,29.5,29.9\nSC02,1,10.0,30.5,186.0,0.0,25.0,25.0\n"
+        "SC02,2,100.0,121.0,187.0,1.0,25.5,24.8\nSC02,3,0,0,0,0,0,0\n"
+    )
+    path.with_name("black_dots_mm-2024-01-01.csv").write_text(
+        "spotId,x,y,r\n" + "".join(f"{k},{-7.0 * k},{6.5 - k},0.75\n" for k in range(1, 7))
+    )
+    path.with_name("fiducial_positions_20240101.csv").write_text(
+        "# measured\nfiducialId,x_mm,y_mm,flag\n1,-15.7,9.9,2\n2,-30.5,17.1,0\n3,,,1\n"
+    )
+
+
+def megara_layout(path: Path) -> None:
+    """As the table of MEGARA: two robots, and a disabled one."""
+    ends = "-0.043633,6.326819,-0.043633,3.185226"
+    path.with_name("derived_megara_3_rps.csv").write_text(
+        "Id,L01,L12,x0,y0,thetaO1,Disabled,theta_1min,theta_1max,theta___3min,theta___3max\n"
+        f"1,5.972,5.936,-0.019,52.218,0.01,False,{ends}\n2,5.987,5.936,-60.325,87.049,-0.02,False,{ends}\n"
+        f"93,5.8025,5.8025,-80.4,87.04,0.0,True,{ends}\n"
+    )
+
+
+def pfs_module(path: Path) -> None:
+    """As the file of a module: two cobras with three bins."""
+    edges = "3,200,133.3,266.7,400.0"
+    text = []
+    for k in range(2):
+        rows = "".join(
+            f"<Joint{j}_{w}_regions>{edges}</Joint{j}_{w}_regions>"
+            f"<Joint{j}_{w}_stepsizes>3,200,0.0{j}1,0.0{j}2,0.0{k + 3}</Joint{j}_{w}_stepsizes>"
+            for j in (1, 2)
+            for w in ("fwd", "rev")
+        )
+        pulses = "".join(
+            f"<Link{j}_{w}_Duration{s}>0.0{2 * j + (not s)}</Link{j}_{w}_Duration{s}>"
+            for j in (1, 2)
+            for w in ("fwd", "rev")
+            for s in ("", "_Slow")
+        )
+        tables = "".join(f"<{s}_CALIBRATION_TABLE>{rows}</{s}_CALIBRATION_TABLE>" for s in ("SLOW", "FAST"))
+        text.append(f"<ARM_DATA_CONTAINER><KINEMATICS>{pulses}</KINEMATICS>{tables}</ARM_DATA_CONTAINER>")
+    path.write_text(f"<?xml version='1.0' encoding='UTF-8'?>\n<ARM_DATA>{''.join(text)}</ARM_DATA>\n")
 
 
 def instrument(path: Path) -> None:
@@ -243,6 +329,15 @@ WRITERS = {
     "layout/fiducials.ecsv": layout,
     "sdssv/positionerTable.csv": sdssv_layout,
     "sdssv/wokCoords.csv": sdssv_layout,
+    "desi/calib-20260101.csv": desi_layout,
+    "desi/petal-alignments.yaml": desi_layout,
+    "desi/focal_surface_lookup.csv": desi_layout,
+    "desi/fp-metrology.csv": desi_layout,
+    "pfs/pfs_6_cobras_scalars.csv": pfs_layout,
+    "pfs/black_dots_mm-2024-01-01.csv": pfs_layout,
+    "pfs/fiducial_positions_20240101.csv": pfs_layout,
+    "megara/derived_megara_3_rps.csv": megara_layout,
+    "module.xml": pfs_module,
     "instrument.toml": instrument,
     "site.toml": site,
     "maps.npz": maps,

@@ -45,7 +45,8 @@ def test_the_angles_that_made_a_place_are_among_its_solutions(name, shares):
 
 def test_each_elbow_is_the_one_that_the_instrument_has():
     xy = {
-        name: plane.centres_mm + [0.0, 0.6 * plane.instrument.reach_mm[1]] for name, plane in PLANES.items()
+        name: plane.centres_mm + np.array([0.0, 0.6 * plane.instrument.reach_mm[1]])
+        for name, plane in PLANES.items()
     }
     beta = {name: PLANES[name].solutions(xy[name]).angles_deg[:, 0, 1] for name in PLANES}
     assert all((beta[name] > 0.0).all() for name in ("sdssv", "desi", "lamost", "moons"))

@@ -17,7 +17,7 @@ from fiberloom.instruments import model
 from fiberloom.instruments.model import Instrument, Table
 
 PACKAGE = Path(fiberloom.__file__).parent
-MODELS = [PACKAGE / "instruments" / name for name in ("model.py", "axis.py", "outlines.py")]
+MODELS = [PACKAGE / "instruments" / name for name in ("model.py", "array.py", "axis.py", "outlines.py")]
 
 TABLES = {
     name: cls

@@ -4,11 +4,13 @@ import copy
 import tomllib
 from importlib.resources import files
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import instrument_names, load_instrument, parse_instrument
+from fiberloom.instruments import generate, instrument_names, load_instrument, parse_instrument
+from fiberloom.instruments.load import instrument_text
 
 
 @pytest.fixture
@@ -93,11 +95,64 @@ def test_a_bad_value_is_named_with_its_rule(data, key, value, words):
         assert word in message
 
 
-def test_more_problems_are_counted(data):
+def test_all_problems_are_told_at_once(data):
     data["positioner"]["l_alpha_mm"] = -1
     data["bodies"]["collision_buffer_mm"] = 0
-    with pytest.raises(InputError, match=r"\(and 1 more\)"):
+    data["alpha"]["gear"] = "ten"
+    data["beta"]["backlash_deg"] = 1.0
+    with pytest.raises(InputError) as caught:
         parse_instrument(data, "mine.toml")
+    message = str(caught.value)
+    assert message.startswith("mine.toml: 4 problems: ")
+    for told in (
+        "positioner.l_alpha_mm = -1: Input should be greater than 0; ",
+        "alpha.gear = 'ten': Input should be a valid number",
+        "beta: approach_deg 0.82 must exceed backlash_deg 1.0; ",
+        "bodies.collision_buffer_mm = 0: Input should be greater than 0",
+    ):
+        assert told in message
+    assert "\n" not in message
+
+
+def test_tables_that_contradict_each_other_are_all_told(data):
+    data["positioner"]["park_deg"] = [-10.0, 190.0]
+    data["metrology"]["sees"] = "SPARK"
+    with pytest.raises(InputError) as caught:
+        parse_instrument(data, "mine.toml")
+    for told in ("metrology.sees = 'SPARK'", "park_deg: alpha -10.0 is", "park_deg: beta 190.0 is"):
+        assert told in str(caught.value)
+
+
+def test_a_file_of_another_kind_has_too_many_problems_to_tell(data):
+    with pytest.raises(InputError, match=r"instrument.toml: \d+ problems: .*; and \d+ more$") as caught:
+        parse_instrument(dict.fromkeys((f"key{k}" for k in range(40)), 1), "instrument.toml")
+    assert len(str(caught.value)) < 1500
+
+
+@pytest.mark.parametrize("left_out", ["scatter", "scatter.l_alpha_mm", "scatter.l_alpha_mm.mean"])
+def test_scatter_that_is_left_out_is_none(data, left_out):
+    *path, last = left_out.split(".")
+    table = data
+    for part in path:
+        table = table[part]
+    del table[last]
+    if left_out == "scatter.l_alpha_mm.mean":
+        table.pop("min")
+        table.pop("max")
+    instrument = parse_instrument(data, "x")
+    assert instrument.scatter.l_alpha_mm.mean == instrument.positioner.l_alpha_mm
+    plane = generate(instrument, 0, 7)
+    spread = 0.0314 if "mean" in left_out else 0.0
+    assert np.abs(plane.l_alpha_mm - 7.4).max() <= 4 * spread
+    if left_out == "scatter":
+        np.testing.assert_array_equal(plane.points["BOSS"], np.tile([14.965, -0.376], (7, 1)))
+
+
+@pytest.mark.parametrize("name", instrument_names())
+def test_the_text_of_a_preset_is_the_preset(name, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(instrument_text(name))
+    assert load_instrument(path) == load_instrument(name)
 
 
 def test_a_missing_table_is_named(data):

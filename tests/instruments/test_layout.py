@@ -161,7 +161,7 @@ def test_missing_column(folder, sdssv):
 def test_no_such_folder(tmp_path, sdssv):
     with pytest.raises(InputError, match="no such directory"):
         read_layout(tmp_path / "none", sdssv)
-    with pytest.raises(InputError, match=r"neither layout.toml .* nor positionerTable.csv"):
+    with pytest.raises(InputError, match=r"none of layout.toml .*, positionerTable.csv"):
         read_layout(tmp_path, sdssv)
 
 

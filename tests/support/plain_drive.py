@@ -74,6 +74,9 @@ class PlainDrive:
         self.stops += 1
         return self.ids
 
+    def excused(self, image):
+        return None
+
     def seen(self, image, mobile):
         if not self.believes:
             return None

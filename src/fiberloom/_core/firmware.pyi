@@ -62,6 +62,16 @@ def smooth(raw_cnt: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C
 
 def profile(from_cnt: int, to_cnt: int, speed_rpm: float, acceleration_rad_s2: float) -> Annotated[NDArray[numpy.int32], dict(shape=(None,))]: ...
 
+def rows_trace(config: Annotated[NDArray[numpy.uint32], dict(shape=(4), order='C', device='cpu', writable=False)], table: Annotated[NDArray[numpy.int32], dict(shape=(None, 5), order='C', device='cpu', writable=False)], ticks: int) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 4))]:
+    """
+    (ticks, 4) fields of both motors in tenths of a motor deg and their phases, at the end of each tick of a table: rows of steps (2), cruise (2), pause. config: creep_ticks, cruise_tenths, ramp_ticks, pause_ticks.
+    """
+
+def rows_ends(config: Annotated[NDArray[numpy.uint32], dict(shape=(4), order='C', device='cpu', writable=False)], tables: Annotated[NDArray[numpy.int32], dict(shape=(None, None, 5), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.int32], dict(shape=(None, None, 3))]:
+    """
+    (n, R, 3) fields of both motors in tenths of a motor deg, and the tick, at the end of each row.
+    """
+
 def path(points: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], here_cnt: int, ticks: int, landing_cnt: int = 0) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,))], int, bool]: ...
 
 def supervisor(state: int, input: int, conditions: int) -> tuple[int, int]:

@@ -266,6 +266,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         f"{summary['collisions_verified']} collisions in verified trajectories; "
         f"everything took {summary['wall_s']:.0f} s"
     )
+    if summary["contacts_true"]:
+        console.print(f"arms touched {summary['contacts_true']} times, as only a twin knows", style="red")
     console.print(f"corrections ended: {summary['stopped']}")
     if "temperature" in summary and (line := temperature_line(summary["temperature"])):
         say(console, line)

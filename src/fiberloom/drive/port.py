@@ -27,9 +27,6 @@ from fiberloom.typing import Flags, Floats, Ints
 _SAID = DriveTable()
 """Where no instrument is named."""
 
-SCATTER_MM = 0.05
-"""Of healthy positioners about where they report, per coordinate: maps and image together."""
-
 
 @dataclass(frozen=True)
 class DriveModel:
@@ -43,6 +40,8 @@ class DriveModel:
     """The same, of the way that its fibre went: added to `astray_mm`."""
     still_share: float = _SAID.still_share
     """A positioner that moved less than this share of its way did not move."""
+    scatter_mm: float = _SAID.scatter_mm
+    """Of healthy positioners about where they are believed to be, per coordinate."""
     allowed_mm: float = _SAID.allowed_mm
     """How far an arm may be from where it is believed, to be let move at all."""
     step_deg: tuple[float, float] = (0.0, 0.0)
@@ -60,6 +59,7 @@ class DriveModel:
             "astray_mm": said.astray_mm,
             "astray_share": said.astray_share,
             "still_share": said.still_share,
+            "scatter_mm": said.scatter_mm,
             "allowed_mm": said.allowed_mm,
         }
         return cls(CorrectionNoise.of(plane), **(known | others))
@@ -183,6 +183,10 @@ class Drive(Protocol):
 
     async def stop(self) -> list[int]:
         """Brings every positioner to rest that can be reached; returns which have answered."""
+        ...
+
+    def excused(self, image: Measurement) -> Flags | None:
+        """(N,) of which an `image` after a move shows no fibre though they are not lost; None: none is."""
         ...
 
     def seen(self, image: Measurement, mobile: Flags) -> Floats | None:

@@ -150,6 +150,8 @@ class Drive(Table):
     """Of its way, added to that."""
     still_share: Annotated[float, Field(gt=0, lt=1)] = 0.05
     """A positioner that moved less than this share of the way asked for did not move."""
+    scatter_mm: Positive = 0.05
+    """Of healthy positioners about where they are believed to be, per coordinate: maps and image together."""
     allowed_mm: Positive = 0.5
     """How far an arm may be from where it is believed, anywhere in its range, to be let move. The collision
     buffer of two arms leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""

@@ -21,10 +21,9 @@ from fiberloom.instruments.arms import (
     rows_of,
 )
 from fiberloom.instruments.axis import Ranges
-from fiberloom.instruments.fingerprint import mark_of
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.instruments.model import METROLOGY, Instrument
-from fiberloom.instruments.views import Views
+from fiberloom.instruments.views import Views, mark_of
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg

@@ -230,7 +230,7 @@ def _draw_point(instrument: Instrument, name: str, stretch: Floats, rng: np.rand
 def _draw_dots(dots: Dots, xy: Floats, seed: int) -> Floats:
     """(n, 3): x, y, radius in mm, by numbers of their own: units are the same with and without them."""
     own = np.random.default_rng([seed, _OF_DOTS]).normal(0.0, dots.sd_mm, xy.shape)
-    return np.column_stack([xy + [dots.x_mm, dots.y_mm] + own, np.full(len(xy), dots.radius_mm)])
+    return np.column_stack([xy + np.array([dots.x_mm, dots.y_mm]) + own, np.full(len(xy), dots.radius_mm)])
 
 
 def spread(n: int, fraction: float) -> Flags:

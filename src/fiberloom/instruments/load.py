@@ -1,5 +1,6 @@
 """Instruments by name or from a file."""
 
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.model import Instrument
 from fiberloom.instruments.names import check_name, instrument_names
+
+MOST_TOLD = 12
+"""Problems of one file that are told; a file with more is of another kind."""
 
 
 def load_instrument(name_or_path: str | Path) -> Instrument:
@@ -23,7 +27,14 @@ def parse_instrument(data: dict[str, Any], where: str) -> Instrument:
     try:
         return Instrument.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {first_problem(error)}") from None
+        raise InputError(f"{where}: {all_problems(error)}") from None
+
+
+def instrument_text(name_or_path: str | Path) -> str:
+    """The TOML text of a preset or of a file that holds an instrument: to be changed, and read again."""
+    text, where = _read(str(name_or_path))
+    parse_instrument(parse_toml(text, where), where)
+    return text
 
 
 def _read(name: str) -> tuple[str, str]:
@@ -35,10 +46,21 @@ def _read(name: str) -> tuple[str, str]:
 
 def first_problem(error: ValidationError) -> str:
     """The first thing that is wrong with a file, in one line: key, value, rule."""
-    problems = error.errors()
-    first = problems[0]
-    key = ".".join(str(part) for part in first["loc"])
-    message = first["msg"].removeprefix("Value error, ")
-    value = "" if isinstance(first["input"], dict) else f" = {shown(first['input'])}"
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"{key}{value}: {message}{more}".removeprefix(": ")
+    first, *others = error.errors()
+    return _told(first) + (f" (and {len(others)} more)" if others else "")
+
+
+def all_problems(error: ValidationError) -> str:
+    """All that is wrong with a file, in one line: key, value, rule of each."""
+    told = [_told(one) for one in error.errors()]
+    if len(told) == 1:
+        return told[0]
+    more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+    return f"{len(told)} problems: {'; '.join(told[:MOST_TOLD])}{more}"
+
+
+def _told(problem: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in problem["loc"])
+    message = problem["msg"].removeprefix("Value error, ")
+    value = "" if isinstance(problem["input"], dict) else f" = {shown(problem['input'])}"
+    return f"{key}{value}: {message}".removeprefix(": ")

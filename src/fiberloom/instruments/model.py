@@ -5,11 +5,17 @@ are those of docs/conventions.md.
 """
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from fiberloom.instruments.array import MOST_POSITIONERS as MOST_POSITIONERS
+from fiberloom.instruments.array import Dots as Dots
+from fiberloom.instruments.array import Layout, UnitScatter
+from fiberloom.instruments.array import Modules as Modules
+from fiberloom.instruments.array import Scatter as Scatter
 from fiberloom.instruments.axis import Axis as Axis
 from fiberloom.instruments.axis import Drive as Drive
 from fiberloom.instruments.axis import Range, protocol_of
@@ -26,29 +32,6 @@ BODY_SHARE = 0.75
 """Radius of the real beta arm over the collision buffer that planning keeps: 1.5 mm for 2.0 mm at
 SDSS-V (assumed; the arm's tube)."""
 """Name of the point that the camera sees, in every plane that has one."""
-
-
-class Scatter(Table):
-    """A normal distribution, cut off at [min, max]; by default at 4 standard deviations."""
-
-    mean: Finite
-    sd: NotNegative
-    min: Finite | None = None
-    max: Finite | None = None
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Where the distribution is cut."""
-        low = self.mean - 4 * self.sd if self.min is None else self.min
-        high = self.mean + 4 * self.sd if self.max is None else self.max
-        return low, high
-
-    @model_validator(mode="after")
-    def _mean_inside(self) -> Self:
-        low, high = self.bounds
-        if not low <= self.mean <= high:
-            raise ValueError(f"mean {self.mean} must lie between min {low} and max {high}")
-        return self
 
 
 class Point(Table):
@@ -271,127 +254,14 @@ class Expansion(Table):
     """What a thermometer can say; beyond, it is wrong."""
 
 
-class GuideCameras(Table):
-    """Cameras in a ring around the field; only the edge that faces the field can be touched."""
-
-    number: Annotated[int, Field(ge=0, le=1000)]
-    first_direction_deg: Finite
-    """Direction of the first one from the centre of the field."""
-    face_distance_mm: Positive
-    """From the centre of the field to the edge."""
-    half_width_mm: Positive
-    centre_distance_mm: Positive
-    """From the centre of the field to the centre of the chip (calibration files give that)."""
-
-
-MOST_POSITIONERS = 20_000
-"""Of one focal plane: four times as many as any that is built. Memory grows with them."""
-FARTHEST_STEP = 1000
-"""Holes from one fiducial to the next: farther than any field is wide."""
-MOST_RINGS = 120
-"""Enough holes for them, and for as many fiducials."""
-
-
-class Modules(Table):
-    """Positioners in modules of two rows. Fields have the same modules, each field turned clockwise against
-    the one before by an equal part of a turn. In the first one modules run along -x, rows of a module along
-    -y."""
-
-    fields: Annotated[int, Field(ge=1, le=100)]
-    per_field: Annotated[int, Field(ge=1, le=1000)]
-    """Modules of a field."""
-    positioners: Annotated[int, Field(ge=1, le=1000)]
-    """Of a module, alternately in its two rows."""
-    fiducials_mm: tuple[Range, ...] = ()
-    """x and y of the fiducials of the first field."""
-
-    @property
-    def n_positioners(self) -> int:
-        """Of all fields."""
-        return self.fields * self.per_field * self.positioners
-
-
-class Dots(Table):
-    """An opaque spot beside each positioner: a fibre behind it is dark."""
-
-    x_mm: Finite
-    y_mm: Finite
-    """Place against the centre of the positioner, in the focal plane."""
-    sd_mm: NotNegative = 0.0
-    """Standard deviation of single ones about it, per coordinate."""
-    radius_mm: Positive
-
-
-class Layout(Table):
-    """A hexagonal array of holes with positioners and fiducials in it, or modules of positioners."""
-
-    pitch_mm: Positive
-    rings: Annotated[int, Field(ge=0, le=MOST_RINGS)] = 0
-    """Rings of holes around the central one; of no meaning where there are modules."""
-    modules: Modules | None = None
-    """None: a hexagon of holes."""
-    dots: Dots | None = None
-    n_positioners: Annotated[int, Field(ge=1, le=MOST_POSITIONERS)]
-    orientation_deg: Finite
-    """Direction of alpha = 0 in the focal plane."""
-    fiducial_lattice: tuple[int, int] | None = None
-    """Fiducials sit in the holes that are whole combinations of this step and the one 60 deg from
-    it, counted from the centre in steps along the two lattice directions."""
-    outer_fiducial_radius_mm: Positive | None = None
-    outer_fiducial_directions_deg: tuple[Finite, ...] = ()
-    guide_cameras: GuideCameras | None = None
-    field_radius_mm: Positive | None = None
-    """There are no holes farther out; the whole hexagon when left out."""
-    petals: Annotated[int, Field(ge=1, le=100)] = 1
-    """Wedges of the field, each with the same holes, turned."""
-    petal_gap_mm: NotNegative = 0.0
-    """No hole is nearer to the edge of its petal than half of this."""
-    fiducial_pinholes_mm: tuple[Range, ...] = ((0.0, 0.0),)
-    """Lights of one fiducial about its place, in the frame of its petal."""
-
-    @property
-    def n_holes(self) -> int:
-        """Holes of the full hexagon."""
-        return 3 * self.rings * (self.rings + 1) + 1
-
-    @model_validator(mode="after")
-    def _enough_holes(self) -> Self:
-        if self.modules is not None and self.n_positioners != self.modules.n_positioners:
-            raise ValueError(
-                f"n_positioners {self.n_positioners}: modules have {self.modules.n_positioners} positioners"
-            )
-        if self.modules is None and self.n_positioners > self.n_holes:
-            raise ValueError(
-                f"n_positioners {self.n_positioners}: {self.rings} rings have only {self.n_holes} holes"
-            )
-        if not self.fiducial_pinholes_mm:
-            raise ValueError("fiducial_pinholes_mm: a fiducial needs at least one light")
-        if self.fiducial_lattice == (0, 0):
-            raise ValueError("fiducial_lattice [0, 0] is no step")
-        if self.fiducial_lattice is not None and max(map(abs, self.fiducial_lattice)) > FARTHEST_STEP:
-            raise ValueError(f"fiducial_lattice: a step of more than {FARTHEST_STEP} holes")
-        if bool(self.outer_fiducial_directions_deg) != (self.outer_fiducial_radius_mm is not None):
-            raise ValueError("give outer_fiducial_radius_mm and outer_fiducial_directions_deg, or neither")
-        return self
-
-
-class UnitScatter(Table):
-    """How units differ from the nominal one. Points: x of all fibres shifts by the spread of the
-    metrology fibre (one arm, one length); the others have a scatter of their own beside it."""
-
-    l_alpha_mm: Scatter
-    alpha_offset_deg: Scatter
-    """Zero of the alpha axis."""
-    beta_offset_deg: Scatter
-    base_x_mm: Scatter
-    """Shift of the centre, in the positioner's own frame."""
-    base_y_mm: Scatter
-    beta_length_mm: Scatter
-    """Shift in x of every point of the arm."""
-    point_x_mm: Scatter
-    """Own shift in x of each science fibre."""
-    point_y_mm: Scatter
-    """Own shift in y of each science fibre."""
+def _filled_scatter(data: dict[str, Any]) -> dict[str, Any]:
+    """The table of the scatter of these tables, with the nominal alpha arm where it has no other mean."""
+    scatter, positioner = data.get("scatter", {}), data.get("positioner")
+    arm = scatter.get("l_alpha_mm", {}) if isinstance(scatter, dict) else None
+    nominal = positioner.get("l_alpha_mm") if isinstance(positioner, dict) else None
+    if not isinstance(arm, dict) or not isinstance(nominal, int | float):
+        return {}
+    return {"scatter": scatter | {"l_alpha_mm": {"mean": nominal} | arm}}
 
 
 class Instrument(Table):
@@ -435,7 +305,7 @@ class Instrument(Table):
     expansion: Expansion | None = None
     """None: arms are taken as they were measured, whatever the temperature."""
     layout: Layout
-    scatter: UnitScatter
+    scatter: UnitScatter = UnitScatter()
     twin: dict[str, Any] = Field(default_factory=dict)
 
     @classmethod
@@ -454,7 +324,7 @@ class Instrument(Table):
         Raises
         ------
         InputError
-            Neither a preset nor a file, or the first rule that the file breaks: key, value, rule.
+            Neither a preset nor a file, or the rules that the file breaks: key, value, rule of each.
 
         Examples
         --------
@@ -480,48 +350,49 @@ class Instrument(Table):
         """What is left out and follows from the rest."""
         if not isinstance(data, dict):
             return data
-        return {"drive": {"protocol": protocol_of([data.get(axis) for axis in AXES])}} | data
+        protocol = protocol_of([data.get(axis) for axis in AXES])
+        return {"drive": {"protocol": protocol}} | data | _filled_scatter(data)
 
     @model_validator(mode="after")
-    def _seen(self) -> Self:
-        if self.metrology.present and self.metrology.sees not in self.positioner.points:
-            raise ValueError(
-                f"metrology.sees = '{self.metrology.sees}': no such point in "
-                f"positioner.points {sorted(self.positioner.points)}"
-            )
-        if self.metrology.present and self.positioner.points[self.metrology.sees].fraction < 1:
-            raise ValueError(
-                f"metrology.sees = '{self.metrology.sees}': only a part of the "
-                "positioners carries that fibre (fraction below 1)"
+    def _whole(self) -> Self:
+        """Tables that contradict each other, all of them."""
+        found = [*self._seen(), *self._alpha_parts(), *self._park()]
+        if found:
+            raise ValueError("; ".join(found))
+        return self
+
+    def _seen(self) -> Iterator[str]:
+        sees, points = self.metrology.sees, self.positioner.points
+        if self.metrology.present and sees not in points:
+            yield f"metrology.sees = '{sees}': no such point in positioner.points {sorted(points)}"
+        elif self.metrology.present and points[sees].fraction < 1:
+            yield (
+                f"metrology.sees = '{sees}': only a part of the positioners carries that fibre "
+                "(fraction below 1)"
             )
         if not self.metrology.present and self.operation.corrections_max > 0:
-            raise ValueError(
+            yield (
                 f"operation.corrections_max = {self.operation.corrections_max}: "
                 "corrections need a camera (metrology.present = true)"
             )
         if self.camera is not None and not self.metrology.present:
-            raise ValueError("camera: there is none where metrology.present = false")
-        return self
+            yield "camera: there is none where metrology.present = false"
 
-    @model_validator(mode="after")
-    def _alpha_parts(self) -> Self:
+    def _alpha_parts(self) -> Iterator[str]:
         far = max([part.far_mm for part in self.bodies.parts if part.arm == "alpha"], default=0.0)
         if far > 0.5 * self.layout.pitch_mm:
-            raise ValueError(
+            yield (
                 f"bodies.parts: one on the alpha arm reaches {far:g} mm from its axis; at most half of "
                 f"layout.pitch_mm = {self.layout.pitch_mm:g}: alpha arms of neighbours are not tested"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _park(self) -> Self:
+    def _park(self) -> Iterator[str]:
         for axis, angle in zip(AXES, self.positioner.park_deg, strict=True):
             low, high = getattr(self, axis).target_range_deg
             if not low <= angle <= high:
-                raise ValueError(
+                yield (
                     f"positioner.park_deg: {axis} {angle} is outside {axis}.target_range_deg {[low, high]}"
                 )
-        return self
 
     def marked_text(self) -> str:
         """JSON of what makes another array: without `care`, `expansion`, `drive`, and keys younger than the

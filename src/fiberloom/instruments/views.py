@@ -1,11 +1,15 @@
-"""What follows at once from the arrays of a focal plane."""
+"""What follows at once from the arrays of a focal plane, and a mark that changes with any of them."""
+
+import hashlib
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.model import METROLOGY, Instrument
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Array, Floats, Ints
 
 
 class Views:
@@ -94,3 +98,22 @@ class Views:
     def science_fibres(self) -> tuple[str, ...]:
         """Fibres that targets can ask for."""
         return self.instrument.science_fibres
+
+
+def mark_of(text: str, arrays: Iterable[tuple[str, Any]]) -> str:
+    """16 hex digits of a text and of arrays, in their order; what is no array is passed over."""
+    digest = hashlib.sha256(text.encode())
+    for name, values in arrays:
+        if isinstance(values, np.ndarray):
+            _feed(digest, name, values)
+    return digest.hexdigest()[:16]
+
+
+def _feed(digest: "hashlib._Hash", name: str, values: Array) -> None:
+    # rounded to 1e-9 so that deg in a file and back is the same; adding 0.0 makes -0.0 to 0.0
+    plain = np.ascontiguousarray(values.round(9) + 0.0 if values.dtype.kind == "f" else values)
+    digest.update(name.encode())
+    if plain.dtype.kind == "U":
+        digest.update("\0".join(plain).encode())
+    else:
+        digest.update(plain.astype(plain.dtype.newbyteorder("<")).tobytes())

@@ -192,7 +192,7 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        report = Report(self.here_deg, answered, image, vouched)
+        report = Report(self.here_deg, answered, image, vouched, self.model.scatter_mm)
         found = begin_check(self.plane, report, self.model.allowed_mm + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]

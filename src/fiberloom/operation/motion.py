@@ -89,6 +89,8 @@ class FieldMotion:
         self.keeps_faults = False
         """Those that were seen not to follow stay obstacles when the begin check is done again."""
         self.collisions_verified = 0
+        self.contacts_true: int | None = None if hardware.truth is None else 0
+        """Of arms, as only a twin knows."""
         self.moves: list[Move] = []
         self.images = 1
         self.pointing: ExposurePointing | None = None
@@ -234,8 +236,9 @@ class FieldMotion:
     def _book(self, made: MadeMove, image: Measurement) -> Flags:
         """Judges and records a move by its image; (N,) mobile positioners not at their goal."""
         end_deg = made.plan.end_deg
-        excused = getattr(self.drive, "excused", None)  # of drives with fibres that can hide
-        hidden = None if excused is None else excused(image)
+        if (truth := self.hardware.truth) is not None:
+            self.contacts_true = (self.contacts_true or 0) + len(truth.touches())
+        hidden = self.drive.excused(image)
         interrupted = self.state.judge(made.results, image, made.before_deg, end_deg, hidden)
         if (believed_deg := self.drive.seen(image, self.state.mobile)) is not None:
             self.state.here_deg = np.where(self.state.mobile[:, None], believed_deg, self.state.here_deg)

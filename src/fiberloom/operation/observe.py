@@ -269,8 +269,13 @@ def _moved(loop: Loop | None) -> dict[str, Any]:
     """What an observation says of its moves."""
     if loop is None:
         return {"moves": [], "collisions_verified": 0, "stopped": ""}
-    verified = loop.motion.collisions_verified
-    return {"moves": loop.moves, "collisions_verified": verified, "stopped": loop.stopped}
+    motion = loop.motion
+    return {
+        "moves": loop.moves,
+        "collisions_verified": motion.collisions_verified,
+        "contacts_true": motion.contacts_true,
+        "stopped": loop.stopped,
+    }
 
 
 def _record_end(run: Run, figures: dict[str, Any], log: ExposureLog) -> None:

@@ -23,9 +23,9 @@ def seen_at(xy_mm):
 
 def test_a_miss_along_a_line_is_certain_to_be_somewhere():
     off_mm = np.linspace(-8.0, 8.0, 20_001) * SCATTER_MM
-    assert np.trapezoid(begin._normal_1d(off_mm), off_mm) == pytest.approx(1.0, abs=1e-6)
+    assert np.trapezoid(begin._normal_1d(off_mm, SCATTER_MM), off_mm) == pytest.approx(1.0, abs=1e-6)
     # and its standard deviation is the scatter
-    variance = np.trapezoid(off_mm**2 * begin._normal_1d(off_mm), off_mm)
+    variance = np.trapezoid(off_mm**2 * begin._normal_1d(off_mm, SCATTER_MM), off_mm)
     assert np.sqrt(variance) == pytest.approx(SCATTER_MM, rel=1e-6)
 
 

@@ -267,12 +267,26 @@ List<Angles> GoalFeasibility::folded_places(PositionerIndex i) const {
     return out;
 }
 
+// Where it can come to past what does not move, the nearest first: one in a pocket stays in it, but may make
+// room there for others.
+List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) const {
+    Robot robot = make_robot(i);
+    const Angles above = usual(i).above(0);
+    List<Angles> out;
+    for (const Cell c : robot.reachable())
+        out.push_back({robot.alpha().angle(c.alpha) - above.alpha_rad,
+                       robot.beta().angle(c.beta) - above.beta_rad});
+    return out;
+}
+
 // Gives up a goal; another place that cannot be held is replaced in the same way.
 bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &by) {
     refuse(i, why, by);
     goals_[i].gone = true;
     if (try_place(i, start(i), true)) return true;
     for (const Angles place : folded_places(i))
+        if (try_place(i, place, false)) return true;
+    for (const Angles place : reachable_places(i))
         if (try_place(i, place, false)) return true;
     freeze(i);
     return false;

@@ -103,6 +103,7 @@ class GoalFeasibility {
     bool safe(PositionerIndex i, const Legs &legs) const;
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
+    List<Angles> reachable_places(PositionerIndex i) const;
 
     // approaches.cpp
     bool find_descent(PositionerIndex i);

@@ -100,26 +100,33 @@ bool Robot::clear(Cell c, VelocityChanges changes) {
     return clearance == some_clear ? clear(swept(c, changes)) : clearance == all_clear;
 }
 
-int Robot::steps_alone() {
-    if (obstacles_.empty()) return travel_steps();
-    if (!clear(start(), {}) || !clear(goal(), {})) return -1;
-    List<int> steps(cells(), -1);
-    List<Cell> queue{start()};
-    steps[index(start())] = 0;
-    for (int k = 0; k < queue.size(); ++k) {
-        const Cell here = queue[k];
-        const int now = steps[index(here)];
-        if (here == goal()) return now;
+Robot::Flood Robot::flood(std::optional<Cell> until) {
+    Flood out{{start()}, List<int>(cells(), -1)};
+    out.steps[index(start())] = 0;
+    for (int k = 0; k < out.cells.size(); ++k) {
+        const Cell here = out.cells[k];
+        if (here == until) break;
         for (int move = 0; move < 9; ++move) {
             const int a = move % 3 - 1, b = move / 3 - 1;
             const Cell next{here.alpha + a, here.beta + b};
-            if (!inside(next) || steps[index(next)] >= 0) continue;
+            if (!inside(next) || out.steps[index(next)] >= 0) continue;
             if (!clear(here, {{0, a}, {0, b}}) || !clear(next, {{-a, 0}, {-b, 0}})) continue;
-            steps[index(next)] = now + 1;
-            queue.push_back(next);
+            out.steps[index(next)] = out.steps[index(here)] + 1;
+            out.cells.push_back(next);
         }
     }
-    return -1;
+    return out;
+}
+
+int Robot::steps_alone() {
+    if (obstacles_.empty()) return travel_steps();
+    if (!clear(start(), {}) || !clear(goal(), {})) return -1;
+    return flood(goal()).steps[index(goal())];
+}
+
+List<Cell> Robot::reachable() {
+    if (!clear(start(), {})) return {};
+    return flood({}).cells;
 }
 
 } // namespace fl::planning

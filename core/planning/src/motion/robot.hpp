@@ -8,6 +8,7 @@
 #include "motion/swept_arm.hpp"
 
 #include <cstdint>
+#include <optional>
 
 namespace fl::planning {
 
@@ -89,8 +90,16 @@ class Robot {
     bool clear(const SweptArm &swept) const;
     // Steps to the goal past the bodies at rest, with a stop at each cell; -1 if there is no path.
     int steps_alone();
+    // Cells that it can come to past the bodies at rest, the nearest first.
+    List<Cell> reachable();
 
   private:
+    struct Flood {
+        List<Cell> cells; // in the order in which they are reached
+        List<int> steps;  // to each cell, by its index; -1: not reached
+    };
+    // With a stop at each cell; it ends at one cell, if that is given.
+    Flood flood(std::optional<Cell> until);
     struct Obstacle {
         SweptArm swept; // the same at every moment
         double need_mm = 0.0;

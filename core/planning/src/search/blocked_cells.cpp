@@ -1,7 +1,10 @@
 #include "search/blocked_cells.hpp"
 
+#include "search/clones.hpp"
+
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <numbers>
 
 namespace fl::planning {
@@ -11,10 +14,41 @@ constexpr double pi = std::numbers::pi;
 constexpr double too_near_mm = 1.0; // to the centre, to have a sector of directions
 constexpr double margin_rad = 1e-4;
 
-double wrapped(double angle_rad) { return std::remainder(angle_rad, 2.0 * pi); }
+constexpr int at_once = 8;         // cells
+constexpr float nowhere_mm = 1e6f; // where nothing is, for the places beyond the last cell of a line
 
-float clamped01(float t) { return t < 0.0f ? 0.0f : (t > 1.0f ? 1.0f : t); }
-float lower(float a, float b) { return a < b ? a : b; }
+using Float8 = float __attribute__((vector_size(32)));
+using Int8 = std::int32_t __attribute__((vector_size(32)));
+
+// Into -pi .. pi; most angles are nearly there.
+inline double wrapped(double angle_rad) {
+    while (angle_rad > pi) angle_rad -= 2.0 * pi;
+    while (angle_rad < -pi) angle_rad += 2.0 * pi;
+    return angle_rad;
+}
+
+float single(double x) { return static_cast<float>(x); }
+float inverse(float x) { return x > 0.0f ? 1.0f / x : 0.0f; }
+
+FL_INLINE Float8 all(float v) { return Float8{v, v, v, v, v, v, v, v}; }
+FL_INLINE Float8 load(const float *p) {
+    Float8 v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+FL_INLINE Float8 lower(Float8 a, Float8 b) { return a < b ? a : b; }
+FL_INLINE Float8 clamped01(Float8 t) {
+    const Float8 above = t > all(0.0f) ? t : all(0.0f);
+    return lower(above, all(1.0f));
+}
+// Bit k where the lane k of the mask is set.
+FL_INLINE CellBits bits_of(Int8 mask) {
+    mask &= Int8{1, 2, 4, 8, 16, 32, 64, 128};
+    CellBits two[4];
+    std::memcpy(two, &mask, sizeof two);
+    const CellBits some = (two[0] | two[1]) | (two[2] | two[3]);
+    return (some | some >> 32) & 0xff;
+}
 
 } // namespace
 
@@ -31,6 +65,36 @@ const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbo
     return bits_.data() + begin;
 }
 
+// A line that those of cells may touch; these are all of one length.
+struct BlockedCells::Other {
+    float x, y, dx, dy, inverse2, our_inverse2, need2;
+
+    Other(const Segment &line, const Line &ours, double need_mm)
+        : x(single(line.a.x)), y(single(line.a.y)), dx(single(line.b.x - line.a.x)),
+          dy(single(line.b.y - line.a.y)), inverse2(inverse(dx * dx + dy * dy)),
+          our_inverse2(inverse(ours.along_x[0] * ours.along_x[0] + ours.along_y[0] * ours.along_y[0])),
+          need2(single(need_mm * need_mm)) {}
+
+    // Which of eight cells, from the k-th on, are nearer to it than need be, or cross it.
+    FL_INLINE Int8 touches(const Line &cells, int k) const {
+        const Float8 ax = load(&cells.along_x[k]), ay = load(&cells.along_y[k]);
+        const Float8 rx = load(&cells.from_x[k]) - x, ry = load(&cells.from_y[k]) - y; // our first end
+        const Float8 sx = rx + ax, sy = ry + ay;                                       // our second
+        const Float8 ux = dx - rx, uy = dy - ry; // its second from our first
+        const Float8 t0 = clamped01((rx * dx + ry * dy) * inverse2),
+                     t1 = clamped01((sx * dx + sy * dy) * inverse2);
+        const Float8 t2 = clamped01(-(rx * ax + ry * ay) * our_inverse2),
+                     t3 = clamped01((ux * ax + uy * ay) * our_inverse2);
+        const Float8 x0 = rx - t0 * dx, y0 = ry - t0 * dy, x1 = sx - t1 * dx, y1 = sy - t1 * dy;
+        const Float8 x2 = rx + t2 * ax, y2 = ry + t2 * ay, x3 = ux - t3 * ax, y3 = uy - t3 * ay;
+        const Float8 d2 =
+            lower(lower(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1), lower(x2 * x2 + y2 * y2, x3 * x3 + y3 * y3));
+        const Float8 sides = (dx * ry - dy * rx) * (dx * sy - dy * sx);
+        const Float8 others = (ry * ax - rx * ay) * (ay * ux - ax * uy);
+        return (d2 < all(need2)) | ((sides < all(0.0f)) & (others < all(0.0f)));
+    }
+};
+
 // Where a line is seen from the centre, with all that is around it. All directions if it is too near.
 BlockedCells::Sector BlockedCells::sector(Segment line, double around_mm) {
     if (distance(line, {}) < around_mm + too_near_mm) return {0.0, pi};
@@ -44,9 +108,11 @@ BlockedCells::Sector BlockedCells::sector(Segment line, double around_mm) {
 }
 
 void BlockedCells::lay_out(const Robot &me) {
-    for (int alpha = 0; alpha < me.alpha().size(); ++alpha)
-        alpha_rad_.push_back(me.alpha().angle(alpha) - me.alpha().angle(0));
-    touches_.resize(me.alpha().size());
+    const AxisGrid &alpha = me.alpha();
+    for (int first = 0; first < alpha.size(); first += at_once) {
+        const double from = alpha.angle(first), to = alpha.angle(std::min(first + at_once, alpha.size()) - 1);
+        groups_.push_back({0.5 * (from + to) - alpha.angle(0), 0.5 * (to - from)});
+    }
     if (me.shape() == nullptr) lines_.push_back(laid_out(me, nullptr));
     for (int k = 0; me.shape() != nullptr && k < me.shape()->limbs.size(); ++k)
         lines_.push_back(laid_out(me, &me.shape()->limbs[k]));
@@ -68,6 +134,10 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) co
             line.far_mm = std::max({line.far_mm, length(from), length(to)});
             if (alpha == 0) line.first = sector({from, to}, 0.0);
         }
+        while (line.from_x.size() % at_once != 0) {
+            line.from_x.push_back(nowhere_mm);
+            for (List<float> *rest : {&line.from_y, &line.along_x, &line.along_y}) rest->push_back(0.0f);
+        }
         lines.push_back(std::move(line));
     }
     return lines;
@@ -85,59 +155,25 @@ void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, do
     });
 }
 
-// Looks only where both are seen in the same direction from the centre.
-void BlockedCells::look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out) {
+// Sets the bits of the cells that touch a line; looks only where both are seen in the same direction from
+// the centre.
+FL_CLONES void BlockedCells::look(const Lines &lines, int words, const Segment &line, double need_mm,
+                                  CellBits *out) {
     const double away = distance(line, {});
     const Sector there = sector(line, need_mm);
-    const auto place = [&](double alpha_rad) {
-        return static_cast<int>(std::lower_bound(alpha_rad_.begin(), alpha_rad_.end(), alpha_rad) -
-                                alpha_rad_.begin());
-    };
-    for (int beta = 0; beta < lines.size(); ++beta) {
+    const Other other(line, lines.front(), need_mm);
+    for (int beta = 0; beta < lines.size(); ++beta, out += words) {
         const Line &cells = lines[beta];
         if (away >= cells.far_mm + need_mm) continue;
-        const double half = cells.first.half_rad + there.half_rad;
-        CellBits *bits_of_line = out + beta * words;
-        if (half >= pi) {
-            mark(cells, 0, alpha_rad_.size(), line, need_mm, bits_of_line);
-            continue;
-        }
         const double middle = wrapped(there.middle_rad - cells.first.middle_rad);
-        for (double m = middle; m - half <= alpha_rad_.back(); m += 2.0 * pi)
-            mark(cells, place(m - half), place(m + half), line, need_mm, bits_of_line);
+        const double half = cells.first.half_rad + there.half_rad;
+        for (int group = 0; group < groups_.size(); ++group) {
+            const Sector &here = groups_[group];
+            if (std::abs(wrapped(here.middle_rad - middle)) > here.half_rad + half) continue;
+            const int k = group * at_once;
+            out[k / bits] |= bits_of(other.touches(cells, k)) << k % bits;
+        }
     }
-}
-
-// Sets the bits of those that touch. The compiler makes one instruction of several cells here.
-void BlockedCells::mark(const Line &cells, int begin, int end, const Segment &line, double need_mm,
-                        CellBits *out) {
-    const auto single = [](double x) { return static_cast<float>(x); };
-    const auto inverse = [](float x) { return x > 0.0f ? 1.0f / x : 0.0f; };
-    const float qx = single(line.a.x), qy = single(line.a.y);
-    const float dx = single(line.b.x - line.a.x), dy = single(line.b.y - line.a.y);
-    const float *fx = cells.from_x.data(), *fy = cells.from_y.data();
-    const float *ax = cells.along_x.data(), *ay = cells.along_y.data();
-    const float theirs = inverse(dx * dx + dy * dy), mine = inverse(ax[0] * ax[0] + ay[0] * ay[0]);
-    const float need2 = single(need_mm * need_mm);
-    int *touches = touches_.data();
-    for (int k = begin; k < end; ++k) {
-        const float rx = fx[k] - qx, ry = fy[k] - qy; // my first end from their first
-        const float sx = rx + ax[k], sy = ry + ay[k]; // my second
-        const float ux = dx - rx, uy = dy - ry;       // their second from my first
-        const float t0 = clamped01((rx * dx + ry * dy) * theirs),
-                    t1 = clamped01((sx * dx + sy * dy) * theirs);
-        const float t2 = clamped01(-(rx * ax[k] + ry * ay[k]) * mine),
-                    t3 = clamped01((ux * ax[k] + uy * ay[k]) * mine);
-        const float x0 = rx - t0 * dx, y0 = ry - t0 * dy, x1 = sx - t1 * dx, y1 = sy - t1 * dy;
-        const float x2 = rx + t2 * ax[k], y2 = ry + t2 * ay[k], x3 = ux - t3 * ax[k], y3 = uy - t3 * ay[k];
-        const float d2 =
-            lower(lower(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1), lower(x2 * x2 + y2 * y2, x3 * x3 + y3 * y3));
-        const float sides = (dx * ry - dy * rx) * (dx * sy - dy * sx);
-        const float others = (ry * ax[k] - rx * ay[k]) * (ay[k] * ux - ax[k] * uy);
-        touches[k] =
-            static_cast<int>(d2 < need2) | (static_cast<int>(sides < 0.0f) & static_cast<int>(others < 0.0f));
-    }
-    for (int k = begin; k < end; ++k) out[k / bits] |= static_cast<CellBits>(touches[k]) << k % bits;
 }
 
 } // namespace fl::planning

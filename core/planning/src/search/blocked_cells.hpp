@@ -41,13 +41,12 @@ class BlockedCells {
     Lines laid_out(const Robot &me, const Limb *limb) const;
     void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out);
     void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
-    void mark(const Line &cells, int begin, int end, const Segment &line, double need_mm, CellBits *out);
+    struct Other;
 
     List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
     List<CellBits> bits_;
-    List<Lines> lines_;      // of each limb; of one body without a shape
-    List<double> alpha_rad_; // from the first line of alpha
-    List<int> touches_;
+    List<Lines> lines_;   // of each limb; of one body without a shape
+    List<Sector> groups_; // of cells that are looked at at once: their alpha, from that of the first line
 };
 
 } // namespace fl::planning

@@ -33,6 +33,7 @@ class CostToGo {
     void block(int step, const CellBits *cells, int cost);
     void find();
 
+    // Of a cell that can be come to by then, and from which the last cell can be come to in time.
     int from(Cell c, int step) const { return line(c.beta, step)[c.alpha]; }
     int total() const { return from(ask_.first, ask_.hold); }
 
@@ -43,20 +44,26 @@ class CostToGo {
     };
 
     int words() const { return betas_ * words_per_line_; }
-    // The costs of a line of cells; one beyond each of its ends, and the lines beside the first and the last,
-    // can be read: none.
+    // The costs of a line of cells, filled up to whole blocks; one beyond each of its ends, and the lines
+    // beside the first and the last, can be read: none.
     int place(int beta, int step) const { return (step * (betas_ + 2) + beta + 1) * pitch_ + 1; }
     Cost *line(int beta, int step) { return costs_.data() + place(beta, step); }
     const Cost *line(int beta, int step) const { return costs_.data() + place(beta, step); }
     Cost &at_last(int step) { return line(ask_.last.beta, step)[ask_.last.alpha]; }
     int dear(int beta) const { return ask_.beta->empty() ? 0 : (*ask_.beta)[beta]; }
 
+    // Lines of beta, and blocks of cells in them; the ends are not part of it.
+    struct Box {
+        int first_block, end_block, first_beta, end_beta;
+    };
+    Box box_at(int step) const;
+    void forget(int step, const Box &box);
     void rest(int step);
-    void step_back(int step);
-    void add_encounters(int step, const Blocked &blocked);
+    void step_back(int step, const Box &box);
+    void add_encounters(int step, const Box &box, const Blocked &blocked);
 
     Request ask_;
-    int alphas_ = 0, betas_ = 0, pitch_ = 0, words_per_line_ = 0;
+    int alphas_ = 0, betas_ = 0, blocks_ = 0, pitch_ = 0, words_per_line_ = 0;
     Blocked blocked_[2];
     List<Cost> costs_;  // of each step
     List<Cost> across_; // of a step: the cheapest of three neighbours in alpha

@@ -3,6 +3,7 @@
 from fiberloom.drive.piezo.iterations import MotorSteps, SpeedScalingLaw
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings
 from fiberloom.drive.piezo.maps import FORWARD, REVERSE, MotorMaps, direction_of, pulse_factor
+from fiberloom.drive.piezo.module_file import read_module_maps
 
 __all__ = [
     "FORWARD",
@@ -14,4 +15,5 @@ __all__ = [
     "SpeedScalingLaw",
     "direction_of",
     "pulse_factor",
+    "read_module_maps",
 ]

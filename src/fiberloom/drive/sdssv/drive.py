@@ -107,6 +107,9 @@ class SdssvDrive:
         await self.client.wait_until_done(stopped.ok_ids, REST_TIMEOUT_S, stop_on_collision=False)
         return stopped.ok_ids
 
+    def excused(self, image: Measurement) -> None:
+        """None: a fibre that an `image` does not show is dark."""
+
     def seen(self, image: Measurement, mobile: Flags) -> None:
         """Nothing is learnt: positioners report where they are, `image` and `mobile` do not change that."""
 

@@ -138,6 +138,7 @@ def observation_of(store: Store, info: RunInfo) -> tuple[Observation, bool]:
         assignment_of(parts[ASSIGNMENT]),
         _moves(store, info, moved),
         collisions_verified=about.get("collisions_verified", 0),
+        contacts_true=about.get("contacts_true"),
         stopped=about.get("stopped", f"the run was {info.status}"),
         about=about["about"],
         wall_s=about.get("wall_s", 0.0),

@@ -31,6 +31,9 @@ class PowerUp:
 async def powered_up(motion: FieldMotion) -> PowerUp:
     """What all positioners of the field of `motion` say that are on the bus."""
     plane = motion.plane
+    if not motion.drive.model.reports:
+        none = np.zeros(len(plane), dtype=bool)  # nothing counts there, so no count is lost
+        return PowerUp(none, none)
     rows = np.flatnonzero(np.isin(plane.positioner_id, motion.client.ids) & ~plane.offline)
     bits = await _bits(motion, rows)
     lost = bits & _DATUM_SET != _DATUM_SET

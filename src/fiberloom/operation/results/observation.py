@@ -42,6 +42,8 @@ class Observation(ObservedField):
         Blind move, corrections, and comparisons where they were asked for.
     collisions_verified : int
         Collisions that the verifier found in plans that were carried out; 0.
+    contacts_true : int or None
+        Contacts of arms while they moved, as only a twin knows.
     stopped : str
         Why the loop made no further correction.
     about : dict

@@ -29,6 +29,7 @@ class ObservedField:
     assignment: Assignment
     moves: list[Move]
     collisions_verified: int = 0
+    contacts_true: int | None = None
     stopped: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     wall_s: float = 0.0

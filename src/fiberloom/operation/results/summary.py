@@ -33,6 +33,7 @@ def summarise(observed: ObservedField) -> dict[str, Any]:
         "share_within_requirement": within / assigned if assigned else 0.0,
         "requirement_um": observed.requirement_um,
         "collisions_verified": observed.collisions_verified,
+        "contacts_true": observed.contacts_true,
         "plan_cpu_s": sum(m.plan.cpu_s for m in observed.moves),
         "motion_s": sum(m.motion_s for m in observed.moves if not m.comparison),
         "stopped": observed.stopped,

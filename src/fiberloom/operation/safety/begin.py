@@ -82,6 +82,8 @@ class Report:
     image: Measurement
     vouched: Flags
     """(N,) datum searched since power came on, and recorded: believed where the fibre is dark."""
+    scatter_mm: float = SCATTER_MM
+    """Of healthy positioners about where they report, per coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +137,8 @@ def begin_check(
     most_mm = allowed_miss_mm(plane, reported_mm, allowed_mm)
     most_mm = np.where(report.vouched, most_mm + layout_mm, most_mm)
     # so near the alpha axis that nothing can be seen of alpha: the record of its datum has to say it
-    blind = most_mm < 3.0 * SCATTER_MM
-    near = miss_mm <= np.where(blind, 3.0 * SCATTER_MM, most_mm)
+    blind = most_mm < 3.0 * report.scatter_mm
+    near = miss_mm <= np.where(blind, 3.0 * report.scatter_mm, most_mm)
     seen_right = report.answered & report.image.seen & near & (~blind | report.vouched)
     for i in range(len(plane)):
         standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
@@ -204,7 +206,8 @@ def _standing(row: int, plane: FocalPlane, report: Report, seen_right: bool, nam
 def _named(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[list[Standing], Floats, Ints]:
     """The likeliest hypothesis of each seen positioner, its probability, and its partner (-1: none)."""
     weights = {
-        Standing.RIGHT: (1.0 - sum(PRIOR.values())) * _normal(report.image.xy_mm - reported_mm),
+        Standing.RIGHT: (1.0 - sum(PRIOR.values()))
+        * _normal(report.image.xy_mm - reported_mm, report.scatter_mm),
         Standing.TURNS: PRIOR["turns"] * _turns(plane, report),
         Standing.DATUM: PRIOR["datum"] * _one_axis(plane, report),
         Standing.ELSEWHERE: PRIOR["elsewhere"] / _reach_mm2(plane),
@@ -218,14 +221,14 @@ def _named(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[list
     return [names[k] for k in best], np.asarray(share), partner
 
 
-def _normal(miss_mm: Floats) -> Floats:
+def _normal(miss_mm: Floats, scatter_mm: float) -> Floats:
     """Density (per mm2) of a miss (..., 2) of a place that is known."""
-    chi2 = (miss_mm**2).sum(axis=-1) / SCATTER_MM**2
-    return np.asarray(np.exp(-0.5 * chi2) / (2.0 * np.pi * SCATTER_MM**2))
+    chi2 = (miss_mm**2).sum(axis=-1) / scatter_mm**2
+    return np.asarray(np.exp(-0.5 * chi2) / (2.0 * np.pi * scatter_mm**2))
 
 
-def _normal_1d(miss_mm: Floats) -> Floats:
-    return np.asarray(np.exp(-0.5 * (miss_mm / SCATTER_MM) ** 2) / (np.sqrt(2.0 * np.pi) * SCATTER_MM))
+def _normal_1d(miss_mm: Floats, scatter_mm: float) -> Floats:
+    return np.asarray(np.exp(-0.5 * (miss_mm / scatter_mm) ** 2) / (np.sqrt(2.0 * np.pi) * scatter_mm))
 
 
 def _turns(plane: FocalPlane, report: Report) -> Floats:
@@ -236,7 +239,7 @@ def _turns(plane: FocalPlane, report: Report) -> Floats:
         for k in steps:
             angles_deg = report.angles_deg.copy()
             angles_deg[:, column] += k * 360.0 / axis.gear
-            density += _normal(report.image.xy_mm - plane.forward(*angles_deg.T))
+            density += _normal(report.image.xy_mm - plane.forward(*angles_deg.T), report.scatter_mm)
     return density / (2 * len(steps))
 
 
@@ -247,16 +250,16 @@ def _one_axis(plane: FocalPlane, report: Report) -> Floats:
     density = np.zeros(len(plane))
     reported_mm = plane.forward(*report.angles_deg.T)
     for about_mm in (plane.centres_mm, elbow_mm):
-        radius_mm = np.maximum(np.hypot(*(reported_mm - about_mm).T), SCATTER_MM)
+        radius_mm = np.maximum(np.hypot(*(reported_mm - about_mm).T), report.scatter_mm)
         off_mm = np.hypot(*(seen_mm - about_mm).T) - radius_mm
-        density += 0.5 * _normal_1d(off_mm) / (2.0 * np.pi * radius_mm)
+        density += 0.5 * _normal_1d(off_mm, report.scatter_mm) / (2.0 * np.pi * radius_mm)
     return density
 
 
 def _swapped(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[Floats, Ints]:
     """Density of a place as another one reports it, where that one is as this one reports."""
     density, partner = np.zeros(len(plane)), np.full(len(plane), -1)
-    off = report.image.seen & ~(np.hypot(*(report.image.xy_mm - reported_mm).T) < 4.0 * SCATTER_MM)
+    off = report.image.seen & ~(np.hypot(*(report.image.xy_mm - reported_mm).T) < 4.0 * report.scatter_mm)
     rows = np.flatnonzero(off)
     if len(rows) < 2:
         return density, partner
@@ -266,7 +269,7 @@ def _swapped(plane: FocalPlane, report: Report, reported_mm: Floats) -> tuple[Fl
         pair = np.array([i, j])
         alpha_deg, beta_deg = report.angles_deg[pair[::-1]].T
         places_mm = plane.forward(alpha_deg, beta_deg, index=pair)
-        both = _normal(report.image.xy_mm[pair] - places_mm)
+        both = _normal(report.image.xy_mm[pair] - places_mm, report.scatter_mm)
         if both.min() > density[pair].max():
             density[pair], partner[pair] = both, pair[::-1]
     return density, partner

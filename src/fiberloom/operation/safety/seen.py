@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiberloom.drive.port import SCATTER_MM as SCATTER_MM
 from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments.axis import Drive
 from fiberloom.typing import Flags, Floats, Ints
+
+SCATTER_MM = Drive().scatter_mm
+"""Of healthy positioners about where they report, per coordinate, where no instrument says."""
 
 _SAME_RADIUS = 3.0 * SCATTER_MM
 _FOLDED = 0.2

@@ -145,6 +145,11 @@ class CobraArray:
         for i, j in self._pairs[hit].tolist():
             self.contacts.append(Contact(begins_s, int(ids[i]), int(ids[j]) if j < n else None))
 
+    def touches(self) -> list[Contact]:
+        """Contacts since the last call."""
+        found, self.contacts = self.contacts, []
+        return found
+
     def _with_fixed(self, way_deg: Floats) -> Floats:
         fixed = len(self._bodies.radius_mm) - len(self.plane)
         return np.concatenate([way_deg, np.zeros((len(way_deg), fixed, 2))], axis=1)

@@ -1,0 +1,264 @@
+"""The drive of DESI: plans become tables of rows, and what no encoder tells is learnt from images."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiberloom.bus.motion import MotionWatch
+from fiberloom.bus.outcome import Outcome, Result, Results
+from fiberloom.bus.transport import Transport
+from fiberloom.drive.desi.clock import TICK_HZ, degrees_of
+from fiberloom.drive.desi.frames import (
+    POSITIONERS,
+    Command,
+    Frame,
+    checksum,
+    encode_row,
+    rows_of,
+    table_frames,
+)
+from fiberloom.drive.desi.learned import PLANETARY, LearnedMaps, MapBasis
+from fiberloom.drive.desi.paths import executed_path
+from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
+from fiberloom.drive.desi.safe import safe_phi_deg
+from fiberloom.drive.desi.stages import Aims, Staged, staged
+from fiberloom.drive.desi.tables import MoveTables
+from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers, with_tube
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import Measurement
+from fiberloom.metrology.noise import CorrectionNoise
+from fiberloom.planning import Plan, Verification
+from fiberloom.typing import Flags, Floats, Ints
+
+TUBE_SIGMA = 1.5
+"""[A] An arm may be so many of its map's sigma from its way: a 2-D rms, 0.1 mm before anything is learnt."""
+ANSWER_S = 0.5
+SETTLE_S = 0.05
+"""After the last table has ended."""
+ALIVE_S = 20.0
+"""A unit in standby after 60 s of silence would refuse its table."""
+AIR_UM = 6.0
+"""[A] Of an image, both axes together, where the camera does not tell its covariance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """The commands of a programme."""
+
+    tables: MoveTables
+    way_deg: Floats
+    """(N, 2) counted by them."""
+
+
+class DesiDrive:
+    """Positioners of DESI on a bus. Implements `fiberloom.drive.Drive`.
+
+    No positioner reports where it is. What was commanded is added up, a learnt map turns it into angles of
+    the arm, and every image teaches the map.
+    """
+
+    reports = False
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        transport: Transport,
+        here_deg: Floats | None = None,
+        basis: MapBasis = PLANETARY,
+    ) -> None:
+        """`plane`: N positioners; `transport` of their frames; `here_deg` (N, 2) after homing, folded when
+        left out; `basis`: of the maps that are learnt.
+        """
+        self.plane, self.transport = plane, transport
+        self.maps = LearnedMaps(plane, plane.park_deg if here_deg is None else here_deg, basis)
+        noise = CorrectionNoise.of(plane)
+        self.model = DriveModel(replace(noise, blind_um=54.0), seen_is_believed=True, reports=False)
+        self.ids: list[int] = []
+        self.safe_deg = safe_phi_deg(plane)
+        self._image_um = max(noise.camera_um, 1e-3)
+        self._running: tuple[float, MoveTables] | None = None
+
+    @property
+    def time_s(self) -> float:
+        """Of the bus."""
+        return self.transport.time_s
+
+    # the bus
+
+    async def sleep(self, duration_s: float) -> None:
+        """Lets time pass, s; what units say meanwhile is dropped."""
+        end_s = self.time_s + duration_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            await self.transport.receive(min(left_s, ALIVE_S))
+            if left_s > ALIVE_S:
+                await self._broadcast(Command.STAY_ALIVE)
+
+    async def _broadcast(self, command: Command, data: bytes = b"") -> None:
+        await self.transport.send([Frame.of(POSITIONERS, command, data)])
+
+    async def _ask(self, frames: list[Frame], command: Command, whom: Iterable[int]) -> dict[int, bytes]:
+        """Sends frames; the answers to a command by positioner, of those that answer in time."""
+        waiting, found = set(whom), {}
+        await self.transport.send(frames)
+        end_s = self.time_s + ANSWER_S
+        while waiting and (left_s := end_s - self.time_s) > 1e-9:
+            for reply in await self.transport.receive(left_s):
+                sender = reply.id >> 8
+                if reply.id & 0xFF == command and sender in waiting:
+                    waiting.discard(sender)
+                    found[sender] = reply.data
+        return found
+
+    async def connect(self) -> None:
+        """Asks all for their firmware. InputError where none of the layout's positioners answers."""
+        known = self.plane.positioner_id[~self.plane.offline].tolist()
+        self.ids = sorted(await self._versions(known))
+        if not self.ids:
+            raise none_answers(self.plane)
+
+    async def _versions(self, whom: list[int]) -> dict[int, bytes]:
+        frames = [Frame.of(number, Command.VERSION) for number in whom]
+        return await self._ask(frames, Command.VERSION, whom)
+
+    async def rest(self, alarm: Callable[[str], None], left_moving: bool = False) -> None:
+        """Stops what a host that was killed has left on its way; `alarm` and `left_moving` as in the port."""
+        moving = await self._moving(self.ids)
+        if moving or left_moving:
+            await self._broadcast(Command.STOP)
+            alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
+
+    async def _moving(self, ids: list[int]) -> list[int]:
+        frames = [Frame.of(number, Command.MOVE_STATUS) for number in ids]
+        told = await self._ask(frames, Command.MOVE_STATUS, ids)
+        return [number for number, data in told.items() if data != b"\x00"]
+
+    async def believed(self, ids: Ints) -> Believed:
+        """Where these (n,) are by what was counted and learnt; all are known."""
+        rows = self.plane.index_of(ids)
+        angles = self.maps.output_deg(self.maps.believed_deg)[rows]
+        return Believed(angles, self.maps.believed_deg[rows], np.ones(len(rows), dtype=bool))
+
+    async def heard_again(self, silent: Iterable[int]) -> list[int]:
+        """Those of the `silent` that answer now."""
+        back = sorted(await self._versions(list(silent)))
+        self.ids = sorted({*self.ids, *back})
+        return back
+
+    # programmes
+
+    async def prepare(self, wanted: Wanted) -> Programme:
+        """Tables in stages, of ways by what was learnt; who cannot make its move is named in the plan."""
+        return await asyncio.to_thread(self._prepared, wanted)
+
+    def _prepared(self, wanted: Wanted) -> Programme:
+        tube_mm = self._tube_mm(wanted.goal_deg)
+        plane = with_tube(wanted.obstacles, tube_mm)
+        asked = np.abs(wanted.goal_deg - wanted.here_deg).max(axis=1) > 1e-9
+        asked &= ~plane.offline
+        way = np.where(asked[:, None], self.maps.way_deg(wanted.goal_deg), 0.0)
+        move = staged(plane, wanted.here_deg, way, self.safe_deg, small=wanted.small)
+
+        def ends(reduced: Staged) -> Aims:
+            counted = counted_deg(reduced)
+            there = self.maps.output_deg(self.maps.believed_deg + counted)
+            off = there - wanted.here_deg - counted
+            return Aims(wanted.here_deg, np.where(reduced.moves[:, None], off, 0.0))
+
+        found = Resolver(plane, move, ends).resolve()
+        commands = Tables(found.made.tables, degrees_of(found.made.tables.way_tenths.sum(axis=1)))
+        about = {"rounds": found.rounds, "waits": found.waits}
+        return Programme(found.plan, tube_mm, commands, about)
+
+    def _tube_mm(self, angles_deg: Floats) -> Floats:
+        """(N,) mm, by how well the map is known at angles (N, 2) in deg."""
+        return 1e-3 * TUBE_SIGMA * self.maps.sigma_um(angles_deg)
+
+    async def compile(self, plan: Plan) -> Programme:
+        """Only where nothing moves: InputError for a `plan` of trajectories, which no table can follow."""
+        if any(robot.moves for robot in plan.robots):
+            raise InputError(
+                f"{self.plane.instrument.name}: its motors run tables, not trajectories made elsewhere"
+            )
+        still = np.zeros((len(self.plane), 0, 2), dtype=np.int64)
+        tables = MoveTables(still, still.astype(bool), np.zeros((len(self.plane), 0), dtype=np.int64))
+        return Programme(plan, None, Tables(tables, np.zeros((len(self.plane), 2))))
+
+    def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
+        """Proves the way that the tables make arms go, with tubes. `obstacles`, `programme`: as in the port."""
+        return proven(with_tube(obstacles, programme.tube_mm), programme.plan)
+
+    async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
+        """Loads tables, proves their checksums, starts all at once and waits. `watch` and `say`: not used.
+
+        Nothing starts where one unit does not hold its table: the way was proven for all together.
+        """
+        commands: Tables = programme.commands
+        moving = programme.moving
+        missing = await self._load(commands.tables, moving)
+        if missing:
+            return Results(
+                {i: Result(i, Outcome.TIMED_OUT if i in missing else Outcome.NOT_STARTED) for i in moving}
+            )
+        await self._broadcast(Command.RUN, b"\x01")
+        self._running = self.time_s, commands.tables
+        await self.sleep(float(commands.tables.duration_s.max(initial=0.0)) + SETTLE_S)
+        late = await self._moving(moving)
+        self._running = None
+        self.maps.went(commands.way_deg)
+        return Results({i: Result(i, Outcome.TIMED_OUT if i in late else Outcome.DONE) for i in moving})
+
+    async def _load(self, tables: MoveTables, moving: list[int]) -> set[int]:
+        """Those that do not hold their table after two tries."""
+        rows = {i: rows_of(tables, int(self.plane.index_of(i))) for i in moving}
+        # a table that was run is still there, and the start is for all
+        await self._broadcast(Command.CLEAR)
+        missing = set(moving)
+        for _ in range(2):
+            frames = [frame for i in sorted(missing) for frame in table_frames(i, rows[i])]
+            told = await self._ask(frames, Command.CHECKSUM, missing)
+            missing -= {
+                i
+                for i, data in told.items()
+                if int.from_bytes(data, "big") == checksum([encode_row(row) for row in rows[i]])
+            }
+            if not missing:
+                break
+        return missing
+
+    async def settle(self, ids: list[int]) -> None:
+        """Stops these and forgets their tables."""
+        frames = [Frame.of(i, command) for i in ids for command in (Command.STOP, Command.CLEAR)]
+        await self.transport.send(frames)
+
+    async def stop(self) -> list[int]:
+        """Stops all; what was counted until then is believed. Returns which answer."""
+        await self._broadcast(Command.STOP)
+        if self._running is not None:
+            begin_s, tables = self._running
+            gone = executed_path(tables).at(np.array([(self.time_s - begin_s) * TICK_HZ]))[:, 0]
+            self.maps.went(degrees_of(gone))
+            self._running = None
+        return sorted(await self._versions(self.ids))
+
+    def excused(self, image: Measurement) -> None:
+        """None: a fibre that an `image` does not show is dark."""
+
+    def seen(self, image: Measurement, mobile: Flags) -> Floats:
+        """Learns from an image; (N, 2) deg where arms are believed to be now. `mobile` (N,): who may tell."""
+        self.maps.see(image.xy_mm, self._sigma_mm(image), image.seen & mobile)
+        return self.maps.output_deg(self.maps.believed_deg)
+
+    def _sigma_mm(self, image: Measurement) -> Floats | float:
+        if image.covariance_mm2 is None:
+            return 1e-3 * float(np.hypot(self._image_um, AIR_UM)) / np.sqrt(2.0)
+        mean = 0.5 * np.einsum("ncc->n", np.nan_to_num(image.covariance_mm2, nan=1.0))
+        return np.sqrt(np.maximum(mean, 1e-8))
+
+    async def close(self) -> None:
+        """Closes the bus."""
+        await self.transport.close()

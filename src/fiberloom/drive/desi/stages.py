@@ -1,0 +1,192 @@
+"""A move in stages: retract, rotate, extend, approach; each in turns that all units have in common.
+
+While phi is retracted theta may turn as it likes, so pairs can meet only while they retract, extend or
+approach. A unit whose turn comes later waits by pauses of its table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+
+from fiberloom.drive.desi.clock import (
+    APPROACH_STEPS,
+    FINAL_DIRECTION,
+    PAUSE_TICKS,
+    TICK_HZ,
+    degrees_of,
+    tenths_of,
+)
+from fiberloom.drive.desi.paths import executed_path
+from fiberloom.drive.desi.tables import MoveTables, leg_steps
+from fiberloom.instruments import FocalPlane
+from fiberloom.planning import Plan, Trajectory
+from fiberloom.typing import Flags, Floats, Ints
+
+STAGES = 4
+_SPARE_TICKS = 6 * PAUSE_TICKS
+"""Between turns: pauses are whole milliseconds, rounded up in each row."""
+
+
+class Stage(IntEnum):
+    """What happens in a stage."""
+
+    RETRACT = 0
+    ROTATE = 1
+    EXTEND = 2
+    APPROACH = 3
+
+
+class Level(IntEnum):
+    """How much of its move a unit makes."""
+
+    WHOLE = 0
+    NOT_EXTENDED = 1
+    RETRACTED = 2
+    STILL = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """What N units shall do; fields that say who waits for whom are changed until nothing meets."""
+
+    legs: Ints
+    """(N, 3, 2) ways of the first three stages, tenths of a motor deg."""
+    level: Ints
+    """(N,) `Level`."""
+    turn: Ints
+    """(N, STAGES) when a unit's turn comes in each stage, from 0."""
+
+    @property
+    def reduced(self) -> Ints:
+        """(N, 3, 2) ways of what each unit makes of its move."""
+        last = np.array([3, 2, 1, 0])[self.level]
+        return np.where(np.arange(3)[None, :, None] < last[:, None, None], self.legs, 0)
+
+    @property
+    def moves(self) -> Flags:
+        """(N,) who has anything to do."""
+        return np.asarray(self.reduced.any(axis=(1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """Tables of a staged move, and when each unit is on in each stage."""
+
+    tables: MoveTables
+    begin_tick: Ints
+    """(N, STAGES)."""
+    end_tick: Ints
+    """(N, STAGES) as the begin where a unit does nothing in a stage."""
+
+    def active(self, unit: int, time_s: float) -> int | None:
+        """The stage in which a unit moves at a time in s; None: it does not."""
+        tick = time_s * TICK_HZ
+        on = (self.begin_tick[unit] - 2 <= tick) & (tick <= self.end_tick[unit] + 2)
+        on &= self.end_tick[unit] > self.begin_tick[unit]
+        found = np.flatnonzero(on)
+        return int(found[-1]) if len(found) else None
+
+
+def staged(plane: FocalPlane, here_deg: Floats, way_deg: Floats, safe_deg: Floats, *, small: bool) -> Staged:
+    """The stages of ways (N, 2) in deg.
+
+    `plane`: N positioners; `here_deg` (N, 2): where they are; `safe_deg` (N,): phi from which on theta is
+    free; `small`: all of the way at once, in the last stage before the approach.
+    """
+    n = len(plane)
+    legs = np.zeros((n, 3, 2), dtype=np.int64)
+    if small:
+        legs[:, 2] = tenths_of(way_deg)
+    else:
+        phi, goal = here_deg[:, 1], here_deg[:, 1] + way_deg[:, 1]
+        moves = np.abs(way_deg).sum(axis=1) > 0.0
+        first, second = np.maximum(phi, safe_deg), np.maximum(goal, safe_deg)
+        corners = np.zeros((n, 4, 2))
+        corners[:, 1:, 1] = np.column_stack([first - phi, second - phi, goal - phi])
+        corners[:, 2:, 0] = way_deg[:, :1]
+        legs = np.where(moves[:, None, None], np.diff(tenths_of(corners), axis=1), 0)
+    return Staged(legs, np.zeros(n, dtype=np.int64), np.zeros((n, STAGES), dtype=np.int64))
+
+
+def timed(move: Staged) -> Timed:
+    """Tables of a staged move: each stage begins for all in turns, as long as the slowest of each."""
+    n, goes = len(move.level), move.moves
+    steps, cruise, rest = leg_steps(move.reduced)
+    back = np.where(goes[:, None], APPROACH_STEPS * FINAL_DIRECTION, 0)
+    last = back + np.where(goes[:, None], rest.sum(axis=1), 0)
+    still, creeps = np.zeros((n, 1, 2), dtype=np.int64), np.zeros((n, 1, 2), dtype=bool)
+    all_steps = np.concatenate([still, steps, -back[:, None], last[:, None]], axis=1)
+    all_cruise = np.concatenate([creeps, cruise, creeps, creeps], axis=1)
+    bare = MoveTables(all_steps, all_cruise, np.zeros((n, 6), dtype=np.int64))
+    own = np.column_stack([bare.ticks[:, 1:4], bare.ticks[:, 4] + bare.ticks[:, 5]])
+    begin = _begins(own, move.turn)
+    pause, begin = _pauses(bare.ticks, begin, own)
+    return Timed(replace(bare, pause_ms=pause), begin, begin + own)
+
+
+def _begins(own: Ints, turn: Ints) -> Ints:
+    """(N, STAGES) wanted begins: turns of a stage one after another, stages one after another."""
+    begin, now = np.zeros_like(own), 0
+    for stage in range(STAGES):
+        for k in range(int(turn[:, stage].max(initial=0)) + 1):
+            whose = turn[:, stage] == k
+            begin[whose, stage] = now
+            longest = int(own[whose, stage].max(initial=0))
+            now += longest + (_SPARE_TICKS if longest else 0)
+    return begin
+
+
+def _pauses(ticks: Ints, wanted: Ints, own: Ints) -> tuple[Ints, Ints]:
+    """(N, 6) ms after each row so that stages begin as wanted, and (N, STAGES) when they really do."""
+    n = len(ticks)
+    rows, now, last = np.arange(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    pause, begin = np.zeros((n, 6), dtype=np.int64), wanted.copy()
+    for stage, row in enumerate((1, 2, 3, 4)):
+        used = own[:, stage] > 0
+        wait = np.where(used, np.maximum(-((now - wanted[:, stage]) // PAUSE_TICKS), 0), 0)
+        pause[rows, last] += wait
+        now = now + PAUSE_TICKS * wait
+        begin[:, stage] = np.where(used, now, wanted[:, stage])
+        now = now + own[:, stage]
+        last = np.where(used, row + (stage == Stage.APPROACH), last)
+    return pause, begin
+
+
+@dataclass(frozen=True, eq=False)
+class Aims:
+    """Where arms are and where their counts take them: what turns counts into angles."""
+
+    here_deg: Floats
+    """(N, 2) of the arms."""
+    error_deg: Floats
+    """(N, 2) by which arms go beyond what is counted, over the whole move."""
+    refused: dict[int, str] = field(default_factory=dict)
+
+
+def plan_of(plane: FocalPlane, made: Timed, aims: Aims) -> Plan:
+    """The way that arms go by these tables, with a corner wherever a motor changes."""
+    path = executed_path(made.tables)
+    total = np.abs(path.tenths[:, -1:]) + 1e-9
+    share = np.clip(np.abs(path.tenths) / total, 0.0, 1.0)
+    angles = aims.here_deg[:, None] + degrees_of(path.tenths) + share * aims.error_deg[:, None]
+    angles = np.round(angles, 9)
+    moves = made.tables.rows > 0
+    robots = []
+    for row, number in enumerate(plane.positioner_id.tolist()):
+        if not moves[row]:
+            at = np.round(aims.here_deg[row], 9)
+            robots.append(Trajectory(number, np.zeros(1), at[:1], at[1:]))
+            continue
+        keep = np.append(np.diff(path.tick[row]) > 0, True)
+        time_s = np.round(path.tick[row, keep] / TICK_HZ, 6)
+        robots.append(Trajectory(number, time_s, *angles[row, keep].T))
+    return Plan(
+        instrument=plane.instrument.name,
+        collision_buffer_mm=plane.collision_buffer_mm,
+        robots=tuple(robots),
+        refused=aims.refused,
+        statistics={},
+    )

@@ -1,0 +1,187 @@
+"""The twin of DESI's focal plane: controllers on a bus, tables executed for all units at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiberloom._core import geometry
+from fiberloom.drive.desi.frames import ALL, POSITIONERS, Frame, tables_from
+from fiberloom.drive.desi.paths import FieldPath, executed_path
+from fiberloom.drive.desi.tables import MoveTables
+from fiberloom.errors import InputError
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.pointing import Pointing
+from fiberloom.twin.desi.contacts import ContactFinder, Touching
+from fiberloom.twin.desi.controller import DesiController
+from fiberloom.twin.desi.motion import ArmState, TruePath, true_path
+from fiberloom.twin.desi.units import DesiUnits, draw_desi_units
+from fiberloom.twin.twin import Touch
+from fiberloom.typing import Floats, Ints
+from fiberloom.units import deg_to_rad
+
+
+class DesiTwin:
+    """N positioners on a virtual bus; the clock does not advance between calls.
+
+    `start_deg` (N, 2): true angles at power-up, folded by default. Arms pass through each other; with
+    `contacts` it is counted that they do. Tables that are started while others run are looked at for contacts
+    with those where they will end.
+    """
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        units: DesiUnits | None = None,
+        *,
+        seed: int = 0,
+        start_deg: ArrayLike | None = None,
+        contacts: bool = True,
+    ) -> None:
+        self.plane = plane
+        self.units = units or draw_desi_units(plane, seed)
+        if len(self.units) != len(plane):
+            raise InputError(f"twin: {len(self.units)} units for {len(plane)} positioners; draw them anew")
+        self.dark = self.units.dark.copy()
+        self.pointing = Pointing()
+        self.time_s = 0.0
+        self.controllers = {int(k): DesiController(int(k)) for k in plane.positioner_id}
+        self._row = {int(k): row for row, k in enumerate(plane.positioner_id)}
+        self._finder = ContactFinder(plane, self.units) if contacts else None
+        self._state = ArmState.at(self.units.gears, _start(plane, start_deg))
+        self._running: list[tuple[float, Ints, TruePath]] = []
+        self._touches: list[Touch] = []
+        self._rng = np.random.default_rng([seed, 0xDE52])
+
+    # the bus
+
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> list[Frame]:
+        """Puts frames (identifier, data) on the bus now, in order; the replies. Tables may start."""
+        replies: list[Frame] = []
+        for identifier, data in frames:
+            frame = Frame(identifier, bytes(data))
+            addressed = self._addressed(frame)
+            for controller in addressed:
+                replies += controller.receive(frame)
+            self._stop([c for c in addressed if c.stopped])
+        self._begin()
+        return replies
+
+    def sync(self) -> None:
+        """The hardware signal: tables that wait for it start now."""
+        for controller in self.controllers.values():
+            controller.sync()
+        self._begin()
+
+    def run(self, duration_s: float) -> list[Frame]:
+        """Lets time pass, s. No unit speaks unasked."""
+        if not 0.0 <= duration_s < 1e6:
+            raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
+        self.time_s += duration_s
+        for controller in self.controllers.values():
+            controller.advance(duration_s)
+        self._running = [entry for entry in self._running if entry[0] + entry[2].end_s > self.time_s]
+        return []
+
+    def _addressed(self, frame: Frame) -> list[DesiController]:
+        if frame.can_id in (ALL, POSITIONERS):
+            return list(self.controllers.values())
+        found = self.controllers.get(frame.can_id)
+        return [found] if found else []
+
+    # motion
+
+    def _begin(self) -> None:
+        """Tables of all that were asked to run, at once."""
+        starting = [c for c in self.controllers.values() if c.started]
+        if not starting:
+            return
+        rows = np.array([self._row[c.can_id] for c in starting])
+        tables = tables_from([c.rows for c in starting])
+        for controller, duration in zip(starting, tables.duration_s, strict=True):
+            controller.begin(float(duration))
+        self._run(rows, executed_path(tables))
+
+    def execute(self, tables: MoveTables) -> None:
+        """Runs tables of all N units to their end, without frames: for studies of motors alone."""
+        self._run(np.arange(len(self.plane)), executed_path(tables))
+        self.run(float(tables.duration_s.max(initial=0.0)) + 1e-9)
+
+    def _run(self, rows: Ints, field: FieldPath) -> None:
+        every = _with_resting(field, rows, len(self.plane))
+        before = self._state
+        path, self._state = true_path(self.units, before, every, self._rng)
+        self._running.append((self.time_s, rows, path))
+        if self._finder:
+            self._touches += [self._told(touch) for touch in self._finder.find(path)]
+
+    def _told(self, touch: Touching) -> Touch:
+        ids = self.plane.positioner_id
+        other = int(ids[touch.other]) if touch.other >= 0 else None
+        return Touch(self.time_s + touch.time_s, int(ids[touch.unit]), other)
+
+    def _stop(self, stopped: list[DesiController]) -> None:
+        """Motors of these stand still from now on."""
+        if not stopped:
+            return
+        rows = np.array([self._row[c.can_id] for c in stopped])
+        for start_s, _, path in self._running:
+            here, _ = path.state_at(rows, np.full(len(rows), self.time_s - start_s))
+            for name in ("rotor_deg", "gear_deg", "scatter_deg"):
+                getattr(self._state, name)[rows] = getattr(here, name)
+        self._running = [
+            (start, rest, path)
+            for start, which, path in self._running
+            if len(rest := np.setdiff1d(which, rows))
+        ]
+        for controller in stopped:
+            controller.stopped = False
+
+    # what cameras and reports need
+
+    def truth(self) -> Floats:
+        """Output angles (N, 2) in deg: theta, phi."""
+        angles = self._state.output_deg(self.units.gears)
+        for start_s, rows, path in self._running:
+            angles[rows] = path.output_deg(rows, np.full(len(rows), self.time_s - start_s))[0]
+        return angles
+
+    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
+        """True position (N, 2) in mm of a fibre."""
+        if fibre not in self.plane.points:
+            raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
+        longer = np.column_stack([self.units.beta_longer_mm, np.zeros(len(self.plane))])
+        points = np.ascontiguousarray(self.plane.points[fibre] + longer)
+        return geometry.forward(self.units.arms, points, deg_to_rad(self.truth()))
+
+    def point(self, pointing: Pointing) -> None:
+        """Points the telescope; gears of this ratio do not yield to gravity here."""
+        self.pointing = pointing
+
+    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
+        """As `fibre_xy`, (N, 2) mm, whatever the `pointing`."""
+        return self.fibre_xy(fibre)
+
+    def touches(self) -> list[Touch]:
+        """Contacts since the last call: the first moment of each pair in each move."""
+        found, self._touches = self._touches, []
+        return found
+
+
+def _with_resting(field: FieldPath, rows: Ints, n: int) -> FieldPath:
+    """Fields of all n units: those that run, and the others at rest until the last has ended."""
+    tick = np.zeros((n, field.tick.shape[1]), dtype=np.int64)
+    tick[:, -1] = field.tick[:, -1].max()
+    tenths = np.zeros((n, *field.tenths.shape[1:]))
+    tick[rows], tenths[rows] = field.tick, field.tenths
+    return FieldPath(tick, tenths)
+
+
+def _start(plane: FocalPlane, start_deg: ArrayLike | None) -> Floats:
+    folded = plane.instrument.positioner.park_deg if start_deg is None else start_deg
+    start = np.array(np.broadcast_to(np.asarray(folded, dtype=np.float64), (len(plane), 2)))
+    start[plane.offline] = plane.offline_position_deg[plane.offline]
+    return start

@@ -1,0 +1,90 @@
+"""DESI's twin as the hardware of a field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fiberloom.calibration.transmission.sweep import Calibration, Progress
+from fiberloom.drive.desi.drive import DesiDrive
+from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology import Camera
+from fiberloom.twin.camera.models import image_camera
+from fiberloom.twin.camera.noise_camera import NoiseCamera
+from fiberloom.twin.desi.array import DesiTwin
+from fiberloom.twin.desi.transport import DesiTransport
+from fiberloom.twin.desi.units import PUBLISHED_FAULTS, DesiSizes, DesiUnits, draw_desi_units
+from fiberloom.twin.errors.sizes import TwinErrors
+from fiberloom.twin.hardware import check_camera
+
+FAULTS = {"": DesiSizes(), "published": PUBLISHED_FAULTS}
+"""Words of --faults for this array."""
+
+
+class DesiSource:
+    """Implements `fiberloom.operation.source.Source`; what is wrong with its arguments is told at once."""
+
+    def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> None:
+        check_camera(camera)
+        if faults not in FAULTS:
+            known = ", ".join(word for word in FAULTS if word)
+            raise InputError(f"--faults {faults}: known for {plane.instrument.name} are {known}")
+        self.plane, self.seed, self.camera, self.sizes = plane, seed, camera, FAULTS[faults]
+        self.errors = TwinErrors.of(plane.instrument, errors)
+
+    @cached_property
+    def units(self) -> DesiUnits:
+        """The true units."""
+        return draw_desi_units(self.plane, self.seed, self.sizes)
+
+    @cached_property
+    def twin(self) -> DesiTwin:
+        """The field, folded at first; it keeps its state from one observation to the next."""
+        return DesiTwin(self.plane, self.units, seed=self.seed)
+
+    @cached_property
+    def hardware(self) -> Hardware:
+        """Drive, camera and truth."""
+        camera: Camera
+        if self.camera == "image":
+            camera = image_camera(self.twin, self.seed, errors=self.errors)
+        else:
+            rms_um = self.plane.instrument.metrology.noise_rms_um
+            camera = NoiseCamera(self.twin, rms_um, self.seed, self.errors)
+        drive = DesiDrive(self.plane, DesiTransport(self.twin))
+        vouched = np.ones(len(self.plane), dtype=bool)
+        return Hardware(None, camera, self.twin, vouched=vouched, telescope=self.twin, drive=drive)
+
+    async def open(self) -> Hardware:
+        """The field as it is now."""
+        return self.hardware
+
+    async def sweep(self, points: int, progress: Progress) -> Calibration | None:
+        """There is no bench: maps are learnt from images. `points` and `progress` are not used."""
+        return None
+
+    def maps_file(self, points: int) -> Path | None:
+        """Nothing is kept, whatever the `points`."""
+        return None
+
+    def about(self) -> dict[str, Any]:
+        """What was put in."""
+        return {
+            "put_in": {
+                "gears": "planetary orders, amplitudes by the published blind error of 54 um",
+                "scatter of a move": f"{self.sizes.scatter_deg:g} deg per axis",
+            }
+        }
+
+    @property
+    def true_plane(self) -> FocalPlane | None:
+        """The layout with the true arms."""
+        longer = np.column_stack([self.units.beta_longer_mm, np.zeros(len(self.plane))])
+        points = {name: mm + longer for name, mm in self.plane.points.items()}
+        return replace(self.plane, arms=self.units.arms, points=points)

@@ -1,0 +1,38 @@
+"""DESI's bus in this process: time passes while a host waits for an answer."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from fiberloom.bus.transport import Frame
+from fiberloom.twin.desi.array import DesiTwin
+
+
+class DesiTransport:
+    """Implements `fiberloom.bus.transport.Transport` on the twin's virtual clock."""
+
+    def __init__(self, twin: DesiTwin) -> None:
+        self._twin = twin
+        self._replies: list[Frame] = []
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time."""
+        return self._twin.time_s
+
+    async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
+        """Puts frames on the bus now."""
+        told = self._twin.send((frame[0], frame[1]) for frame in frames)
+        self._replies += [Frame(reply.identifier, reply.data, self._twin.time_s) for reply in told]
+
+    async def receive(self, timeout_s: float) -> list[Frame]:
+        """What was answered; else time passes."""
+        await asyncio.sleep(0)
+        if not self._replies:
+            self._twin.run(max(timeout_s, 0.0))
+        replies, self._replies = self._replies, []
+        return replies
+
+    async def close(self) -> None:
+        """Nothing to let go of."""
