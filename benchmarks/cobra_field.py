@@ -3,9 +3,10 @@
     python -m benchmarks.cobra_field --rule ours --cobras 2394 --fields 2 --seed 0
 
 Fields begin at home, each further one where the one before has ended. `--rule ours`: stages whose swept
-regions cannot meet. `--rule via`: the published rule, via points in the first two iterations (phi at most 60 deg
-open, theta behind by half of what phi lacks), pulses scaled, nothing checked. `--cold`: with maps as they were
-before their lasting errors, else ours are calibrated first. Goals do not touch and are not behind dots. The
+regions cannot meet. `--rule via`: the published rule, via points in the first two iterations (phi at most
+60 deg open, theta behind by half of what phi lacks), pulses scaled, nothing checked; which elbow and which
+turn it has is taken from the truth. `--cold`: with maps as they were before their lasting errors, else ours
+are calibrated first. Goals do not touch and are not behind dots. The
 camera has the noise of the instrument, and knows whose spot is whose.
 """
 
@@ -31,7 +32,7 @@ VIA_MOVES = 2
 
 
 def drawn_goals(drive, dots_mm, rng):
-    """(n, 2) deg from the stops, and (n,) which cobras have one: evenly over the reach, none touching another."""
+    """(n, 2) deg from the stops, and (n,) which have one: evenly over the reach, none touching another."""
     arms, n = drive.arms, len(drive.arms)
     reach = np.sqrt(rng.uniform(0.05, 0.97, (TRIALS, n))) * arms.link_mm.sum(axis=1)
     turn = rng.uniform(0.0, 2.0 * np.pi, (TRIALS, n))
@@ -122,8 +123,8 @@ async def fields(args):
     if calibrated:
         found = source.calibrations[0]
         print(
-            f"calibrated: {int(found.ok.sum())} of {len(plane)} cobras, {time.process_time() - begun_s:.0f} CPU s, "
-            f"{source.calibration_contacts} contacts"
+            f"calibrated: {int(found.ok.sum())} of {len(plane)} cobras, "
+            f"{time.process_time() - begun_s:.0f} CPU s, {source.calibration_contacts} contacts"
         )
     await drive.connect()
     law = SpeedScalingLaw(source.known_maps)

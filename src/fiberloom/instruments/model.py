@@ -135,7 +135,7 @@ class CameraTable(Table):
     turn_tolerance_deg: Positive = 15.0
     """How far it may be turned from there, by a rotator or by how it hangs."""
     shift_tolerance_mm: Positive = 20.0
-    """How far it may be shifted: less than the pitch where fibres at home make a lattice like the fiducials."""
+    """How far it may be shifted: below the pitch where fibres at home make a lattice like fiducials."""
     distortion_reach_mm: Positive = 3.0
     """How far distortion bends the image across a part of the field, at most."""
     fiducial_sigma_um: NotNegative = 0.0

@@ -11,6 +11,7 @@ from fiberloom.drive.pfs.frames import (
     SETFREQ_ARM,
     Admin,
     Arm,
+    BoardReply,
     BoardState,
     Calibrate,
     Code,
@@ -18,9 +19,8 @@ from fiberloom.drive.pfs.frames import (
     Diagnose,
     Housekeeping,
     Power,
-    Refused,
-    Reply,
-    Run,
+    RefusedCommand,
+    RunCommand,
     SetFrequency,
     arm_flags,
     checksum,
@@ -40,7 +40,7 @@ def test_a_run_by_hand():
     """Cobra 1: board 1, plug 1. Sum of all bytes 673, so the checksum is 0x10000 - 673 = 0xfd5f."""
     flags = int(arm_flags(1, 1, Arm.THETA_CCW | Arm.THETA_ON | Arm.PHI_ON))
     arms = run_arms((flags, 44, 100, 0, 22, 50, 100))
-    data = encode(Run(arms, timeout_ms=5000, interleave_us=156, count=7))
+    data = encode(RunCommand(arms, timeout_ms=5000, interleave_us=156, count=7))
     assert data.hex(" ") == "01 07 00 01 13 88 00 9c fd 5f 08 1d 00 2c 00 64 00 00 00 16 00 32 00 64"
 
 
@@ -81,7 +81,7 @@ def test_runs_come_back_as_they_were(count, timeout_ms, interleave_us, ids, low,
     arms["flags"] = arm_flags(*plugs_of(ids), low)
     for name in RUN_ARM.names[1:]:
         arms[name] = rng.integers(1, 1000, len(ids))
-    data = encode(Run(arms, timeout_ms, interleave_us, count))
+    data = encode(RunCommand(arms, timeout_ms, interleave_us, count))
     assert sum(data) - sum(data[8:10]) + int.from_bytes(data[8:10], "big") & 0xFFFF == 0
     found = decode(data)
     assert (found.timeout_ms, found.interleave_us, found.count) == (timeout_ms, interleave_us, count)
@@ -90,9 +90,9 @@ def test_runs_come_back_as_they_were(count, timeout_ms, interleave_us, ids, low,
 
 @given(words=st.tuples(*[st.integers(0, 0xFFFF)] * 2), count=st.integers(0, 255), opcode=st.integers(0, 255))
 def test_replies_come_back_as_they_were(words, count, opcode):
-    reply = Reply(opcode, count, *words)
+    reply = BoardReply(opcode, count, *words)
     assert len(reply.to_bytes()) == 6
-    assert Reply.of(reply.to_bytes()) == reply
+    assert BoardReply.of(reply.to_bytes()) == reply
 
 
 def test_the_state_of_a_board_comes_back():
@@ -113,7 +113,7 @@ def test_any_bytes_are_a_command_a_code_or_a_wait(pieces):
     reader = CommandReader()
     for piece in pieces:
         for found in reader.feed(piece):
-            if isinstance(found, Refused):
+            if isinstance(found, RefusedCommand):
                 assert found.code in Code
                 assert found.code is not Code.OK
             else:
@@ -129,7 +129,7 @@ def test_runs_of_any_content_get_the_code_of_what_is_wrong(data, n, head):
     whole = bytes([1, 0, 0, n]) + head
     whole += checksum(whole + data[: 14 * n]).to_bytes(2, "big") + data
     for found in CommandReader().feed(whole):
-        if isinstance(found, Run):
+        if isinstance(found, RunCommand):
             board, plug = found.arms["flags"] >> 4 & 0x7F, found.arms["flags"] >> 11
             assert np.all((plug >= 1) & (plug <= 29))
             # an even board has 28 cobras
@@ -138,12 +138,12 @@ def test_runs_of_any_content_get_the_code_of_what_is_wrong(data, n, head):
 
 def code_of(data):
     (found,) = CommandReader().feed(data)
-    return found.code if isinstance(found, Refused) else Code.OK
+    return found.code if isinstance(found, RefusedCommand) else Code.OK
 
 
 def one_arm(board=1, cobra=1, theta_us=44, interleave_us=156):
     flags = int(arm_flags(board, cobra, Arm.THETA_ON | Arm.PHI_ON))
-    return encode(Run(run_arms((flags, theta_us, 10, 0, 22, 10, 0)), 100, interleave_us))
+    return encode(RunCommand(run_arms((flags, theta_us, 10, 0, 22, 10, 0)), 100, interleave_us))
 
 
 def test_each_fault_has_its_code():
@@ -157,9 +157,9 @@ def test_each_fault_has_its_code():
     assert code_of(one_arm(theta_us=0)) is Code.RUN_TIME
     assert code_of(one_arm(theta_us=1001)) is Code.RUN_TIME
     assert code_of(one_arm(interleave_us=0)) is Code.INTERLEAVE
-    assert code_of(encode(Run())) is Code.EMPTY
+    assert code_of(encode(RunCommand())) is Code.EMPTY
     many = np.repeat(run_arms((int(arm_flags(1, 1, 12)), 44, 1, 0, 22, 1, 0)), COBRAS + 1)
-    assert code_of(encode(Run(many))) is Code.TOO_MANY
+    assert code_of(encode(RunCommand(many))) is Code.TOO_MANY
     still = np.array([(int(arm_flags(1, 1, 3)), 0, 160)], dtype=SETFREQ_ARM)
     assert code_of(encode(SetFrequency(still))) is Code.FREQUENCY
     assert code_of(encode(Housekeeping(85))) is Code.BOARD
@@ -170,12 +170,12 @@ def test_commands_in_pieces_and_in_a_row():
     reader, found = CommandReader(), []
     for k in range(0, len(data), 3):
         found += list(reader.feed(data[k : k + 3]))
-    assert [type(f) for f in found] == [Diagnose, Run, Diagnose]
+    assert [type(f) for f in found] == [Diagnose, RunCommand, Diagnose]
 
 
 def test_a_field_that_does_not_fit_is_an_input_error():
     with pytest.raises(InputError, match="8 or 16 bits"):
-        encode(Run(timeout_ms=70_000))
+        encode(RunCommand(timeout_ms=70_000))
 
 
 def test_plugs_of_cobras():

@@ -9,7 +9,7 @@ import pytest
 
 from fiberloom._core.geometry import segment_distance
 from fiberloom.drive.piezo.cobras import CobraArms
-from fiberloom.drive.piezo.stages import PHI, THETA, Stage, Stages
+from fiberloom.drive.piezo.stages import PHI, THETA, CobraStage, Stages
 from fiberloom.drive.piezo.swept import SweptCheck, box_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -93,10 +93,10 @@ def folded(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_chosen_cannot_meet(seed):
     stages, chosen = chosen_from(folded(seed), drawn(seed + 100))
-    moves = np.append(chosen.stage != Stage.STAY, np.zeros(len(PLANE.fiducials), dtype=bool))
+    moves = np.append(chosen.stage != CobraStage.STAY, np.zeros(len(PLANE.fiducials), dtype=bool))
     pairs = np.flatnonzero(moves[stages.check.pairs].any(axis=1))
     assert not stages.check.meeting(chosen.boxes_deg, chosen.boxes_deg, pairs).any()
-    assert (chosen.stage != Stage.STAY).sum() > 0.9 * N
+    assert (chosen.stage != CobraStage.STAY).sum() > 0.9 * N
 
 
 def test_poses_of_boxes_hold_the_ways_of_both_orders():
@@ -119,14 +119,14 @@ def test_poses_of_boxes_hold_the_ways_of_both_orders():
             np.all((at >= b[..., 0] - 1e-9) & (at <= b[..., 1] + 1e-9), axis=1)
             for b in chosen.boxes_deg.transpose(1, 0, 2, 3)
         ]
-        moves = chosen.stage != Stage.STAY
+        moves = chosen.stage != CobraStage.STAY
         assert np.all((inside[0] | inside[1])[moves])
 
 
 def test_who_does_not_move_stays():
     active = np.arange(N) % 2 == 0
     _, chosen = chosen_from(folded(3), drawn(4), active)
-    assert np.all(chosen.stage[~active] == Stage.STAY)
+    assert np.all(chosen.stage[~active] == CobraStage.STAY)
 
 
 def test_targets_that_touch_are_named():
@@ -145,6 +145,6 @@ def test_a_cobra_that_must_turn_far_does_so_in_its_territory():
     goal[:, THETA] = np.clip(place[:, THETA] + 170.0, 0.0, 370.0)
     stages, chosen = chosen_from(place, goal)
     turning = np.abs(goal - place)[:, THETA] > 120.0
-    assert np.all(np.isin(chosen.stage[turning], [Stage.TURN, Stage.STAY]))
-    turned = turning & (chosen.stage == Stage.TURN)
+    assert np.all(np.isin(chosen.stage[turning], [CobraStage.TURN, CobraStage.STAY]))
+    turned = turning & (chosen.stage == CobraStage.TURN)
     assert np.all(chosen.boxes_deg[turned, :, PHI, 1] <= stages.phi_in_deg[turned, None] + 1e-6)

@@ -9,7 +9,7 @@ import pytest
 from fiberloom._core.geometry import segment_distance
 from fiberloom.errors import InputError
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
-from fiberloom.twin.cobras.array import CobraArray, Move
+from fiberloom.twin.cobras.array import CobraArray, CobraMove
 from fiberloom.twin.faults.faults import Fault
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -32,7 +32,7 @@ def drawn(seed):
 
 def moved(array, steps, sleeps=None):
     none = np.zeros((N, 2), dtype=np.int64)
-    return array.start(Move(steps, PULSE_US, none if sleeps is None else sleeps, STEP_S))
+    return array.start(CobraMove(steps, PULSE_US, none if sleeps is None else sleeps, STEP_S))
 
 
 def segments(array, angle_deg):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fiberloom.drive.pfs.client import Ended, FpgaClient, Orders
-from fiberloom.drive.pfs.frames import RUN_ARM, Arm, Code, Reply, Run, arm_flags, encode
+from fiberloom.drive.pfs.frames import RUN_ARM, Arm, BoardReply, Code, RunCommand, arm_flags, encode
 from fiberloom.drive.pfs.numbering import plugs_of
 from fiberloom.drive.pfs.streams import over_tcp, tcp_address
 from fiberloom.errors import InputError
@@ -87,7 +87,7 @@ def replies_to(data, unpowered=frozenset()):
         out = []
         try:
             while True:
-                out.append(Reply.of(await stream.read(6, 30.0)))
+                out.append(BoardReply.of(await stream.read(6, 30.0)))
         except TimeoutError:
             return out
 
@@ -95,13 +95,13 @@ def replies_to(data, unpowered=frozenset()):
 
 
 def test_a_bad_command_gets_one_reply_and_moves_nothing():
-    good = encode(Run(orders_of(3).records(), 5000, 156, 9))
+    good = encode(RunCommand(orders_of(3).records(), 5000, 156, 9))
     assert [r.code for r in replies_to(good)] == [Code.OK, Code.OK]
-    assert replies_to(good[:-1] + bytes([good[-1] ^ 1])) == [Reply(1, 9, Code.CHECKSUM)]
+    assert replies_to(good[:-1] + bytes([good[-1] ^ 1])) == [BoardReply(1, 9, Code.CHECKSUM)]
 
 
 def test_a_run_longer_than_its_time_is_said_so():
-    data = encode(Run(orders_of(3, theta=2000).records(), 1000, 156, 1))
+    data = encode(RunCommand(orders_of(3, theta=2000).records(), 1000, 156, 1))
     assert [r.code for r in replies_to(data)] == [Code.OK, Code.TIMEOUT]
 
 
@@ -127,7 +127,7 @@ def test_power_off_stops_motors_where_they_are():
         array = array_of()
         owner = VirtualBoards(array)
         stream = await owner.connector()()
-        await stream.write(encode(Run(orders_of(theta=1000).records(), 5000, 156, 1)))
+        await stream.write(encode(RunCommand(orders_of(theta=1000).records(), 5000, 156, 1)))
         await stream.sleep(1.25)
         client = FpgaClient(owner.connector())
         await client.power(on=0)
@@ -193,13 +193,13 @@ def test_an_unfinished_command_is_answered_when_nothing_more_comes():
     async def go():
         owner = VirtualBoards(array_of())
         stream = await owner.connector()()
-        data = encode(Run(orders_of(3).records(), 5000, 156, 7))
+        data = encode(RunCommand(orders_of(3).records(), 5000, 156, 7))
         await stream.write(data[:20])
         await stream.sleep(2.0)
         await stream.write(b"")
-        return Reply.of(await stream.read(6, 1.0))
+        return BoardReply.of(await stream.read(6, 1.0))
 
-    assert asyncio.run(go()) == Reply(1, 7, Code.EMPTY)
+    assert asyncio.run(go()) == BoardReply(1, 7, Code.EMPTY)
 
 
 def test_over_real_sockets():

@@ -1,6 +1,6 @@
 """A client of the FPGA: sends a programme to all cobras at once and knows what became of it.
 
-A RUN that was interrupted is not sent again: nobody knows how far its motors came. The client connects
+A RUN that was interrupted is not sent again: how far its motors came is not known. The client connects
 anew, and an image tells.
 """
 
@@ -22,14 +22,14 @@ from fiberloom.drive.pfs.frames import (
     SETFREQ_ARM,
     Admin,
     Arm,
+    BoardReply,
     BoardState,
     Code,
     Command,
     Diagnose,
     Housekeeping,
     Power,
-    Reply,
-    Run,
+    RunCommand,
     SetFrequency,
     arm_flags,
     encode,
@@ -42,7 +42,7 @@ from fiberloom.typing import Flags, Floats, Ints, Records
 ANSWER_S = 3.0
 """So long an answer is waited for that the FPGA gives at once."""
 INTERLEAVE_US = 156
-"""16 groups: 2.5 ms for a step of everybody (ics_cobraCharmer)."""
+"""16 groups: 2.5 ms for a step of all (ics_cobraCharmer)."""
 MOST_PULSE_US = 140
 MOST_STEPS = 0xFFFF
 STEP_GROUPS = 16
@@ -69,7 +69,7 @@ class Orders:
     pulse_us: Floats
     """(n, 2)."""
     sleeps: Ints | None = None
-    """(n, 2) steps that a motor waits before its own; None: nobody waits."""
+    """(n, 2) steps that a motor waits before its own; None: none waits."""
 
     def records(self) -> Records:
         """As they go over the wire; InputError where a board would refuse them."""
@@ -144,7 +144,7 @@ class FpgaClient:
         """How often the connection was lost and made anew."""
 
     async def open(self) -> None:
-        """Connects; InputError where nobody listens."""
+        """Connects; InputError where none listens."""
         await self._open()
 
     async def _open(self) -> Stream:
@@ -188,7 +188,7 @@ class FpgaClient:
         `interleave_us`: at least so long each of the 16 groups of a board has its turn.
         """
         timeout_ms = int(min(1.2e3 * orders.duration_s(interleave_us) + 1000.0, 0xFFFF))
-        command = Run(orders.records(), timeout_ms, interleave_us, self._next())
+        command = RunCommand(orders.records(), timeout_ms, interleave_us, self._next())
         if len(orders.cobra_id) == 0:
             return RunResult(orders.cobra_id, [], Code.OK, 0.0)
         there = await self.powered(orders.cobra_id)
@@ -222,15 +222,15 @@ class FpgaClient:
         """What a board tells of itself; InputError where it does not answer."""
         stream, command = await self._open(), Housekeeping(board, 2000, self._next())
         await stream.write(encode(command))
-        self._accepted(Reply.of(await self._reply(stream, REPLY_BYTES, ANSWER_S)), command)
+        self._accepted(BoardReply.of(await self._reply(stream, REPLY_BYTES, ANSWER_S)), command)
         data = await self._reply(stream, HOUSEKEEPING_BYTES, ANSWER_S + 2.0)
-        self._accepted(Reply.of(data), command)
+        self._accepted(BoardReply.of(data), command)
         return BoardState.of(data)
 
     async def power(self, on: int = ALL_SECTORS, reset: int = 0) -> None:
         """Gives power to the sectors whose bits are set in `on`, and resets those in `reset`."""
         command = Power(on, reset, self._next())
-        self._accepted(Reply.of(await self._ask(command, REPLY_BYTES)), command)
+        self._accepted(BoardReply.of(await self._ask(command, REPLY_BYTES)), command)
 
     async def set_periods(self, cobra_id: Ints, periods: Ints) -> None:
         """Gives motors their periods, (n, 2) of theta and phi in 1/16 us."""
@@ -239,7 +239,7 @@ class FpgaClient:
         arms["theta_period"], arms["phi_period"] = periods.T
         command = SetFrequency(arms, 2000, self._next())
         code, _ = await self._twice(command, 2.0 + ANSWER_S)
-        self._accepted(Reply(3, command.count, code), command)
+        self._accepted(BoardReply(3, command.count, code), command)
 
     def _next(self) -> int:
         self._count = (self._count + 1) % 256
@@ -254,12 +254,12 @@ class FpgaClient:
             return Code(first.code), False
         return Code((await self._matching(stream, command.count, timeout_s)).code), True
 
-    async def _matching(self, stream: Stream, count: int, timeout_s: float) -> Reply:
+    async def _matching(self, stream: Stream, count: int, timeout_s: float) -> BoardReply:
         """The next reply to this command; what is left of an earlier one is passed over."""
         deadline_s = stream.time_s + timeout_s
         while True:
-            reply = Reply.of(await stream.read(REPLY_BYTES, deadline_s - stream.time_s))
-            if reply.count == count:
+            reply = BoardReply.of(await stream.read(REPLY_BYTES, deadline_s - stream.time_s))
+            if reply.number == count:
                 return reply
 
     async def _ask(self, command: Command, size: int) -> bytes:
@@ -284,7 +284,7 @@ class FpgaClient:
         self.reconnected += 1
         return await self._open()
 
-    def _accepted(self, reply: Reply, command: Command) -> None:
+    def _accepted(self, reply: BoardReply, command: Command) -> None:
         if reply.code != Code.OK:
             name, code = type(command).__name__, Code(reply.code).name.lower()
             where = f" of board {command.board}" if isinstance(command, Housekeeping) else ""

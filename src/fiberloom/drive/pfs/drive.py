@@ -15,7 +15,7 @@ from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings, Order
 from fiberloom.drive.piezo.loose import pair_loose
 from fiberloom.drive.piezo.maps import PULSE_CURVE_US, MotorMaps
-from fiberloom.drive.piezo.stages import PHI, THETA, Chosen, Stage, Stages, StageSettings
+from fiberloom.drive.piezo.stages import PHI, THETA, Chosen, CobraStage, Stages, StageSettings
 from fiberloom.drive.piezo.tracking import Tracker
 from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers
 from fiberloom.instruments import FocalPlane
@@ -86,6 +86,7 @@ class CobraDrive:
         self.arms = CobraArms.of(plane)
         curve_us = np.tile(PULSE_CURVE_US, len(plane))
         self.law = LearningLaw(maps, curve_us, self.settings.motors)
+        self.law.range_deg = self.arms.range_deg.ravel()
         self.tracker = Tracker(self.arms, self.law, dots_mm)
         self.stages = Stages.of(self.arms, plane.fiducials, self.settings.stages, dots_mm)
         self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
@@ -177,12 +178,13 @@ class CobraDrive:
         if noise is None:
             return np.full(len(self.plane), usual)
         told = UM_PER_MM * np.sqrt(0.5 * np.trace(noise, axis1=1, axis2=2))
-        return np.where(np.isfinite(told), np.maximum(told, usual), usual)
+        camera_um: Floats = np.where(np.isfinite(told), np.maximum(told, usual), usual)
+        return camera_um
 
     @property
     def expected_deg(self) -> Floats:
         """(N, 2) angles from the stops in deg where they should be now."""
-        return np.clip(self.law.expected_deg().reshape(-1, 2), 0.0, self.arms.range_deg)
+        return self.law.expected_deg().reshape(-1, 2)
 
     # moves
 
@@ -191,7 +193,7 @@ class CobraDrive:
         return await asyncio.to_thread(self._programme, wanted.goal_deg, wanted.here_deg, wanted.obstacles)
 
     async def compile(self, plan: Plan) -> Programme:
-        """One iteration towards the end of a `plan` that was made elsewhere: its way is not that of cobras."""
+        """One iteration towards the end of a `plan` that was made elsewhere; its way is not gone."""
         here = self.expected_deg + stops_deg(self.plane)[0]
         return await asyncio.to_thread(self._programme, plan.end_deg, here, self.plane)
 
@@ -206,11 +208,11 @@ class CobraDrive:
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
         self._seed += 1
         chosen = self.stages.choose(self.law, goal, active, self._seed)
-        goes = chosen.stage != Stage.STAY
+        goes = chosen.stage != CobraStage.STAY
         order = self.law.order(chosen.target_deg.ravel(), np.repeat(goes, 2))
         iteration = self._iteration(chosen, order, goes)
-        stages = np.bincount(chosen.stage, minlength=len(Stage)).tolist()
-        about = {"stages": dict(zip([s.name.lower() for s in Stage], stages, strict=True))}
+        stages = np.bincount(chosen.stage, minlength=len(CobraStage)).tolist()
+        about = {"stages": dict(zip([s.name.lower() for s in CobraStage], stages, strict=True))}
         return Programme(self._plan(iteration, refused), self._tube_mm(chosen), iteration, about)
 
     def _know_discs(self, discs_mm: Floats) -> None:
@@ -270,7 +272,7 @@ class CobraDrive:
         boxes = chosen.boxes_deg[:, 1]
         half = np.deg2rad(0.5 * (boxes[..., 1] - boxes[..., 0]))
         levers = np.column_stack([self.arms.reach_mm(boxes[:, PHI, 1]), self.arms.link_mm[:, 1]])
-        return np.where(chosen.stage == Stage.STAY, 0.0, (half * levers).sum(axis=1))
+        return np.where(chosen.stage == CobraStage.STAY, 0.0, (half * levers).sum(axis=1))
 
     def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
         """Whatever cobras of the `programme` may sweep, whenever they do: no two can meet.
@@ -278,7 +280,7 @@ class CobraDrive:
         `obstacles`: as in the port; those that do not move stand where the drive believes them to be.
         """
         iteration: Iteration = programme.commands
-        boxes, moves = iteration.chosen.boxes_deg, iteration.chosen.stage != Stage.STAY
+        boxes, moves = iteration.chosen.boxes_deg, iteration.chosen.stage != CobraStage.STAY
         check = self.stages.check
         fixed = np.zeros(len(check.arms) - len(self.plane), dtype=bool)
         pairs = np.flatnonzero(np.append(moves, fixed)[check.pairs].any(axis=1))

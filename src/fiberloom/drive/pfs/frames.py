@@ -103,7 +103,7 @@ def _none(kind: np.dtype[np.void]) -> Records:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RunCommand:
     """Motors make their steps; all boards at once."""
 
     arms: Records = field(default_factory=lambda: _none(RUN_ARM))
@@ -164,14 +164,15 @@ class Admin:
     count: int = 0
 
 
-Command = Run | Calibrate | SetFrequency | Housekeeping | Power | Diagnose | Admin
+Command = RunCommand | Calibrate | SetFrequency | Housekeeping | Power | Diagnose | Admin
 
 
-class Refused(NamedTuple):
+class RefusedCommand(NamedTuple):
     """A command that could not be read: the reply that it gets."""
 
     opcode: int
-    count: int
+    number: int
+    """That the command had."""
     code: Code
 
 
@@ -193,7 +194,7 @@ def encode(command: Command) -> bytes:
 def _parts(command: Command) -> tuple[bytes, bytes]:
     """Header without its checksum, and records."""
     match command:
-        case Run():
+        case RunCommand():
             n = len(command.arms)
             head = struct.pack(">BBHHH", 1, command.count, n, command.timeout_ms, command.interleave_us)
             return head, command.arms.astype(RUN_ARM).tobytes()
@@ -226,16 +227,16 @@ class CommandReader:
     def __init__(self) -> None:
         self._rest = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[Command | Refused]:
+    def feed(self, data: bytes) -> Iterator[Command | RefusedCommand]:
         """Commands that are complete with these bytes."""
         self._rest += data
         while (whole := self._cut()) is not None:
             yield decode(whole)
 
-    def expire(self) -> Refused | None:
+    def expire(self) -> RefusedCommand | None:
         """Nothing more came for too long: what is there is thrown away, and answered if it is something."""
         rest, self._rest = bytes(self._rest), bytearray()
-        return Refused(rest[0], rest[1] if len(rest) > 1 else 0, Code.EMPTY) if rest else None
+        return RefusedCommand(rest[0], rest[1] if len(rest) > 1 else 0, Code.EMPTY) if rest else None
 
     def _cut(self) -> bytes | None:
         """The next command's bytes; None: wait for more."""
@@ -256,7 +257,7 @@ class CommandReader:
         return whole
 
 
-def decode(data: bytes) -> Command | Refused:
+def decode(data: bytes) -> Command | RefusedCommand:
     """The command of all its bytes, or why the FPGA refuses it. Records are looked at before the checksum."""
     opcode, count = data[0], data[1]
     size = _HEADER_BYTES[opcode]
@@ -265,12 +266,12 @@ def decode(data: bytes) -> Command | Refused:
     if opcode in _RECORDS:
         arms = np.frombuffer(data, dtype=_RECORDS[opcode], offset=size)
         if (code := _wrong(opcode, arms, words)) is not Code.OK:
-            return Refused(opcode, count, code)
+            return RefusedCommand(opcode, count, code)
     if not sum_ok:
-        return Refused(opcode, count, Code.CHECKSUM)
+        return RefusedCommand(opcode, count, Code.CHECKSUM)
     match opcode:
         case Opcode.RUN:
-            return Run(arms, words[1], words[2], count)
+            return RunCommand(arms, words[1], words[2], count)
         case Opcode.CAL:
             return Calibrate(arms, words[1], count)
         case Opcode.SETFREQ:
@@ -284,9 +285,9 @@ def decode(data: bytes) -> Command | Refused:
     return Admin(data[2], count)
 
 
-def _housekeeping(words: list[int], count: int) -> Housekeeping | Refused:
+def _housekeeping(words: list[int], count: int) -> Housekeeping | RefusedCommand:
     if not 1 <= words[0] <= BOARDS:
-        return Refused(Opcode.HOUSEKEEPING, count, Code.BOARD)
+        return RefusedCommand(Opcode.HOUSEKEEPING, count, Code.BOARD)
     return Housekeeping(words[0], words[1], count)
 
 
@@ -316,11 +317,12 @@ def _wrong_run(arms: Records, interleave_us: int) -> Code:
     return Code.INTERLEAVE if interleave_us == 0 else Code.OK
 
 
-class Reply(NamedTuple):
+class BoardReply(NamedTuple):
     """Six bytes."""
 
     opcode: int
-    count: int
+    number: int
+    """That the command had."""
     code: int
     detail: int = 0
 
@@ -329,7 +331,7 @@ class Reply(NamedTuple):
         return struct.pack(">BBHH", *self)
 
     @classmethod
-    def of(cls, data: bytes) -> Reply:
+    def of(cls, data: bytes) -> BoardReply:
         """From the first 6 bytes."""
         return cls(*struct.unpack(">BBHH", data[:REPLY_BYTES]))
 

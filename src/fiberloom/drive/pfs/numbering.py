@@ -24,7 +24,7 @@ class Plugs(NamedTuple):
 
 
 def plugs_of(cobra_id: ArrayLike) -> Plugs:
-    """Board and plug of cobras 1 to 2394."""
+    """Board and plug of cobras 1 to 2394 (dimensionless numbers)."""
     ids = np.asarray(cobra_id, dtype=np.int64)
     wrong = (ids < 1) | (ids > COBRAS)
     if np.any(wrong):
@@ -34,7 +34,7 @@ def plugs_of(cobra_id: ArrayLike) -> Plugs:
 
 
 def cobras_at(board: ArrayLike, cobra: ArrayLike) -> Ints:
-    """Cobra ids of plugs (any shape); 0 where nothing is plugged in: an even board has 28 cobras."""
+    """Cobra ids of plugs (any shape, dimensionless); 0 for none: an even board has 28 cobras."""
     boards, plugs = np.asarray(board, dtype=np.int64), np.asarray(cobra, dtype=np.int64)
     module, even = np.divmod(boards - 1, 2)
     place = 2 * (plugs - 1) + even
@@ -43,5 +43,5 @@ def cobras_at(board: ArrayLike, cobra: ArrayLike) -> Ints:
 
 
 def sector_of(board: ArrayLike) -> Ints:
-    """Sector, from 0, of boards 1 to 84: each has a supply of its own."""
+    """Sector, from 0, of boards 1 to 84 (dimensionless): each has a supply of its own."""
     return (np.asarray(board, dtype=np.int64) - 1) // BOARDS_PER_SECTOR

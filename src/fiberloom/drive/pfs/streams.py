@@ -25,7 +25,7 @@ class Stream(Protocol):
         ...
 
     async def write(self, data: bytes) -> None:
-        """Sends bytes; StreamLost where there is nobody."""
+        """Sends bytes; StreamLost where there is none."""
         ...
 
     async def read(self, size: int, timeout_s: float) -> bytes:
@@ -42,7 +42,7 @@ class Stream(Protocol):
 
 
 Connect = Callable[[], Awaitable[Stream]]
-"""Makes a new connection; StreamLost where nobody listens."""
+"""Makes a new connection; StreamLost where none listens."""
 
 
 class TcpStream:

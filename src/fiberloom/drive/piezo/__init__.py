@@ -1,6 +1,6 @@
 """Stick-slip piezo motors (PFS): motor maps, and the laws that bring cobras to their targets."""
 
-from fiberloom.drive.piezo.iterations import Programme, SpeedScalingLaw
+from fiberloom.drive.piezo.iterations import MotorSteps, SpeedScalingLaw
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings
 from fiberloom.drive.piezo.maps import FORWARD, REVERSE, MotorMaps, direction_of, pulse_factor
 from fiberloom.drive.piezo.module_file import read_module_maps
@@ -11,7 +11,7 @@ __all__ = [
     "LearningLaw",
     "LearningSettings",
     "MotorMaps",
-    "Programme",
+    "MotorSteps",
     "SpeedScalingLaw",
     "direction_of",
     "pulse_factor",

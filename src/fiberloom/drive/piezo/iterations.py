@@ -17,7 +17,7 @@ SCALE_RANGE = (0.3, 2.0)
 
 
 @dataclass(frozen=True)
-class Programme:
+class MotorSteps:
     """One RUN for M motors."""
 
     steps: Ints
@@ -38,7 +38,7 @@ class SpeedScalingLaw:
         self.scale = np.ones((maps.motors, 2))
         self._last: tuple[Floats, Ints, Floats] | None = None
 
-    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
+    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> MotorSteps:
         """What to send.
 
         `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): not used; `active` (M,):
@@ -51,7 +51,7 @@ class SpeedScalingLaw:
         rows, direction = np.arange(self.maps.motors), direction_of(way)
         pulse = self.maps.pulse_us[rows, direction] * self.scale[rows, direction]
         self._last = seen_deg.copy(), steps, self.maps.way_deg(seen_deg, steps.astype(np.float64))
-        return Programme(steps, np.minimum(np.rint(pulse), MOST_PULSE_US))
+        return MotorSteps(steps, np.minimum(np.rint(pulse), MOST_PULSE_US))
 
     def _learn(self, seen_deg: Floats) -> None:
         if self._last is None:

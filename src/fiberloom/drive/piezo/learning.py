@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, Programme
+from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, MotorSteps
 from fiberloom.drive.piezo.maps import MotorMaps, direction_of, pulse_factor
 from fiberloom.typing import Flags, Floats, Ints
+
+AT_STOP_DEG = 0.5
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class LearningSettings:
 class Order:
     """What is sent to M motors, and what is expected of it."""
 
-    programme: Programme
+    programme: MotorSteps
     told_deg: Floats
     """(M,) signed ways by the maps and pulses, of motors whose gain is 1."""
     step_deg: Floats
@@ -57,6 +59,8 @@ class LearningLaw:
         self._moves_seen = np.full(maps.motors, 4.0)  # so many the first belief counts as
         self.place_deg: Floats | None = None
         self.place_variance = np.zeros(maps.motors)
+        self.range_deg: Floats = np.full(maps.motors, np.inf)
+        """(M,) from stop to stop: motors that run into one do not go on."""
         self._sent: tuple[Floats, Floats, Ints] | None = None
 
     def trust_maps(self, scatter: Floats, known: Flags) -> None:
@@ -66,7 +70,7 @@ class LearningLaw:
         self.gain[used], self.gain_variance[used] = 1.0, s.measured_gain_sigma**2
         self.move_variance = np.where(used, np.maximum(scatter, s.least_scatter) ** 2, self.move_variance)
 
-    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> Programme:
+    def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> MotorSteps:
         """What to send.
 
         `seen_deg` and `goal_deg` (M,): angles seen and wanted; `sigma_deg` (M,): of those seen; `active`
@@ -94,7 +98,7 @@ class LearningLaw:
         steps = np.rint(np.clip(wanted, -most, most)).astype(np.int64)
         told = self.maps.way_deg(self.place_deg, steps * gain / self.gain[rows, direction])
         step_deg = np.abs(told) / np.maximum(np.abs(steps), 1)
-        return Order(Programme(steps, pulse), told, step_deg)
+        return Order(MotorSteps(steps, pulse), told, step_deg)
 
     def take(self, order: Order, done: Flags | None = None) -> None:
         """An `order` was executed; by those `done` (M,), all when left out."""
@@ -104,7 +108,7 @@ class LearningLaw:
         self._sent = told, order.step_deg, steps
 
     def doubt_way(self, order: Order, rows: Flags) -> None:
-        """Nobody knows how far those motors `rows` (M,) came of an `order`: half of it, or all, or nothing."""
+        """How far motors `rows` (M,) came of an `order` is not known: half of it, or all, or nothing."""
         half = 0.5 * self.gain_of(order.told_deg) * order.told_deg
         assert self.place_deg is not None
         self.place_deg = np.where(rows, self.place_deg + half, self.place_deg)
@@ -119,8 +123,14 @@ class LearningLaw:
         assert self.place_deg is not None
         if self._sent is None:
             return self.place_deg
-        told = self._sent[0]
-        return self.place_deg + self.gain_of(told) * told
+        there: Floats = np.clip(self._unstopped_deg(), 0.0, self.range_deg)
+        return there
+
+    def _unstopped_deg(self) -> Floats:
+        """(M,) the same, were there no stops."""
+        assert self.place_deg is not None
+        assert self._sent is not None
+        return self.place_deg + self.gain_of(self._sent[0]) * self._sent[0]
 
     def gain_of(self, way_deg: Floats) -> Floats:
         """(M,) dimensionless gains in the direction of ways (M,)."""
@@ -141,6 +151,8 @@ class LearningLaw:
             return
         expected = self.expected_deg()
         told, step_deg, steps = self._sent
+        # a motor that runs into its stop tells nothing of how far it goes
+        stopped = np.abs(self._unstopped_deg() - expected) > AT_STOP_DEG
         self._sent = None
         rows, direction = np.arange(self.maps.motors), direction_of(told)
         variance = self.gain_variance[rows, direction]
@@ -148,7 +160,7 @@ class LearningLaw:
         spread = variance + np.where(steps != 0, self.settings.drift_sigma**2, 0.0)
         doubt = self.place_variance + spread * told**2 + fresh
         off = seen_deg - expected
-        self._learn(off, told, spread, doubt + sigma_deg**2)
+        self._learn(np.where(stopped, np.nan, off), told, spread, doubt + sigma_deg**2)
         share = np.where(np.isfinite(off), doubt / (doubt + sigma_deg**2), 0.0)
         self.place_deg = expected + share * np.nan_to_num(off)
         self.place_variance = (1.0 - share) * doubt

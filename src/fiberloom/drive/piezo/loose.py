@@ -38,9 +38,9 @@ def pair_loose(
     if len(rows) == 0 or len(loose_mm) == 0:
         return found
     price = _prices(arms, expected_deg, sigma_deg, rows, loose_mm, np.random.default_rng(seed))
-    nobody = np.full((len(rows), len(rows)), IMPOSSIBLE)
-    np.fill_diagonal(nobody, -np.log(UNSEEN))
-    whole = np.hstack([price, nobody])
+    none = np.full((len(rows), len(rows)), IMPOSSIBLE)
+    np.fill_diagonal(none, -np.log(UNSEEN))
+    whole = np.hstack([price, none])
     mine, spot = linear_sum_assignment(whole)
     for k, m in zip(mine.tolist(), spot.tolist(), strict=True):
         if m < len(loose_mm) and _is_sure(price, k, m):

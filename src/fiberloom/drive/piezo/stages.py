@@ -1,8 +1,8 @@
 """What each cobra does in the next iteration, so that none can meet another.
 
-A cobra that has to turn theta does so with phi folded so far that its arm stays in its own territory, whatever
-theta does. Then it goes out along phi. What it may sweep is checked against what its neighbours may (`swept`);
-who cannot go takes a shorter way, or waits for the next iteration.
+A cobra that has to turn theta does so with phi folded so far that its arm stays in its own territory,
+whatever theta does. Then it goes out along phi. What it may sweep is checked against what its neighbours
+may (`swept`); who cannot go takes a shorter way, or waits for the next iteration.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fiberloom.units import rad_to_deg
 THETA, PHI = 0, 1
 
 
-class Stage(IntEnum):
+class CobraStage(IntEnum):
     """What a cobra does, the best first."""
 
     GOAL = 0
@@ -86,7 +86,7 @@ class Chosen(NamedTuple):
     """One iteration of n cobras."""
 
     stage: Ints
-    """(n,) Stage."""
+    """(n,) CobraStage."""
     target_deg: Floats
     """(n, 2) to move to; where they are for one that stays."""
     phi_first: Flags
@@ -158,7 +158,7 @@ class Stages:
         for out in options[: len(SHARES)]:
             out.may[waits] = False
         rank = np.random.default_rng(seed).permutation(len(goal_deg))
-        stage = self._agree(options, np.where(active, Stage.GOAL, Stage.STAY), goal_deg, rank)
+        stage = self._agree(options, np.where(active, CobraStage.GOAL, CobraStage.STAY), goal_deg, rank)
         stage = self._promote(options, stage, active, rank)
         stage = self._make_way(options, stage, far, goal_deg, rank)
         rows = np.arange(len(stage))
@@ -172,7 +172,7 @@ class Stages:
     # options
 
     def _options(self, motors: Motors, goal_deg: Floats) -> list[_Option]:
-        """One for each Stage."""
+        """One for each CobraStage."""
         assert motors.place_deg is not None
         here, doubt = _by_cobra(motors.place_deg), np.sqrt(_by_cobra(motors.place_variance))
         way = self._limited(motors, goal_deg - here)
@@ -195,8 +195,8 @@ class Stages:
             option.may[:] = direct
         # who is out and has still to go far may fold where the way is barred
         folds = ~direct | (np.abs(goal_deg - here) > FAR_DEG).any(axis=1)
-        options[Stage.TURN].may[:] = turns_safely & (inside | folds)
-        options[Stage.FOLD].may[:] = ~inside & folds
+        options[CobraStage.TURN].may[:] = turns_safely & (inside | folds)
+        options[CobraStage.FOLD].may[:] = ~inside & folds
         return options
 
     def _option(self, motors: Motors, here: Floats, target: Floats, phi_first: Flags) -> _Option:
@@ -219,7 +219,7 @@ class Stages:
         return _Option(target, phi_first, boxes, np.ones(len(here), dtype=bool))
 
     def _turn(self, motors: Motors, here: Floats, goal: Floats) -> tuple[Floats, Flags]:
-        """Targets (n, 2): theta at its goal, phi as near to it as stays within the territory; where that holds."""
+        """Targets (n, 2): theta at its goal, phi as near to it as the territory allows; where that holds."""
         most = np.minimum(self.phi_in_deg, self._short_of_dot_deg(motors, here, goal))
         target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
         for _ in range(4):  # phi's tube depends on its way
@@ -234,7 +234,7 @@ class Stages:
         return target, ends <= self.phi_in_deg + 1e-6
 
     def _short_of_dot_deg(self, motors: Motors, here: Floats, goal: Floats) -> Floats:
-        """(n,) the most open phi in deg at which a fibre is seen beside its dot, where theta may end at it."""
+        """(n,) the most open phi in deg at which a fibre is seen, where theta may end at its dot."""
         if self.dots_mm is None:
             return self.arms.range_deg[:, PHI]
         off = self.dots_mm[:, :2] - self.arms.centre_mm
@@ -278,7 +278,7 @@ class Stages:
         return room[: self.check.cobras]
 
     def _approach(self, goal: Floats, active: Flags) -> Floats:
-        """Goals (n, 2) in deg with theta turned aside where phi could not go out without meeting a neighbour's.
+        """Goals (n, 2) in deg with theta turned aside where phi could not go out past a neighbour's goal.
 
         From there theta turns to its goal once phi is out. As little aside as keeps clear of all neighbours
         where they will be; as it is where no way does.
@@ -351,22 +351,22 @@ class Stages:
 
     def _make_way(self, options: list[_Option], stage: Ints, far: Flags, goal: Floats, rank: Ints) -> Ints:
         """Of two that stand in each other's way the one that is out folds."""
-        goes, stands = options[Stage.GOAL].boxes_deg, options[Stage.STAY].boxes_deg
-        stuck = np.append(far & (stage == Stage.STAY), np.zeros(len(self.check.arms), dtype=bool))
+        goes, stands = options[CobraStage.GOAL].boxes_deg, options[CobraStage.STAY].boxes_deg
+        stuck = np.append(far & (stage == CobraStage.STAY), np.zeros(len(self.check.arms), dtype=bool))
         i, j = self.check.pairs.T
         both = np.flatnonzero(stuck[i] & stuck[j])
         in_way_j = self.check.meeting(goes, stands, both)
         in_way_i = self.check.meeting(stands, goes, both)
-        out = _by_cobra(options[Stage.STAY].target_deg)[:, PHI] > self.phi_in_deg
+        out = _by_cobra(options[CobraStage.STAY].target_deg)[:, PHI] > self.phi_in_deg
         i, j = i[both], j[both]
         in_way_i, in_way_j = in_way_i & out[i], in_way_j & out[j]
         yields_i = in_way_i & (~in_way_j | (rank[i] > rank[j]))
         yields = np.concatenate([i[yields_i], j[in_way_j & ~yields_i]])
         if len(yields) == 0:
             return stage
-        options[Stage.FOLD].may[yields] = True
+        options[CobraStage.FOLD].may[yields] = True
         stage = stage.copy()
-        stage[yields] = Stage.FOLD
+        stage[yields] = CobraStage.FOLD
         return self._agree(options, stage, goal, rank)
 
     def _agree(self, options: list[_Option], stage: Ints, goal: Floats, rank: Ints) -> Ints:
@@ -392,7 +392,7 @@ class Stages:
         stage, n = stage.copy(), self.check.cobras
         boxes, rows = np.stack([o.boxes_deg for o in options]), np.arange(n)
         order = np.append(rank, np.full(len(self.check.arms) - n, n))
-        for level in range(Stage.TURN):
+        for level in range(CobraStage.TURN):
             tries = np.append(active & (stage > level) & options[level].may, np.zeros(len(order) - n, bool))
             i, j = self.check.pairs.T
             near = np.flatnonzero(tries[i] | tries[j])
@@ -413,24 +413,24 @@ class Stages:
         """Rows that take their next option: one of each pair that could meet."""
         i, j = self.check.pairs[meets].T
         n = self.check.cobras
-        kind = np.concatenate([stage, np.full(len(self.check.arms) - n, Stage.STAY)])
+        kind = np.concatenate([stage, np.full(len(self.check.arms) - n, CobraStage.STAY)])
         order = np.concatenate([rank, np.full(len(self.check.arms) - n, n)])
         ends = box_of(goal, goal)[:, None]
-        # whoever would sweep where the other ends has to go before it
+        # the one that would sweep where the other ends has to go before it
         blocked_j = self.check.meeting(ends, now, meets)
         blocked_i = self.check.meeting(now, ends, meets)
         i_wins = order[i] < order[j]
         i_wins = np.where(blocked_i != blocked_j, blocked_i, i_wins)
         turns_i, turns_j = _turns(kind[i]), _turns(kind[j])
         i_wins = np.where(turns_i != turns_j, turns_i, i_wins)
-        stands_i, stands_j = kind[i] == Stage.STAY, kind[j] == Stage.STAY
+        stands_i, stands_j = kind[i] == CobraStage.STAY, kind[j] == CobraStage.STAY
         i_wins = np.where(stands_i != stands_j, stands_i, i_wins)
         losers = np.where(i_wins, j, i)[~(stands_i & stands_j)]
         return np.unique(losers)
 
 
 def _turns(kind: Ints) -> Flags:
-    turns: Flags = (kind == Stage.TURN) | (kind == Stage.FOLD)
+    turns: Flags = (kind == CobraStage.TURN) | (kind == CobraStage.FOLD)
     return turns
 
 
@@ -440,5 +440,6 @@ def _by_cobra(values: Floats) -> Floats:
 
 def _next_that_may(stage: Ints, may: Flags) -> Ints:
     """(n,) the first of the stages from `stage` on that is open to each."""
-    later = np.arange(len(may))[:, None] >= np.minimum(stage, Stage.STAY)
-    return np.argmax(later & may, axis=0)
+    later = np.arange(len(may))[:, None] >= np.minimum(stage, CobraStage.STAY)
+    found: Ints = np.argmax(later & may, axis=0)
+    return found

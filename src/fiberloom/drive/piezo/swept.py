@@ -1,8 +1,8 @@
 """What arms may sweep in a move, whenever they do it, and which of it neighbours could meet in.
 
-A motor's way is known to a quarter of it, and when it passes a place is not known at all. So a move is a set of
-boxes of angles (theta from, to; phi from, to), and two arms are safe from each other if no pose in a box of
-one touches any pose in a box of the other. Boxes are halved until that is proven or a meeting is found.
+A motor's way is known to a quarter of it, and when it passes a place is not known at all. So a move is a
+set of boxes of angles (theta from, to; phi from, to), and two arms are safe from each other if no pose in a
+box of one touches any pose in a box of the other. Boxes are halved until that is proven or a meeting found.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class SweptCheck:
         return hit
 
     def _gaps(self, pairs: Ints, boxes: Floats) -> tuple[Floats, Floats]:
-        """(p,) mm between the arms in the middle of their boxes, and (p, 2, 2) how far each axis moves them."""
+        """(p,) mm between arms in the middle of their boxes; (p, 2, 2) mm by which each axis moves them."""
         middle = boxes.mean(axis=3)
         half = deg_to_rad(0.5 * (boxes[..., 1] - boxes[..., 0]))
         i, j = pairs.T

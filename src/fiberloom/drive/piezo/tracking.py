@@ -1,8 +1,8 @@
 """From places of fibres to angles of motors: which elbow, which turn of theta, and where a hidden fibre is.
 
-A fibre at one place can belong to four poses: two elbows where phi can pass the folded or the stretched arm, two
-turns where theta can turn by more than 360 deg. One image does not tell; what motors did between images does.
-The likeliest sequence of poses is followed (Viterbi), so a wrong choice is put right by the next move.
+A fibre at one place can belong to four poses: two elbows where phi can pass the folded or the stretched arm,
+two turns where theta can turn by more than 360 deg. One image does not tell; what motors did between images
+does. The likeliest sequence of poses is followed (Viterbi), so a wrong choice is put right by the next move.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Tracker:
 
     def see(self, xy_mm: Floats, camera_um: float | Floats) -> None:
         """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
-        seen = np.isfinite(xy_mm).all(axis=1)
+        seen: Flags = np.isfinite(xy_mm).all(axis=1)
         sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
         self._poses, self._cost, before, pose = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
         assert self.law.place_deg is not None
@@ -82,9 +82,9 @@ class Tracker:
         return poses, cost - cost.min(axis=1, keepdims=True), before, poses[rows, best]
 
     def _candidates(self, xy_mm: Floats, expected: Floats, seen: Flags) -> tuple[Floats, Flags]:
-        """(n, 4, 2) poses at which a fibre is where it was seen, else where each was expected; if possible."""
+        """(n, 4, 2) poses at which a fibre is where it was seen, else as expected; and which are possible."""
         found = self.arms.poses_deg(xy_mm)
-        possible = np.isfinite(found).all(axis=2)
+        possible: Flags = np.isfinite(found).all(axis=2)
         possible[~seen.repeat(POSES).reshape(-1, POSES)] = True
         # each possible pose of a hidden fibre comes from its own
         return np.where(seen[:, None, None], np.nan_to_num(found), expected), possible

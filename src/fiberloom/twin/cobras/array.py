@@ -15,7 +15,7 @@ from fiberloom.instruments.arms import pairs_within
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.actuators import PiezoErrors, PiezoMotors
-from fiberloom.twin.cobras.contacts import Bodies, touching
+from fiberloom.twin.cobras.contacts import ArmBodies, touching
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.typing import Flags, Floats, Ints
@@ -30,7 +30,7 @@ STEPS_A_MOMENT = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class CobraMove:
     """What n cobras are told: theta and phi."""
 
     steps: Ints
@@ -108,13 +108,14 @@ class CobraArray:
         """(n, 2) angles from the stops in deg, at a moment of the last move, in s."""
         k = int(np.searchsorted(self._moments_s, time_s, side="right"))
         if k in (0, len(self._moments_s)):
-            return self._way_deg[min(k, len(self._way_deg) - 1)]
+            end: Floats = self._way_deg[min(k, len(self._way_deg) - 1)]
+            return end
         before, after = self._moments_s[k - 1], self._moments_s[k]
         share = (time_s - before) / (after - before)
         here: Floats = (1.0 - share) * self._way_deg[k - 1] + share * self._way_deg[k]
         return here
 
-    def start(self, move: Move) -> float:
+    def start(self, move: CobraMove) -> float:
         """Motors start; returns how long it takes in s. What touches on the way is noted."""
         begins_s, was_deg = self.time_s, self.angle_deg
         self.motors.angle_deg = was_deg.ravel().copy()
@@ -161,7 +162,8 @@ class CobraArray:
 
     def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
         """(n, 2) true places of a fibre in mm."""
-        return self.plane.forward(*self.truth().T, fibre=fibre)
+        alpha_deg, beta_deg = self.truth().T
+        return self.plane.forward(alpha_deg, beta_deg, fibre)
 
     def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
         """The same (n, 2) mm: cobras do not bend as the telescope points."""
@@ -201,7 +203,7 @@ class CobraArray:
             raise InputError(f"fault {kind} of a cobra: known are dark, dead, blocked, lying, deaf")
 
 
-def _moments(move: Move) -> int:
+def _moments(move: CobraMove) -> int:
     steps = int((np.abs(move.steps) + move.sleeps).max(initial=0))
     return int(np.clip(steps // STEPS_A_MOMENT, 8, MOMENTS))
 
@@ -213,12 +215,12 @@ def drawn_dots(centres_mm: Floats, seed: int) -> Floats:
     return np.column_stack([at, np.full(len(at), DOT_MM[2])])
 
 
-def _bodies_of(plane: FocalPlane) -> Bodies:
+def _bodies_of(plane: FocalPlane) -> ArmBodies:
     """Cobras, then fiducials."""
     fixed = plane.fiducials
     links = np.column_stack([plane.l_alpha_mm, plane.l_beta_mm])
     zero = rad_to_deg(np.column_stack([plane.alpha_off_rad, plane.beta_off_rad + plane.metrology_phi_rad]))
-    return Bodies(
+    return ArmBodies(
         np.vstack([plane.centres_mm, fixed[:, :2]]),
         np.vstack([links, np.zeros((len(fixed), 2))]),
         np.vstack([zero + stops_deg(plane)[0], np.zeros((len(fixed), 2))]),

@@ -18,6 +18,7 @@ from fiberloom.drive.pfs.frames import (
     LONGEST_PULSE_US,
     Admin,
     Arm,
+    BoardReply,
     BoardState,
     Calibrate,
     Code,
@@ -27,9 +28,8 @@ from fiberloom.drive.pfs.frames import (
     Housekeeping,
     Opcode,
     Power,
-    Refused,
-    Reply,
-    Run,
+    RefusedCommand,
+    RunCommand,
     SetFrequency,
     admin_reply,
     boards_of,
@@ -47,7 +47,7 @@ from fiberloom.drive.pfs.numbering import (
     plugs_of,
     sector_of,
 )
-from fiberloom.twin.cobras.array import CobraArray, Move
+from fiberloom.twin.cobras.array import CobraArray, CobraMove
 from fiberloom.typing import Flags, Floats, Ints, Records
 
 GROUPS, COBRAS_PER_GROUP = 16, 2
@@ -97,7 +97,7 @@ class Boards:
         answers = self.quiet()
         self._heard_s = self.clock()
         for found in self._reader.feed(data):
-            answers += self._refuse(found) if isinstance(found, Refused) else self._obey(found)
+            answers += self._refuse(found) if isinstance(found, RefusedCommand) else self._obey(found)
         return answers
 
     def quiet(self) -> list[Answer]:
@@ -115,10 +115,10 @@ class Boards:
             on[divmod(board - 1, BOARDS_PER_SECTOR)] = False
         return np.logical_and.accumulate(on, axis=1).ravel()
 
-    def _refuse(self, found: Refused) -> list[Answer]:
+    def _refuse(self, found: RefusedCommand) -> list[Answer]:
         if found.opcode == Opcode.DIAG:
-            return [self._now(bytes([*diag_reply(found.count, [0] * SECTORS)[:9], found.code, 0, 0]))]
-        return [self._now(Reply(*found).to_bytes())]
+            return [self._now(bytes([*diag_reply(found.number, [0] * SECTORS)[:9], found.code, 0, 0]))]
+        return [self._now(BoardReply(*found).to_bytes())]
 
     def _now(self, data: bytes) -> Answer:
         return Answer(self.clock() + RECEIVED_S, data)
@@ -132,7 +132,7 @@ class Boards:
                 return [self._now(admin_reply(command.count, VERSION, round(1e3 * self.clock())))]
             case Power():
                 return self._power(command)
-            case Run():
+            case RunCommand():
                 return self._timed(Opcode.RUN, command, self._run(command))
             case Calibrate():
                 return self._timed(Opcode.CAL, command, self._calibrate(command.arms))
@@ -140,15 +140,17 @@ class Boards:
                 return self._timed(Opcode.SETFREQ, command, self._set(command))
         return self._housekeeping(command)
 
-    def _timed(self, opcode: Opcode, command: Run | Calibrate | SetFrequency, took_s: float) -> list[Answer]:
+    def _timed(
+        self, opcode: Opcode, command: RunCommand | Calibrate | SetFrequency, took_s: float
+    ) -> list[Answer]:
         """Received, and done: or the time given is over, and motors that run go on."""
-        first = self._now(Reply(opcode, command.count, Code.OK).to_bytes())
+        first = self._now(BoardReply(opcode, command.count, Code.OK).to_bytes())
         begins_s = max(first.at_s, self._busy_until_s)
         self._busy_until_s = begins_s + took_s
         late = took_s > 1e-3 * command.timeout_ms
         code = Code.TIMEOUT if late else Code.OK
         ends_s = begins_s + min(took_s, 1e-3 * command.timeout_ms)
-        return [first, Answer(ends_s, Reply(opcode, command.count, code).to_bytes())]
+        return [first, Answer(ends_s, BoardReply(opcode, command.count, code).to_bytes())]
 
     def _power(self, command: Power) -> list[Answer]:
         was = self.answering()
@@ -156,15 +158,15 @@ class Boards:
         lost = was & (~self.answering() | _in_sectors(command.reset))
         self.array.halt(lost[plugs_of(self.array.plane.positioner_id).board - 1])
         self.periods[lost] = PERIODS
-        return [self._now(Reply(Opcode.POWER, command.count, Code.OK).to_bytes())]
+        return [self._now(BoardReply(Opcode.POWER, command.count, Code.OK).to_bytes())]
 
-    def _run(self, command: Run) -> float:
+    def _run(self, command: RunCommand) -> float:
         """Starts the motors; how long they run in s."""
         self.runs += 1
         step_s = step_durations_s(command.arms, command.interleave_us)
         return self.array.start(self._move(command.arms, step_s))
 
-    def _move(self, arms: Records, step_s: Floats) -> Move:
+    def _move(self, arms: Records, step_s: Floats) -> CobraMove:
         board = boards_of(arms)
         row = self._row_of[cobras_at(board, plugs_on_board(arms))]
         there = (row >= 0) & self.answering()[board - 1]
@@ -177,7 +179,7 @@ class Boards:
             pulse[row, k], sleeps[row, k] = arms[f"{name}_us"], arms[f"{name}_sleeps"]
         # what is not on does not wait either
         sleeps[steps == 0] = 0
-        return Move(steps, pulse, sleeps, step_s[plugs_of(self.array.plane.positioner_id).board - 1])
+        return CobraMove(steps, pulse, sleeps, step_s[plugs_of(self.array.plane.positioner_id).board - 1])
 
     def _calibrate(self, arms: Records) -> float:
         """The search of resonances: how long it takes in s. Motors keep the periods that they have."""
@@ -195,7 +197,7 @@ class Boards:
         return 0.01
 
     def _housekeeping(self, command: Housekeeping) -> list[Answer]:
-        first = self._now(Reply(Opcode.HOUSEKEEPING, command.count, Code.OK).to_bytes())
+        first = self._now(BoardReply(Opcode.HOUSEKEEPING, command.count, Code.OK).to_bytes())
         nothing = np.zeros((COBRAS_PER_BOARD, 2), dtype=np.int64)
         if not self.answering()[command.board - 1]:
             silent = BoardState(command.board, (0, 0), 0, nothing, nothing)

@@ -21,7 +21,7 @@ FINEST_MM = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class ArmBodies:
     """Arms of n cobras, and fixed discs as arms without length behind them."""
 
     centre_mm: Floats
@@ -44,10 +44,11 @@ class Bodies:
         """(m,) mm that no point of an arm goes farther than, between two angles (m, 2) in deg."""
         turn = np.abs(deg_to_rad(to_deg - from_deg))
         a, b = self.link_mm[rows].T
-        return turn[:, 0] * (a + b) + turn[:, 1] * b
+        farthest: Floats = turn[:, 0] * (a + b) + turn[:, 1] * b
+        return farthest
 
 
-def touching(bodies: Bodies, pairs: Ints, angle_deg: Floats) -> Flags:
+def touching(bodies: ArmBodies, pairs: Ints, angle_deg: Floats) -> Flags:
     """(P,) which pairs (P, 2) of rows touch while angles (K, n, 2) in deg go from moment to moment."""
     hit = np.zeros(len(pairs), dtype=bool)
     moved = np.ptp(angle_deg, axis=0).max(axis=1) > 0.0
@@ -63,7 +64,7 @@ def touching(bodies: Bodies, pairs: Ints, angle_deg: Floats) -> Flags:
     return hit
 
 
-def _near(bodies: Bodies, pairs: Ints, angle_deg: Floats) -> Flags:
+def _near(bodies: ArmBodies, pairs: Ints, angle_deg: Floats) -> Flags:
     """(P,) which may touch at all: their fibres' circles about the centres meet."""
     a, b = bodies.link_mm.T
     far = np.sqrt(a**2 + b**2 + 2 * a * b * np.cos(deg_to_rad(bodies.zero_deg[:, 1] + angle_deg[..., 1])))
@@ -75,7 +76,7 @@ def _near(bodies: Bodies, pairs: Ints, angle_deg: Floats) -> Flags:
     return near
 
 
-def _interval(bodies: Bodies, pairs: Ints, ways: Floats) -> Flags:
+def _interval(bodies: ArmBodies, pairs: Ints, ways: Floats) -> Flags:
     """(P,) which touch in one interval; `ways` (P, 4, 2): of both arms at its start and end."""
     hit = np.zeros(len(pairs), dtype=bool)
     which, left = np.arange(len(pairs)), ways

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fiberloom.calibration.cobras import CobraCalibration, calibrate_cobras
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras
 from fiberloom.drive.pfs.numbering import COBRAS
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.errors import InputError

@@ -17,7 +17,7 @@ class VirtualBoards:
         self.boards = Boards(array, lambda: self.now_s, unpowered or set())
         self.open: VirtualStream | None = None
         self.listening = True
-        """False: nobody answers a connection."""
+        """False: no connection is answered."""
 
     def connector(self) -> Connect:
         """What a client connects by."""

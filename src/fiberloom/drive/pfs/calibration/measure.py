@@ -1,8 +1,9 @@
 """The moves that calibrate cobras, and what circles through the images tell.
 
-Home; theta to where all arms are parallel: then phi goes from its stop out and back without touching neighbours.
-Theta goes out and back with phi folded so far that arms stay in their territories: all at once, or in three groups
-that cannot meet (cobraCharmer). A cobra whose arm could touch a fiducial, or a neighbour that does not get there, is not swept in phi.
+Home; theta to where all arms are parallel: then phi goes from its stop out and back without touching
+neighbours. Theta goes out and back with phi folded so far that arms stay in their territories: all at once,
+or in three groups that cannot meet (cobraCharmer). A cobra whose arm could touch a fiducial, or a neighbour
+that does not get there, is not swept in phi.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.bus.motion import MotionWatch
-from fiberloom.calibration.cobras.maps import MapFit, Moves, fit_maps
 from fiberloom.calibration.transmission.circle import Circles, fit_circles
+from fiberloom.drive.pfs.calibration.maps import MapFit, Moves, fit_maps
 from fiberloom.drive.pfs.client import Orders
 from fiberloom.drive.pfs.drive import HOME_STEPS, CobraDrive
 from fiberloom.drive.pfs.numbering import COBRAS_PER_MODULE
@@ -37,7 +38,7 @@ MOST_OFF_MM = 0.05
 
 
 @dataclass(frozen=True)
-class SweepSettings:
+class CobraSweepSettings:
     """How far and how often; the steps are those of cobraCharmer."""
 
     phi_steps: int = 250
@@ -92,7 +93,7 @@ class CobraCalibration:
 async def calibrate_cobras(
     drive: CobraDrive,
     camera: Camera,
-    settings: SweepSettings | None = None,
+    settings: CobraSweepSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CobraCalibration:
     """Sweeps all cobras and fits geometry, stops and motor maps.
@@ -100,7 +101,7 @@ async def calibrate_cobras(
     `drive` of n cobras, with the maps that are known; `camera` looks; `settings`; `progress` is told of each
     part. InputError where the camera sees none of the fibres.
     """
-    s, ids = settings or SweepSettings(), drive.plane.positioner_id
+    s, ids = settings or CobraSweepSettings(), drive.plane.positioner_id
     work = _Work(drive, camera)
     progress("home")
     await drive.home()
@@ -157,8 +158,8 @@ class _Work:
     async def home(self, axis: int) -> None:
         await self._run(axis, -HOME_STEPS[axis], np.ones(len(self.cobra_id), dtype=bool))
 
-    async def make_parallel(self, s: SweepSettings) -> Flags:
-        """First links in one direction; (n,) cobras whose phi can go out there without touching a fiducial."""
+    async def make_parallel(self, s: CobraSweepSettings) -> Flags:
+        """First links in one direction; (n,) cobras whose phi can go out there without touching anything."""
         arms = self.drive.arms
         theta = (s.direction_deg - arms.zero_deg[:, THETA] - SHORT_OF_STOP_DEG) % 360.0 + SHORT_OF_STOP_DEG
         phi = arms.phi_within_deg(np.full(len(arms), s.reach_mm))
@@ -220,9 +221,9 @@ class _Work:
 
 
 def evaluate(
-    phi: CobraSweep, theta: CobraSweep, before: MotorMaps, settings: SweepSettings
+    phi: CobraSweep, theta: CobraSweep, before: MotorMaps, settings: CobraSweepSettings
 ) -> CobraCalibration:
-    """Geometry and maps of n cobras from their two sweeps; `before`: maps known; `settings` of the sweeps."""
+    """Geometry and maps of n cobras from their sweeps `phi` and `theta`; `before`: maps known; `settings`."""
     circles = [fit_circles(sweep.xy_mm.transpose(1, 0, 2), _all_of(sweep)) for sweep in (theta, phi)]
     reason = _why_not(circles)
     centre, elbow = circles[THETA].centre_mm, circles[PHI].centre_mm
@@ -244,7 +245,7 @@ def evaluate(
 
 
 def _theta_zero(fibre_mm: Floats, link: Floats) -> Floats:
-    """(n,) deg, the direction of the first link at theta's stop, by where fibres (n, 2) were from the centres."""
+    """(n,) deg, the direction of the first link at theta's stop, by fibres (n, 2) less their centres."""
     a, b = link.T
     bend = ((fibre_mm**2).sum(axis=1) - a**2 - b**2) / (2.0 * a * b)
     bent = a + b * np.exp(-1j * np.arccos(np.clip(bend, -1.0, 1.0)))
@@ -252,7 +253,8 @@ def _theta_zero(fibre_mm: Floats, link: Floats) -> Floats:
 
 
 def _all_of(sweep: CobraSweep) -> Flags:
-    return np.isfinite(sweep.xy_mm).all(axis=2).T
+    seen: Flags = np.isfinite(sweep.xy_mm).all(axis=2).T
+    return seen
 
 
 def _why_not(circles: list[Circles]) -> list[str]:
@@ -300,7 +302,12 @@ STOP_DEG, STOP_IMAGES = 0.3, 3
 
 
 def _both(
-    before: MotorMaps, theta: CobraSweep, phi: CobraSweep, places: Floats, ranges: Floats, s: SweepSettings
+    before: MotorMaps,
+    theta: CobraSweep,
+    phi: CobraSweep,
+    places: Floats,
+    ranges: Floats,
+    s: CobraSweepSettings,
 ) -> MapFit:
     """Maps of all 2 n motors; each kind from its own sweep."""
     fits = []

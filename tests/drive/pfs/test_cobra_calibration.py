@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiberloom.calibration.cobras import (
+from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.pfs.calibration import (
     FAST_STEP_DEG,
     SLOW_STEP_DEG,
+    CobraSweepSettings,
     Moves,
-    SweepSettings,
     calibrate_cobras,
     fit_maps,
     maps_at,
     pulses_for,
 )
-from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
 from fiberloom.twin.camera.noise_camera import NoiseCamera
@@ -36,7 +36,7 @@ def calibrated():
     plane, maps = pfs_plane(N), drawn_maps(N, 0)
     array = CobraArray(plane, maps, PiezoErrors(), seed=0)
     drive = CobraDrive(plane, maps, FpgaClient(VirtualBoards(array).connector()), plane.dots_mm)
-    found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), SweepSettings()))
+    found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), CobraSweepSettings()))
     return drive, array, maps, found
 
 
@@ -84,7 +84,7 @@ def flat(step_deg=0.1, bins=10):
 def test_bins_by_hand():
     """Ways of 15 deg by 100 steps from 20, and of 10 deg by 100 from 35: 0.15 and 0.10 deg per step.
 
-    Bin 20-30: the first alone, 0.15. Bin 30-40: f = 5^2/15 and 5^2/10, so (0.15 f1 + 0.10 f2)/(f1 + f2) = 0.12.
+    Bin 20-30: the first alone. Bin 30-40: f = 5^2/15 and 5^2/10: (0.15 f1 + 0.10 f2)/(f1 + f2) = 0.12.
     """
     places = np.array([20.0, 35.0, 45.0, 55.0])[:, None]
     moves = Moves(np.full((3, 1), 100), np.full((3, 1), 44.0), places)

@@ -1,9 +1,9 @@
 """Motor maps from moves of known steps (ics_cobraCharmer, calculus: the weighting of bins).
 
 A move of N steps that makes a way w touches some bins. Each of these gets its speed w / N with the weight
-f = (part of the way in the bin)^2 / w. With a map known before, it is the ratio of w to what that map says
-that is averaged so, and the shape within a move stays as it was known. Moves that begin or end within 5 deg of
-a stop do not count, and bins that no move has touched get the nearest that has.
+f = (part of the way in the bin)^2 / w. With a map known before, it is the ratio of w to what that map
+says that is averaged so, and the shape within a move stays as it was known. Moves that begin or end within
+5 deg of a stop do not count, and bins that no move has touched get the nearest that has.
 """
 
 from __future__ import annotations

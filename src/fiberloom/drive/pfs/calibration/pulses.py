@@ -20,7 +20,8 @@ def pulses_for(maps: MotorMaps, curve_us: Floats, step_deg: float) -> Floats:
     p1 = curve_us[:, None]
     height = step_deg / maps.step_deg.mean(axis=2) * (np.hypot(maps.pulse_us, p1) - p1)
     pulse = np.sqrt(height * (height + 2.0 * p1))
-    return np.clip(np.rint(pulse), LEAST_PULSE_US, MOST_PULSE_US)
+    whole: Floats = np.clip(np.rint(pulse), LEAST_PULSE_US, MOST_PULSE_US)
+    return whole
 
 
 def maps_at(maps: MotorMaps, curve_us: Floats, pulse_us: Floats) -> MotorMaps:
