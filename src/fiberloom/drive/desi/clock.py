@@ -31,6 +31,8 @@ PAUSE_TICKS = TICK_HZ // 1000
 APPROACH_DEG = 3.0
 APPROACH_STEPS = round(APPROACH_DEG * TENTHS_PER_DEG)
 """Creep steps of the overshoot that closes the backlash: 10121."""
+LAG_DEG = 30.0 / GEAR
+"""[D] At the arm: a rotor may be so far behind its field at rest, to either side of it; that acts as play."""
 FINAL_DIRECTION = np.array([-1, 1])
 """Last legs of theta and phi."""
 MOST_STEPS = 2**20 - 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiberloom.drive.desi.clock import degrees_of
+from fiberloom.drive.desi.clock import LAG_DEG, degrees_of
 from fiberloom.drive.desi.stages import Aims, Level, Stage, Staged, Timed, plan_of, timed
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, Verification, verify
@@ -80,7 +80,7 @@ class Resolver:
     def _made(self) -> tuple[Timed, Plan, Plan]:
         made = timed(self.move)
         aims = replace(self.ends(self.move), refused=dict(self.refused))
-        theta, phi = (axis.backlash_deg for axis in self.plane.instrument.axes)
+        theta, phi = (axis.backlash_deg + 2.0 * LAG_DEG for axis in self.plane.instrument.axes)
         return made, plan_of(self.plane, made, aims), plan_of(self.plane, made, aims, (theta, phi))
 
     def _mend(self, made: Timed, violation: Violation, hard: bool) -> None:
