@@ -24,6 +24,8 @@ class LearningSettings:
     """The same, where a calibration has measured the map."""
     least_scatter: float = 0.05
     """No motor is believed to scatter less, whatever two passes of a calibration show."""
+    most_scatter: float = 0.2
+    """[A] Nor more, at first: with a wider tube a motor would hardly find a free way."""
     move_sigma: float = 0.15
     """Fresh scatter of a move, of its way."""
     step_sigma: float = 0.6
@@ -68,7 +70,9 @@ class LearningLaw:
         s = self.settings
         used = known & np.isfinite(scatter)
         self.gain[used], self.gain_variance[used] = 1.0, s.measured_gain_sigma**2
-        self.move_variance = np.where(used, np.maximum(scatter, s.least_scatter) ** 2, self.move_variance)
+        self.move_variance = np.where(
+            used, np.clip(scatter, s.least_scatter, s.most_scatter) ** 2, self.move_variance
+        )
 
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> MotorSteps:
         """What to send.

@@ -63,8 +63,8 @@ def packed_layout(plane: FocalPlane) -> bytes:
 
 
 def record_end(run: Run, **figures: Any) -> None:
-    """Writes what is known when nothing moves any more: `about`, `collisions_verified`, `contacts_true`, `stopped`,
-    `wall_s`, and `exposures`, whether there are any.
+    """Writes what is known when nothing moves any more: `about`, `collisions_verified`, `contacts_true`,
+    `stopped`, `wall_s`, and `exposures`, whether there are any.
     """
     run.record_part(ABOUT, pack(figures))
 

@@ -1,6 +1,6 @@
 """Whole fields of cobras on the twin: convergence, and contacts in its truth.
 
-    python -m benchmarks.cobra_field --rule ours --cobras 2394 --fields 2 --seed 0
+    python -m benchmarks.cobras.field --rule ours --cobras 2394 --fields 2 --seed 0
 
 Fields begin at home, each further one where the one before has ended. `--rule ours`: stages whose swept
 regions cannot meet. `--rule via`: the published rule, via points in the first two iterations (phi at most
@@ -148,7 +148,7 @@ def main():
     try:
         asyncio.run(fields(args))
     except InputError as error:
-        print(f"cobra_field: {error}", file=sys.stderr)
+        print(f"cobras.field: {error}", file=sys.stderr)
         return 2
     return 0
 
