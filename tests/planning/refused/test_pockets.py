@@ -1,4 +1,4 @@
-"""One that cannot leave its pocket makes room within it: only those that it cannot make way for are refused."""
+"""One that cannot leave its pocket makes room within it; those that it cannot make way for are refused."""
 
 import numpy as np
 import pytest

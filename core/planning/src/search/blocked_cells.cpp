@@ -1,6 +1,6 @@
 #include "search/blocked_cells.hpp"
 
-#include "search/clones.hpp"
+#include "motion/clones.hpp"
 
 #include <algorithm>
 #include <cmath>

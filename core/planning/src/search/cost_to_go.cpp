@@ -1,6 +1,6 @@
 #include "search/cost_to_go.hpp"
 
-#include "search/clones.hpp"
+#include "motion/clones.hpp"
 
 #include <algorithm>
 #include <array>

@@ -12,14 +12,14 @@ constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
 constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
 constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
-constexpr int most_joint_nodes = 20000;
+constexpr int most_joint_nodes = 8000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 constexpr Mode guided{false, 0, 0, 0}; // without a first look for a path that nothing is in the way of
 constexpr int tidy_excess = 60;        // cost above the least
 constexpr int joint_every = 12;        // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;           // a deadline grows by the first one over this
-constexpr int hurry_rounds = 25;       // repairs for one that hurries ...
-constexpr int last_hurry_rounds = 150; // ... and in the end
+constexpr int hurry_rounds = 25;       // repairs for one that hurries; in the end ...
+constexpr int rounds_per_step = 10;    // ... so many more for each step that it is behind the wish
 constexpr int most_hurries = 64;       // attempts of one to arrive earlier in which others have to give way
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
@@ -274,9 +274,11 @@ int Repair::affordable(const Group &group) const {
     return std::max(steps, least_affordable) * conflict_cost + path_itself;
 }
 
-// Whether it was given more time than all: without it a joint search takes long, and seldom finds a way.
+// Whether it was given more time than all, or hurries: else a joint search takes long, and seldom finds a
+// way.
 bool Repair::has_time(Pair pair) const {
-    return 2 * std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline) > 3 * first_steps_;
+    return last_steps_ == 0 ||
+           2 * std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline) > 3 * first_steps_;
 }
 
 void Repair::round(Pair pair) {
@@ -374,7 +376,8 @@ void Repair::hurry(int wanted_steps) {
             const int deadline = (low[last] + arrival) / 2;
             if (!squeeze(last, deadline, hurry_rounds)) low[last] = deadline + 1;
         } else {
-            if (!squeeze(last, arrival - 1, last_hurry_rounds)) return;
+            const int behind = arrival - wanted_steps;
+            if (!squeeze(last, arrival - 1, hurry_rounds + rounds_per_step * behind)) return;
             low[last] = wanted_steps;
         }
     }
