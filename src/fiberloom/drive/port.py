@@ -7,6 +7,7 @@ are; others add up what they were told, and the camera corrects them.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -98,6 +99,10 @@ class Programme:
     """The drive's own."""
     about: dict[str, Any] = field(default_factory=dict)
     """For the record."""
+
+    def timed(self, begun_s: float) -> Programme:
+        """The same, whose plan tells the CPU time since `begun_s` of `time.thread_time`."""
+        return replace(self, plan=replace(self.plan, cpu_s=time.thread_time() - begun_s))
 
     @property
     def moving(self) -> list[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -153,7 +154,7 @@ class DesiDrive:
         return await asyncio.to_thread(self._prepared, wanted)
 
     def _prepared(self, wanted: Wanted) -> Programme:
-        tube_mm = self._tube_mm(wanted.goal_deg)
+        begun_s, tube_mm = time.thread_time(), self._tube_mm(wanted.goal_deg)
         plane = with_tube(wanted.obstacles, tube_mm)
         asked = np.abs(wanted.goal_deg - wanted.here_deg).max(axis=1) > 1e-9
         asked &= ~plane.offline
@@ -170,7 +171,7 @@ class DesiDrive:
         way = degrees_of(found.made.tables.way_tenths.sum(axis=1))
         commands = Tables(found.made.tables, way, found.loose)
         about = {"rounds": found.rounds, "waits": found.waits}
-        return Programme(found.plan, tube_mm, commands, about)
+        return Programme(found.plan, tube_mm, commands, about).timed(begun_s)
 
     def _tube_mm(self, angles_deg: Floats) -> Floats:
         """(N,) mm, by how well the map is known at angles (N, 2) in deg."""

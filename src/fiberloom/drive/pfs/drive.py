@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
@@ -198,7 +199,7 @@ class CobraDrive:
         return await asyncio.to_thread(self._programme, plan.end_deg, here, self.plane)
 
     def _programme(self, goal_deg: Floats, here_deg: Floats, obstacles: FocalPlane) -> Programme:
-        low = stops_deg(self.plane)[0]
+        begun_s, low = time.thread_time(), stops_deg(self.plane)[0]
         goal = goal_deg - low
         active = np.any(np.abs(goal_deg - here_deg) > 0.0, axis=1) & ~obstacles.offline
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
@@ -213,7 +214,8 @@ class CobraDrive:
         iteration = self._iteration(chosen, order, goes)
         stages = np.bincount(chosen.stage, minlength=len(CobraStage)).tolist()
         about = {"stages": dict(zip([s.name.lower() for s in CobraStage], stages, strict=True))}
-        return Programme(self._plan(iteration, refused), self._tube_mm(chosen), iteration, about)
+        made = Programme(self._plan(iteration, refused), self._tube_mm(chosen), iteration, about)
+        return made.timed(begun_s)
 
     def _know_discs(self, discs_mm: Floats) -> None:
         """Discs stand for fiducials, and for cobras that may be anywhere within their reach."""
