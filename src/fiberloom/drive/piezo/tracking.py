@@ -58,7 +58,7 @@ class Tracker:
 
     def see(self, xy_mm: Floats, camera_um: float | Floats) -> None:
         """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
-        seen: Flags = np.isfinite(xy_mm).all(axis=1)
+        seen = np.asarray(np.isfinite(xy_mm).all(axis=1), dtype=np.bool_)
         sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
         self._poses, self._cost, before, pose = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
         assert self.law.place_deg is not None
@@ -84,7 +84,7 @@ class Tracker:
     def _candidates(self, xy_mm: Floats, expected: Floats, seen: Flags) -> tuple[Floats, Flags]:
         """(n, 4, 2) poses at which a fibre is where it was seen, else as expected; and which are possible."""
         found = self.arms.poses_deg(xy_mm)
-        possible: Flags = np.isfinite(found).all(axis=2)
+        possible = np.asarray(np.isfinite(found).all(axis=2), dtype=np.bool_)
         possible[~seen.repeat(POSES).reshape(-1, POSES)] = True
         # each possible pose of a hidden fibre comes from its own
         return np.where(seen[:, None, None], np.nan_to_num(found), expected), possible

@@ -253,8 +253,7 @@ def _theta_zero(fibre_mm: Floats, link: Floats) -> Floats:
 
 
 def _all_of(sweep: CobraSweep) -> Flags:
-    seen: Flags = np.isfinite(sweep.xy_mm).all(axis=2).T
-    return seen
+    return np.asarray(np.isfinite(sweep.xy_mm).all(axis=2).T, dtype=np.bool_)
 
 
 def _why_not(circles: list[Circles]) -> list[str]:
