@@ -10,7 +10,6 @@ way that was gone), `healthy` (n).
 """
 
 import argparse
-import gzip
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from benchmarks import convergence_desi
 
-from fiberloom.drive.piezo import LearningLaw, MotorMaps, SpeedScalingLaw
+from fiberloom.drive.piezo import LearningLaw, SpeedScalingLaw, read_summary_maps
 from fiberloom.drive.piezo.maps import PULSE_CURVE_US
 from fiberloom.errors import InputError
 from fiberloom.twin.actuators import PiezoErrors, PiezoMotors, drawn_maps
-from fiberloom.twin.actuators.piezo import BIN_DEG
 
+MAPS_FILE = "pfs_2394_motor_maps_slow.npz"
 MAPS = Path(__file__).parents[2] / "shared" / "data" / "pfs" / "derived"
 LINK_MM, LINK_SD = 2.375, 0.01
 START_UM, START_95_UM = 822.0, 2694.0
@@ -78,23 +77,6 @@ class Cobras:
         return np.rad2deg(out)
 
 
-def published_maps(folder):
-    """Slow maps and slow pulses of 2394 cobras."""
-    slow = np.load(folder / "pfs_2394_motor_maps_slow.npz")
-    names = [[f"{motor}_{way}_deg_per_step" for way in ("fwd", "rev")] for motor in ("theta", "phi")]
-    step = np.array([[slow[name].astype(float) for name in pair] for pair in names])
-    with gzip.open(folder / "pfs_2394_cobras_scalars.csv.gz", "rt") as text:
-        table = np.genfromtxt(text, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    names = [[f"link{k}_{way}_ontime_ms_slow" for way in ("fwd", "rev")] for k in (1, 2)]
-    pulse = np.rint(1e3 * np.array([[table[name] for name in pair] for pair in names]))
-    # a motor without a pulse gets that of the others of its kind
-    usual = np.median(pulse, axis=2, keepdims=True)
-    pulse = np.where(pulse > 0.0, pulse, usual)
-    motors = 2 * step.shape[2]
-    step = step.transpose(2, 0, 1, 3).reshape(motors, 2, -1)
-    return MotorMaps(step, BIN_DEG, pulse.transpose(2, 0, 1).reshape(motors, 2))
-
-
 def targets_mm(cobras, motors, rng):
     """(n, 2) in reach, as far from where the fibres are as those of the published visit."""
     here = cobras.xy_mm(motors.angle_deg)
@@ -121,7 +103,11 @@ def converge(args):
     """Arrays of the file."""
     rng = np.random.default_rng(args.seed)
     folder = args.maps if args.maps is not None else MAPS if MAPS.is_dir() else None
-    maps = published_maps(folder) if folder else drawn_maps(args.cobras, args.seed)
+    maps = (
+        read_summary_maps(folder / MAPS_FILE, np.arange(1, 2395))
+        if folder
+        else drawn_maps(args.cobras, args.seed)
+    )
     n = maps.motors // 2
     cobras = Cobras(LINK_MM * (1.0 + LINK_SD * rng.standard_normal((n, 2))))
     stops = np.tile([THETA_RANGE_DEG, PHI_RANGE_DEG], n)

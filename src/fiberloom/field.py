@@ -267,6 +267,8 @@ class Field:
 
     async def _find_maps(self, points: int) -> tuple[TransmissionMaps, Path | None]:
         if not self._has_maps:
+            if self.calibration_file is not None:
+                self.source.know(self.calibration_file)
             return nominal_maps(self.plane), None
         if self.calibration_file is not None:
             return load_for(self.plane, self.calibration_file), self.calibration_file

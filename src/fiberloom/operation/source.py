@@ -36,6 +36,10 @@ class Source(Protocol):
         """File in which the maps of such a sweep are kept, whether or not it exists; None: not kept."""
         ...
 
+    def know(self, file: Path) -> None:
+        """Takes what the `file` of a calibration says of motors that have no transmission maps."""
+        ...
+
     def about(self) -> dict[str, Any]:
         """Entries of summary.json about the source."""
         ...
@@ -115,6 +119,10 @@ class OpenedArray:
     def maps_file(self, points: int) -> Path | None:
         """None: maps come from a file that the caller names."""
         return None
+
+    def know(self, file: Path) -> None:
+        """No array outside has such motors yet: InputError for any `file`."""
+        raise InputError(f"{file}: this array has transmission maps, or none at all")
 
     def about(self) -> dict[str, Any]:
         """Empty: only a twin has entries of its own."""

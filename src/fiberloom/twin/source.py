@@ -15,6 +15,7 @@ from fiberloom.calibration.transmission.sweep import (
     SweepSettings,
     calibrate_transmission,
 )
+from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units, put_in
@@ -79,6 +80,10 @@ class TwinSource:
         """The cache's file of these units."""
         key = _Key(SweepSettings(points), self.bench_units.digest())
         return cache_path(self.plane.config_hash(), self.seed, key)
+
+    def know(self, file: Path) -> None:
+        """The host has the transmission maps: InputError for any `file`."""
+        raise InputError(f"{file}: transmission maps are the host's")
 
     def about(self) -> dict[str, Any]:
         """What was put in; and a note where what spoils a real array was not."""

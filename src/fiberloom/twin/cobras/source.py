@@ -13,7 +13,7 @@ from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras
 from fiberloom.drive.pfs.numbering import COBRAS
-from fiberloom.drive.piezo import MotorMaps
+from fiberloom.drive.piezo import MotorMaps, read_summary_maps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -29,7 +29,7 @@ from fiberloom.twin.hardware import check_camera, draw_faults
 KIND = "cobras of the twin begin at home; their arms and dots are those of the layout"
 
 
-@dataclass(frozen=True)
+@dataclass
 class CobraSource:
     """Implements `fiberloom.operation.source.Source`; what is wrong with its arguments is told at once.
 
@@ -143,6 +143,10 @@ class CobraSource:
     def maps_file(self, points: int) -> Path | None:
         """None: motor maps are not transmission maps, however many `points` these have."""
         return None
+
+    def know(self, file: Path) -> None:
+        """The motors are those of a summary of motor maps, in `file`, with the errors of the twin."""
+        self.maps = read_summary_maps(file, self.plane.positioner_id)
 
     def about(self) -> dict[str, Any]:
         """What was put in."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
+from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -80,6 +81,11 @@ class DesiSource:
     def maps_file(self, points: int) -> Path | None:
         """Nothing is kept, whatever the `points`."""
         return None
+
+    def know(self, file: Path) -> None:
+        """Maps are learnt from images: InputError for any `file`."""
+        name = self.plane.instrument.name
+        raise InputError(f"{file}: {name} learns its maps from images; leave --calibration out")
 
     def about(self) -> dict[str, Any]:
         """What was put in."""
