@@ -71,7 +71,7 @@ def stops_that_overlap(in_hand_mm: float, off_deg: float) -> int:
 
 
 def test_fewer_stops_leave_arms_that_overlap():
-    """With angles far off, and three times as much in hand as usual: with the usual few overlap in any case."""
+    """With angles far off, and three times as much in hand as usual: few overlap with the usual anyway."""
     with_it, without = stops_that_overlap(0.15, 0.8), stops_that_overlap(0.0, 0.8)
     print(f"\n{with_it} of 400 stops, {without} with nothing in hand")
     assert with_it < without / 2
