@@ -12,6 +12,8 @@ FILE = re.compile(r"[\w./*-]+\.(?:json|ecsv|csv|png|html|npz|sqlite|fits|md|toml
 NAMED = sorted({word for code in re.findall(r"`([^`\n]+)`", TEXT) for word in FILE.findall(code)})
 READ = {
     *("positionerTable.csv", "wokCoords.csv", "fiducialCoords.csv", "gfaCoords.csv"),  # layouts of SDSS-V
+    *("calib-*.csv", "pfs_*_cobras_scalars.csv", "*megara*rps.csv"),  # of DESI, PFS and MEGARA
+    "pfs_2394_cobras_scalars.csv",  # beside a summary of motor maps
     "*.toml",  # presets
     "image.fits",  # temporary, of an INDI camera
     "maps.npz",  # of the learnt maps beside it, where no file of maps was given

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome, all_of
-from fiberloom.drive.port import Believed, DriveModel, Programme, verified
+from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, verified
 from fiberloom.hardware import Hardware
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.noise import CorrectionNoise
@@ -37,7 +37,7 @@ class PlainDrive:
 
     async def believed(self, ids):
         rows = self.plane.index_of(ids)
-        return Believed(self.told_deg[rows], self.told_deg[rows], np.ones(len(ids), dtype=bool))
+        return BelievedPlaces(self.told_deg[rows], self.told_deg[rows], np.ones(len(ids), dtype=bool))
 
     async def heard_again(self, silent):
         return list(silent)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fiberloom.instruments.focal_plane import L_ALPHA
+from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.twin import StatisticalTwin, Twin, Wear, WearModel, bench_units, worn
 from fiberloom.twin.gears import Gears
 from fiberloom.twin.units import GEAR

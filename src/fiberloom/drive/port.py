@@ -18,7 +18,7 @@ from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Results
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.axis import Drive as DriveTable
+from fiberloom.instruments.axis import DriveTable
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.noise import CorrectionNoise
@@ -111,7 +111,7 @@ class Programme:
 
 
 @dataclass(frozen=True, eq=False)
-class Believed:
+class BelievedPlaces:
     """Where n positioners are, as their drive has it."""
 
     angles_deg: Floats
@@ -155,7 +155,7 @@ class Drive(Protocol):
         """
         ...
 
-    async def believed(self, ids: Ints) -> Believed:
+    async def believed(self, ids: Ints) -> BelievedPlaces:
         """Where these (n,) are."""
         ...
 

@@ -126,7 +126,7 @@ class Ranges:
         return {"targets_deg": self.targets_deg, "stops_deg": self.stops_deg}
 
 
-class Drive(Table):
+class DriveTable(Table):
     """What commands the motors, and how good their moves are. The defaults are those of SDSS-V."""
 
     protocol: Protocol = "none"

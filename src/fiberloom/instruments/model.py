@@ -18,7 +18,7 @@ from fiberloom.instruments.array import Modules as Modules
 from fiberloom.instruments.array import Scatter as Scatter
 from fiberloom.instruments.array import UnitScatter as UnitScatter
 from fiberloom.instruments.axis import Axis as Axis
-from fiberloom.instruments.axis import Drive as Drive
+from fiberloom.instruments.axis import DriveTable as DriveTable
 from fiberloom.instruments.axis import Range, protocol_of
 from fiberloom.instruments.outlines import KeepOut, Outline
 from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
@@ -295,7 +295,7 @@ class Instrument(Table):
     positioner: Positioner
     alpha: Axis
     beta: Axis
-    drive: Drive = Drive()
+    drive: DriveTable = DriveTable()
     """Left out: by the motors, `protocol_of`."""
     bodies: Bodies
     metrology: Metrology

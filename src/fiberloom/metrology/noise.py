@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.axis import Drive
+from fiberloom.instruments.axis import DriveTable
 
-_SAID = Drive()
+_SAID = DriveTable()
 WORKSPACE_UM = 0.669
 """Kronig 2020, Fig. 18: the camera of the full workspace on a static fibre, 2-D rms. For those who
 name no instrument; an instrument says itself: `metrology.noise_rms_um`."""

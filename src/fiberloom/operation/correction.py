@@ -170,7 +170,10 @@ class Corrections(Protocol):
     def update(
         self, believed_deg: Floats, measured_mm: Floats, active: Flags, noise_mm2: Floats | None = None
     ) -> Floats:
-        """The angles (N, 2) in deg to command next; as `CorrectionLoop.update`."""
+        """The angles (N, 2) in deg to command next.
+
+        `believed_deg`, `measured_mm`, `active`, `noise_mm2`: as of `CorrectionLoop.update`.
+        """
         ...
 
 

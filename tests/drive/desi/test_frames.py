@@ -6,24 +6,32 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.drive.desi import Command, Frame, Row, checksum, decode_row, encode_row, move_tables
+from fiberloom.drive.desi import (
+    DesiCommand,
+    DesiFrame,
+    TableRow,
+    checksum,
+    decode_row,
+    encode_row,
+    move_tables,
+)
 from fiberloom.drive.desi.frames import Motor, decode, rows_of, table_frames, tables_from
 from fiberloom.errors import InputError
 
 counts = st.integers(-(2**20) + 1, 2**20 - 1)
 motors = st.builds(lambda n, c: Motor(n, c and n != 0), counts, st.booleans())
-rows = st.builds(Row, motors, motors, st.integers(0, 65535), st.booleans())
+rows = st.builds(TableRow, motors, motors, st.integers(0, 65535), st.booleans())
 
 
 def test_a_row_by_hand():
     # phi +10121 by creep, counter-clockwise; theta -70000 by cruise, clockwise; 300 ms; not the last
-    data = encode_row(Row(Motor(-70000, cruise=True), Motor(10121), 300))
+    data = encode_row(TableRow(Motor(-70000, cruise=True), Motor(10121), 300))
     # 0100 0000 | phi 101 -> 0010 1000 | theta 110; 70000 = 0x11170, 10121 = 0x2789, 300 = 0x12c
     assert data == bytes([0x40 | 0x28 | 0x06, 0x10, 0x27, 0x89, 0x11, 0x70, 0x01, 0x2C])
 
 
 def test_the_last_row_by_hand():
-    data = encode_row(Row(Motor(1), Motor(-(2**20) + 1, cruise=True), 65535, last=True))
+    data = encode_row(TableRow(Motor(1), Motor(-(2**20) + 1, cruise=True), 65535, last=True))
     assert data == bytes([0x80 | 0x30 | 0x05, 0x0F, 0xFF, 0xFF, 0x00, 0x01, 0xFF, 0xFF])
 
 
@@ -34,8 +42,8 @@ def test_the_checksum_by_hand():
 
 
 def test_an_identifier_by_hand():
-    assert Frame.of(4321, Command.RUN, b"\x01").identifier == 4321 * 256 + 27
-    assert decode(20001 * 256 + 27, b"\x01") == (20001, Command.RUN, b"\x01")
+    assert DesiFrame.of(4321, DesiCommand.RUN, b"\x01").identifier == 4321 * 256 + 27
+    assert decode(20001 * 256 + 27, b"\x01") == (20001, DesiCommand.RUN, b"\x01")
 
 
 @given(rows)
@@ -53,7 +61,7 @@ def test_any_bytes_are_a_row_or_refused(data):
 def test_any_frame_is_a_command_or_refused(identifier, data):
     with contextlib.suppress(InputError):
         can_id, command, same = decode(identifier, data)
-        assert Frame.of(can_id, command, same) == (identifier, data)
+        assert DesiFrame.of(can_id, command, same) == (identifier, data)
 
 
 def test_tables_come_back_through_their_rows():
@@ -81,10 +89,10 @@ def test_contradicting_rows_are_refused(bad):
 
 def test_what_does_not_fit_is_refused():
     with pytest.raises(InputError, match="at most"):
-        encode_row(Row(Motor(2**20), Motor(0)))
+        encode_row(TableRow(Motor(2**20), Motor(0)))
     with pytest.raises(InputError, match="pause"):
-        encode_row(Row(Motor(0), Motor(0), 70000))
+        encode_row(TableRow(Motor(0), Motor(0), 70000))
     with pytest.raises(InputError, match="CAN id"):
-        Frame.of(2**21, Command.RUN)
+        DesiFrame.of(2**21, DesiCommand.RUN)
     with pytest.raises(InputError, match="8 fit"):
-        Frame.of(1, Command.RUN, bytes(9))
+        DesiFrame.of(1, DesiCommand.RUN, bytes(9))

@@ -10,7 +10,7 @@ from fiberloom.drive.desi.clock import TICK_HZ, degrees_of
 from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import MOST_TURNS, Resolver, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
-from fiberloom.drive.desi.stages import Aims, Level, Stage, plan_of, staged, timed
+from fiberloom.drive.desi.stages import Aims, Level, MoveStage, plan_of, staged, timed
 from fiberloom.planning import Plan, Trajectory
 
 N = 80
@@ -85,7 +85,7 @@ def test_what_a_unit_is_said_to_do_is_what_its_path_does(plane):
     made = timed(staged(plane, here, way, safe_phi_deg(plane), small=False))
     path = executed_path(made.tables)
     for k in range(0, N, 7):
-        for stage, axis in ((Stage.RETRACT, 1), (Stage.ROTATE, 0), (Stage.EXTEND, 1)):
+        for stage, axis in ((MoveStage.RETRACT, 1), (MoveStage.ROTATE, 0), (MoveStage.EXTEND, 1)):
             begin, end = made.begin_tick[k, stage], made.end_tick[k, stage]
             if end == begin:
                 continue

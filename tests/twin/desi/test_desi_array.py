@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fiberloom.drive.desi import Command, Frame, checksum, encode_row, move_tables
+from fiberloom.drive.desi import DesiCommand, DesiFrame, checksum, encode_row, move_tables
 from fiberloom.drive.desi.frames import POSITIONERS, rows_of, table_frames
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
@@ -27,7 +27,7 @@ def loaded(twin, tables):
 def run(twin, ways, now=b"\x01"):
     tables = move_tables(ways)
     loaded(twin, tables)
-    twin.send([Frame.of(POSITIONERS, Command.RUN, now)])
+    twin.send([DesiFrame.of(POSITIONERS, DesiCommand.RUN, now)])
     twin.run(float(tables.duration_s.max()))
     return twin.truth()
 
@@ -66,7 +66,7 @@ def test_controllers_answer_with_the_checksum_of_what_they_hold(plane):
 
 
 def status(twin, can_id):
-    return twin.send([Frame.of(can_id, Command.MOVE_STATUS)])[0].data[0]
+    return twin.send([DesiFrame.of(can_id, DesiCommand.MOVE_STATUS)])[0].data[0]
 
 
 def test_status_says_moving_until_the_table_has_ended(plane):
@@ -75,7 +75,7 @@ def test_status_says_moving_until_the_table_has_ended(plane):
     tables = move_tables(np.tile([20.0, -5.0], (37, 1)))
     loaded(twin, tables)
     assert status(twin, one) == 0
-    twin.send([Frame.of(POSITIONERS, Command.RUN, b"\x00")])
+    twin.send([DesiFrame.of(POSITIONERS, DesiCommand.RUN, b"\x00")])
     assert status(twin, one) == 0  # waits for the signal
     twin.sync()
     assert status(twin, one) == 1
@@ -89,10 +89,10 @@ def test_a_stop_leaves_arms_where_they_are(plane):
     twin = DesiTwin(plane, seed=0, start_deg=START, contacts=False)
     tables = move_tables(np.tile([-2.0, 2.0], (37, 1)))  # where the play is closed
     loaded(twin, tables)
-    twin.send([Frame.of(POSITIONERS, Command.RUN, b"\x01")])
+    twin.send([DesiFrame.of(POSITIONERS, DesiCommand.RUN, b"\x01")])
     twin.run(0.5)
     here = twin.truth()
-    twin.send([Frame.of(POSITIONERS, Command.STOP)])
+    twin.send([DesiFrame.of(POSITIONERS, DesiCommand.STOP)])
     np.testing.assert_allclose(twin.truth(), here, atol=1e-9)
     twin.run(5.0)
     np.testing.assert_allclose(twin.truth(), here, atol=1e-9)
@@ -105,7 +105,7 @@ def test_an_incomplete_table_does_not_run(plane):
     one = int(plane.positioner_id[0])
     twin.send(table_frames(one, rows_of(move_tables([[5.0, 0.0]]), 0))[:2])
     before = twin.truth()
-    twin.send([Frame.of(one, Command.RUN, b"\x01")])
+    twin.send([DesiFrame.of(one, DesiCommand.RUN, b"\x01")])
     twin.run(5.0)
     np.testing.assert_array_equal(twin.truth(), before)
 
@@ -116,7 +116,7 @@ def test_units_that_hear_nothing_for_a_minute_are_in_standby(plane):
     before = twin.truth()
     run(twin, np.tile([20.0, -5.0], (37, 1)))
     np.testing.assert_array_equal(twin.truth(), before)
-    twin.send([Frame.of(POSITIONERS, Command.RESET)])
+    twin.send([DesiFrame.of(POSITIONERS, DesiCommand.RESET)])
     after = run(twin, np.tile([20.0, -5.0], (37, 1)))
     assert np.all(np.abs(after - before)[:, 0] > 15.0)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
-from fiberloom.drive.desi import Command, Frame, move_tables
+from fiberloom.drive.desi import DesiCommand, DesiFrame, move_tables
 from fiberloom.drive.desi.frames import POSITIONERS, rows_of, table_frames
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin.desi import DesiTwin
 from fiberloom.twin.desi.contacts import line_gap_mm, parts_of, separation_mm
 
-RUN = Frame.of(POSITIONERS, Command.RUN, b"\x01")
+RUN = DesiFrame.of(POSITIONERS, DesiCommand.RUN, b"\x01")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 import fiberloom as fl
 from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Outcome
-from fiberloom.drive.desi import Command, Frame
+from fiberloom.drive.desi import DesiCommand, DesiFrame
 from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.port import Wanted
 from fiberloom.errors import InputError
@@ -86,7 +86,7 @@ class Wire(DesiTransport):
         self.loses, self.sent = loses, []
 
     async def send(self, frames):
-        frames = [Frame(*frame[:2]) for frame in frames]
+        frames = [DesiFrame(*frame[:2]) for frame in frames]
         self.sent += frames
         await super().send([frame for frame in frames if not self.loses(frame)])
 
@@ -119,10 +119,10 @@ def test_a_move_is_counted_and_done(plane):
 
 def test_no_table_runs_where_one_was_lost(plane):
     lost = int(plane.positioner_id[1])
-    results, drive, wire, twin = moved(plane, lambda f: f.can_id == lost and f.command == Command.ROW)
+    results, drive, wire, twin = moved(plane, lambda f: f.can_id == lost and f.command == DesiCommand.ROW)
     assert results[lost].outcome is Outcome.TIMED_OUT
     assert [r.outcome for i, r in results.items() if i != lost] == [Outcome.NOT_STARTED] * 2
-    assert Command.RUN not in [frame.command for frame in wire.sent]
+    assert DesiCommand.RUN not in [frame.command for frame in wire.sent]
     np.testing.assert_array_equal(drive.maps.believed_deg, plane.park_deg)
     np.testing.assert_allclose(twin.truth(), plane.park_deg, atol=1e-9)
 
@@ -131,7 +131,7 @@ def test_a_lost_row_is_sent_again(plane):
     once = []
 
     def loses(frame):
-        first = frame.command == Command.ROW and not once
+        first = frame.command == DesiCommand.ROW and not once
         once.extend([1] if first else [])
         return first
 

@@ -1,6 +1,6 @@
 """DESI's open-loop motors on a rotating field: move tables, their frames, and the laws that steer by them."""
 
-from fiberloom.drive.desi.frames import Command, Frame, Row, checksum, decode_row, encode_row
+from fiberloom.drive.desi.frames import DesiCommand, DesiFrame, TableRow, checksum, decode_row, encode_row
 from fiberloom.drive.desi.laws import TrackingLaw
 from fiberloom.drive.desi.learned import PLANETARY, SMOOTH, LearnedMaps, MapBasis
 from fiberloom.drive.desi.paths import FieldPath, executed_path
@@ -9,13 +9,13 @@ from fiberloom.drive.desi.tables import MoveTables, move_tables
 __all__ = [
     "PLANETARY",
     "SMOOTH",
-    "Command",
+    "DesiCommand",
+    "DesiFrame",
     "FieldPath",
-    "Frame",
     "LearnedMaps",
     "MapBasis",
     "MoveTables",
-    "Row",
+    "TableRow",
     "TrackingLaw",
     "checksum",
     "decode_row",

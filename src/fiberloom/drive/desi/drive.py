@@ -15,8 +15,8 @@ from fiberloom.bus.transport import Transport
 from fiberloom.drive.desi.clock import TICK_HZ, degrees_of
 from fiberloom.drive.desi.frames import (
     POSITIONERS,
-    Command,
-    Frame,
+    DesiCommand,
+    DesiFrame,
     checksum,
     encode_row,
     rows_of,
@@ -28,7 +28,7 @@ from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
 from fiberloom.drive.desi.stages import Aims, Staged, staged
 from fiberloom.drive.desi.tables import MoveTables
-from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers, with_tube
+from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers, with_tube
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
@@ -94,12 +94,14 @@ class DesiDrive:
         while (left_s := end_s - self.time_s) > 1e-9:
             await self.transport.receive(min(left_s, ALIVE_S))
             if left_s > ALIVE_S:
-                await self._broadcast(Command.STAY_ALIVE)
+                await self._broadcast(DesiCommand.STAY_ALIVE)
 
-    async def _broadcast(self, command: Command, data: bytes = b"") -> None:
-        await self.transport.send([Frame.of(POSITIONERS, command, data)])
+    async def _broadcast(self, command: DesiCommand, data: bytes = b"") -> None:
+        await self.transport.send([DesiFrame.of(POSITIONERS, command, data)])
 
-    async def _ask(self, frames: list[Frame], command: Command, whom: Iterable[int]) -> dict[int, bytes]:
+    async def _ask(
+        self, frames: list[DesiFrame], command: DesiCommand, whom: Iterable[int]
+    ) -> dict[int, bytes]:
         """Sends frames; the answers to a command by positioner, of those that answer in time."""
         waiting, found = set(whom), {}
         await self.transport.send(frames)
@@ -120,26 +122,26 @@ class DesiDrive:
             raise none_answers(self.plane)
 
     async def _versions(self, whom: list[int]) -> dict[int, bytes]:
-        frames = [Frame.of(number, Command.VERSION) for number in whom]
-        return await self._ask(frames, Command.VERSION, whom)
+        frames = [DesiFrame.of(number, DesiCommand.VERSION) for number in whom]
+        return await self._ask(frames, DesiCommand.VERSION, whom)
 
     async def rest(self, alarm: Callable[[str], None], left_moving: bool = False) -> None:
         """Stops what a host that was killed has left on its way; `alarm` and `left_moving` as in the port."""
         moving = await self._moving(self.ids)
         if moving or left_moving:
-            await self._broadcast(Command.STOP)
+            await self._broadcast(DesiCommand.STOP)
             alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
 
     async def _moving(self, ids: list[int]) -> list[int]:
-        frames = [Frame.of(number, Command.MOVE_STATUS) for number in ids]
-        told = await self._ask(frames, Command.MOVE_STATUS, ids)
+        frames = [DesiFrame.of(number, DesiCommand.MOVE_STATUS) for number in ids]
+        told = await self._ask(frames, DesiCommand.MOVE_STATUS, ids)
         return [number for number, data in told.items() if data != b"\x00"]
 
-    async def believed(self, ids: Ints) -> Believed:
+    async def believed(self, ids: Ints) -> BelievedPlaces:
         """Where these (n,) are by what was counted and learnt; all are known."""
         rows = self.plane.index_of(ids)
         angles = self.maps.output_deg(self.maps.believed_deg)[rows]
-        return Believed(angles, self.maps.believed_deg[rows], np.ones(len(rows), dtype=bool))
+        return BelievedPlaces(angles, self.maps.believed_deg[rows], np.ones(len(rows), dtype=bool))
 
     async def heard_again(self, silent: Iterable[int]) -> list[int]:
         """Those of the `silent` that answer now."""
@@ -204,7 +206,7 @@ class DesiDrive:
             return Results(
                 {i: Result(i, Outcome.TIMED_OUT if i in missing else Outcome.NOT_STARTED) for i in moving}
             )
-        await self._broadcast(Command.RUN, b"\x01")
+        await self._broadcast(DesiCommand.RUN, b"\x01")
         self._running = self.time_s, commands.tables
         await self.sleep(float(commands.tables.duration_s.max(initial=0.0)) + SETTLE_S)
         late = await self._moving(moving)
@@ -216,11 +218,11 @@ class DesiDrive:
         """Those that do not hold their table after two tries."""
         rows = {i: rows_of(tables, int(self.plane.index_of(i))) for i in moving}
         # a table that was run is still there, and the start is for all
-        await self._broadcast(Command.CLEAR)
+        await self._broadcast(DesiCommand.CLEAR)
         missing = set(moving)
         for _ in range(2):
             frames = [frame for i in sorted(missing) for frame in table_frames(i, rows[i])]
-            told = await self._ask(frames, Command.CHECKSUM, missing)
+            told = await self._ask(frames, DesiCommand.CHECKSUM, missing)
             missing -= {
                 i
                 for i, data in told.items()
@@ -232,12 +234,12 @@ class DesiDrive:
 
     async def settle(self, ids: list[int]) -> None:
         """Stops these and forgets their tables."""
-        frames = [Frame.of(i, command) for i in ids for command in (Command.STOP, Command.CLEAR)]
+        frames = [DesiFrame.of(i, command) for i in ids for command in (DesiCommand.STOP, DesiCommand.CLEAR)]
         await self.transport.send(frames)
 
     async def stop(self) -> list[int]:
         """Stops all; what was counted until then is believed. Returns which answer."""
-        await self._broadcast(Command.STOP)
+        await self._broadcast(DesiCommand.STOP)
         if self._running is not None:
             begin_s, tables = self._running
             gone = executed_path(tables).at(np.array([(self.time_s - begin_s) * TICK_HZ]))[:, 0]

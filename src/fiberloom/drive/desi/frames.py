@@ -23,7 +23,7 @@ STILL_ALIVE_S = 60.0
 """A unit that hears nothing for so long goes to standby."""
 
 
-class Command(IntEnum):
+class DesiCommand(IntEnum):
     """Commands that the twin's controllers know."""
 
     STAY_ALIVE = 1
@@ -46,14 +46,14 @@ class Command(IntEnum):
     CLEAR = 70
 
 
-class Frame(NamedTuple):
+class DesiFrame(NamedTuple):
     """One frame."""
 
     identifier: int
     data: bytes
 
     @classmethod
-    def of(cls, can_id: int, command: Command, data: bytes = b"") -> Frame:
+    def of(cls, can_id: int, command: DesiCommand, data: bytes = b"") -> DesiFrame:
         """A frame to or from a CAN id; InputError for one that does not fit."""
         if not 0 <= can_id <= MOST_ID:
             raise InputError(f"CAN id {can_id}: must be 0 to {MOST_ID}")
@@ -68,7 +68,7 @@ class Frame(NamedTuple):
 
     @property
     def command(self) -> int:
-        """Its number; not each is a `Command`."""
+        """Its number; not each is a `DesiCommand`."""
         return self.identifier & 0xFF
 
 
@@ -80,7 +80,7 @@ class Motor(NamedTuple):
     cruise: bool = False
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """One row of a table."""
 
     theta: Motor
@@ -94,7 +94,7 @@ _MOVES, _CRUISES, _CCW = 4, 2, 1
 _PHI_SHIFT = 3
 
 
-def encode_row(row: Row) -> bytes:
+def encode_row(row: TableRow) -> bytes:
     """The 8 bytes of a row; InputError for steps of more than 20 bits or a pause of more than 16."""
     if not 0 <= row.pause_ms <= MOST_PAUSE_MS:
         raise InputError(f"row: pause of {row.pause_ms} ms; it must be 0 to {MOST_PAUSE_MS}")
@@ -114,7 +114,7 @@ def _flags(motor: Motor, name: str) -> int:
     return _MOVES | (_CRUISES if motor.cruise else 0) | (_CCW if motor.steps > 0 else 0)
 
 
-def decode_row(data: bytes) -> Row:
+def decode_row(data: bytes) -> TableRow:
     """The row of 8 bytes; InputError where they contradict themselves."""
     if len(data) != 8:
         raise InputError(f"row: {len(data)} bytes; it has 8")
@@ -123,7 +123,7 @@ def decode_row(data: bytes) -> Row:
         raise InputError(f"row {data.hex()}: must be the last one or not, by one bit")
     phi, theta, pause = (int.from_bytes(data[k : k + 2], "big") for k in (2, 4, 6))
     phi, theta = phi | (high & 0xF) << 16, theta | high >> 4 << 16
-    return Row(
+    return TableRow(
         _motor(header, theta, data), _motor(header >> _PHI_SHIFT, phi, data), pause, bool(header & _LAST)
     )
 
@@ -138,15 +138,15 @@ def _motor(flags: int, count: int, data: bytes) -> Motor:
 def checksum(rows: Sequence[bytes]) -> int:
     """What command 28 answers for a table of rows of 8 bytes."""
     weights = (1, 65536, 256, 1, 256, 1, 256, 1)
-    return sum(sum(w * d for w, d in zip(weights, row, strict=True)) + Command.ROW for row in rows)
+    return sum(sum(w * d for w, d in zip(weights, row, strict=True)) + DesiCommand.ROW for row in rows)
 
 
-def rows_of(tables: MoveTables, unit: int) -> list[Row]:
+def rows_of(tables: MoveTables, unit: int) -> list[TableRow]:
     """The rows of one unit's table, the last one marked; none where it is empty."""
     last = int(tables.rows[unit]) - 1
     steps, cruise = tables.steps[unit].tolist(), tables.cruise[unit].tolist()
     return [
-        Row(
+        TableRow(
             Motor(steps[k][0], cruise[k][0]),
             Motor(steps[k][1], cruise[k][1]),
             int(tables.pause_ms[unit, k]),
@@ -156,10 +156,10 @@ def rows_of(tables: MoveTables, unit: int) -> list[Row]:
     ]
 
 
-def tables_from(rows: Sequence[Sequence[Row]]) -> MoveTables:
+def tables_from(rows: Sequence[Sequence[TableRow]]) -> MoveTables:
     """Tables of N units from their rows, padded to the longest."""
     most = max(map(len, rows), default=0)
-    still = Row(Motor(0), Motor(0))
+    still = TableRow(Motor(0), Motor(0))
     padded = [[*unit, *[still] * (most - len(unit))] for unit in rows]
     shape = (len(rows), most, 2)
     steps = [[(r.theta.steps, r.phi.steps) for r in unit] for unit in padded]
@@ -172,17 +172,17 @@ def tables_from(rows: Sequence[Sequence[Row]]) -> MoveTables:
     )
 
 
-def table_frames(can_id: int, rows: Sequence[Row]) -> list[Frame]:
+def table_frames(can_id: int, rows: Sequence[TableRow]) -> list[DesiFrame]:
     """What loads a table: clear, its rows, and the question for its checksum. `can_id`: whose."""
-    loaded = [Frame.of(can_id, Command.ROW, encode_row(row)) for row in rows]
-    return [Frame.of(can_id, Command.CLEAR), *loaded, Frame.of(can_id, Command.CHECKSUM)]
+    loaded = [DesiFrame.of(can_id, DesiCommand.ROW, encode_row(row)) for row in rows]
+    return [DesiFrame.of(can_id, DesiCommand.CLEAR), *loaded, DesiFrame.of(can_id, DesiCommand.CHECKSUM)]
 
 
-def decode(identifier: int, data: bytes) -> tuple[int, Command, bytes]:
+def decode(identifier: int, data: bytes) -> tuple[int, DesiCommand, bytes]:
     """CAN id, command and data of a frame; InputError for an identifier or a command that is none."""
     if not 0 <= identifier < 2**29:
         raise InputError(f"identifier {identifier:#x}: has more than 29 bits")
     number = identifier & 0xFF
-    if number not in Command.__members__.values():
+    if number not in DesiCommand.__members__.values():
         raise InputError(f"CAN id {identifier >> 8}: command {number} is not known")
-    return identifier >> 8, Command(number), bytes(data)
+    return identifier >> 8, DesiCommand(number), bytes(data)

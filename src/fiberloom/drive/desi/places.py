@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import CENTRE
 from fiberloom.typing import Floats
 
 
@@ -14,7 +15,7 @@ def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
     Of a place out of reach: the arm stretched or folded towards it. NaN where the place is.
     """
     arms, (a, b) = plane.arms, (plane.l_alpha_mm, plane.l_beta_mm)
-    z = (xy_mm[:, 0] - arms[:, 0]) + 1j * (xy_mm[:, 1] - arms[:, 1])
+    z = (xy_mm - arms[:, CENTRE]) @ np.array([1.0, 1.0j])
     cosine = np.clip((np.abs(z) ** 2 - a**2 - b**2) / (2.0 * a * b), -1.0, 1.0)
     found = []
     for elbow in (np.arccos(cosine), -np.arccos(cosine)):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.drive.desi.clock import LAG_DEG, degrees_of
-from fiberloom.drive.desi.stages import Aims, Level, Stage, Staged, Timed, plan_of, timed
+from fiberloom.drive.desi.stages import Aims, Level, MoveStage, Staged, Timed, plan_of, timed
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, Verification, verify
 from fiberloom.planning.verification import MotionLimits, Violation
@@ -108,12 +108,12 @@ class Resolver:
                 str(violation.positioner_id) if violation.other == str(self._name(row)) else violation.other
             )
             name = f"positioner {other}" if other.isdigit() else other or f"a limit ({violation.kind})"
-            self._shorten(row, Stage.APPROACH, name)
+            self._shorten(row, MoveStage.APPROACH, name)
 
     def _reorder(self, row: int, other: int, stage: int) -> bool:
         """Tries the one after the other, then the reverse; False: both were tried, or one does not move."""
         legs = self.move.reduced
-        both = stage == Stage.APPROACH or (legs[row, stage].any() and legs[other, stage].any())
+        both = stage == MoveStage.APPROACH or (legs[row, stage].any() and legs[other, stage].any())
         pair = min(row, other), max(row, other), stage
         self._tried[pair] += 1
         if not (both and self.move.moves[[row, other]].all()) or self._tried[pair] > 2:
@@ -130,7 +130,8 @@ class Resolver:
 
     def _shorten(self, row: int, stage: int, other: str) -> None:
         level = self.move.level.copy()
-        below = {Stage.EXTEND: 1, Stage.ROTATE: 2, Stage.RETRACT: 3}.get(Stage(stage), level[row] + 1)
+        levels = {MoveStage.EXTEND: 1, MoveStage.ROTATE: 2, MoveStage.RETRACT: 3}
+        below = levels.get(MoveStage(stage), level[row] + 1)
         legs = self.move.legs[row]
         level[row] = min(max(level[row] + 1, below), Level.STILL)
         # what has no earlier leg stands still

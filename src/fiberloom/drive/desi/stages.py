@@ -30,7 +30,7 @@ _SPARE_TICKS = 6 * PAUSE_TICKS
 """Between turns: pauses are whole milliseconds, rounded up in each row."""
 
 
-class Stage(IntEnum):
+class MoveStage(IntEnum):
     """What happens in a stage."""
 
     RETRACT = 0
@@ -152,7 +152,7 @@ def _pauses(ticks: Ints, wanted: Ints, own: Ints) -> tuple[Ints, Ints]:
         now = now + PAUSE_TICKS * wait
         begin[:, stage] = np.where(used, now, wanted[:, stage])
         now = now + own[:, stage]
-        last = np.where(used, row + (stage == Stage.APPROACH), last)
+        last = np.where(used, row + (stage == MoveStage.APPROACH), last)
     return pause, begin
 
 

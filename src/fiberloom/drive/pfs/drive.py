@@ -18,7 +18,7 @@ from fiberloom.drive.piezo.loose import pair_loose
 from fiberloom.drive.piezo.maps import PULSE_CURVE_US, MotorMaps
 from fiberloom.drive.piezo.stages import PHI, THETA, Chosen, CobraStage, Stages, StageSettings
 from fiberloom.drive.piezo.tracking import Tracker
-from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers
+from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan, Trajectory, Verification
@@ -135,12 +135,12 @@ class CobraDrive:
             alarm(f"cobras may move still: waiting {LONGEST_RUN_S:g} s for the end of the RUN")
             await self.sleep(LONGEST_RUN_S)
 
-    async def believed(self, ids: Ints) -> Believed:
+    async def believed(self, ids: Ints) -> BelievedPlaces:
         """Where these (n,) are by their steps and the images so far."""
         rows = np.atleast_1d(self.plane.index_of(ids))
         place = self.expected_deg[rows]
         answered = np.isin(ids, self._answers)
-        return Believed(place + stops_deg(self.plane)[0][rows], place, answered)
+        return BelievedPlaces(place + stops_deg(self.plane)[0][rows], place, answered)
 
     async def heard_again(self, silent: Iterable[int]) -> list[int]:
         """Those of the `silent` whose boards answer now."""

@@ -11,7 +11,7 @@ from fiberloom.bus.outcome import Results
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.bus.transport import Transport
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.drive.port import Believed, DriveModel, Programme, Wanted, none_answers, verified
+from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers, verified
 from fiberloom.drive.sdssv.care import MotorCare
 from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
@@ -55,13 +55,13 @@ class SdssvDrive:
         known = self.plane.positioner_id[~self.plane.offline].tolist()
         await AtRest(self.client, known, alarm).reach(left_moving)
 
-    async def believed(self, ids: Ints) -> Believed:
+    async def believed(self, ids: Ints) -> BelievedPlaces:
         """Where these (n,) report to be, by their maps."""
         wire_deg, answered = await self.client.positions_deg(ids)
         angles_deg = wire_deg.copy()
         rows = self.plane.index_of(ids[answered])
         angles_deg[answered] = self.maps.to_output(wire_deg[answered], index=rows)
-        return Believed(angles_deg, wire_deg, answered)
+        return BelievedPlaces(angles_deg, wire_deg, answered)
 
     async def heard_again(self, silent: Iterable[int]) -> list[int]:
         """Those of the `silent` that answer now; a stop has to reach them from now on."""

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.axis import Drive
+from fiberloom.instruments.axis import DriveTable
 from fiberloom.metrology import Measurement
 from fiberloom.operation.safety.seen import SCATTER_MM, where_seen
 from fiberloom.planning import Plan, Trajectory, verify
@@ -33,7 +33,7 @@ from fiberloom.planning.bodies import travel_rad
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
 
-ALLOWED_MM = Drive().allowed_mm
+ALLOWED_MM = DriveTable().allowed_mm
 """How far an arm may be from where it reports, where no instrument says."""
 
 TURNS = 5

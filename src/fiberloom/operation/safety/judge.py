@@ -12,10 +12,10 @@ import numpy as np
 
 from fiberloom.bus.outcome import Outcome
 from fiberloom.health.status import FibreStatus
-from fiberloom.instruments.axis import Drive
+from fiberloom.instruments.axis import DriveTable
 from fiberloom.typing import Flags, Floats
 
-_SAID = Drive()
+_SAID = DriveTable()
 
 
 @dataclass(frozen=True)

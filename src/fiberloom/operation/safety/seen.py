@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.instruments.axis import Drive
+from fiberloom.instruments.axis import DriveTable
 from fiberloom.typing import Flags, Floats, Ints
 
-SCATTER_MM = Drive().scatter_mm
+SCATTER_MM = DriveTable().scatter_mm
 """Of healthy positioners about where they report, per coordinate, where no instrument says."""
 
 _SAME_RADIUS = 3.0 * SCATTER_MM

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom._core import geometry
-from fiberloom.drive.desi.frames import ALL, POSITIONERS, Frame, tables_from
+from fiberloom.drive.desi.frames import ALL, POSITIONERS, DesiFrame, tables_from
 from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
@@ -60,11 +60,11 @@ class DesiTwin:
 
     # the bus
 
-    def send(self, frames: Iterable[tuple[int, bytes]]) -> list[Frame]:
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> list[DesiFrame]:
         """Puts frames (identifier, data) on the bus now, in order; the replies. Tables may start."""
-        replies: list[Frame] = []
+        replies: list[DesiFrame] = []
         for identifier, data in frames:
-            frame = Frame(identifier, bytes(data))
+            frame = DesiFrame(identifier, bytes(data))
             addressed = self._addressed(frame)
             for controller in addressed:
                 replies += controller.receive(frame)
@@ -78,7 +78,7 @@ class DesiTwin:
             controller.sync()
         self._begin()
 
-    def run(self, duration_s: float) -> list[Frame]:
+    def run(self, duration_s: float) -> list[DesiFrame]:
         """Lets time pass, s. No unit speaks unasked."""
         if not 0.0 <= duration_s < 1e6:
             raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
@@ -88,7 +88,7 @@ class DesiTwin:
         self._running = [entry for entry in self._running if entry[0] + entry[2].end_s > self.time_s]
         return []
 
-    def _addressed(self, frame: Frame) -> list[DesiController]:
+    def _addressed(self, frame: DesiFrame) -> list[DesiController]:
         if frame.can_id in (ALL, POSITIONERS):
             return [c for number, c in self.controllers.items() if number not in self.deaf]
         found = self.controllers.get(frame.can_id)

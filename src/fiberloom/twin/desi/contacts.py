@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import CENTRE, L_ALPHA
 from fiberloom.instruments.outlines import layer_bits
 from fiberloom.twin.desi.units import DesiUnits
 from fiberloom.typing import Flags, Floats, Ints
@@ -35,7 +36,7 @@ class Touching:
 
 
 @dataclass(frozen=True)
-class Part:
+class Outlined:
     """A convex outline, fixed to one arm."""
 
     arm: int
@@ -52,13 +53,13 @@ class Part:
         return np.asarray(out)
 
 
-def parts_of(plane: FocalPlane) -> list[Part]:
+def parts_of(plane: FocalPlane) -> list[Outlined]:
     """The polygons of the plane's arms; InputError where it has none."""
     outlines = plane.instrument.bodies.parts
     if any(part.polygon_mm is None for part in outlines) or not outlines:
         raise InputError(f"{plane.instrument.name}: bodies.parts must be polygons for this twin")
     return [
-        Part(
+        Outlined(
             int(part.arm == "beta"), _hull(np.array(part.polygon_mm)), part.radius_mm, layer_bits(part.layers)
         )
         for part in outlines
@@ -120,12 +121,12 @@ class ContactFinder:
 
     def __init__(self, plane: FocalPlane, units: DesiUnits) -> None:
         self.parts, self._arms = parts_of(plane), units.arms
-        self._centre = units.arms[:, 0] + 1j * units.arms[:, 1]
+        self._centre = units.arms[:, CENTRE] @ np.array([1.0, 1.0j])
         own = [np.hypot(*part.corners_mm.T).max() + part.radius_mm for part in self.parts]
         far = [size for part, size in zip(self.parts, own, strict=True) if part.arm == 1]
         self._far_mm, self._phi_mm = max(own), max(far)
         """Of any part from its axis, and of those on phi."""
-        self._reach_mm = float(units.arms[:, 2].max() + self._phi_mm)
+        self._reach_mm = float(units.arms[:, L_ALPHA].max() + self._phi_mm)
         self.obstacles = _obstacles(plane)
         tree = cKDTree(units.arms[:, :2])
         self.pairs = tree.query_pairs(2.0 * self._reach_mm, output_type="ndarray").astype(np.int64)

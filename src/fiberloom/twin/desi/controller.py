@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from fiberloom.drive.desi.frames import STILL_ALIVE_S, Command, Frame, Row, checksum, decode, decode_row
+from fiberloom.drive.desi.frames import (
+    STILL_ALIVE_S,
+    DesiCommand,
+    DesiFrame,
+    TableRow,
+    checksum,
+    decode,
+    decode_row,
+)
 from fiberloom.errors import InputError
 
 FIRMWARE_VERSION = bytes([6, 20])
@@ -17,7 +25,7 @@ CHECKSUM_BYTES = 4
 class Controller(Protocol):
     """What stands behind one address of a bus."""
 
-    def receive(self, frame: Frame) -> list[Frame]:
+    def receive(self, frame: DesiFrame) -> list[DesiFrame]:
         """Takes a frame; the replies."""
         ...
 
@@ -35,7 +43,7 @@ class DesiController:
 
     def __init__(self, can_id: int) -> None:
         self.can_id = can_id
-        self.rows: list[Row] = []
+        self.rows: list[TableRow] = []
         self._raw: list[bytes] = []
         self._silent_s, self._left_s = 0.0, 0.0
         self.standby = False
@@ -54,7 +62,7 @@ class DesiController:
         """Whether the table has its last row."""
         return bool(self.rows) and self.rows[-1].last
 
-    def begin(self, duration_s: float) -> list[Row]:
+    def begin(self, duration_s: float) -> list[TableRow]:
         """The table runs from now on, for so many s."""
         self.started, self._left_s = False, duration_s
         return self.rows
@@ -70,7 +78,7 @@ class DesiController:
         self._silent_s += duration_s
         self.standby = self.standby or self._silent_s > STILL_ALIVE_S
 
-    def receive(self, frame: Frame) -> list[Frame]:
+    def receive(self, frame: DesiFrame) -> list[DesiFrame]:
         """Takes a frame; the replies carry this unit's own identifier."""
         try:
             _, command, data = decode(*frame)
@@ -78,35 +86,35 @@ class DesiController:
             return []
         self._silent_s = 0.0
         answer = self._act(command, data)
-        return [] if answer is None else [Frame.of(self.can_id, command, answer)]
+        return [] if answer is None else [DesiFrame.of(self.can_id, command, answer)]
 
-    def _act(self, command: Command, data: bytes) -> bytes | None:
+    def _act(self, command: DesiCommand, data: bytes) -> bytes | None:
         match command:
-            case Command.ROW:
+            case DesiCommand.ROW:
                 self._load(data)
-            case Command.CLEAR:
+            case DesiCommand.CLEAR:
                 self._clear()
-            case Command.RUN:
+            case DesiCommand.RUN:
                 self._run(data)
-            case Command.STOP | Command.STANDBY:
+            case DesiCommand.STOP | DesiCommand.STANDBY:
                 self.stopped, self._left_s, self.waiting_for_sync = self.moving, 0.0, False
-                self.standby = self.standby or command is Command.STANDBY
-            case Command.RESET:
+                self.standby = self.standby or command is DesiCommand.STANDBY
+            case DesiCommand.RESET:
                 self._clear()
                 self.standby = False
             case _:
                 return self._told(command)
         return None
 
-    def _told(self, command: Command) -> bytes | None:
+    def _told(self, command: DesiCommand) -> bytes | None:
         match command:
-            case Command.CHECKSUM:
+            case DesiCommand.CHECKSUM:
                 return checksum(self._raw).to_bytes(CHECKSUM_BYTES, "big")
-            case Command.MOVE_STATUS:
+            case DesiCommand.MOVE_STATUS:
                 return bytes([self.moving])
-            case Command.VERSION:
+            case DesiCommand.VERSION:
                 return FIRMWARE_VERSION
-            case Command.TEMPERATURE:
+            case DesiCommand.TEMPERATURE:
                 return TEMPERATURE_COUNTS.to_bytes(2, "big")
             case _:
                 return None

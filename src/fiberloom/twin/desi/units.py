@@ -8,6 +8,7 @@ import numpy as np
 
 from fiberloom.drive.desi.clock import GEAR
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.twin.actuators.field_open import FieldMotor, lag_rad
 from fiberloom.twin.actuators.planetary import SCATTER_DEG, PlanetaryGears, draw_gears
 from fiberloom.typing import Flags, Floats
@@ -85,7 +86,7 @@ def draw_desi_units(plane: FocalPlane, seed: int, sizes: DesiSizes | None = None
     arms = plane.arms.copy()
     arms[:, :2] += 1e-3 * sizes.centre_um * rng.standard_normal((n, 2))
     lengths = 1e-3 * sizes.length_um * rng.standard_normal((n, 2))
-    arms[:, 2] += lengths[:, 0]
+    arms[:, L_ALPHA] += lengths[:, 0]
     gears = draw_gears(n, rng, LAG_DEG)
     stuck = (rng.random(n) < sizes.stuck) | plane.offline
     dark = rng.random(n) < sizes.dark
