@@ -24,4 +24,4 @@ def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
         angles = np.rad2deg(np.column_stack([alpha, beta]))
         found.append(angles + 360.0 * np.rint((near_deg - angles) / 360.0))
     far = [np.abs(angles - near_deg).sum(axis=1) for angles in found]
-    return np.where((far[0] <= far[1])[:, None], *found)
+    return np.asarray(np.where((far[0] <= far[1])[:, None], *found), dtype=np.float64)
