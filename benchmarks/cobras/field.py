@@ -86,7 +86,7 @@ async def field(source, drive, camera, args, rng, law):
     array, n = source.array, len(source.plane)
     goal, has = drawn_goals(drive, array.dots_mm, rng)
     place_mm, healthy = drive.arms.xy_mm(goal), has & ~array.stuck
-    stopped, before, begun_s = np.zeros(n, dtype=bool), len(array.contacts), time.process_time()
+    stopped, before, begun_s = np.zeros(n, dtype=bool), len(array.touched), time.process_time()
     for move in range(MOVES):
         active = has & ~stopped
         if args.rule == "ours":
@@ -107,7 +107,7 @@ async def field(source, drive, camera, args, rng, law):
         print(
             f"{move + 1:>4} {np.median(true_um):>10.1f} {np.percentile(true_um, 95):>9.1f} "
             f"{shares[0]:>6.1f}% {shares[1]:>6.1f}% {shares[2]:>8.1f}% {refused:>8} "
-            f"{len(array.contacts) - before:>9} {int(array.hidden.sum()):>7}"
+            f"{len(array.touched) - before:>9} {int(array.hidden.sum()):>7}"
         )
     print(f"{int(healthy.sum())} healthy cobras with a target; {time.process_time() - begun_s:.0f} CPU s")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,8 +24,8 @@ class Truth(Protocol):
         """The same (N, 2), mm, were the telescope to point elsewhere and nothing else to move."""
         ...
 
-    def touches(self) -> Sequence[object]:
-        """Bodies that have come into contact since the last call: the first moments of it."""
+    def contacts(self) -> int:
+        """How often bodies have come into contact so far."""
         ...
 
 

@@ -89,7 +89,9 @@ class FieldMotion:
         self.keeps_faults = False
         """Those that were seen not to follow stay obstacles when the begin check is done again."""
         self.collisions_verified = 0
-        self.contacts_true: int | None = None if hardware.truth is None else 0
+        truth = hardware.truth
+        self._contacts_before = 0 if truth is None else truth.contacts()
+        self.contacts_true: int | None = None if truth is None else 0
         """Of arms, as only a twin knows."""
         self.moves: list[Move] = []
         self.images = 1
@@ -237,7 +239,7 @@ class FieldMotion:
         """Judges and records a move by its image; (N,) mobile positioners not at their goal."""
         end_deg = made.plan.end_deg
         if (truth := self.hardware.truth) is not None:
-            self.contacts_true = (self.contacts_true or 0) + len(truth.touches())
+            self.contacts_true = truth.contacts() - self._contacts_before
         hidden = self.drive.excused(image)
         interrupted = self.state.judge(made.results, image, made.before_deg, end_deg, hidden)
         if (believed_deg := self.drive.seen(image, self.state.mobile)) is not None:

@@ -78,6 +78,8 @@ class Twin:
         self.units = units
         self.dark = np.zeros(len(plane), dtype=bool)
         self.pointing = Pointing()
+        self._touches: list[Touch] = []
+        self._told = 0
         try:
             setup = _core.TwinSetup(
                 ids=np.ascontiguousarray(plane.positioner_id, dtype=np.uint16),
@@ -224,10 +226,18 @@ class Twin:
 
     def touches(self) -> list[Touch]:
         """First moments of contact since the last call; what bounces for 40 ms is one contact."""
+        self.contacts()
+        found, self._touches = self._touches, []
+        self._told += len(found)
+        return found
+
+    def contacts(self) -> int:
+        """How many of these there have been so far."""
         n, ids = len(self.plane), self.plane.positioner_id
-        return [
+        self._touches += [
             Touch(t, int(ids[i]), int(ids[j]) if j < n else None) for t, i, j in self._core.take_touches()
         ]
+        return self._told + len(self._touches)
 
 
 class Scope:

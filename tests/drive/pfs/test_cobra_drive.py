@@ -76,7 +76,7 @@ def test_a_field_comes_to_its_targets_without_contacts():
     # seed 0, as it is; the share falls far below this where iterations do not learn
     assert np.mean(off_um[-1][healthy] < 5.0) > 0.8
     assert np.median(off_um[-1]) < np.median(off_um[3]) < np.median(off_um[1])
-    assert rig.array.contacts == []
+    assert rig.array.touched == []
 
 
 def test_targets_that_touch_are_refused_by_name():
@@ -142,7 +142,7 @@ def test_a_run_whose_connection_was_cut_is_found_by_the_image():
     assert {r.outcome for r in results.values()} == {Outcome.STOPPED}
     off_um = 1e3 * np.hypot(*(rig.array.fibre_xy() - rig.drive.arms.xy_mm(goal)).T)
     assert np.median(off_um) < 300.0
-    assert rig.array.contacts == []
+    assert rig.array.touched == []
 
 
 def test_home_and_stop():

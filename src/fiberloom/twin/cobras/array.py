@@ -83,7 +83,7 @@ class CobraArray:
         self.motors = PiezoMotors(maps, (high - low).ravel(), start.ravel(), used, seed)
         self.plane, self.pointing, self.unlit = plane, Pointing(), np.zeros(n, dtype=bool)
         self.dots_mm = drawn_dots(plane.centres_mm, seed) if plane.dots_mm is None else plane.dots_mm
-        self.contacts: list[Contact] = []
+        self.touched: list[Contact] = []
         self.clock: Callable[[], float] = lambda: 0.0
         self._low = low
         self._bodies, self._pairs = _bodies_of(plane), _pairs_of(plane)
@@ -143,12 +143,11 @@ class CobraArray:
         hit = touching(self._bodies, self._pairs, self._with_fixed(self._way_deg))
         ids, n = self.plane.positioner_id, len(self.plane)
         for i, j in self._pairs[hit].tolist():
-            self.contacts.append(Contact(begins_s, int(ids[i]), int(ids[j]) if j < n else None))
+            self.touched.append(Contact(begins_s, int(ids[i]), int(ids[j]) if j < n else None))
 
-    def touches(self) -> list[Contact]:
-        """Contacts since the last call."""
-        found, self.contacts = self.contacts, []
-        return found
+    def contacts(self) -> int:
+        """How often arms have touched so far."""
+        return len(self.touched)
 
     def _with_fixed(self, way_deg: Floats) -> Floats:
         fixed = len(self._bodies.radius_mm) - len(self.plane)

@@ -129,8 +129,8 @@ class CobraSource:
         found = await calibrate_cobras(drive, self._noise_camera())
         self.calibrations.append(found)
         await drive.home()
-        self._calibration_contacts.extend(self.array.contacts)
-        self.array.contacts.clear()
+        self._calibration_contacts.extend(self.array.touched)
+        self.array.touched.clear()
         own = self.hardware.drive
         assert isinstance(own, CobraDrive)
         own.law.maps = found.motors.maps

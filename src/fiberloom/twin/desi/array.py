@@ -56,6 +56,7 @@ class DesiTwin:
         self._state = ArmState.at(self.units.gears, _start(plane, start_deg))
         self._running: list[tuple[float, Ints, TruePath]] = []
         self._touches: list[Touch] = []
+        self._given = 0
         self._rng = np.random.default_rng([seed, 0xDE52])
 
     # the bus
@@ -170,7 +171,12 @@ class DesiTwin:
     def touches(self) -> list[Touch]:
         """Contacts since the last call: the first moment of each pair in each move."""
         found, self._touches = self._touches, []
+        self._given += len(found)
         return found
+
+    def contacts(self) -> int:
+        """How many of these there have been so far."""
+        return self._given + len(self._touches)
 
 
 def _with_resting(field: FieldPath, rows: Ints, n: int) -> FieldPath:
