@@ -357,12 +357,12 @@ def test_one_that_collides_while_nobody_knows_the_plans_stops_all():
 @pytest.mark.slow
 def test_not_stopped_they_would_touch(monkeypatch):
     """What it is for."""
-    on_the_way = FieldMotion._on_the_way
+    on_the_way = AtRest._on_the_way
 
-    async def nobody_collides(motion):
-        return (await on_the_way(motion))[0], False
+    async def nobody_collides(rest):
+        return (await on_the_way(rest))[0], False
 
-    monkeypatch.setattr(FieldMotion, "_on_the_way", nobody_collides)
+    monkeypatch.setattr(AtRest, "_on_the_way", nobody_collides)
     _, touches = killed_and_begun_again(**STALLS_ALONE)
     assert touches
 
@@ -402,5 +402,5 @@ def test_planned_by_where_they_are_on_their_way_arms_touch(monkeypatch):
 def test_stopped_at_once_they_would_be(monkeypatch):
     """What the wait is for."""
     assert killed_and_begun_again(500.0, seed=2)[1] == []
-    monkeypatch.setattr(FieldMotion, "_unheard", [])
+    monkeypatch.setattr(AtRest, "_unheard", [])
     assert killed_and_begun_again(500.0, seed=2)[1]
