@@ -47,7 +47,7 @@ def test_contacts_are_those_of_a_dense_search(seed):
     array = array_at(drawn(seed))
     rng = np.random.default_rng(seed + 10)
     duration_s = moved(array, rng.integers(-800, 800, (N, 2)), rng.integers(0, 300, (N, 2)))
-    told = {(c.positioner_id, c.other) for c in array.contacts if c.other is not None}
+    told = {(c.positioner_id, c.other) for c in array.touched if c.other is not None}
     pairs = np.array([p for p in array._pairs.tolist() if p[1] < N])
     nearest = np.full(len(pairs), np.inf)
     for time_s in np.linspace(0.0, duration_s, 1500):
@@ -69,7 +69,7 @@ def test_folded_arms_turn_without_contacts():
     rng = np.random.default_rng(0)
     steps = np.column_stack([rng.integers(-2000, 2000, N), np.zeros(N, dtype=int)])
     moved(array, steps)
-    assert array.contacts == []
+    assert array.touched == []
 
 
 def test_the_way_begins_and_ends_where_motors_are():
