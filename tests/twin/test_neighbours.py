@@ -42,8 +42,10 @@ def test_two_arms_that_meet_stop_and_say_so():
     replies = twin.run(4.0)
     assert {r[0] for r in commands(replies) if r[1] == COLLISION} == set(IDS)
     reported = [r.time_s for r, c in zip(replies, commands(replies), strict=True) if c[1] == COLLISION]
+    counted = twin.contacts()  # which takes none of them away
     touches = twin.touches()
     assert [(t.positioner_id, t.other) for t in touches][:1] == [(IDS[0], IDS[1])]
+    assert counted == len(touches) == twin.contacts()
     # the arms bend by a degree before the threshold of Eq. 22 is met, at 12 deg/s and at a slant
     assert 0.0 < min(reported) - touches[0].time_s < 0.5
     stopped = twin.truth()

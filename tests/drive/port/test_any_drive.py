@@ -120,3 +120,31 @@ def test_an_error_in_a_move_stops_all():
     with pytest.raises(OSError, match="no bus"):
         asyncio.run(scenario())
     assert drive.stops == 1
+
+
+class Touching:
+    """A truth in which arms have touched three times before, and touch once more in each move."""
+
+    def __init__(self, drive):
+        self.drive = drive
+
+    def contacts(self):
+        return 3 + len(self.drive.ran)
+
+    def fibre_xy(self, fibre):
+        return PLANE.forward(*self.drive.true_deg.T)
+
+
+def test_contacts_in_the_truth_are_counted_from_the_begin_on():
+    hardware = plain_hardware(PLANE)
+    hardware = replace(hardware, truth=Touching(hardware.drive))
+    motion = FieldMotion(PLANE, nominal_maps(PLANE), hardware, NoRecord())
+
+    async def scenario():
+        await motion.connect()
+        for beta_deg in (30.0, 60.0):
+            await motion.go(Goals.without_targets(PLANE, PLANE.park_deg - [0.0, beta_deg]))
+
+    assert motion.contacts_true == 0
+    asyncio.run(scenario())
+    assert motion.contacts_true == 2
