@@ -166,9 +166,18 @@ def test_coordinates_in_another_unit_are_noticed(fl, folder, tmp_path, factor, u
 
 
 def test_millimetres_raise_no_doubt(fl, folder, tmp_path):
-    for name in ("targets.csv",):
-        _, out, _ = fl("assign", folder / name, *PLANE, "--out", tmp_path / "goal.csv", "--json")
-        assert "look like" not in out
+    _, out, _ = fl("assign", folder / "targets.csv", *PLANE, "--out", tmp_path / "goal.csv", "--json")
+    assert "look like" not in out
+
+
+def test_a_list_for_the_whole_instrument_raises_no_doubt_with_a_part_of_it(fl, tmp_path):
+    whole = random_targets(generate(load_instrument("sdssv"), SEED), 300, SEED)
+    rows = [f"{k},{x},{y}\n" for k, (x, y) in enumerate(whole.xy_mm)]
+    (tmp_path / "all.csv").write_text("target_id,x_mm,y_mm\n" + "".join(rows))
+    _, out, _ = fl(
+        "assign", tmp_path / "all.csv", "--positioners", 37, "--out", tmp_path / "goal.csv", "--json"
+    )
+    assert "look like" not in out
 
 
 def _lines(path):

@@ -460,3 +460,7 @@ def test_a_reduced_image_is_drawn_with_what_is_missing(few, tmp_path, written):
     plot_reduction(tmp_path / "new", "g", plane, reduction, goal_mm)
     title = written[4].axes[1].get_title()
     assert title == "fibres: measured minus target, 1.00 µm rms of 1; 1 farther than 0.5 mm left out"
+    # no target at all: an empty picture, without a warning
+    plot_reduction(tmp_path / "new", "n", plane, reduction, np.full((3, 2), np.nan))
+    written[7].canvas.draw()
+    assert written[7].axes[1].get_title() == "fibres: measured minus target, none seen"

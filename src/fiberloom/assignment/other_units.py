@@ -33,7 +33,7 @@ def unit_hint(plane: FocalPlane, targets: TargetList, n_assigned: int) -> str:
         return ""
     radius_mm = float((np.hypot(*plane.centres_mm.T) + plane.body_reach_mm).max())
     extent = _extent(targets)
-    if FILLS[0] * radius_mm <= extent <= FILLS[1] * radius_mm:
+    if FILLS[0] * radius_mm <= extent <= FILLS[1] * _whole_radius_mm(plane, radius_mm):
         return ""
     fits = [unit for unit, mm in UNITS_MM.items() if _fills(extent, mm, radius_mm)]
     if not fits:
@@ -42,6 +42,12 @@ def unit_hint(plane: FocalPlane, targets: TargetList, n_assigned: int) -> str:
         f"the targets spread over {extent:.3g} and the focal plane over {radius_mm:.3g} mm: "
         f"x_mm and y_mm look like {' or '.join(fits)}; they must be mm"
     )
+
+
+def _whole_radius_mm(plane: FocalPlane, radius_mm: float) -> float:
+    """Of the instrument's focal plane, of which `plane` may be a part."""
+    share = plane.n / plane.instrument.layout.n_positioners
+    return float(radius_mm / np.sqrt(min(share, 1.0)))
 
 
 def _extent(targets: TargetList) -> float:

@@ -154,16 +154,16 @@ def _left_out(n: int) -> str:
 
 
 def _arrows(axes: Any, at_mm: Floats, vector_um: Floats) -> None:
-    size = np.hypot(*vector_um.T)
-    typical = float(np.median(size)) if len(size) else 1.0
-    extent = float(np.ptp(at_mm)) if len(at_mm) else 1.0
-    q = axes.quiver(*at_mm.T, *vector_um.T, angles="xy", scale_units="xy",
-                    scale=max(typical, 1e-6) / (0.03 * extent), width=0.002)  # fmt: skip
-    unit = float(f"{typical:.1g}") or 1.0
-    axes.quiverkey(q, 0.9, 0.94, unit, f"{unit:g} µm")
     axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    if len(at_mm):
-        _frame(axes, np.vstack([at_mm, at_mm + vector_um * (0.03 * extent / max(typical, 1e-6))]))
+    if not len(at_mm):
+        return
+    typical = max(float(np.median(np.hypot(*vector_um.T))), 1e-6)
+    extent = float(np.ptp(at_mm, axis=0).max()) or 1.0
+    scale = typical / (0.03 * extent)
+    q = axes.quiver(*at_mm.T, *vector_um.T, angles="xy", scale_units="xy", scale=scale, width=0.002)
+    unit = float(f"{typical:.1g}")
+    axes.quiverkey(q, 0.9, 0.94, unit, f"{unit:g} µm")
+    _frame(axes, np.vstack([at_mm, at_mm + vector_um / scale]))
 
 
 def _plot_distortion(path: Path, reduction: Reduction) -> None:
