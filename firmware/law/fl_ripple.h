@@ -72,7 +72,9 @@ static inline void fl_ripple_learn(fl_ripple_state_t *st, const fl_ripple_in_t *
     const float square = once_sin_Nm * once_sin_Nm + once_cos_Nm * once_cos_Nm + twice_sin_Nm * twice_sin_Nm +
                          twice_cos_Nm * twice_cos_Nm;
     const float most_Nm = in->inertia * FL_RIPPLE_MOST_RAD_S2;
-    const bool sane = fl_abs(news_Nm) < in->inertia * FL_RIPPLE_NEWS_RAD_S2 && square < most_Nm * most_Nm;
+    /* both signs in one comparison: no branch, so that a host can do this for many axes at once */
+    const float wild_Nm = fl_abs(news_Nm) - in->inertia * FL_RIPPLE_NEWS_RAD_S2;
+    const bool sane = fl_max(wild_Nm, square - most_Nm * most_Nm) < 0.0f;
     st->once_sin_Nm = sane ? once_sin_Nm : st->once_sin_Nm;
     st->once_cos_Nm = sane ? once_cos_Nm : st->once_cos_Nm;
     st->twice_sin_Nm = sane ? twice_sin_Nm : st->twice_sin_Nm;

@@ -15,6 +15,16 @@ CNT_PER_RAD = TURN / (2 * np.pi)
 angles = st.integers(-(2**31), 2**31 - 1)
 
 
+def test_what_fades_is_nothing_before_its_digits_are():
+    """A subnormal float costs a processor a hundred times as long, and twins slow down."""
+    x, ticks = np.float32(3e5), 0
+    while x > 0.0:
+        before, x, ticks = x, np.float32(fw.fade(float(x), 0.97)), ticks + 1
+        assert x == 0.0 or x == before * np.float32(0.97)
+    assert 1e-30 <= before < 1.1e-30
+    assert ticks == pytest.approx(np.log(1e-30 / 3e5) / np.log(0.97), abs=1.5)
+
+
 @given(st.integers(0, 2047), st.integers(0, 255), st.integers(0, 63), st.integers(0, 15))
 def test_an_identifier_comes_back(positioner, command, uid, code):
     identifier = fw.encode_identifier(positioner, command, uid, code)

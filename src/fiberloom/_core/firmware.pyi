@@ -90,6 +90,9 @@ def friction_fit(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     (coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, rotor_cnt, torque_Nm.
     """
 
+def fade(x: float, share: float) -> float:
+    """What is left of x after a tick: 0 below 1e-30."""
+
 def round_i32(x: float) -> int:
     """Nearest integer, halves away from zero."""
 

@@ -87,7 +87,7 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
 }
 
 // One law over all lanes; with `some`, only what those of this law have found is kept.
-template <fl_law_t Law, bool some> void drive_lanes(LawBatch &b) {
+template <fl_law_t Law, bool some> [[gnu::flatten]] void drive_lanes(LawBatch &b) {
     for (int i = 0; i < lane_group_size; ++i) {
         const bool mine = !some || b.law[i] == Law;
         const fl_drive_config_t config = drive_config_of(b, i);
