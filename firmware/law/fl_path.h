@@ -109,12 +109,9 @@ static inline bool fl_path_done(const fl_path_t *path, const fl_path_cursor_t *c
     return cur->ticks_left == 0 && cur->slot >= path->slots;
 }
 
-/* Position at the end of the next tick. */
-static inline int32_t fl_path_step(const fl_path_t *path, fl_path_cursor_t *cur) {
-    if (cur->ticks_left == 0) {
-        if (cur->slot >= path->slots) return cur->position_cnt;
-        fl_path_enter(path, cur);
-    }
+/* One tick along a segment.
+ * @pre cur->ticks_left > 0 */
+static inline void fl_path_go(fl_path_cursor_t *cur) {
     --cur->ticks_left;
     cur->position_cnt = fl_add_i32(cur->position_cnt, cur->step_cnt);
     cur->rest_sum += cur->rest;
@@ -125,6 +122,15 @@ static inline int32_t fl_path_step(const fl_path_t *path, fl_path_cursor_t *cur)
         --cur->position_cnt;
         cur->rest_sum += (int32_t)cur->ticks;
     }
+}
+
+/* Position at the end of the next tick. */
+static inline int32_t fl_path_step(const fl_path_t *path, fl_path_cursor_t *cur) {
+    if (cur->ticks_left == 0) {
+        if (cur->slot >= path->slots) return cur->position_cnt;
+        fl_path_enter(path, cur);
+    }
+    fl_path_go(cur);
     return cur->position_cnt;
 }
 

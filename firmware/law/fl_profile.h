@@ -58,6 +58,9 @@ static inline void fl_profile_start(fl_profile_state_t *st, int32_t from_cnt, in
 /* Whether the target is reached. */
 static inline bool fl_profile_done(const fl_profile_state_t *st) { return st->tick >= st->total_ticks; }
 
+/* Whole counts, rounded down. */
+static inline int32_t fl_profile_cnt(int64_t position_q30) { return (int32_t)((uint64_t)position_q30 >> 30); }
+
 /* Position at the end of the next tick; the target from the last one on. */
 static inline int32_t fl_profile_step(fl_profile_state_t *st) {
     if (st->tick + 1 >= st->total_ticks) {
@@ -75,7 +78,7 @@ static inline int32_t fl_profile_step(fl_profile_state_t *st) {
         st->speed_q30 -= st->acceleration_q30 / 2;
     else if (st->tick > st->total_ticks - st->ramp_ticks)
         st->speed_q30 -= st->acceleration_q30;
-    return (int32_t)(st->position_q30 >> 30);
+    return fl_profile_cnt(st->position_q30);
 }
 
 #endif

@@ -37,16 +37,27 @@ static inline void fl_smooth_reset(fl_smooth_state_t *st, int32_t position_cnt) 
     st->next = 0;
 }
 
+/* The mean of a sum of FL_SMOOTH_TICKS values, rounded. */
+static inline int32_t fl_smooth_mean(int64_t sum_cnt) {
+    return (int32_t)((uint64_t)(sum_cnt + FL_SMOOTH_TICKS / 2) >> FL_SMOOTH_BITS);
+}
+
+/* The command of a tick in which the sum changes by change_cnt; value and speed: of the tick before. */
+static inline fl_command_t fl_smooth_command(int32_t value_cnt, int32_t change_cnt, float speed_rad_s) {
+    const float speed = (float)change_cnt * (FL_RAD_S_PER_CNT_TICK / FL_SMOOTH_TICKS);
+    const fl_command_t out = {value_cnt, speed, (speed - speed_rad_s) * (float)FL_TICK_HZ};
+    return out;
+}
+
 /* raw_cnt: where the unsmoothed command will be at the end of the coming tick. */
 static inline fl_command_t fl_smooth_step(fl_smooth_state_t *st, int32_t raw_cnt) {
     const int32_t change = fl_sub_i32(raw_cnt, st->ring_cnt[st->next]);
     st->ring_cnt[st->next] = raw_cnt;
     st->next = (st->next + 1u) & (FL_SMOOTH_TICKS - 1u);
     st->sum_cnt += change;
-    const float speed = (float)change * (FL_RAD_S_PER_CNT_TICK / FL_SMOOTH_TICKS);
-    const fl_command_t out = {st->value_cnt, speed, (speed - st->speed_rad_s) * (float)FL_TICK_HZ};
-    st->value_cnt = (int32_t)((st->sum_cnt + FL_SMOOTH_TICKS / 2) >> FL_SMOOTH_BITS);
-    st->speed_rad_s = speed;
+    const fl_command_t out = fl_smooth_command(st->value_cnt, change, st->speed_rad_s);
+    st->value_cnt = fl_smooth_mean(st->sum_cnt);
+    st->speed_rad_s = out.speed_rad_s;
     return out;
 }
 

@@ -82,7 +82,8 @@ void fl_positioner_end_axis(fl_positioner_t *p, int axis, fl_axis_event_t event)
  * leave ticks out; fl_positioner_skip tells how many. */
 bool fl_positioner_at_rest(const fl_positioner_t *p);
 /* Time passes without ticks.
- * @pre fl_positioner_at_rest */
+ * @pre fl_positioner_at_rest; or a host does the ticks of the axes itself (fl_axis_tracks), and begin_tick
+ *      would do nothing in them but count */
 void fl_positioner_skip(fl_positioner_t *p, uint32_t ticks);
 
 /* Whether the position of an axis is the one at which it came to rest, so that another one that is declared

@@ -52,7 +52,7 @@ def gcc():
 @pytest.mark.skipif(not gcc(), reason="needs gcc on x86-64, which says what it vectorised")
 @pytest.mark.parametrize("kernel", ["baseline", "avx2", "avx512"])
 def test_laws_are_vector_code(kernel):
-    text = LAWS.read_text().splitlines()
-    hall, drive = (n for n, line in enumerate(text, 1) if "for (int i = 0" in line)
+    loops = [n for n, line in enumerate(LAWS.read_text().splitlines(), 1) if "for (int i = 0" in line]
     lines = vectorised_lines(kernel)
-    assert (lines.count(hall), lines.count(drive)) == (1, 4), "the laws, each alone and side by side"
+    assert not set(loops) - set(lines)
+    assert lines.count(loops[-1]) == 4, "either drive, alone and among others"

@@ -1,7 +1,10 @@
 #include "lane_group.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cstddef>
+
+#include "cruise.hpp"
 
 namespace fl::twin {
 namespace {
@@ -15,73 +18,24 @@ void fetch(const fl_positioner_t &firmware) {
             __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
 }
 
-void load_law(LawBatch &b, int i, const fl_axis_law_t &law) {
-#define X(type, name) b.hall.name[i] = law.hall.name;
-    FL_LAW_HALL(X)
-#undef X
-#define X(type, name) b.servo.name[i] = law.drive.servo.name;
-    FL_LAW_SERVO(X)
-#undef X
-#define X(type, name) b.collision.name[i] = law.drive.collision.name;
-    FL_LAW_COLLISION(X)
-#undef X
-#define X(type, name) b.touch.name[i] = law.drive.touch.name;
-    FL_LAW_TOUCH(X)
-#undef X
-#define X(type, name) b.teeth.name[i] = law.drive.teeth.name;
-    FL_LAW_TEETH(X)
-#undef X
-#define X(type, name) b.regulator.name[i] = law.drive.regulator.name;
-    FL_LAW_REGULATOR(X)
-#undef X
-    b.law[i] = law.drive.law;
-    b.voltage_per_Nm[i] = law.drive.voltage_per_Nm;
-    b.full_Nm[i] = law.drive.full_Nm;
+// The bits of a mask, lowest first.
+template <typename Do> void each(uint32_t mask, Do &&what) {
+    for (; mask != 0; mask &= mask - 1) what(static_cast<size_t>(std::countr_zero(mask)));
 }
 
-void load_input(LawBatch &b, int i, const fl_servo_in_t &in, const fl_drive_state_t &state) {
+void load_input(LawBatch &b, int i, const fl_servo_in_t &in) {
 #define X(type, name) b.input.name[i] = in.name;
     FL_LAW_INPUT(X)
 #undef X
-#define X(type, name) b.state.name[i] = state.servo.name;
-    FL_LAW_STATE(X)
-#undef X
-#define X(type, name) b.observer.name[i] = state.touch.name;
-    FL_LAW_OBSERVER(X)
-#undef X
-#define X(type, name) b.ripple.name[i] = state.touch.ripple.name;
-    FL_LAW_RIPPLE(X)
-#undef X
-#define X(type, name) b.gap.name[i] = state.teeth.name;
-    FL_LAW_GAP(X)
-#undef X
-#define X(type, name) b.seen.name[i] = state.regulator.seen.name;
-    FL_LAW_SEEN(X)
-#undef X
-    b.slack_Nm[i] = state.regulator.slack_Nm;
 }
 
-void take_output(const LawBatch &b, int i, fl_axis_t &a) {
-#define X(type, name) a.drive.servo.name = b.state.name[i];
-    FL_LAW_STATE(X)
-#undef X
-#define X(type, name) a.drive.touch.name = b.observer.name[i];
-    FL_LAW_OBSERVER(X)
-#undef X
-#define X(type, name) a.drive.touch.ripple.name = b.ripple.name[i];
-    FL_LAW_RIPPLE(X)
-#undef X
-#define X(type, name) a.drive.teeth.name = b.gap.name[i];
-    FL_LAW_GAP(X)
-#undef X
-#define X(type, name) a.drive.regulator.seen.name = b.seen.name[i];
-    FL_LAW_SEEN(X)
-#undef X
-#define X(type, name) a.torque.name = b.torque.name[i];
-    FL_LAW_TORQUE(X)
-#undef X
-    a.drive.regulator.slack_Nm = b.slack_Nm[i];
-    a.voltage = b.voltage[i];
+// The ticks of this one that would only count, before the host has been silent for too long.
+uint32_t quiet_ticks(const fl_positioner_t &p) {
+    if (p.trace.decimation != 0 || p.tx.count != 0 || p.chores != 0 || p.state == FL_STATE_BOOTLOADER)
+        return 0;
+    if (p.host_watch_ticks == 0) return UINT32_MAX;
+    const uint32_t silent = p.ticks - p.heard_tick;
+    return silent + 1 < p.host_watch_ticks ? p.host_watch_ticks - silent - 1 : 0;
 }
 
 } // namespace
@@ -99,15 +53,84 @@ bool LaneGroup::gather() {
     for (size_t i = 0; i < count_; ++i) {
         awake_[i] = !positioners_[i].asleep();
         any |= awake_[i];
-        if (awake_[i]) fetch(positioners_[i].firmware());
+        if (awake_[i] && (cruise_ >> i & 1U) == 0) fetch(positioners_[i].firmware());
     }
-    for (auto &axis : loaded_) axis.fill(false); // what came over the bus may have changed parameters
     return any;
 }
 
+void LaneGroup::release(uint64_t tick) {
+    each(cruise_, [&](size_t i) { leave(i, tick, {false, false}); });
+    for (auto &axis : loaded_) axis.fill(false); // what comes over the bus may change parameters
+}
+
 void LaneGroup::tick(uint64_t tick) {
-    for (size_t i = 0; i < count_; ++i) runs_[i] = awake_[i] && positioners_[i].begin_tick(tick);
-    for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis);
+    if (tick >= next_leave_)
+        each(cruise_, [&](size_t i) {
+            if (until_[i] <= tick) leave(i, tick, {false, false});
+        });
+    for (size_t i = 0; i < count_; ++i)
+        runs_[i] = awake_[i] && (cruise_ >> i & 1U) == 0 && positioners_[i].begin_tick(tick);
+    for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis, tick);
+    for (size_t i = 0; i < count_; ++i)
+        if (runs_[i] && side_by_side_) set_out(i, tick + 1);
+}
+
+uint32_t LaneGroup::lanes_for(const Positioner &p) const {
+    uint32_t ticks = UINT32_MAX;
+    for (const fl_axis_t &a : p.firmware().axis)
+        if (!fl_axis_rests(&a)) ticks = std::min(ticks, cruise_ticks(a));
+    if (ticks < least_cruise_ticks || !p.may_cruise()) return 0;
+    return std::min(ticks, quiet_ticks(p.firmware()));
+}
+
+void LaneGroup::set_out(size_t i, uint64_t tick) {
+    const Positioner &p = positioners_[i];
+    const fl_axis_t *axes = p.firmware().axis;
+    if (fl_axis_rests(&axes[FL_ALPHA]) && fl_axis_rests(&axes[FL_BETA])) return;
+    const uint32_t ticks = lanes_for(p);
+    if (ticks < least_cruise_ticks) return;
+    const uint32_t bit = 1U << i;
+    for (size_t axis = 0; axis < FL_AXES; ++axis) {
+        if (fl_axis_rests(&axes[axis])) continue;
+        LawBatch &b = batches_[axis];
+        const int lane = static_cast<int>(i);
+        load_law(b, lane, axes[axis].law);
+        loaded_[axis][i] = true;
+        load_state(b, lane, axes[axis].drive);
+        load_way(b, lane, axes[axis], tick);
+        cruise_axis_[axis] |= bit;
+        if (axes[axis].detect) heeds_[axis] |= bit;
+    }
+    cruise_ |= bit;
+    since_[i] = tick;
+    until_[i] = tick + ticks;
+    next_leave_ = std::min(next_leave_, until_[i]);
+}
+
+void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
+    const uint32_t bit = 1U << i;
+    Positioner &p = positioners_[i];
+    for (size_t axis = 0; axis < FL_AXES; ++axis) {
+        if ((cruise_axis_[axis] & bit) == 0) continue;
+        LawBatch &b = batches_[axis];
+        fl_axis_t &a = p.firmware().axis[axis];
+        const int lane = static_cast<int>(i);
+        const uint64_t next = tick + (done[axis] ? 1 : 0);
+        const auto ticks = static_cast<uint32_t>(next - since_[i]);
+        if (ticks != 0) {
+            store_state(b, lane, a);
+            p.looked(static_cast<int>(axis), b.adc_a_cnt[lane], b.adc_b_cnt[lane], a.adc_cnt);
+        }
+        store_way(b, lane, a, next, ticks);
+        stand(b, lane);
+        cruise_axis_[axis] &= ~bit;
+        heeds_[axis] &= ~bit;
+    }
+    cruise_ &= ~bit;
+    const bool within = done[FL_ALPHA] || done[FL_BETA];
+    p.count_ticks(static_cast<uint32_t>(tick - since_[i]) + (within ? 1 : 0), tick);
+    next_leave_ = UINT64_MAX;
+    each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, until_[k]); });
 }
 
 void LaneGroup::rest(uint64_t tick, bool may_sleep) {
@@ -115,21 +138,51 @@ void LaneGroup::rest(uint64_t tick, bool may_sleep) {
         if (awake_[i]) positioners_[i].rest(*plant_, tick, may_sleep);
 }
 
+// What the hall channels of an axis show, for all that cruise.
+void LaneGroup::look(int axis, LawBatch &b) const {
+    const int first = axis * lane_group_size;
+    std::copy_n(&group_->hall_cnt[0][first], lane_group_size, b.adc_a_cnt);
+    std::copy_n(&group_->hall_cnt[1][first], lane_group_size, b.adc_b_cnt);
+}
+
+// The phases of all that cruise; one that something blocks does the end of its tick itself.
+void LaneGroup::drive(int axis, uint64_t tick, const LawBatch &b) {
+    uint32_t stuck = 0;
+    for (int i = 0; i < lane_group_size; ++i) stuck |= static_cast<uint32_t>(b.stuck[i] != 0) << i;
+    stuck &= heeds_[static_cast<size_t>(axis)];
+    each(cruise_axis_[static_cast<size_t>(axis)] & ~stuck, [&](size_t i) {
+        const size_t lane = static_cast<size_t>(axis * lane_group_size) + i;
+        group_->duty[0][lane] = b.duty_a[i];
+        group_->duty[1][lane] = b.duty_b[i];
+        group_->duty[2][lane] = b.duty_c[i];
+    });
+    each(stuck, [&](size_t i) {
+        leave(i, tick, {true, axis == FL_BETA});
+        runs_[i] = true; // the rest of this tick
+        conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b);
+    });
+}
+
 // All of one axis before the other, as within a positioner: a collision of alpha stops beta in the same tick.
-void LaneGroup::tick_axis(int axis) {
+void LaneGroup::tick_axis(int axis, uint64_t tick) {
     LawBatch &batch = batches_[static_cast<size_t>(axis)];
+    const uint32_t cruise = cruise_axis_[static_cast<size_t>(axis)];
+    if (cruise != 0) look(axis, batch);
     size_t count = 0;
     for (size_t i = 0; i < count_; ++i)
         if (runs_[i] && ask(axis, positioners_[i], static_cast<int>(i), batch))
             trackers_[count++] = {&positioners_[i], static_cast<int>(i), {}};
-    if (count == 0) return;
+    if (count == 0 && cruise == 0) return;
     plant_->kernel().hall_law(batch);
+    if (cruise != 0) plant_->kernel().advance_law(batch, tick);
     unsigned laws = 0;
+    each(cruise, [&](size_t i) { laws |= 1U << batch.law[i]; });
     for (size_t k = 0; k < count; ++k) {
         advance(axis, trackers_[k], batch);
         laws |= 1U << batch.law[trackers_[k].lane];
     }
     plant_->kernel().drive_law(batch, laws);
+    if (cruise != 0) drive(axis, tick, batch);
     for (size_t k = 0; k < count; ++k) conclude(axis, trackers_[k], batch);
 }
 
@@ -159,14 +212,15 @@ void LaneGroup::advance(int axis, Tracker &t, LawBatch &b) {
     fl_axis_t &a = firmware.axis[axis];
     a.hall.angle_cnt = b.angle_cnt[t.lane];
     fl_axis_advance(&a, &firmware.path[axis], &t.demand);
-    load_input(b, t.lane, t.demand.servo, a.drive);
+    load_input(b, t.lane, t.demand.servo);
+    load_state(b, t.lane, a.drive);
 }
 
 void LaneGroup::conclude(int axis, const Tracker &t, const LawBatch &b) {
     fl_positioner_t &firmware = t.positioner->firmware();
     fl_axis_t &a = firmware.axis[axis];
     const int i = t.lane;
-    take_output(b, i, a);
+    store_state(b, i, a);
     const bool stops = b.stuck[i] != 0 && a.detect;
     if (!stops) {
         const int lane = axis * lane_group_size + i;

@@ -17,6 +17,9 @@ class LaneGroup {
 
     // Between slices: notes which positioners are awake. False when none is.
     bool gather();
+    // Before `tick`: what the lanes hold of positioners that cruise goes back to them. Nothing but ticks may
+    // read or change them before.
+    void release(uint64_t tick);
     void tick(uint64_t tick);
     // After a slice: positioners that have come to rest fall asleep.
     void rest(uint64_t tick, bool may_sleep);
@@ -31,7 +34,14 @@ class LaneGroup {
         int lane;
         fl_axis_demand_t demand;
     };
-    void tick_axis(int axis);
+    void tick_axis(int axis, uint64_t tick);
+    // A positioner whose axes cruise or rest may leave its ticks to the lanes, until the tick `until`.
+    void set_out(size_t i, uint64_t tick);
+    uint32_t lanes_for(const Positioner &p) const;
+    // Back again: alpha and beta have done the ticks before `tick`, and that one too if `done` says so.
+    void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
+    void look(int axis, LawBatch &batch) const;
+    void drive(int axis, uint64_t tick, const LawBatch &batch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
     void advance(int axis, Tracker &t, LawBatch &batch);
     void conclude(int axis, const Tracker &t, const LawBatch &batch);
@@ -42,7 +52,12 @@ class LaneGroup {
     size_t count_ = 0;
     bool side_by_side_ = true;
     std::array<bool, lane_group_size> awake_{}, runs_{};
-    // axes whose configuration lies in the batch, by lane
+    // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks
+    uint32_t cruise_ = 0;
+    std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{};
+    std::array<uint64_t, lane_group_size> since_{}, until_{};
+    uint64_t next_leave_ = UINT64_MAX;
+    // axes whose configuration lies in the batch, by lane: until a release
     std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};
     std::array<LawBatch, FL_AXES> batches_{};
     std::array<Tracker, lane_group_size> trackers_{};

@@ -54,6 +54,21 @@ class Positioner {
     }
     // What the hall channels of an axis show in this tick.
     void hall(int axis, uint16_t adc_cnt[2]);
+    // Whether a host may do the ticks of its axes without asking it.
+    bool may_cruise() const {
+        return !scope_on_[FL_ALPHA] && !scope_on_[FL_BETA] && !faults.stuck_hall[FL_ALPHA] &&
+               !faults.stuck_hall[FL_BETA];
+    }
+    // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
+    void count_ticks(uint32_t ticks, uint64_t tick) {
+        now_ = tick;
+        run_ += ticks;
+        fl_positioner_skip(&firmware_, ticks);
+    }
+    void looked(int axis, int32_t a_cnt, int32_t b_cnt, uint16_t adc_cnt[2]) {
+        adc_cnt[0] = last_hall_[axis][0] = static_cast<uint16_t>(a_cnt);
+        adc_cnt[1] = last_hall_[axis][1] = static_cast<uint16_t>(b_cnt);
+    }
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);

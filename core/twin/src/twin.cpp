@@ -294,6 +294,7 @@ std::vector<Reply> Twin::run(uint64_t ticks) {
         s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
         s_->quiet = resting && at_sync && !s_->any_awake();
     }
+    for (LaneGroup &g : s_->lane_groups) g.release(s_->now);
     return s_->collect();
 }
 

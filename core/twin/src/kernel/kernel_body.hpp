@@ -296,6 +296,6 @@ TickEvents step(AxisGroup &g, int substeps) {
 } // namespace
 
 extern const Kernel FL_KERNEL_SYMBOL;
-const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, drive_law};
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, advance_law, drive_law};
 
 } // namespace fl::twin

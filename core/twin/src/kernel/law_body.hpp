@@ -4,6 +4,9 @@
 #pragma GCC diagnostic ignored "-Wshadow"
 #include "fl_drive.h"
 #include "fl_hall.h"
+#include "fl_path.h"
+#include "fl_profile.h"
+#include "fl_smooth.h"
 #pragma GCC diagnostic pop
 
 #include "fiberloom/twin/law_batch.hpp"
@@ -45,6 +48,57 @@ void hall_law(LawBatch &b) {
         b.rotor_sin[i] = out.rotor.sin;
         b.rotor_cos[i] = out.rotor.cos;
     }
+}
+
+static_assert(smooth_ticks == FL_SMOOTH_TICKS);
+
+void go_along(LawBatch &b) {
+    for (int i = 0; i < lane_group_size; ++i) {
+        b.way.goto_q30[i] += b.way.speed_q30[i];
+        b.way.speed_q30[i] += b.way.change_q30[i];
+    }
+    for (int i = 0; i < lane_group_size; ++i) b.way.goto_cnt[i] = fl_profile_cnt(b.way.goto_q30[i]);
+    for (int i = 0; i < lane_group_size; ++i) {
+        fl_path_cursor_t cursor = {b.way.path_cnt[i],
+                                   b.way.step_cnt[i],
+                                   b.way.rest[i],
+                                   b.way.rest_sum[i],
+                                   1,
+                                   static_cast<uint32_t>(b.way.ticks[i]),
+                                   0};
+        fl_path_go(&cursor);
+        b.way.path_cnt[i] = cursor.position_cnt;
+        b.way.rest_sum[i] = cursor.rest_sum;
+    }
+}
+
+// fl_smooth_step and what the servo is asked, of the same tick for all lanes.
+void smooth(LawBatch &b, int32_t *ring_cnt) {
+    for (int i = 0; i < lane_group_size; ++i) {
+        const int32_t raw_cnt =
+            (b.way.path_cnt[i] & b.way.follows[i]) | (b.way.goto_cnt[i] & ~b.way.follows[i]);
+        b.way.change_cnt[i] = fl_sub_i32(raw_cnt, ring_cnt[i]);
+        ring_cnt[i] = raw_cnt;
+    }
+    for (int i = 0; i < lane_group_size; ++i) {
+        const fl_command_t command =
+            fl_smooth_command(b.way.value_cnt[i], b.way.change_cnt[i], b.way.speed_rad_s[i]);
+        b.way.speed_rad_s[i] = command.speed_rad_s;
+        b.way.measured_cnt[i] = fl_add_i32(b.angle_cnt[i], b.way.zero_cnt[i]);
+        b.input.error_cnt[i] = fl_sub_i32(command.position_cnt, b.way.measured_cnt[i]);
+        b.input.command_cnt[i] = command.position_cnt;
+        b.input.rotor_cnt[i] = fl_sub_i32(command.position_cnt, b.way.zero_cnt[i]);
+        b.input.speed_rad_s[i] = command.speed_rad_s;
+        b.input.acceleration_rad_s2[i] = command.acceleration_rad_s2;
+        b.input.settling[i] = 0;
+    }
+    for (int i = 0; i < lane_group_size; ++i) b.way.sum_cnt[i] += b.way.change_cnt[i];
+    for (int i = 0; i < lane_group_size; ++i) b.way.value_cnt[i] = fl_smooth_mean(b.way.sum_cnt[i]);
+}
+
+void advance_law(LawBatch &b, uint64_t tick) {
+    go_along(b);
+    smooth(b, b.way.ring_cnt[tick % smooth_ticks]);
 }
 
 // The configuration of a lane's drive.

@@ -84,7 +84,8 @@ struct Kernel {
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, int substeps);
     void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
-    void (*drive_law)(LawBatch &batch, unsigned laws); // a bit of 1 << law for each that a lane wants
+    void (*advance_law)(LawBatch &batch, uint64_t tick); // the commands of those that cruise
+    void (*drive_law)(LawBatch &batch, unsigned laws);   // a bit of 1 << law for each that a lane wants
 };
 
 // The kernels this machine runs, slowest first; ends with a nullptr.

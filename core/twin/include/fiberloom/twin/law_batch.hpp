@@ -50,10 +50,13 @@
 
 namespace fl::twin {
 
+inline constexpr int smooth_ticks = 32; // FL_SMOOTH_TICKS
+
 // Configuration, state, input and output of the laws of one axis of a lane group, field by field.
 struct alignas(64) LawBatch {
     using Floats = float[lane_group_size];
     using Ints = int32_t[lane_group_size];
+    using Longs = int64_t[lane_group_size];
 
 #define X(type, name) type name[lane_group_size];
     // configuration, loaded when an axis sets out
@@ -106,6 +109,19 @@ struct alignas(64) LawBatch {
     Floats voltage;
     Floats duty_a, duty_b, duty_c;
     Ints stuck;
+
+    // Where the command of an axis that cruises is (cruise.hpp): along a path or a go-to, and its smoothing.
+    struct {
+        Ints follows; // all bits: a path, none: a go-to
+        Ints zero_cnt, measured_cnt;
+        Ints path_cnt, step_cnt, rest, rest_sum, ticks; // of its segment
+        Longs goto_q30, speed_q30, change_q30;          // change: of the speed, per tick
+        Ints goto_cnt;
+        Longs sum_cnt;
+        Ints value_cnt, change_cnt;
+        Floats speed_rad_s;
+        int32_t ring_cnt[smooth_ticks][lane_group_size]; // all lanes in the row of the tick
+    } way;
 };
 
 } // namespace fl::twin
