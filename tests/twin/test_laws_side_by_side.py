@@ -1,5 +1,8 @@
 """The firmware's laws run for sixteen axes at once give the bits of the firmware's own tick."""
 
+import copy
+import struct
+
 import numpy as np
 import pytest
 from wire import COLLISION, commands, goto, start, upload
@@ -11,27 +14,29 @@ from fiberloom.twin import Fault, Twin, draw_units
 
 PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)  # a lane group and a quarter
 UNITS = draw_units(PLANE, seed=11)
+UNITS.firmware["host_timeout_ms"][16] = 500.0  # this one slows down on its trajectory: nobody talks to it
 IDS = [int(i) for i in PLANE.positioner_id]
-HOME, STOP, OPEN_LOOP_BETA = 20, 15, 125
+HOME, STOP, OPEN_LOOP_BETA, TRACE, READ_TRACE = 20, 15, 125, 240, 243
 
 
 def by_laws(laws):
     """The same units, their axes by these laws in turn."""
-    units = draw_units(PLANE, seed=11)
+    units = copy.deepcopy(UNITS)
     units.firmware["law"] = np.resize(laws, units.firmware.shape)
     return units
 
 
 def everything(side_by_side, kernel="", units=UNITS):
-    """Moves of all kinds, collisions, faults, a homing, a stop, open loop: all that came of it."""
+    """Moves of all kinds, collisions, faults, a homing, a stop, a silent host, a trace, open loop."""
     rng = np.random.default_rng(7)
     twin = Twin(PLANE, units, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
     scopes = [twin.scope(row, axis) for row in (0, 5, 17) for axis in (0, 1)]
     replies = []
-    wire = [[UNITS.transmission(17, k, x)[0][0]] * 3 + np.arange(3) for k, x in enumerate((10, 170))]
-    upload(twin, IDS[17], np.array([0.0, 0.4, 0.8]), *wire)
-    twin.send([(encode(IDS[5], OPEN_LOOP_BETA, 1), b"")])
-    for number in IDS[:17]:
+    for row in (16, 17):
+        wire = [[UNITS.transmission(row, k, x)[0][0]] * 3 + np.arange(3) for k, x in enumerate((10, 170))]
+        upload(twin, IDS[row], np.array([0.0, 0.4, 0.8]), *wire)
+    twin.send([(encode(IDS[5], OPEN_LOOP_BETA, 1), b""), (encode(IDS[6], TRACE, 1), struct.pack("<H", 3))])
+    for number in IDS[:16]:
         goto(twin, number, rng.uniform(60, 90), rng.uniform(100, 130))
     start(twin)
     twin.send([(encode(IDS[18], HOME, 1), b"")])
@@ -41,6 +46,8 @@ def everything(side_by_side, kernel="", units=UNITS):
     replies += twin.run(0.3)
     twin.send([(encode(IDS[7], STOP, 1), b"")])
     replies += twin.run(1.2)
+    twin.send((encode(IDS[6], READ_TRACE + axis, 2), struct.pack("<H", 40)) for axis in (0, 1))
+    replies += twin.run(0.01)
     logs = b"".join(s.take().tobytes() for s in scopes)
     return repr(replies).encode() + twin.truth().tobytes() + logs, commands(replies)
 
