@@ -33,6 +33,12 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
     return {before_N.x + share * step_N.x, before_N.y + share * step_N.y};
 }
 
+// The first sync point after `tick`, and after these more ticks in which two cannot touch.
+uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
+    const uint64_t first = tick + std::max<uint64_t>(free_ticks, 1);
+    return (first + sync_ticks - 1) / sync_ticks * sync_ticks;
+}
+
 } // namespace
 
 bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
@@ -162,8 +168,10 @@ Push Neighbours::push(size_t i, const std::vector<Pose> &poses, uint64_t tick,
     Look look{i, poses, segment(i, poses[i]), contacts, {}, {}};
     uint64_t next = UINT64_MAX;
     for (Near &near : near_[i]) {
-        if (tick >= near.next_look)
-            near.next_look = tick + static_cast<uint64_t>(touch(look, body(near.number, poses)) / tick_s);
+        if (tick >= near.next_look) {
+            const auto free_ticks = static_cast<uint64_t>(touch(look, body(near.number, poses)) / tick_s);
+            near.next_look = in_touch(look.now, near.number) ? tick + 1 : sync_after(tick, free_ticks);
+        }
         next = std::min(next, near.next_look);
     }
     next_look_[i] = next;

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <numbers>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <unordered_map>
@@ -61,7 +62,13 @@ struct Twin::State {
 
     void boot(const TwinSetup &s);
     void run_slice(uint64_t ticks);
+    void run_closely(uint64_t ticks);
+    void take_turn(size_t group);
     void run_group(size_t group, uint64_t ticks);
+
+    void feel_group(size_t group);
+    bool in_contact(size_t group) const;
+    bool pushes(size_t group) const;
 
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
@@ -72,13 +79,15 @@ struct Twin::State {
     void publish(size_t i);
     void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
     bool any_awake() const;
-    // Forces between arms that touch follow every tick; which arms might touch is looked at every 2 ms.
-    bool at_sync() const { return touching || now % sync_ticks == 0; }
-    uint64_t ticks_to_sync() const {
-        if (!feel && !loaded) return lone_ticks;
-        return touching ? 1 : sync_ticks - now % sync_ticks;
+    // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
+    bool at_sync() const { return now % sync_ticks == 0; }
+    uint64_t ticks_to_sync() const { return feel || loaded ? sync_ticks - now % sync_ticks : lone_ticks; }
+    struct Rows {
+        size_t begin, end;
+    };
+    Rows rows_of(size_t group) const {
+        return {group * lane_group_size, std::min((group + 1) * lane_group_size, count)};
     }
-    bool any_touching() const;
     std::vector<Reply> collect();
     Positioner &at(size_t i) {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -94,11 +103,13 @@ struct Twin::State {
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
-    bool loaded = false;   // something pulls at the arms: it follows them at sync points
-    bool touching = false; // some arms, at the last sync point
+    bool loaded = false; // something pulls at the arms: it follows them at sync points
     uint64_t now = 0;
-    uint64_t slice = 0; // ticks of the slice that runs
-    bool quiet = false; // a sync point has passed with every positioner asleep: time alone goes on
+    uint64_t begun = 0;         // the slice that runs, in which all have felt their neighbours
+    uint64_t slice = 0;         // its ticks
+    std::vector<size_t> turns;  // groups of the batch that runs
+    std::vector<uint8_t> close; // by group: its arms touch, so that it waits for its turn tick by tick
+    bool quiet = false;         // a sync point has passed with every positioner asleep: time alone goes on
     // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
     std::vector<Angles> zeros; // of the arms
@@ -111,8 +122,8 @@ Twin::State::State(const TwinSetup &s)
       count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)),
       lane_groups(plant.group_count()), outboxes(plant.group_count()),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
-      skip_resting(s.skip_resting), seen(s.ids.size()), next(s.ids.size()),
-      workers(s.threads, plant.group_count(), [this](size_t group) { run_group(group, slice); }) {
+      skip_resting(s.skip_resting), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
+      workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
@@ -144,23 +155,54 @@ void Twin::State::boot(const TwinSetup &s) {
     }
 }
 
-// One task of a slice: this group's neighbours, then its ticks. Reads `seen`, writes `next`.
+// What pushes the arms of a group: all of them are looked at every 2 ms, those that touch in every tick.
+void Twin::State::feel_group(size_t group) {
+    const Rows rows = rows_of(group);
+    for (size_t i = rows.begin; i < rows.end; ++i)
+        if (at_sync() || !positioners[i].contacts.empty()) feel_neighbours(i, outboxes[group]);
+}
+
+bool Twin::State::in_contact(size_t group) const {
+    const Rows rows = rows_of(group);
+    return std::any_of(&positioners[rows.begin], &positioners[0] + rows.end,
+                       [](const Positioner &p) { return !p.contacts.empty(); });
+}
+
+// Whether a force on an arm of the group may change: it or what it touches is awake.
+bool Twin::State::pushes(size_t group) const {
+    const auto awake = [this](const Contact &c) { return c.other < count && !positioners[c.other].asleep(); };
+    const Rows rows = rows_of(group);
+    return std::any_of(&positioners[rows.begin], &positioners[0] + rows.end, [&](const Positioner &p) {
+        const bool any = std::any_of(p.contacts.begin(), p.contacts.end(), awake);
+        return any || (!p.contacts.empty() && !p.asleep());
+    });
+}
+
+// One task of a slice: this group's neighbours, then its ticks, unless its arms touch. Reads `seen`.
+void Twin::State::take_turn(size_t group) {
+    const bool waited = close[group] != 0;
+    if (feel && !(waited && now == begun)) feel_group(group);
+    if (feel && !waited && in_contact(group))
+        close[group] = 1;
+    else
+        run_group(group, slice);
+}
+
+// Writes `next`.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
-    const size_t first = group * lane_group_size, last = std::min(first + lane_group_size, count);
-    if (feel && at_sync())
-        for (size_t i = first; i < last; ++i) feel_neighbours(i, outboxes[group]);
+    const Rows rows = rows_of(group);
     LaneGroup &lane_group = lane_groups[group];
     if (!lane_group.gather()) return;
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
         plant.sense(group, static_cast<uint32_t>(tick));
         lane_group.tick(tick);
         plant.step(group);
-        for (size_t i = first; i < last; ++i) positioners[i].record(plant, tick);
+        for (size_t i = rows.begin; i < rows.end; ++i) positioners[i].record(plant, tick);
     }
     if (loaded && (now + ticks) % sync_ticks == 0)
-        for (size_t i = first; i < last; ++i) follow_loads(i);
+        for (size_t i = rows.begin; i < rows.end; ++i) follow_loads(i);
     lane_group.rest(now + ticks, skip_resting);
-    for (size_t i = first; feel && i < last; ++i) publish(i);
+    for (size_t i = rows.begin; feel && i < rows.end; ++i) publish(i);
 }
 
 void Twin::State::publish(size_t i) {
@@ -232,17 +274,37 @@ bool Twin::State::any_awake() const {
                        [](const Positioner &p) { return !p.asleep(); });
 }
 
-bool Twin::State::any_touching() const {
-    return std::any_of(&positioners[0], &positioners[0] + count,
-                       [](const Positioner &p) { return !p.contacts.empty(); });
+void Twin::State::run_slice(uint64_t ticks) {
+    begun = now;
+    slice = ticks;
+    turns.resize(plant.group_count());
+    std::iota(turns.begin(), turns.end(), size_t{0});
+    std::fill(close.begin(), close.end(), uint8_t{0});
+    workers.run(turns.size());
+    run_closely(ticks);
+    if (at_sync()) seen = next;
 }
 
-void Twin::State::run_slice(uint64_t ticks) {
-    slice = ticks;
-    workers.run();
-    now += ticks;
-    touching = feel && any_touching();
-    if (at_sync()) seen = next;
+// The groups that are left, tick by tick where a force may change.
+void Twin::State::run_closely(uint64_t ticks) {
+    turns.clear();
+    for (size_t group = 0; group < close.size(); ++group) {
+        if (close[group] == 0) continue;
+        if (pushes(group))
+            turns.push_back(group);
+        else
+            run_group(group, ticks);
+    }
+    if (turns.empty()) ticks = 0, now += slice;
+    slice = 1;
+    for (uint64_t k = 0; k < ticks; ++k) {
+        workers.run(turns.size());
+        ++now;
+        for (const size_t group : turns) {
+            const Rows rows = rows_of(group);
+            std::copy(&next[rows.begin], &next[0] + rows.end, &seen[rows.begin]);
+        }
+    }
 }
 
 std::vector<Reply> Twin::State::collect() {

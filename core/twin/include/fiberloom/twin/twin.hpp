@@ -21,10 +21,6 @@ extern "C" {
 
 namespace fl::twin {
 
-// Arms exchange where they are at these ticks; contact forces hold in between. An arm's tip moves 9 um
-// meanwhile at 2000 rpm.
-inline constexpr uint64_t sync_ticks = 4;
-
 inline constexpr int every_bus = -1;
 
 struct TwinSetup {
