@@ -286,11 +286,13 @@ class Chain:
         )
 
     def wavelengths_A(self, targets: SkyTargets, fibre: str | None = None) -> Floats:
-        """(n,) A: of `fibre`, or of each target its own, or that of the fibre it asks for."""
+        """(n,) A: of each target its own; where it has none that of `fibre`, or of the fibre it asks for."""
+        known, n = self.known_A, len(targets)
         if fibre is not None:
-            return np.full(len(targets), self.wavelength_of(fibre))
-        only = next(iter(self.known_A.values())) if len(set(self.known_A.values())) == 1 else np.nan
-        of_fibre = np.array([self.known_A.get(str(f), only) for f in targets.fibre], dtype=np.float64)
+            of_fibre = np.full(n, self.wavelength_of(fibre))
+        else:
+            only = next(iter(known.values())) if len(set(known.values())) == 1 else np.nan
+            of_fibre = np.array([known.get(str(f), only) for f in targets.fibre], dtype=np.float64)
         wavelength = np.where(np.isnan(targets.wavelength_A), of_fibre, targets.wavelength_A)
         for row in np.flatnonzero(~(wavelength > 0.0))[:1].tolist():
             raise InputError(
