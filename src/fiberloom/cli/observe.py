@@ -146,9 +146,7 @@ def observe(options: ObservationOptions) -> int:
     check(options)
     options.pointing()  # one that cannot be is told before anything is read
     required = options.required_share
-    from fiberloom.targets import read_targets
-
-    targets = read_targets(options.targets)
+    targets = options.read_targets(options.targets, options.instrument)
     from fiberloom.store.place import Place
 
     require_folder(Place.of(options.out).base)
@@ -255,7 +253,13 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     """
     from rich.console import Console
 
-    from fiberloom.report.tables import budget_line, observation_table, shortfall, temperature_line
+    from fiberloom.report.tables import (
+        budget_line,
+        drift_line,
+        observation_table,
+        shortfall,
+        temperature_line,
+    )
 
     console = Console()
     console.print(observation_table(summary))
@@ -280,6 +284,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         console.print(
             "learnt: {moves} moves of generation {generation} in {store}".format(**summary["learnt"])
         )
+    if "reposition_every_s" in summary.get("sky", {}):
+        say(console, drift_line(summary["sky"]))
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):

@@ -199,6 +199,7 @@ class Observer:
         else:
             kept, assignment = await asyncio.to_thread(self._assigned, targets, settings)
             hardware = await connect()
+        targets = targets.settled(assignment.target, assignment.fibre)
         assignment = self.known.led(kept, assignment, settings.pointing)
         if hardware.telescope is not None:
             hardware.telescope.point((settings.pointing or OVERHEAD).image)
@@ -207,7 +208,7 @@ class Observer:
             entered(self._run, store, kept, settings.seed) as run,
         ):
             self.folder = await beside(_folder_of, run, self.place, store)
-            about = self._about(run, settings)
+            about = self._about(run, settings) | _sky_about(targets, assignment)
             await beside(record_begin, run, kept, targets, assignment, about)
             log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
             loop: Loop | None = None
@@ -263,6 +264,14 @@ class Observer:
     ) -> FieldMotion:
         recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
         return self.motion(kept, self.known.maps, hardware, recorder, self.watcher.say)
+
+
+def _sky_about(targets: TargetList, assignment: Assignment) -> dict[str, Any]:
+    """The field on the sky, and what an exposure does to the targets; nothing for a list in mm."""
+    if targets.on_sky is None:
+        return {}
+    drift = targets.on_sky.drift_about(assignment.target, assignment.fibre)
+    return {"sky": targets.on_sky.about() | drift}
 
 
 def _moved(loop: Loop | None) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def read_targets(
     if field is not None:
         field = field if isinstance(field, SkyField) else SkyField.read(field)
         model = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
-        return read_sky(path)[0].placed(field.chain(model))
+        return read_sky(path)[0].placed(field.chain(model), field)
     if path.name.lower().endswith(PAR_SUFFIXES):
         return _from_confsummary(read_yanny(path))
     return _from_table(read_table(path))

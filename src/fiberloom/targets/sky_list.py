@@ -12,6 +12,8 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.sky.chain import Chain, SkyPlaces
+from fiberloom.sky.on_sky import OnSky
+from fiberloom.sky.sky_field import SkyField
 from fiberloom.sky.sky_targets import SkyTargets
 from fiberloom.tables import TableFile
 from fiberloom.targets.target_list import FREE, TargetList
@@ -55,9 +57,10 @@ class SkyList:
         """The complaint about one target."""
         return InputError(f"{self.path}, {self.rows[row]}: target {self.targets.target_id[row]} {problem}")
 
-    def placed(self, chain: Chain) -> TargetList:
+    def placed(self, chain: Chain, field: SkyField | None = None) -> TargetList:
         """The targets in mm: for each science fibre its own place.
 
+        `chain`: at the moment of placing; `field`: what it is of, which the list in mm then remembers.
         Raises InputError for a target that is outside of what the optics' fit covers, too low, or of no
         known wavelength.
         """
@@ -73,7 +76,8 @@ class SkyList:
         x_mm, y_mm = xy_mm.T.copy()
         t = self.targets
         by_fibre = {fibre: seen.xy_mm for fibre, seen in places.items()}
-        return TargetList(t.target_id, x_mm, y_mm, t.priority, t.fibre, t.positioner_id, by_fibre)
+        on_sky = None if field is None else OnSky(t, chain, field)
+        return TargetList(t.target_id, x_mm, y_mm, t.priority, t.fibre, t.positioner_id, by_fibre, on_sky)
 
     def checked(self, chain: Chain, fibre: str | None = None) -> SkyPlaces:
         """Places of all targets for a fibre (or each for its own), refused where one is not to be had."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
+from fiberloom.sky.on_sky import OnSky
 from fiberloom.typing import Array, Floats, Ints
 
 FREE = -1
@@ -54,6 +55,8 @@ class TargetList:
     """Positioner that must take it; -1: any."""
     by_fibre: Mapping[str, Floats] = field(default_factory=dict)
     """(n, 2) mm by fibre, of targets on the sky: colours stand apart. Others have one place for all."""
+    on_sky: OnSky | None = None
+    """Of targets on the sky: where they are there, and the field."""
 
     def __post_init__(self) -> None:
         n = len(self.target_id)
@@ -123,6 +126,7 @@ class TargetList:
             self.fibre[rows],
             self.positioner_id[rows],
             {fibre: places[rows] for fibre, places in self.by_fibre.items()},
+            None if self.on_sky is None else self.on_sky.select(rows),
         )
 
     def place_mm(self, fibre: str) -> Floats:
