@@ -1,0 +1,179 @@
+"""`fiberloom sky`, and lists on the sky in `assign` and `observe`: from RA and Dec to light in the fibre."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from fiberloom.instruments import load_instrument
+from fiberloom.sky.sky_field import SkyField
+
+HEAD = "source_id,ra,dec,pmra,pmdec,ref_epoch,fibre,priority"
+FIELDS = {
+    "sdssv": ("213.7042", "53.08333", "20.0", "2024-04-26T06:00:00", 0.03, 7),
+    "desi": ("150.0", "20.0", "0.0", "2025-03-20T06:30:00", 0.09, 19),
+    "pfs": ("150.0", "2.0", "-90.0", "2025-03-20T09:30:00", 0.05, 19),
+}
+"""RA, Dec, position angle, time, radius of the targets in deg, positioners."""
+
+
+@pytest.fixture
+def night(tmp_path):
+    """Writes a field and a list for an instrument."""
+
+    def make(name, n=40):
+        ra, dec, pa, time, radius, positioners = FIELDS[name]
+        field = tmp_path / "field.toml"
+        field.write_text(
+            f"ra_deg = {ra}\ndec_deg = {dec}\nposition_angle_deg = {pa}\n"
+            f'time = "{time}"\ntime_scale = "utc"\nexposure_s = 900\n'
+        )
+        rng = np.random.default_rng(1)
+        turn, off = rng.uniform(0, 2 * np.pi, n), radius * np.sqrt(rng.random(n))
+        x = float(ra) + off * np.cos(turn) / np.cos(np.radians(float(dec)))
+        y = float(dec) + off * np.sin(turn)
+        rows = [f"{k + 1},{x[k]:.9f},{y[k]:.9f},{10 * k},-20,2016,,{k % 3}" for k in range(n)]
+        stars = tmp_path / "stars.csv"
+        stars.write_text("\n".join([HEAD, *rows]) + "\n")
+        return stars, field, positioners
+
+    return make
+
+
+def rows_of(path):
+    with path.open() as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def test_places_of_a_confsummary_are_its_own(fl, tmp_path, shared_sdssv):
+    out = tmp_path / "places.csv"
+    code, said, _ = fl("sky", "place", shared_sdssv / "confSummary-test.par.gz", "--out", out, "--json")
+    assert code == 0
+    assert json.loads(said)["places"] == 490
+    rows = rows_of(out)
+    assert list(rows[0]) == ["target_id", "positioner_id", "fibre", "x_mm", "y_mm"]
+    assert rows[0]["positioner_id"] == "3"
+    assert float(rows[0]["x_mm"]) == pytest.approx(-5.231433771462416, abs=1e-6)
+    assert float(rows[0]["y_mm"]) == pytest.approx(-16.52309413812584, abs=1e-6)
+    assert all(len(row["x_mm"].split(".")[1]) == 9 for row in rows)
+
+
+def test_a_target_for_any_fibre_has_a_row_for_each(fl, night, tmp_path):
+    stars, field, _ = night("sdssv")
+    out = tmp_path / "places.csv"
+    assert fl("sky", "place", stars, "--field", field, "--out", out)[0] == 0
+    rows = rows_of(out)
+    assert [row["fibre"] for row in rows[:4]] == ["BOSS", "APOGEE"] * 2
+    assert len(rows) == 80
+    assert rows[0]["positioner_id"] == ""
+    assert rows[0]["x_mm"] != rows[1]["x_mm"]
+
+
+def test_places_lead_back_to_the_sky(fl, night, tmp_path):
+    stars, field, _ = night("sdssv")
+    places, back = tmp_path / "places.csv", tmp_path / "back.csv"
+    assert fl("sky", "place", stars, "--field", field, "--out", places)[0] == 0
+    assert fl("sky", "where", places, "--field", field, "--out", back)[0] == 0
+    found = {row["target_id"]: row for row in rows_of(back)}
+    for k, row in enumerate(rows_of(stars)):
+        # the star has moved since 2016
+        moved = 8.3169 * np.array([10.0 * k, -20.0]) / 3.6e6
+        there = found[row["source_id"]]
+        east = (float(there["ra_deg"]) - float(row["ra"])) * np.cos(np.radians(float(row["dec"])))
+        assert [east, float(there["dec_deg"]) - float(row["dec"])] == pytest.approx(moved, abs=3e-7)
+
+
+def test_where_needs_to_know_the_fibre(fl, night, tmp_path):
+    _, field, _ = night("sdssv")
+    (tmp_path / "p.csv").write_text("x_mm,y_mm\n1,2\n")
+    code, _, said = fl("sky", "where", tmp_path / "p.csv", "--field", field)
+    assert code == 2
+    assert "line 2: fibre is not given; --fibre: one of BOSS, APOGEE" in said
+    out = tmp_path / "d.csv"
+    assert fl("sky", "where", tmp_path / "p.csv", "--field", field, "--fibre", "BOSS", "--out", out)[0] == 0
+    (tmp_path / "p.csv").write_text("x_mm,y_mm,fibre\n1e5,2,BOSS\n")
+    assert "outside of the image" in fl("sky", "where", tmp_path / "p.csv", "--field", field)[2]
+
+
+def test_drift_tells_what_guiding_leaves_and_how_long_an_exposure_may_be(fl, night, tmp_path):
+    stars, field, _ = night("sdssv")
+    code, said, _ = fl("sky", "drift", "--field", field, "--json")
+    rows = json.loads(said)
+    assert code == 0
+    assert [(row["fibre"], row["exposure_min"]) for row in rows[:3]] == [
+        ("BOSS", 15),
+        ("BOSS", 30),
+        ("BOSS", 60),
+    ]
+    assert all(row["largest_guided_um"] < row["largest_um"] for row in rows)
+    assert rows[0]["largest_um"] < rows[1]["largest_um"] < rows[2]["largest_um"]
+    assert rows[0]["longest_min"] > 15
+    out = tmp_path / "drift.csv"
+    assert fl("sky", "drift", stars, "--field", field, "--out", out)[0] == 0
+    assert len(rows_of(out)) == 80
+    assert "goes with a list" in fl("sky", "drift", "--field", field, "--out", out)[2]
+
+
+def test_no_field(fl, night):
+    stars, _, _ = night("sdssv")
+    code, _, said = fl("sky", "place", stars)
+    assert code == 2
+    assert "--field: name the TOML file of the field" in said
+    assert "has RA and Dec; give the field with --field" in fl("assign", stars, "--positioners", 7)[2]
+
+
+def test_assignment_asks_for_the_place_of_the_fibre_it_gives(fl, night, tmp_path):
+    """Each goal puts the fibre that it names on the place of that fibre."""
+    stars, field, _ = night("sdssv")
+    goal, places = tmp_path / "goal.csv", tmp_path / "places.csv"
+    assert fl("assign", stars, "--field", field, "--positioners", 7, "--out", goal)[0] == 0
+    assert fl("sky", "place", stars, "--field", field, "--out", places)[0] == 0
+    from fiberloom.instruments import generate
+
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=7)
+    wanted = {
+        (row["target_id"], row["fibre"]): (float(row["x_mm"]), float(row["y_mm"])) for row in rows_of(places)
+    }
+    used = set()
+    for k, row in enumerate(rows_of(goal)):
+        if row["target_id"]:
+            angles = np.full((2, 7), [[float(row["alpha_deg"])], [float(row["beta_deg"])]])
+            there = plane.forward(*angles, row["fibre"])[k]
+            assert there == pytest.approx(wanted[row["target_id"], row["fibre"]], abs=1e-5)
+            used.add(row["fibre"])
+    assert len(used) == 2
+
+
+@pytest.mark.parametrize("name", list(FIELDS))
+def test_stars_are_observed_on_the_twin(fl, night, tmp_path, name):
+    """Where the fibres truly are, by the optics back to the sky, are the stars."""
+    stars, field, positioners = night(name)
+    out = tmp_path / "out"
+    words = ["--field", field, "--instrument", name, "--positioners", positioners, "--camera", "noise"]
+    code, said, _ = fl("observe", stars, *words, "--out", out, "--require", "0", "--json")
+    assert code == 0
+    summary = json.loads(said)
+    assert summary["sky"]["exposure_s"] == 900.0
+    assert summary["sky"]["reposition_every_s"] > 0.0
+    model = load_instrument(name)
+    chain = SkyField.read(field).chain(model)
+    table = Table.read(out / "fibres.ecsv", format="ascii.ecsv")
+    done = table[(table["move"] == table["move"].max()) & np.isfinite(table["x_target_mm"])]
+    catalogue = {row["source_id"]: row for row in rows_of(stars)}
+    off_um = []
+    for row in done.filled(""):
+        star = catalogue[str(row["target_id"])]
+        radec = chain.sky([[row["x_true_mm"], row["y_true_mm"]]], chain.wavelength_of(row["fibre"]))[0]
+        years = chain.pointing.time.julian_year - 2016.0
+        dec = float(star["dec"]) + years * float(star["pmdec"]) / 3.6e6
+        east = (radec[0] - float(star["ra"])) * np.cos(np.radians(dec)) - years * float(star["pmra"]) / 3.6e6
+        arcsec = 3600.0 * np.hypot(east, radec[1] - dec)
+        off_um.append((arcsec, row["true_error_um"]))
+    arcsec, error_um = np.transpose(off_um)
+    assert len(off_um) >= 4
+    # um per arcsec of the three telescopes: 61, 67.5 and 90
+    scale = {"sdssv": 61.0, "desi": 67.5, "pfs": 89.0}[name]
+    assert arcsec * scale == pytest.approx(error_um, rel=0.05, abs=0.1)
+    assert np.median(error_um) < 5.0
