@@ -354,7 +354,8 @@ class Chain:
         with np.errstate(invalid="ignore"):  # a place that the optics do not reach stays NaN
             ri, di = erfa.atoiq("A", azimuth, np.pi / 2 - altitude, self._astrom_of(wavelength))
             ra, dec = erfa.aticq(ri, di, self._astrom)
-        return np.column_stack([rad_to_deg(erfa.anp(ra)), rad_to_deg(dec)])
+            ra = erfa.anp(ra)
+        return np.column_stack([rad_to_deg(ra), rad_to_deg(dec)])
 
     def _to_horizon(self, directions: Floats) -> tuple[Floats, Floats]:
         """Azimuth and altitude, rad."""
