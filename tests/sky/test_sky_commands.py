@@ -177,3 +177,54 @@ def test_stars_are_observed_on_the_twin(fl, night, tmp_path, name):
     scale = {"sdssv": 61.0, "desi": 67.5, "pfs": 89.0}[name]
     assert arcsec * scale == pytest.approx(error_um, rel=0.05, abs=0.1)
     assert np.median(error_um) < 5.0
+
+
+def test_fibres_follow_their_targets_through_a_series(fl, night, tmp_path):
+    """At airmass 1.3 and rising: without moves they lose them, with moves they do not."""
+    stars, field, _ = night("sdssv")
+    field.write_text(field.read_text().replace("06:00:00", "09:15:00").replace("= 900", "= 1200"))
+    words = ["--field", field, "--positioners", 7, "--camera", "noise", "--out", tmp_path / "out"]
+    code, said, _ = fl("observe", stars, *words, "--exposures", 4, "--json")
+    summary = json.loads(said)
+    assert code == 0
+    labels = [move["label"] for move in summary["moves"]]
+    assert [label for label in labels if "re-position" in label] == [
+        "re-position 1",
+        "re-position 2",
+        "re-position 3",
+    ]
+    series = summary["series"]
+    assert [one["begin_s"] for one in series] == [0.0, 1200.0, 2400.0, 3600.0]
+    assert series[0]["worst_um"] == series[0]["worst_unless_moved_um"]
+    assert all(one["worst_um"] < summary["requirement_um"] for one in series)
+    # near the centre of the field little is lost; what drift there is adds up unless they follow
+    stayed = [one["drift_unless_moved_um"] for one in series]
+    assert stayed == sorted(stayed)
+    assert stayed[-1] > 2.0 * series[-1]["drift_um"]
+    # errors of each move are of where its targets were then
+    table = Table.read(tmp_path / "out" / "fibres.ecsv", format="ascii.ecsv")
+    moves = [table[table["move"] == move["move"]] for move in summary["moves"]]
+    first, last = moves[0], moves[-1]
+    assert np.nanmax(np.abs(first["x_target_mm"] - last["x_target_mm"])) > 1e-4
+    apart_um = 1e3 * np.hypot(
+        last["x_true_mm"] - last["x_target_mm"], last["y_true_mm"] - last["y_target_mm"]
+    )
+    assert np.asarray(apart_um) == pytest.approx(np.asarray(last["true_error_um"]), abs=1e-6, nan_ok=True)
+
+
+def test_a_run_on_the_sky_is_shown_again(fl, night, tmp_path):
+    stars, field, _ = night("sdssv")
+    words = ["--field", field, "--positioners", 7, "--camera", "noise", "--out", tmp_path / "out"]
+    assert fl("observe", stars, *words, "--exposures", 2)[0] == 0
+    kept = {name: (tmp_path / "out" / name).read_bytes() for name in ("summary.json", "fibres.ecsv")}
+    assert fl("show", 1, tmp_path / "out", "--out", tmp_path / "again")[0] == 0
+    for name, content in kept.items():
+        assert (tmp_path / "again" / name).read_bytes() == content
+
+
+def test_a_series_needs_the_sky(fl, night, tmp_path):
+    (tmp_path / "flat.csv").write_text("target_id,x_mm,y_mm\na,1,12\n")
+    words = [tmp_path / "flat.csv", "--positioners", 7, "--camera", "noise", "--out", tmp_path / "out"]
+    code, _, said = fl("observe", *words, "--exposures", 2)
+    assert code == 2
+    assert "a series of exposures: needs a list with ra and dec, and a field with exposure_s above 0" in said

@@ -102,6 +102,13 @@ class ObservationOptions(
             "instrument's.",
         ),
     ] = None
+    exposures: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Of a series, each as long as the --field says; between them fibres follow their targets.",
+        ),
+    ] = 1
     camera: FieldCameraOption = None
     pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
         Pages.last
@@ -174,6 +181,7 @@ def observe(options: ObservationOptions) -> int:
             compare_linear=options.compare_linear,
             strict=options.strict,
             swap=options.swap,
+            exposures=options.exposures,
             arms=options.arms,
             fibres=options.fibres,
             gravity=options.gravity,
@@ -257,6 +265,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         budget_line,
         drift_line,
         observation_table,
+        series_lines,
         shortfall,
         temperature_line,
     )
@@ -286,6 +295,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         )
     if "reposition_every_s" in summary.get("sky", {}):
         say(console, drift_line(summary["sky"]))
+    for line in series_lines(summary.get("series", [])):
+        say(console, line)
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):

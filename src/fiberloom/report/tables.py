@@ -139,6 +139,16 @@ def drift_line(sky: Mapping[str, Any]) -> str:
     return f"{told}{every} {sky['drift_limit_um']:g} um"
 
 
+def series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How near the fibres were to guided targets in each exposure of a series."""
+    return [
+        f"exposure {one['exposure']}, {one['begin_s'] / 60.0:.0f} to {one['end_s'] / 60.0:.0f} min: "
+        f"worst fibre {one['worst_um']:.1f} um (drift {one['drift_um']:.1f}); not re-positioned "
+        f"{one['worst_unless_moved_um']:.1f} um (drift {one['drift_unless_moved_um']:.1f})"
+        for one in series
+    ]
+
+
 def temperature_line(temperature: Mapping[str, Any]) -> str:
     """How long arms were taken to be; empty: as measured. `temperature`: of summary.json, deg C and ppm."""
     if temperature["why_not"]:

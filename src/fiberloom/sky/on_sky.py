@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from fiberloom.sky.chain import Chain
-from fiberloom.sky.drift import LIMIT_UM, SkyDrift, drift, longest_s
+from fiberloom.sky.drift import LIMIT_UM, SkyDrift, drift, guide_stars, longest_s
+from fiberloom.sky.guiding import fit_guiding
 from fiberloom.sky.sky_field import SkyField
 from fiberloom.sky.sky_targets import SkyTargets
 from fiberloom.typing import Array, Floats, Ints
@@ -43,6 +44,20 @@ class OnSky:
         """
         xy = np.full((len(target), 2), np.nan)
         xy[target >= 0] = self.then(after_s).place(self.asked(target, fibre)).xy_mm
+        return xy
+
+    def guided_mm(self, target: Ints, fibre: Array, reference_s: float, after_s: float) -> Floats:
+        """(N, 2) mm where targets are on a telescope that has guided since the guide stars were at rest.
+
+        `target` (N,): row of the target of each positioner, -1 for none (NaN); `fibre` (N,): its fibre;
+        `reference_s`: when offset, rotation and scale were 0, s after the moment of placing; `after_s`: the
+        time asked for, s after it.
+        """
+        xy = self.places_mm(target, fibre, after_s)
+        stars = guide_stars(self.chain)
+        before, then = (self.then(t).place(stars).xy_mm for t in (reference_s, after_s))
+        has = target >= 0
+        xy[has] = fit_guiding(before, then).removed(xy[has])
         return xy
 
     def then(self, after_s: float) -> Chain:

@@ -59,6 +59,8 @@ class SkyField(_FieldTable):
     """Begin of the exposure: 2024-04-26T06:00:00, or a Julian date."""
     time_scale: Literal["utc", "tai", "tt"]
     exposure_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
+    overhead_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
+    """Between two exposures of a series: reading out, moving."""
     place_for: Literal["middle", "begin"] = "middle"
     """Part of the exposure for which fibres are placed."""
     site: str | OwnSite | None = None
@@ -115,6 +117,11 @@ class SkyField(_FieldTable):
         return cls.parse(told | {"time_scale": "tai", "site": site}, where)
 
     # what it means
+
+    @property
+    def cadence_s(self) -> float:
+        """From one exposure of a series to the next."""
+        return self.exposure_s + self.overhead_s
 
     @property
     def begin(self) -> SkyTime:

@@ -24,7 +24,9 @@ from fiberloom.typing import Array
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
-PLACES = ("metrology_goal_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
+PLACES = (
+    *("metrology_goal_mm", "target_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm"),
+)
 """Where fibres were to be in a move, and what a twin knows of where they were."""
 
 _POINT, _HANDICAP, _RANGE, _DOTS = "point ", "handicap ", "range ", "dots"

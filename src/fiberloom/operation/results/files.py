@@ -36,7 +36,7 @@ def fibres_table(observed: ObservedField) -> Table:
 
 def _fibres_of(observed: ObservedField, move: Move) -> Table:
     plane, assignment = observed.plane, observed.assignment
-    target, goal = observed.target_mm(), observed.metrology_goal_mm(move)
+    target, goal = observed.target_mm(move), observed.metrology_goal_mm(move)
     names = np.append(observed.targets.target_id, "")  # index -1: no target
     nothing = np.full((len(plane), 2), np.nan)
     true, true_um = move.true_mm, observed.true_error_um(move)
