@@ -42,6 +42,9 @@ def night(tmp_path):
     return make
 
 
+OFF_MM = np.array([0.05, -0.02])
+
+
 def rows_of(path):
     with path.open() as file:
         return list(csv.DictReader(line for line in file if not line.startswith("#")))
@@ -228,3 +231,45 @@ def test_a_series_needs_the_sky(fl, night, tmp_path):
     code, _, said = fl("observe", *words, "--exposures", 2)
     assert code == 2
     assert "a series of exposures: needs a list with ra and dec, and a field with exposure_s above 0" in said
+
+
+@pytest.mark.parametrize("name", ["sdssv", "desi", "pfs"])
+def test_guide_stars_tell_where_the_telescope_points(fl, night, tmp_path, name):
+    """A field that is off, turned and larger than assumed: the next field file has its stars."""
+    stars, path, _ = night(name, 60)
+    field, model = SkyField.read(path), load_instrument(name)
+    scale = field.chain(model).view.scale
+    keys = {"position_angle_deg": field.position_angle_deg + 0.02, "scale": scale * (1 - 2e-4)}
+    true = field.model_copy(update=keys)
+    from fiberloom.targets.read import read_sky
+
+    found, _ = read_sky(stars)
+    seen_mm = true.chain(model).place(found.targets, "metrology").xy_mm + OFF_MM
+    lines = stars.read_text().splitlines()
+    rows = [f"{line},{x:.9f},{y:.9f}" for line, (x, y) in zip(lines[1:], seen_mm, strict=True)]
+    stars.write_text("\n".join([lines[0] + ",x_mm,y_mm", *rows]) + "\n")
+    after = tmp_path / "next.toml"
+    code, said, _ = fl("sky", "guide", stars, "--field", path, "--instrument", name, "--out", after, "--json")
+    assert code == 0
+    told = json.loads(said)
+    assert told["rotation_arcsec"] == pytest.approx(72.0, abs=0.5)
+    assert told["scale_ppm"] == pytest.approx(200.0, abs=2.0)
+    # the turn is about the axis of the rotator: on PFS it is not at the origin
+    assert [told["offset_x_um"], told["offset_y_um"]] == pytest.approx([50.0, -20.0], abs=0.5)
+    arcsec = np.hypot(told["points_off_ra_arcsec"], told["points_off_dec_arcsec"])
+    assert arcsec == pytest.approx(53.85 / {"sdssv": 61.0, "desi": 67.5, "pfs": 89.0}[name], rel=0.02)
+    again = SkyField.read(after).chain(model).place(found.targets, "metrology").xy_mm
+    assert 1e3 * np.abs(again + OFF_MM - seen_mm).max() < 0.3
+
+
+def test_a_field_file_is_written_as_it_is_read(tmp_path):
+    text = (
+        'ra_deg = 1.5\ndec_deg = -2.0\ntime = "2024-04-26T06:00:00"\ntime_scale = "tai"\n'
+        "polar_motion = true\n"
+        "[site]\nlongitude_deg = 10.0\nlatitude_deg = 20.0\nheight_m = 30.0\n"
+        "[weather]\npressure_hPa = 700.0\ntemperature_C = 1.0\nhumidity = 0.1\n"
+    )
+    (tmp_path / "a.toml").write_text(text)
+    field = SkyField.read(tmp_path / "a.toml")
+    field.write(tmp_path / "b.toml")
+    assert SkyField.read(tmp_path / "b.toml") == field

@@ -34,6 +34,7 @@ from fiberloom.cli.past.show import show
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.sky.drift import drift
+from fiberloom.cli.sky.guide import guide
 from fiberloom.cli.sky.place import place, where
 from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
@@ -89,6 +90,7 @@ app.add_typer(sky, name="sky")
 add(sky, place)
 add(sky, where)
 add(sky, drift)
+add(sky, guide)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

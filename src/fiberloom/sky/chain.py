@@ -133,14 +133,15 @@ class Chain:
 
     def at(self, time: SkyTime) -> Chain:
         """The same at another time."""
-        return Chain(
-            self.instrument,
-            self.pointing.at(time),
-            self.site,
-            self.weather,
-            polar_motion=self.polar_motion,
-            optics=self._optics,
-        )
+        return self._with(self.pointing.at(time))
+
+    def turned(self, by_deg: float) -> Chain:
+        """The same with the position angle larger by so many deg."""
+        return self._with(replace(self.pointing, pa_deg=self.pointing.pa_deg + by_deg))
+
+    def _with(self, pointing: SkyPointing) -> Chain:
+        how: dict[str, Any] = {"polar_motion": self.polar_motion, "optics": self._optics}
+        return Chain(self.instrument, pointing, self.site, self.weather, **how)
 
     # ERFA
 

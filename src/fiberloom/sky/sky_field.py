@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -15,8 +16,14 @@ from fiberloom.instruments.model import Instrument
 from fiberloom.sky.chain import Chain, SkyPointing
 from fiberloom.sky.earth import SkyTime
 from fiberloom.sky.site import SkySite, Weather
+from fiberloom.wholefile import write_whole
 
 _LONGEST_S = 86400.0
+
+
+def _line(key: str, value: Any) -> str:
+    """Of a TOML file: texts, numbers and truths are written as in JSON."""
+    return f"{key} = {json.dumps(value)}"
 
 
 class _FieldTable(BaseModel):
@@ -95,6 +102,15 @@ class SkyField(_FieldTable):
             return cls.model_validate(told)
         except ValidationError as error:
             raise InputError(f"{where}: {all_problems(error)}") from None
+
+    def write(self, path: Path) -> None:
+        """A TOML file that `read` reads."""
+        known = self.model_dump(exclude_none=True, exclude_defaults=True)
+        tables = {key: value for key, value in known.items() if isinstance(value, dict)}
+        lines = [_line(key, value) for key, value in known.items() if key not in tables]
+        for name, table in tables.items():
+            lines += [f"\n[{name}]", *(_line(key, value) for key, value in table.items())]
+        write_whole(path, "\n".join(lines) + "\n")
 
     @classmethod
     def of_confsummary(cls, keywords: Mapping[str, str], where: str) -> SkyField:
