@@ -273,3 +273,94 @@ def test_a_field_file_is_written_as_it_is_read(tmp_path):
     field = SkyField.read(tmp_path / "a.toml")
     field.write(tmp_path / "b.toml")
     assert SkyField.read(tmp_path / "b.toml") == field
+
+
+# what pipelines downstream get
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """An observation of stars, its folder."""
+    import fiberloom as fl
+    from fiberloom.instruments import generate
+    from fiberloom.operation.results.fibermap import write_fibermap
+    from fiberloom.targets import read_targets
+
+    folder = tmp_path_factory.mktemp("exported")
+    ra, dec, pa, time, _, _ = FIELDS["sdssv"]
+    (folder / "field.toml").write_text(
+        f'ra_deg = {ra}\ndec_deg = {dec}\nposition_angle_deg = {pa}\ntime = "{time}"\ntime_scale = "utc"\n'
+    )
+    rng = np.random.default_rng(5)
+    x, y = 213.7042 + rng.uniform(-0.05, 0.05, 30), 53.08333 + rng.uniform(-0.03, 0.03, 30)
+    rows = [f"{900 + k},{x[k]:.9f},{y[k]:.9f},{10 * k},-20,2016,,1" for k in range(30)]
+    (folder / "stars.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+    plane = generate(load_instrument("sdssv"), 0, n_positioners=7)
+    field = fl.Field.twin(plane, seed=0, camera="noise")
+    seen = field.run.observe(read_targets(folder / "stars.csv", folder / "field.toml"), out=folder / "out")
+    assert write_fibermap(seen, folder) == ["fibermap.fits", "confSummaryF.par"]
+    return folder, seen
+
+
+def test_a_fibre_map_says_where_each_fibre_looks(exported):
+    folder, seen = exported
+    table = Table.read(folder / "fibermap.fits")
+    plane, move = seen.plane, seen.final
+    assert len(table) == sum(int(plane.carries(f).sum()) for f in ("BOSS", "APOGEE"))
+    names = table["TARGET_ID"].filled("")
+    taken = table[names != ""]
+    assert len(taken) == seen.assignment.n_assigned
+    # on target: RA and Dec of fibre and star, by 61 um an arcsec
+    apart_um = 61.0 * np.hypot(taken["OFFSET_RA"], taken["OFFSET_DEC"])
+    assert np.asarray(apart_um) == pytest.approx(np.asarray(taken["ERROR_UM"]), rel=0.05, abs=0.02)
+    assert (taken["ERROR_UM"] < 6.0).all()
+    # every fibre, with and without a target, is where the twin has it
+    truth = {}
+    for k, number in enumerate(plane.positioner_id):
+        if seen.assignment.target[k] >= 0:
+            truth[int(number), str(seen.assignment.fibre[k])] = move.true_mm[k]
+    for row in taken:
+        there = truth[int(row["POSITIONER_ID"]), str(row["FIBRE"])]
+        assert 1e3 * np.hypot(row["X_MM"] - there[0], row["Y_MM"] - there[1]) < 5.0
+    free = table[names == ""]
+    assert np.isfinite(free["FIBRE_RA"]).all()
+    assert (free["STATUS"] & 1).all()
+    assert not (taken["STATUS"] & 1).any()
+    assert table.meta["SITE"] == "apo"
+
+
+def test_two_fibres_of_one_arm_are_0_75_mm_apart(exported):
+    folder, seen = exported
+    table = Table.read(folder / "fibermap.fits")
+    pairs = 0
+    for number in seen.plane.positioner_id:
+        mine = table[table["POSITIONER_ID"] == number]
+        if len(mine) == 2:
+            apart_mm = np.hypot(*np.diff([mine["X_MM"], mine["Y_MM"]], axis=1))[0]
+            assert apart_mm == pytest.approx(0.752, abs=0.08)
+            pairs += 1
+    assert pairs
+
+
+def test_a_confsummary_of_ours_is_read_as_one_of_theirs(exported, fl, tmp_path):
+    """Its sky columns lead to the places that the fibres were put on."""
+    folder, seen = exported
+    out = tmp_path / "places.csv"
+    code, said, _ = fl("sky", "place", folder / "confSummaryF.par", "--out", out, "--json")
+    assert code == 0, said
+    found = {int(row["positioner_id"]): row for row in rows_of(out)}
+    good = seen.on_target(seen.final)
+    assert len(found) == int(good.sum())
+    for k in np.flatnonzero(good):
+        row, there = found[int(seen.plane.positioner_id[k])], seen.target_mm()[k]
+        assert row["fibre"] == seen.assignment.fibre[k]
+        # the TAI of the file in one number is good to 40 us
+        assert [float(row["x_mm"]), float(row["y_mm"])] == pytest.approx(there, abs=1e-6)
+
+
+def test_observe_writes_the_fibre_map(fl, night, tmp_path):
+    stars, field, _ = night("pfs")
+    words = ["--field", field, "--instrument", "pfs", "--positioners", 7, "--camera", "noise", "--require", 0]
+    assert fl("observe", stars, *words, "--out", tmp_path / "out")[0] == 0
+    assert (tmp_path / "out" / "fibermap.fits").exists()
+    assert not (tmp_path / "out" / "confSummaryF.par").exists()

@@ -167,6 +167,10 @@ def observe(options: ObservationOptions) -> int:
 
     def keep(seen: Observation) -> None:
         assert field.folder is not None
+        if seen.targets.on_sky is not None:
+            from fiberloom.operation.results.fibermap import write_fibermap
+
+            write_fibermap(seen, field.folder)
         seen.save(field.folder)
         summary.update(seen.summary() | {"folder": str(field.folder)})
 

@@ -13,7 +13,7 @@ from fiberloom.instruments.model import Operation
 from fiberloom.operation.correction import CorrectionLoop, Corrections, SeenAims, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
-from fiberloom.operation.series import SeriesStep
+from fiberloom.operation.series.steps import SeriesStep
 from fiberloom.operation.stopping import StopRule
 from fiberloom.typing import Flags, Floats
 
@@ -59,7 +59,7 @@ class Loop:
         steps: Sequence[SeriesStep] = (),
     ) -> None:
         """`motion`: of the field; `assignment`: the goals; `settings`: number of moves and stop rule;
-        `steps`: to where the targets go afterwards, exposure by exposure.
+        `steps`: where the targets are, exposure by exposure of a series.
 
         `map_sigma_deg`: gives standard errors (N, 2) of the maps at wire positions (N, 2) in deg; None
         where they are not known.
@@ -100,8 +100,9 @@ class Loop:
         corrections = self._corrections()
         await self._corrected(corrections, self.settings.moves - 1)
         self.stopped = self._why_stopped()
-        self.placed.append(self.moves[-1])
-        for step in self.steps:
+        for step in self.steps[:1]:
+            await self._placed(corrections, step)
+        for step in self.steps[1:]:
             await self._reposition(corrections, step)
         if self.settings.compare_linear:
             await self.linear_move()
@@ -120,7 +121,15 @@ class Loop:
         self.goals = replace(self.goals, angles_deg=step.angles_deg, target_mm=step.target_mm)
         self._arrived[:] = False
         await self.correct(corrections, step.label)
-        await self._corrected(corrections, self.settings.moves - 2)
+        await self._placed(corrections, step)
+
+    async def _placed(self, corrections: Corrections, step: SeriesStep) -> None:
+        """Corrects those that are not as near as the step asks for, so many times at most as a field is."""
+        for done in range(self.settings.moves):
+            self._arrived = ~(self.moves[-1].measured_error_um > step.limit_um)
+            if not (self.correctable & ~self._arrived).any():
+                break
+            await self.correct(corrections, f"correction {1 + done}")
         self.placed.append(self.moves[-1])
 
     def _corrections(self) -> Corrections:

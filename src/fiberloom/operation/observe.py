@@ -25,7 +25,7 @@ from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
-from fiberloom.operation.series import check_series, series_about, steps_of
+from fiberloom.operation.series.steps import check_series, series_about, steps_of
 from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store

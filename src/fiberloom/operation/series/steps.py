@@ -16,6 +16,7 @@ from fiberloom.assignment import Assignment
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
+from fiberloom.sky.drift import drift
 from fiberloom.sky.on_sky import OnSky
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats
@@ -26,13 +27,15 @@ MOST_EXPOSURES = 200
 
 @dataclass(frozen=True, eq=False)
 class SeriesStep:
-    """Where the targets are in an exposure after the first. Arrays over N positioners."""
+    """Where targets are in an exposure, and how near their fibres must come. Arrays over N positioners."""
 
     label: str
     target_mm: Floats
     """(N, 2) NaN without a target."""
     angles_deg: Floats
     """(N, 2) goals, alpha and beta."""
+    limit_um: Floats
+    """(N,) as measured: what the drift of the exposure leaves of the requirement."""
 
 
 def check_series(targets: TargetList, exposures: int) -> None:
@@ -48,7 +51,7 @@ def check_series(targets: TargetList, exposures: int) -> None:
 def steps_of(
     plane: FocalPlane, assignment: Assignment, targets: TargetList, exposures: int
 ) -> list[SeriesStep]:
-    """The steps after the first exposure.
+    """A step for each exposure, the first included; none of a single exposure.
 
     `plane`: of the `assignment` of N positioners to `targets`; `exposures`: of the whole series.
     """
@@ -57,11 +60,24 @@ def steps_of(
         return []
     first_mm = sky.places_mm(assignment.target, assignment.fibre)
     steps = []
-    for number in range(1, exposures):
-        there_mm = sky.places_mm(assignment.target, assignment.fibre, number * sky.field.cadence_s)
+    for number in range(exposures):
+        after_s = number * sky.field.cadence_s
+        there_mm = sky.places_mm(assignment.target, assignment.fibre, after_s)
         angles_deg = _followed(plane, assignment, there_mm - first_mm)
-        steps.append(SeriesStep(f"re-position {number}", there_mm, angles_deg))
+        limit_um = _limit_um(plane, assignment, sky, after_s)
+        steps.append(SeriesStep(f"re-position {number}", there_mm, angles_deg, limit_um))
     return steps
+
+
+def _limit_um(plane: FocalPlane, assignment: Assignment, sky: OnSky, after_s: float) -> Floats:
+    """(N,) um: the requirement less drift and twice the noise of the camera, but a third of it at least."""
+    has = assignment.target >= 0
+    drift_um = np.zeros(plane.n)
+    asked = sky.asked(assignment.target, assignment.fibre)
+    drift_um[has] = drift(sky.then(after_s), asked, sky.field.exposure_s).guided_um
+    requirement_um = plane.instrument.operation.requirement_um
+    left_um = requirement_um - drift_um - 2.0 * plane.instrument.metrology.noise_rms_um
+    return np.maximum(left_um, requirement_um / 3.0)
 
 
 def _followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
