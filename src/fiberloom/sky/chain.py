@@ -237,7 +237,7 @@ class Chain:
         p, airless = self.pointing, self._apco13((0.0, 0.0))
         pole = erfa.c2s(erfa.pmat06(*self.pointing.time.tt)[2])
         radec = np.array([(p.ra_deg * RAD_PER_DEG, p.dec_deg * RAD_PER_DEG), pole])
-        azimuth, altitude = self._observed(*radec.T, (0.0,) * 4, airless)
+        azimuth, altitude = self._observed(radec[:, 0], radec[:, 1], (0.0,) * 4, airless)
         e, u = np.column_stack(_about(azimuth[1:], altitude[1:], azimuth[0], altitude[0])[:2])[0]
         return float(np.pi / 2 - altitude[0]), float(np.arctan2(e, u))
 

@@ -56,7 +56,7 @@ class SkyTime:
     def julian_year(self) -> float:
         """In TT, Julian years: 2016.0 is JD 2457388.5 of TT but for 0.01 s."""
         day, part = self.tt
-        return 2000.0 + ((day - erfa.DJ00) + part) / float(erfa.DJY)
+        return 2000.0 + ((day - float(erfa.DJ00)) + part) / float(erfa.DJY)
 
     @property
     def tt(self) -> tuple[float, float]:

@@ -9,11 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import DEG_PER_RAD, RAD_PER_DEG, UM_PER_MM
+
+Complexes = NDArray[np.complex128]
 
 FEWEST_SCALE = 3
 """Stars from which on the scale is fitted and outliers are clipped."""
@@ -67,7 +69,8 @@ class GuideFit:
         turn, scale = self.covariance[2, 2], self.covariance[3, 3]
         offset = 0.5 * (self.covariance[0, 0] + self.covariance[1, 1])
         spread = offset + 0.5 * (turn + scale) * np.asarray(radius_mm, dtype=np.float64) ** 2
-        return UM_PER_MM * np.sqrt(spread)
+        error: Floats = UM_PER_MM * np.sqrt(spread)
+        return error
 
 
 def fit_guiding(predicted_mm: ArrayLike, measured_mm: ArrayLike, weight: ArrayLike | None = None) -> GuideFit:
@@ -123,12 +126,12 @@ def expected_um(n: int, sigma_um: float, ring_mm: float, radius_mm: float) -> fl
     return sigma_um * float(np.sqrt((1.0 + (radius_mm / ring_mm) ** 2) / n))
 
 
-def _complex(xy: ArrayLike) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+def _complex(xy: ArrayLike) -> Complexes:
     xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     return xy[:, 0] + 1j * xy[:, 1]
 
 
-def _similarity(p: Floats, m: Floats, w: Floats) -> tuple[complex, complex]:
+def _similarity(p: Complexes, m: Complexes, w: Floats) -> tuple[complex, complex]:
     if len(p) < 2:
         raise InputError(f"guiding: {len(p)} guide stars; offset and rotation need 2")
     mean_p, mean_m = (np.average(x, weights=w) for x in (p, m))
@@ -150,7 +153,7 @@ def _within(left_mm: Floats, good: Flags) -> Flags:
     return within
 
 
-def _covariance(p: Floats, w: Floats, left_mm: Floats) -> Floats:
+def _covariance(p: Complexes, w: Floats, left_mm: Floats) -> Floats:
     """(4, 4) of offset (mm), rotation (rad), scale; the weights say how errors compare, not how large."""
     one, zero = np.ones(len(p)), np.zeros(len(p))
     rows = [np.column_stack([one, zero, -p.imag, p.real]), np.column_stack([zero, one, p.real, p.imag])]

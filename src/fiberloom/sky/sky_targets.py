@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
-from fiberloom.typing import Array, Floats, Ints
+from fiberloom.typing import Array, Flags, Floats, Ints
 
 _ZERO = (
     "pm_ra_mas_yr",
@@ -92,9 +92,10 @@ class SkyTargets:
         return f"SkyTargets({len(self)} target{'' if len(self) == 1 else 's'})"
 
     @property
-    def moves(self) -> Array:
+    def moves(self) -> Flags:
         """(n,) which have a proper motion."""
-        return (self.pm_ra_mas_yr != 0.0) | (self.pm_dec_mas_yr != 0.0)
+        moving: Flags = (self.pm_ra_mas_yr != 0.0) | (self.pm_dec_mas_yr != 0.0)
+        return moving
 
     @classmethod
     def at(cls, ra_deg: ArrayLike, dec_deg: ArrayLike) -> SkyTargets:

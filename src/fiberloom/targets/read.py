@@ -1,18 +1,24 @@
 """Read target lists: CSV, ECSV, FITS with our columns, or SDSS-V confSummary files."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fiberloom.errors import InputError
-from fiberloom.instruments import Instrument, load_instrument
-from fiberloom.sky.sky_field import SkyField
 from fiberloom.tables import TableFile, read_table
-from fiberloom.targets.sky_list import SkyList, columns_of, is_sky, positioners, sky_list
+from fiberloom.targets.columns import columns_of, is_sky, positioners
 from fiberloom.targets.target_list import FREE, TargetList
 from fiberloom.targets.yanny import Yanny, read_yanny
 from fiberloom.typing import Array
 from fiberloom.wholefile import write_whole
+
+if TYPE_CHECKING:
+    from fiberloom.instruments import Instrument
+    from fiberloom.sky.sky_field import SkyField
+    from fiberloom.targets.sky_list import SkyList
 
 REQUIRED = ("target_id", "x_mm", "y_mm")
 OPTIONAL = ("priority", "fibre", "positioner_id")
@@ -58,12 +64,19 @@ def read_targets(
     """
     path = Path(path)
     if field is not None:
-        field = field if isinstance(field, SkyField) else SkyField.read(field)
-        model = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
-        return read_sky(path)[0].placed(field.chain(model), field)
+        return _placed(path, field, instrument)
     if path.name.lower().endswith(PAR_SUFFIXES):
         return _from_confsummary(read_yanny(path))
     return _from_table(read_table(path))
+
+
+def _placed(path: Path, field: SkyField | str | Path, instrument: str | Instrument) -> TargetList:
+    from fiberloom.instruments import load_instrument
+    from fiberloom.sky.sky_field import SkyField
+
+    field = SkyField.read(field) if isinstance(field, str | Path) else field
+    model = load_instrument(instrument) if isinstance(instrument, str) else instrument
+    return read_sky(path)[0].placed(field.chain(model), field)
 
 
 def read_sky(path: str | Path) -> tuple[SkyList, SkyField | None]:
@@ -85,6 +98,9 @@ def read_sky(path: str | Path) -> tuple[SkyList, SkyField | None]:
     InputError
         No RA and Dec; a row that cannot be: file, line, column, rule.
     """
+    from fiberloom.sky.sky_field import SkyField
+    from fiberloom.targets.sky_list import sky_list
+
     path = Path(path)
     if not path.name.lower().endswith(PAR_SUFFIXES):
         table = read_table(path)

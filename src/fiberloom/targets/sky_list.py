@@ -16,26 +16,10 @@ from fiberloom.sky.on_sky import OnSky
 from fiberloom.sky.sky_field import SkyField
 from fiberloom.sky.sky_targets import SkyTargets
 from fiberloom.tables import TableFile
-from fiberloom.targets.target_list import FREE, TargetList
-from fiberloom.typing import Array, Floats, Ints
+from fiberloom.targets.columns import NAMES, columns_of, positioners
+from fiberloom.targets.target_list import TargetList
+from fiberloom.typing import Array, Flags, Floats
 
-NAMES = {
-    "target_id": ("target_id", "source_id", "catalogid"),
-    "ra_deg": ("ra_deg", "racat", "ra"),
-    "dec_deg": ("dec_deg", "deccat", "dec"),
-    "epoch_yr": ("epoch", "ref_epoch", "coord_epoch", "epoch_yr"),
-    "pm_ra_mas_yr": ("pmra", "pm_ra", "pm_ra_mas_yr"),
-    "pm_dec_mas_yr": ("pmdec", "pm_dec", "pm_dec_mas_yr"),
-    "parallax_mas": ("parallax", "parallax_mas"),
-    "velocity_km_s": ("radial_velocity", "rv", "velocity_km_s"),
-    "delta_ra_arcsec": ("delta_ra", "delta_ra_arcsec"),
-    "delta_dec_arcsec": ("delta_dec", "delta_dec_arcsec"),
-    "wavelength_A": ("wavelength", "wavelength_a", "lambda_eff"),
-    "priority": ("priority",),
-    "fibre": ("fibre", "fiber", "fibertype"),
-    "positioner_id": ("positioner_id", "positionerid"),
-}
-"""Of columns, without regard to capitals; the first that a file has is read. Gaia's and SDSS's among them."""
 MISSING = (-999.0, -9999.0)
 """Numbers that stand for none, if they are met exactly: real stars move by less than -999 mas/yr."""
 _YEARS = (1850.0, 2150.0)
@@ -87,38 +71,20 @@ class SkyList:
             raise InputError(f"{self.path}: {error}") from None
         at = f"at {chain.pointing.time.iso} UTC"
         _, limit_deg = chain.optics(chain.guide_A)
-        for bad, told in (
-            (seen.altitude_deg < 0.0, lambda k: f"is {-seen.altitude_deg[k]:.1f} deg below the horizon {at}"),
-            (seen.low, lambda k: f"is {seen.altitude_deg[k]:.1f} deg high {at}: too low"),
-            (
-                seen.outside,
-                lambda k: (
-                    f"is {seen.field_angle_deg[k]:.3f} deg from the centre of the field; the optics "
-                    f"are known to {limit_deg:g} deg"
-                ),
-            ),
-        ):
-            rows = np.flatnonzero(bad).tolist()
-            if rows:
-                more = f" (and {len(rows) - 1} more)" if len(rows) > 1 else ""
-                raise self.error(rows[0], told(rows[0]) + more)
+        self._refuse(seen.altitude_deg < 0.0, -seen.altitude_deg, f"is {{:.1f}} deg below the horizon {at}")
+        self._refuse(seen.low, seen.altitude_deg, f"is {{:.1f}} deg high {at}: too low")
+        known = f"the optics are known to {limit_deg:g} deg"
+        self._refuse(
+            seen.outside, seen.field_angle_deg, f"is {{:.3f}} deg from the centre of the field; {known}"
+        )
         return seen
 
-
-def is_sky(table: TableFile) -> bool:
-    """Has the table RA and Dec?"""
-    found = columns_of(table)
-    return "ra_deg" in found and "dec_deg" in found
-
-
-def columns_of(table: TableFile) -> dict[str, str]:
-    """Column of the table for each of our names that it has."""
-    there = {name.lower(): name for name in reversed(list(table.columns))}
-    return {
-        ours: there[next(n for n in theirs if n in there)]
-        for ours, theirs in NAMES.items()
-        if any(n in there for n in theirs)
-    }
+    def _refuse(self, bad: Flags, value: Floats, told: str) -> None:
+        """Raises InputError for the first of the rows that are bad; `told` has a place for its value."""
+        rows = np.flatnonzero(bad).tolist()
+        if rows:
+            more = f" (and {len(rows) - 1} more)" if len(rows) > 1 else ""
+            raise self.error(rows[0], told.format(value[rows[0]]) + more)
 
 
 def sky_list(table: TableFile, names: Mapping[str, Any] | None = None) -> SkyList:
@@ -169,23 +135,6 @@ def _is_missing(text: str) -> bool:
     except ValueError:
         return text in ("", "--")
     return math.isnan(value) or value in MISSING
-
-
-def positioners(table: TableFile, name: str) -> Ints:
-    """Whole numbers; empty cells are free. Two targets must not demand one positioner.
-
-    `name`: of the column.
-    """
-    cells = [text or str(FREE) for text in table.strings(name)]
-    filled = TableFile(table.path, {name: cells}, table.places)
-    ids = filled.integers(name)
-    first: dict[int, int] = {}
-    for row in np.flatnonzero(ids != FREE).tolist():
-        if ids[row] < 0:
-            raise table.error(row, name, f"= {ids[row]}: -1 means any, others count up")
-        if (other := first.setdefault(int(ids[row]), row)) != row:
-            raise table.error(row, name, f"= {ids[row]} is demanded by {table.places[other]} too")
-    return ids
 
 
 def _check(table: TableFile, found: Mapping[str, str], columns: Mapping[str, Array]) -> None:

@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
-from fiberloom.sky.on_sky import OnSky
 from fiberloom.typing import Array, Floats, Ints
+
+if TYPE_CHECKING:
+    from fiberloom.sky.on_sky import OnSky
 
 FREE = -1
 """positioner_id of a target that any positioner may take."""
@@ -55,7 +58,7 @@ class TargetList:
     """Positioner that must take it; -1: any."""
     by_fibre: Mapping[str, Floats] = field(default_factory=dict)
     """(n, 2) mm by fibre, of targets on the sky: colours stand apart. Others have one place for all."""
-    on_sky: OnSky | None = None
+    on_sky: "OnSky | None" = None
     """Of targets on the sky: where they are there, and the field."""
 
     def __post_init__(self) -> None:

@@ -178,11 +178,12 @@ def _wavelengths(
 
     if "wavelength" in table:
         return table.numbers("wavelength")
-    only = chain.instrument.science_fibres[0] if len(set(chain.known_A.values())) == 1 else None
+    only = chain.instrument.science_fibres[0] if len(set(chain.known_A.values())) == 1 else ""
     named = table.strings("fibre") if "fibre" in table else np.full(len(table), "")
     out = np.empty(len(table))
     for row, name in enumerate(named.tolist()):
-        if not (name or fibre or only):
+        known = name or fibre or only
+        if not known:
             raise table.error(row, "fibre", f"is not given; --fibre: one of {', '.join(chain.known_A)}")
-        out[row] = chain.wavelength_of(name or fibre or only)
+        out[row] = chain.wavelength_of(known)
     return out

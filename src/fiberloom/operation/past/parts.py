@@ -92,7 +92,8 @@ def plane_of(part: RunPart) -> FocalPlane:
 
 def targets_of(part: RunPart) -> TargetList:
     """The target list of a part."""
-    return TargetList(**part.arrays)
+    arrays: dict[str, Any] = {name: part.arrays[name] for name in _LIST}
+    return TargetList(**arrays)
 
 
 def assignment_of(part: RunPart) -> Assignment:

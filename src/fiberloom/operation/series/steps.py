@@ -86,7 +86,7 @@ def _followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Fl
     for fibre in np.unique(assignment.fibre[assignment.target >= 0]).tolist():
         rows = np.flatnonzero((assignment.target >= 0) & (assignment.fibre == fibre))
         before_deg = goal_deg[rows]
-        xy_mm = plane.forward(*before_deg.T, fibre, index=rows) + shift_mm[rows]
+        xy_mm = plane.forward(before_deg[:, 0], before_deg[:, 1], fibre, index=rows) + shift_mm[rows]
         found = plane.inverse(xy_mm, fibre, rows, near_deg=before_deg)
         turned_deg = wrap_deg(np.column_stack([found.alpha_deg, found.beta_deg]) - before_deg)
         goal_deg[rows] += np.where(found.reachable[:, None], turned_deg, 0.0)

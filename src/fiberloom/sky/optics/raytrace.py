@@ -90,7 +90,8 @@ class PrismOptics:
 
     def focal_mm(self, directions: Floats, view: View) -> Floats:
         """(n, 2) mm, x to the east, y to the north, of directions (n, 3); `view`: sets the prisms."""
-        return self._bent(view)(directions[:, :2])
+        focal: Floats = self._bent(view)(directions[:, :2])
+        return focal
 
     def directions(self, focal_mm: Floats, view: View) -> Floats:
         """(n, 3) unit vectors of places (n, 2) in mm, for the same `view`."""

@@ -70,11 +70,13 @@ class PrimeFocus:
 
     def plane_mm(self, focal_mm: Floats, view: View) -> Floats:
         """(n, 2) PFI mm: `focal_mm` (n, 2) turned by the rotator of the `view`."""
-        return (focal_mm @ self._turn(view).T + _ORIGIN_MM) / view.scale
+        plane: Floats = (focal_mm @ self._turn(view).T + _ORIGIN_MM) / view.scale
+        return plane
 
     def from_plane_mm(self, plane_mm: Floats, view: View) -> Floats:
         """(n, 2) mm before the rotator, of PFI `plane_mm` (n, 2), for the same `view`."""
-        return (plane_mm * view.scale - _ORIGIN_MM) @ self._turn(view)
+        focal: Floats = (plane_mm * view.scale - _ORIGIN_MM) @ self._turn(view)
+        return focal
 
     @staticmethod
     def _turn(view: View) -> Floats:
