@@ -29,6 +29,7 @@ from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
 _MAS_RAD = 1e-3 * ARCSEC_RAD
 _UM_PER_A = 1e-4
+_BACK_STEPS = 2
 _J2000 = (erfa.DJ00, 0.0)
 
 
@@ -353,7 +354,7 @@ class Chain:
             directions[rows] = optics.directions(focal, self.view)
         azimuth, altitude = self._to_horizon(directions)
         with np.errstate(invalid="ignore"):  # a place that the optics do not reach stays NaN
-            ri, di = erfa.atoiq("A", azimuth, np.pi / 2 - altitude, self._astrom_of(wavelength))
+            ri, di = _unrefracted(azimuth, np.pi / 2 - altitude, self._astrom_of(wavelength))
             ra, dec = erfa.aticq(ri, di, self._astrom)
             ra = erfa.anp(ra)
         return np.column_stack([rad_to_deg(ra), rad_to_deg(dec)])
@@ -368,6 +369,19 @@ class Chain:
         azimuth: Floats = az0 + np.arctan2(e, north)
         altitude: Floats = np.arctan2(up, np.hypot(e, north))
         return azimuth, altitude
+
+
+def _unrefracted(azimuth: Any, zenith: Any, astrom: Any) -> tuple[Any, Any]:
+    """CIRS place of an observed azimuth and zenith distance, rad.
+
+    SOFA's own inverse of the refraction is good to 15 microarcsec; two steps make it exact.
+    """
+    aim = zenith
+    for _ in range(_BACK_STEPS):
+        seen = erfa.atioq(*erfa.atoiq("A", azimuth, aim, astrom), astrom)[1]
+        aim = aim + (zenith - seen)
+    place: tuple[Any, Any] = erfa.atoiq("A", azimuth, aim, astrom)
+    return place
 
 
 def _about(azimuth: Any, altitude: Any, azimuth0: float, altitude0: float) -> tuple[Any, Any, Any]:
