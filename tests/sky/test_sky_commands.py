@@ -364,3 +364,24 @@ def test_observe_writes_the_fibre_map(fl, night, tmp_path):
     assert fl("observe", stars, *words, "--out", tmp_path / "out")[0] == 0
     assert (tmp_path / "out" / "fibermap.fits").exists()
     assert not (tmp_path / "out" / "confSummaryF.par").exists()
+
+
+@pytest.mark.parametrize("name", ["sdssv", "desi", "pfs"])
+def test_a_telescope_that_points_too_far_east_and_south_is_told_so(fl, night, tmp_path, name):
+    stars, path, _ = night(name, 60)
+    field, model = SkyField.read(path), load_instrument(name)
+    east_deg, south_deg = 1.0 / 3600.0 / np.cos(np.radians(field.dec_deg)), -2.0 / 3600.0
+    true = field.model_copy(update={"ra_deg": field.ra_deg + east_deg, "dec_deg": field.dec_deg + south_deg})
+    from fiberloom.targets.read import read_sky
+
+    found, _ = read_sky(stars)
+    seen_mm = true.chain(model).place(found.targets, "metrology").xy_mm
+    lines = stars.read_text().splitlines()
+    rows = [f"{line},{x:.9f},{y:.9f}" for line, (x, y) in zip(lines[1:], seen_mm, strict=True)]
+    stars.write_text("\n".join([lines[0] + ",x_mm,y_mm", *rows]) + "\n")
+    code, said, _ = fl("sky", "guide", stars, "--field", path, "--instrument", name, "--json")
+    told = json.loads(said)
+    assert code == 0
+    assert [told["points_off_ra_arcsec"], told["points_off_dec_arcsec"]] == pytest.approx(
+        [1.0, -2.0], abs=0.01
+    )
