@@ -346,3 +346,23 @@ def test_nothing_is_fetched_from_a_network(monkeypatch):
     there = chain("sdssv", 213.7, 53.0, SkyTime.of("2024-04-26T06:00:00", "utc"))
     assert there.earth.ut1_utc_s != 0.0
     assert np.isfinite(there.place(RING, "BOSS").xy_mm).all()
+
+
+def test_a_year_of_unknown_leap_seconds_is_no_warning():
+    there = chain("sdssv", 213.7, 53.0, SkyTime.of("2045-04-26T06:00:00", "tt"))
+    assert there.earth.ut1_utc_s == 0.0
+    assert np.isfinite(there.place(RING, "BOSS").xy_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        ("2024-13-01T00:00:00", "bad month"),
+        ("1600-01-01T00:00:00", "must be in the years 1969 to 2131"),
+        ("2024-04-26", "must be as 2024-04-26T06:00:00"),
+        (12.0, "a Julian date is"),
+    ],
+)
+def test_a_time_that_is_none(time, words):
+    with pytest.raises(InputError, match=words):
+        SkyTime.of(time, "utc")

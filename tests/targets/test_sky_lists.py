@@ -177,8 +177,10 @@ def test_sites_by_name_and_by_coordinates(tmp_path):
     own = "[site]\nlongitude_deg = -105.820278\nlatitude_deg = 32.766666667\nheight_m = 2788.0\n"
     there = SkyField.read(write(tmp_path / "g.toml", FIELD + own)).chain(model)
     assert there.altitude_deg == pytest.approx(named.altitude_deg, abs=1e-6)
-    with pytest.raises(InputError, match="site 'moon': sdssv is at apo, lco"):
-        SkyField.read(write(tmp_path / "h.toml", FIELD + 'site = "moon"\n')).chain(model)
+    with pytest.raises(InputError, match=r"h\.toml: site 'moon': sdssv is at apo, lco"):
+        read_targets(
+            write(tmp_path / "a.csv", LIST), write(tmp_path / "h.toml", FIELD + 'site = "moon"\n'), model
+        )
 
 
 def test_a_time_of_toml_is_a_time(tmp_path):
@@ -187,6 +189,9 @@ def test_a_time_of_toml_is_a_time(tmp_path):
         write(tmp_path / "g.toml", FIELD.replace('"2024-04-26T06:00:00"', "2024-04-26T06:00:00"))
     )
     assert bare.begin == quoted.begin
+    for same in ("2024-04-26T06:00:00Z", "2024-04-26T08:00:00+02:00"):
+        zoned = FIELD.replace('"2024-04-26T06:00:00"', same)
+        assert SkyField.read(write(tmp_path / "i.toml", zoned)).begin == quoted.begin
     julian = FIELD.replace('"2024-04-26T06:00:00"', "2460426.75")
     assert abs(SkyField.read(write(tmp_path / "h.toml", julian)).begin.after_s(quoted.begin)) < 1e-4
 

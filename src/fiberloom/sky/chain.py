@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from fiberloom.errors import InputError
 from fiberloom.instruments.model import Instrument, TelescopeSite
-from fiberloom.sky.earth import ARCSEC_RAD, Orientation, SkyTime, orientation
+from fiberloom.sky.earth import ARCSEC_RAD, Orientation, SkyTime, orientation, quiet
 from fiberloom.sky.optics.choose import optics_at
 from fiberloom.sky.optics.view import FieldOptics, View
 from fiberloom.sky.site import SkySite, Weather, sky_of
@@ -153,7 +153,8 @@ class Chain:
 
     def _apco13(self, air: tuple[float, float]) -> Any:
         time, site, earth = self.pointing.time, self.site, self.earth
-        astrom, _ = erfa.apco13(
+        astrom, _ = quiet(
+            erfa.apco13,
             *(time.day, time.part, earth.ut1_utc_s, site.longitude_rad, site.latitude_rad, site.height_m),
             *(earth.x_arcsec * ARCSEC_RAD, earth.y_arcsec * ARCSEC_RAD, 0.0, 0.0, 0.0, 0.55),
         )

@@ -6,10 +6,12 @@ The table of the IERS comes with astropy (`astropy_iers_data`): nothing is downl
 from __future__ import annotations
 
 import re
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import erfa
 import numpy as np
@@ -22,7 +24,15 @@ _MJD_ZERO = 2400000.5
 _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?")
 _SOONEST, _LATEST = 2440000.5, 2500000.5
 """1968 to 2132: what a table of leap seconds can say."""
+_YEARS = (1969, 2131)
 ARCSEC_RAD = np.pi / 180.0 / 3600.0
+
+
+def quiet(call: Callable[..., Any], *arguments: Any) -> Any:
+    """What an ERFA function gives; it warns of years whose leap seconds are not decided yet."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year.*", category=erfa.ErfaWarning)
+        return call(*arguments)
 
 
 @dataclass(frozen=True)
@@ -45,12 +55,12 @@ class SkyTime:
         if scale == "utc":
             return cls(*map(float, parts))
         tai = parts if scale == "tai" else erfa.tttai(*parts)
-        return cls(*map(float, erfa.taiutc(*tai)))
+        return cls(*map(float, quiet(erfa.taiutc, *tai)))
 
     def later(self, seconds_s: float) -> SkyTime:
         """So many s afterwards, by TAI."""
-        tai = erfa.utctai(self.day, self.part)
-        return SkyTime(*map(float, erfa.taiutc(tai[0], tai[1] + seconds_s / DAY_S)))
+        day, part = self.tai
+        return SkyTime(*map(float, quiet(erfa.taiutc, day, part + seconds_s / DAY_S)))
 
     @property
     def julian_year(self) -> float:
@@ -61,19 +71,25 @@ class SkyTime:
     @property
     def tt(self) -> tuple[float, float]:
         """Terrestrial time, as a Julian date in two counts of days."""
-        day, part = erfa.taitt(*erfa.utctai(self.day, self.part))
+        day, part = erfa.taitt(*self.tai)
+        return float(day), float(part)
+
+    @property
+    def tai(self) -> tuple[float, float]:
+        """International atomic time, as a Julian date in two counts of days."""
+        day, part = quiet(erfa.utctai, self.day, self.part)
         return float(day), float(part)
 
     @property
     def iso(self) -> str:
         """UTC, to the millisecond."""
-        year, month, day, clock = erfa.d2dtf("UTC", 3, self.day, self.part)
+        year, month, day, clock = quiet(erfa.d2dtf, "UTC", 3, self.day, self.part)
         hour, minute, second, part = (int(x) for x in clock.item())
         return f"{int(year)}-{int(month):02d}-{int(day):02d}T{hour:02d}:{minute:02d}:{second:02d}.{part:03d}"
 
     def after_s(self, other: SkyTime) -> float:
         """Since another moment, in s of TAI."""
-        (a, b), (c, d) = (erfa.utctai(t.day, t.part) for t in (self, other))
+        (a, b), (c, d) = self.tai, other.tai
         return float(((a - c) + (b - d)) * DAY_S)
 
 
@@ -89,11 +105,13 @@ def _calendar(text: str, scale: str) -> tuple[float, float]:
     if match is None or (text.strip().endswith("Z") and scale != "utc"):
         raise InputError(f"time = '{text}': must be as 2024-04-26T06:00:00 (a Z at the end means utc)")
     *whole, second = match.groups()
+    if not _YEARS[0] <= int(whole[0]) <= _YEARS[1]:
+        raise InputError(f"time = '{text}': must be in the years {_YEARS[0]} to {_YEARS[1]}")
     try:
-        day, part = erfa.dtf2d(scale.upper(), *map(int, whole), float(second or 0.0))
+        day, part = quiet(erfa.dtf2d, scale.upper(), *map(int, whole), float(second or 0.0))
     except erfa.ErfaError as error:
-        raise InputError(f"time = '{text}': {error}") from None
-    _julian(float(day + part))
+        why = str(error).rpartition("yielded ")[2]
+        raise InputError(f"time = '{text}': {why}") from None
     return float(day), float(part)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -83,6 +84,8 @@ class SkyField(_FieldTable):
     @classmethod
     def _text(cls, value: Any) -> Any:
         """TOML has times of its own."""
+        if isinstance(value, datetime) and value.tzinfo is not None:
+            return value.astimezone(UTC).replace(tzinfo=None).isoformat() + "Z"
         return value.isoformat() if hasattr(value, "isoformat") else value
 
     @model_validator(mode="after")
@@ -153,8 +156,17 @@ class SkyField(_FieldTable):
         """Of the telescope, at the moment of placing."""
         return SkyPointing(self.ra_deg, self.dec_deg, self.placing, self.position_angle_deg, self.scale)
 
-    def chain(self, instrument: Instrument) -> Chain:
-        """From the sky to the focal plane of an instrument, at the moment of placing."""
+    def chain(self, instrument: Instrument, where: str | Path | None = None) -> Chain:
+        """From the sky to the focal plane of an instrument, at the moment of placing.
+
+        `where` names the file of the field in errors.
+        """
+        try:
+            return self._chain(instrument)
+        except InputError as error:
+            raise InputError(f"{where}: {error}" if where else str(error)) from None
+
+    def _chain(self, instrument: Instrument) -> Chain:
         site, air = self._site(instrument), self.weather
         weather = None if air is None else Weather(air.pressure_hPa, air.temperature_C, air.humidity)
         return Chain(instrument, self.pointing(), site, weather, polar_motion=self.polar_motion)

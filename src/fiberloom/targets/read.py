@@ -74,9 +74,10 @@ def _placed(path: Path, field: SkyField | str | Path, instrument: str | Instrume
     from fiberloom.instruments import load_instrument
     from fiberloom.sky.sky_field import SkyField
 
+    where = field if isinstance(field, str | Path) else None
     field = SkyField.read(field) if isinstance(field, str | Path) else field
     model = load_instrument(instrument) if isinstance(instrument, str) else instrument
-    return read_sky(path)[0].placed(field.chain(model), field)
+    return read_sky(path)[0].placed(field.chain(model, where), field)
 
 
 def read_sky(path: str | Path) -> tuple[SkyList, SkyField | None]:

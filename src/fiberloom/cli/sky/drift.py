@@ -66,7 +66,7 @@ def _read(options: DriftOptions) -> tuple[Chain, SkyTargets, float]:
         return chain, found.targets, field.exposure_s
     options.check()
     field = options.read_field()
-    chain = field.chain(options.model())
+    chain = field.chain(options.model(), options.field)
     return chain, field_grid(chain), field.exposure_s
 
 

@@ -45,7 +45,7 @@ def guide(options: GuideOptions) -> int:
     table = read_table(options.stars)
     table.require("x_mm", "y_mm")
     field = options.read_field()
-    chain = field.chain(options.model())
+    chain = field.chain(options.model(), options.field)
     import numpy as np
 
     measured_mm = np.column_stack([table.numbers("x_mm"), table.numbers("y_mm")])

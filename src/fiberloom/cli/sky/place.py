@@ -70,7 +70,7 @@ class SkyOptions(JsonOptions):
         self.check()
         found, own = read_sky(path)
         field = self.read_field(own)
-        return found, field, field.chain(self.model())
+        return found, field, field.chain(self.model(), self.field or path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ def where(options: WhereOptions) -> int:
     options.check()
     table = read_table(options.places)
     table.require("x_mm", "y_mm")
-    chain = options.read_field().chain(options.model())
+    chain = options.read_field().chain(options.model(), options.field)
     import numpy as np
 
     xy_mm = np.column_stack([table.numbers("x_mm"), table.numbers("y_mm")])

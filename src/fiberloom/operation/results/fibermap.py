@@ -170,10 +170,8 @@ def confsummary(observed: ObservedField, table: Table) -> str:
     sky = observed.targets.on_sky
     assert sky is not None
     head = table.meta
-    import erfa
-
     time = sky.then((len(observed.about.get("series", [0])) - 1) * sky.field.cadence_s).pointing.time
-    tai = erfa.utctai(time.day, time.part)
+    tai = time.tai
     keywords = {
         "configuration_id": observed.about.get("run", -999),
         "observatory": str(head["SITE"]).upper(),
