@@ -176,6 +176,7 @@ bench: setup
 	$(BIN)/python benchmarks/focal_plane.py --out build/bench/focal_plane.json
 	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
 	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
+	$(BIN)/python -m benchmarks.sky --out build/bench/sky.json
 
 # A hundred cycles as in the paper, and what a hundred other units would have shown.
 campaign: setup

@@ -427,6 +427,8 @@ class Field:
             Measure a blind move by a linear gear ratio too, at the end.
         strict : bool
             No number of targets outweighs one of a higher priority.
+        exposures : int
+            Of a series on the sky; between them fibres follow their targets.
         swap : bool
             Choose, of equally good assignments, that of the shortest ways from where the positioners say they
             are, and swap targets where the motion is held up.

@@ -117,3 +117,14 @@ def first_field(folder, monkeypatch):
     of = FocalPlane.of
     monkeypatch.setattr(FocalPlane, "of", lambda name, seed=0, n=None: of(name, seed, 7))
     return {}
+
+
+def sky_list(folder, monkeypatch):
+    """stars.csv and field.toml in the current folder."""
+    (folder / "stars.csv").write_text(
+        "source_id,ra,dec,pmra,pmdec,ref_epoch\n1,213.71,53.08,10,-20,2016\n2,213.70,53.09,,,\n"
+    )
+    (folder / "field.toml").write_text(
+        'ra_deg = 213.7042\ndec_deg = 53.08333\ntime = "2024-04-26T06:00:00"\ntime_scale = "utc"\n'
+    )
+    return {}

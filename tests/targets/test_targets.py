@@ -56,7 +56,7 @@ def test_empty_positioner_is_free(tmp_path):
     ("text", "words"),
     [
         ("target_id,x_mm\na,1\n", ["no column y_mm", "the columns are target_id, x_mm"]),
-        ("target_id,ra,dec\na,1,2\n", ["sky coordinates are not supported yet"]),
+        ("target_id,ra,dec\na,1,2\n", ["has RA and Dec; give the field with --field"]),
         ("target_id,x_mm,y_mm\na,1,2\na,3,4\n", ["line 3: target_id = a was used before"]),
         ("target_id,x_mm,y_mm\n,1,2\n", ["line 2: target_id is empty"]),
         ("target_id,x_mm,y_mm\na,nan,2\n", ["line 2: x_mm = nan is not finite"]),

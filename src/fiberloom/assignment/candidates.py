@@ -100,7 +100,7 @@ def _by_fibre(
     asked = targets.fibre[target]
     fits = ((asked == "") | (asked == fibre)) & plane.carries(fibre)[positioner]
     positioner, target = positioner[fits], target[fits]
-    found = plane.solutions(targets.xy_mm[target], fibre, positioner)
+    found = plane.solutions(targets.place_mm(fibre)[target], fibre, positioner)
     pair, which = np.nonzero(found.holds)
     goal = found.angles_deg[pair, which]
     return positioner[pair], target[pair], np.full(len(goal), fibre), goal

@@ -90,7 +90,7 @@ def _out_of_reach(plane: FocalPlane, targets: TargetList, row: int) -> str:
 
 
 def _gaps(plane: FocalPlane, targets: TargetList, row: int, fibre: str, rows: Ints) -> Floats:
-    return plane.inverse(targets.xy_mm[row], fibre, rows).gap_mm
+    return plane.inverse(targets.place_mm(fibre)[row], fibre, rows).gap_mm
 
 
 def _blocked(plane: FocalPlane, found: Candidates, block: Ints, mine: NDArray[np.intp]) -> str:

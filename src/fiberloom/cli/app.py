@@ -33,6 +33,9 @@ from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
+from fiberloom.cli.sky.drift import drift
+from fiberloom.cli.sky.guide import guide
+from fiberloom.cli.sky.place import place, where
 from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
 
@@ -51,6 +54,9 @@ calibrate = typer.Typer(
 )
 exclude = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="Positioners of an array that must not be moved."
+)
+sky = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
 )
 
 add(app, observe)
@@ -79,6 +85,12 @@ app.add_typer(exclude, name="exclude")
 add(exclude, exclude_add, "add")
 add(exclude, exclude_list, "list")
 add(exclude, exclude_clear, "clear")
+
+app.add_typer(sky, name="sky")
+add(sky, place)
+add(sky, where)
+add(sky, drift)
+add(sky, guide)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

@@ -102,6 +102,13 @@ class ObservationOptions(
             "instrument's.",
         ),
     ] = None
+    exposures: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Of a series, each as long as the --field says; between them fibres follow their targets.",
+        ),
+    ] = 1
     camera: FieldCameraOption = None
     pages: Annotated[Pages, typer.Option(help="Exposures that get pages: image, residuals, distortion.")] = (
         Pages.last
@@ -146,9 +153,7 @@ def observe(options: ObservationOptions) -> int:
     check(options)
     options.pointing()  # one that cannot be is told before anything is read
     required = options.required_share
-    from fiberloom.targets import read_targets
-
-    targets = read_targets(options.targets)
+    targets = options.read_targets(options.targets, options.instrument)
     from fiberloom.store.place import Place
 
     require_folder(Place.of(options.out).base)
@@ -162,6 +167,10 @@ def observe(options: ObservationOptions) -> int:
 
     def keep(seen: Observation) -> None:
         assert field.folder is not None
+        if seen.targets.on_sky is not None:
+            from fiberloom.operation.results.fibermap import write_fibermap
+
+            write_fibermap(seen, field.folder)
         seen.save(field.folder)
         summary.update(seen.summary() | {"folder": str(field.folder)})
 
@@ -176,6 +185,7 @@ def observe(options: ObservationOptions) -> int:
             compare_linear=options.compare_linear,
             strict=options.strict,
             swap=options.swap,
+            exposures=options.exposures,
             arms=options.arms,
             fibres=options.fibres,
             gravity=options.gravity,
@@ -255,7 +265,14 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     """
     from rich.console import Console
 
-    from fiberloom.report.tables import budget_line, observation_table, shortfall, temperature_line
+    from fiberloom.report.tables import (
+        budget_line,
+        drift_line,
+        observation_table,
+        series_lines,
+        shortfall,
+        temperature_line,
+    )
 
     console = Console()
     console.print(observation_table(summary))
@@ -280,6 +297,10 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         console.print(
             "learnt: {moves} moves of generation {generation} in {store}".format(**summary["learnt"])
         )
+    if "reposition_every_s" in summary.get("sky", {}):
+        say(console, drift_line(summary["sky"]))
+    for line in series_lines(summary.get("series", [])):
+        say(console, line)
     for kind, positioners in summary["faults"].items():
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):

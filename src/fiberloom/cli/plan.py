@@ -31,6 +31,17 @@ class ChoiceOptions:
     strict: Annotated[
         bool, typer.Option("--strict", help="No number of targets outweighs one of a higher priority.")
     ] = False
+    field: Annotated[
+        Path | None,
+        typer.Option(help="Field of a list with ra and dec, TOML: centre, time, exposure, site, weather."),
+    ] = None
+
+    def read_targets(self, path: Path, instrument: str) -> TargetList:
+        """The list, in mm; `instrument`: whose optics lead from the sky to the focal plane."""
+        from fiberloom.targets import read_targets
+
+        require_file(self.field)
+        return read_targets(path, self.field, instrument)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +75,9 @@ def assign(options: AssignOptions) -> int:
 
     Exit code 1 where no positioner has a target.
     """
-    from fiberloom.targets import read_targets
-
     options.check_plane()
     require_file(options.start)
-    wanted = read_targets(options.targets)
+    wanted = options.read_targets(options.targets, options.instrument)
     require_folder(options.out.parent)
     plane = options.plane()
     with waiting(options.as_json) as wait:

@@ -550,8 +550,8 @@ class FocalPlane(Views):
         Returns
         -------
         str
-            16 hex digits that change with any number of either; but `care`, `expansion` and `drive` make no
-            other array of it.
+            16 hex digits that change with any number of either; but `care`, `expansion`, `drive` and `sky`
+            make no other array of it.
 
         Examples
         --------

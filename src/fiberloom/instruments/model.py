@@ -22,6 +22,14 @@ from fiberloom.instruments.axis import DriveTable as DriveTable
 from fiberloom.instruments.axis import Range, protocol_of
 from fiberloom.instruments.outlines import KeepOut, Outline
 from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
+from fiberloom.instruments.telescope.tables import PolynomialOptics as PolynomialOptics
+from fiberloom.instruments.telescope.tables import RadialOptics as RadialOptics
+from fiberloom.instruments.telescope.tables import RaytraceOptics as RaytraceOptics
+from fiberloom.instruments.telescope.tables import SkyTable as SkyTable
+from fiberloom.instruments.telescope.tables import SphereOptics as SphereOptics
+from fiberloom.instruments.telescope.tables import SubaruOptics as SubaruOptics
+from fiberloom.instruments.telescope.tables import TelescopeSite as TelescopeSite
+from fiberloom.instruments.telescope.tables import WeatherTable as WeatherTable
 from fiberloom.units import AXES as AXES
 
 MOST_SIDE_PX = 50_000
@@ -307,6 +315,8 @@ class Instrument(Table):
     expansion: Expansion | None = None
     """None: arms are taken as they were measured, whatever the temperature."""
     layout: Layout
+    sky: SkyTable | None = None
+    """None: targets are given in the focal plane alone."""
     scatter: UnitScatter = UnitScatter()
     twin: dict[str, Any] = Field(default_factory=dict)
 

@@ -106,15 +106,15 @@ class Views:
 
 
 def marked_text(instrument: Instrument) -> str:
-    """JSON of what makes another array of an `instrument`: without `care`, `expansion`, `drive`, and keys
-    younger than the marks of old files where they are not set.
+    """JSON of what makes another array of an `instrument`: without `care`, `expansion`, `drive`, `sky`, and
+    keys younger than the marks of old files where they are not set.
     """
     axes: dict[str, Any] = {
         name: {"steps_per_turn"} if axis.steps_per_turn is None else set()
         for name, axis in zip(AXES, instrument.axes, strict=True)
     }
     layout = {name for name in ("modules", "dots") if getattr(instrument.layout, name) is None}
-    without: dict[str, Any] = {"care": True, "expansion": True, "drive": True, "layout": layout}
+    without: dict[str, Any] = {"care": True, "expansion": True, "drive": True, "sky": True, "layout": layout}
     return instrument.model_dump_json(exclude=without | axes)
 
 

@@ -167,6 +167,10 @@ class Corrections(Protocol):
     camera_factor: float
     """Of the variance that the camera tells, as images show; a ratio."""
 
+    def follow(self, goal_deg: Floats) -> None:
+        """Other goals (N, 2) in deg, near the old ones: the targets have gone there."""
+        ...
+
     def update(
         self, believed_deg: Floats, measured_mm: Floats, active: Flags, noise_mm2: Floats | None = None
     ) -> Floats:
@@ -189,6 +193,12 @@ class SeenAims:
         self.metrology_goal_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1])
         self.rests: Flags = np.zeros(plane.n, dtype=bool)
         self.camera_factor = 1.0
+        self._plane = plane
+
+    def follow(self, goal_deg: Floats) -> None:
+        """Other goals (N, 2) in deg."""
+        self.goal_deg = goal_deg
+        self.metrology_goal_mm = self._plane.forward(goal_deg[:, 0], goal_deg[:, 1])
 
     def update(
         self, believed_deg: Floats, measured_mm: Floats, active: Flags, noise_mm2: Floats | None = None
@@ -243,6 +253,15 @@ class CorrectionLoop:
         bring it no nearer."""
         self.camera_factor = 1.0
         """By how much the variance of the camera is larger than it tells, as its images show; a ratio."""
+
+    def follow(self, goal_deg: Floats) -> None:
+        """Other goals (N, 2) in deg, near the old ones: what images have told of the arms stays."""
+        every = np.arange(self.plane.n)
+        moved_mm = self.plane.forward(*goal_deg.T) - self.plane.forward(*self.goal_deg.T)
+        self._aim_deg = self._aim_deg + (goal_deg - self.goal_deg)
+        self.metrology_goal_mm = self.metrology_goal_mm + moved_mm
+        self.goal_deg = goal_deg
+        self.target_mm = self._of_fibre(self.plane.forward, goal_deg, every)
 
     def update(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from fiberloom.instruments.model import Operation
 from fiberloom.operation.correction import CorrectionLoop, Corrections, SeenAims, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
+from fiberloom.operation.series.steps import SeriesStep
 from fiberloom.operation.stopping import StopRule
 from fiberloom.typing import Flags, Floats
 
@@ -55,8 +56,10 @@ class Loop:
         assignment: Assignment,
         settings: LoopSettings,
         map_sigma_deg: Callable[[Floats], Floats] | None = None,
+        steps: Sequence[SeriesStep] = (),
     ) -> None:
-        """`motion`: of the field; `assignment`: the goals; `settings`: number of moves and stop rule.
+        """`motion`: of the field; `assignment`: the goals; `settings`: number of moves and stop rule;
+        `steps`: where the targets are, exposure by exposure of a series.
 
         `map_sigma_deg`: gives standard errors (N, 2) of the maps at wire positions (N, 2) in deg; None
         where they are not known.
@@ -64,6 +67,9 @@ class Loop:
         self.motion, self.settings, self.map_sigma_deg = motion, settings, map_sigma_deg
         self.plane, self.maps = motion.plane, motion.maps
         self.goals = Goals.of(assignment)
+        self.steps = steps
+        self.placed: list[Move] = []
+        """The move after which each exposure begins."""
         self.stopped = ""
         """Why the loop made no further correction."""
         self._arrived = np.zeros(len(self.plane), dtype=bool)
@@ -92,14 +98,39 @@ class Loop:
         self.motion.images = self.settings.images
         await self.blind_move()
         corrections = self._corrections()
-        for number in range(2, self.settings.moves + 1):
-            if self.settings.stop.satisfied(self._open_um()):
-                break
-            await self.correct(corrections, number)
+        await self._corrected(corrections, self.settings.moves - 1)
         self.stopped = self._why_stopped()
+        for step in self.steps[:1]:
+            await self._placed(corrections, step)
+        for step in self.steps[1:]:
+            await self._reposition(corrections, step)
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
+
+    async def _corrected(self, corrections: Corrections, most: int) -> None:
+        """Corrections until the stop rule has enough, or so many were made."""
+        for done in range(most):
+            if self.settings.stop.satisfied(self._open_um()):
+                break
+            await self.correct(corrections, f"correction {1 + done}")
+
+    async def _reposition(self, corrections: Corrections, step: SeriesStep) -> None:
+        """Moves the fibres to where their targets have gone, and corrects as after a blind move."""
+        corrections.follow(step.angles_deg)
+        self.goals = replace(self.goals, angles_deg=step.angles_deg, target_mm=step.target_mm)
+        self._arrived[:] = False
+        await self.correct(corrections, step.label)
+        await self._placed(corrections, step)
+
+    async def _placed(self, corrections: Corrections, step: SeriesStep) -> None:
+        """Corrects those that are not as near as the step asks for, so many times at most as a field is."""
+        for done in range(self.settings.moves):
+            self._arrived = ~(self.moves[-1].measured_error_um > step.limit_um)
+            if not (self.correctable & ~self._arrived).any():
+                break
+            await self.correct(corrections, f"correction {1 + done}")
+        self.placed.append(self.moves[-1])
 
     def _corrections(self) -> Corrections:
         """How an image becomes the next command, with this drive."""
@@ -144,10 +175,10 @@ class Loop:
             return None
         return self.map_sigma_deg(self.maps.to_wire(self.goal_deg))
 
-    async def correct(self, corrections: Corrections, number: int) -> None:
+    async def correct(self, corrections: Corrections, label: str) -> None:
         """Moves every healthy positioner with a target by what the last image shows.
 
-        `corrections`: the state of the filter; `number`: of the move, the blind move is 1. A positioner
+        `corrections`: the state of the filter; `label`: of the move. A positioner
         that the stop rule does not move again stays, and so does one that would come no nearer; a correction
         is made of whole steps.
         """
@@ -157,7 +188,7 @@ class Loop:
         goal_deg = whole_steps(here_deg, wanted_deg, np.array(self.motion.drive.model.step_deg))
         goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
         self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm.copy())
-        await self._small_move(number, f"correction {number - 1}", goal_deg)
+        await self._small_move(self.moves[-1].number + 1, label, goal_deg)
 
     def _tell_noise(self, corrections: Corrections) -> None:
         """Once, where images scatter much more than the camera tells."""

@@ -254,6 +254,7 @@ class FieldMotion:
             measurement=image,
             measured_error_um=error_um,
             metrology_goal_mm=made.goals.metrology_mm,
+            target_mm=made.goals.target_mm,
             **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),
             interrupted=bool(interrupted.any()),

@@ -32,6 +32,8 @@ class Goals:
     metrology_mm: Floats | None = None
     """(N, 2) where the camera is to see the metrology fibres with the science fibres on target, as far as
     images have told; None: where it is at these angles."""
+    target_mm: Floats | None = None
+    """(N, 2) where the targets have gone; None: as in the list."""
 
     @classmethod
     def of(cls, assignment: Assignment) -> Goals:
@@ -76,6 +78,8 @@ class Move:
     """(N, 2) the science fibre at the image; None: as in `true_mm`."""
     true_ends_mm: Floats | None = None
     """(2, N, 2) the science fibre at begin and end of the exposure; None: as in its middle."""
+    target_mm: Floats | None = None
+    """(N, 2) where the targets were, once they have gone from where the list has them; None: as there."""
 
     @property
     def motion_s(self) -> float:

@@ -25,6 +25,7 @@ from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
+from fiberloom.operation.series.steps import check_series, series_about, steps_of
 from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
 from fiberloom.store import Run, Store
@@ -84,6 +85,8 @@ class ObserveSettings:
     """No number of targets outweighs one of a higher priority."""
     swap: bool = False
     """Choose targets by the ways from where the positioners are; swap them where the motion is held up."""
+    exposures: int = 1
+    """Of a series on one field on the sky; between them fibres follow their targets."""
 
     def __post_init__(self) -> None:
         if self.corrections is not None and self.corrections < 0:
@@ -118,6 +121,7 @@ class ObserveOptions(TypedDict, total=False):
     compare_linear: bool
     strict: bool
     swap: bool
+    exposures: int
     arms: Path | str | None
     fibres: Path | str | None
     gravity: Path | str | None
@@ -190,6 +194,7 @@ class Observer:
     async def _observe(
         self, targets: TargetList, settings: ObserveSettings, connect: Callable[[], Any]
     ) -> Observation:
+        check_series(targets, settings.exposures)
         begun_s = time.monotonic() if self.begun_s is None else self.begun_s
         self.watcher.say("assigning targets")
         if settings.swap:
@@ -199,6 +204,7 @@ class Observer:
         else:
             kept, assignment = await asyncio.to_thread(self._assigned, targets, settings)
             hardware = await connect()
+        targets = targets.settled(assignment.target, assignment.fibre)
         assignment = self.known.led(kept, assignment, settings.pointing)
         if hardware.telescope is not None:
             hardware.telescope.point((settings.pointing or OVERHEAD).image)
@@ -207,7 +213,7 @@ class Observer:
             entered(self._run, store, kept, settings.seed) as run,
         ):
             self.folder = await beside(_folder_of, run, self.place, store)
-            about = self._about(run, settings)
+            about = self._about(run, settings) | _sky_about(targets, assignment)
             await beside(record_begin, run, kept, targets, assignment, about)
             log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
             loop: Loop | None = None
@@ -216,9 +222,11 @@ class Observer:
                 motion = self._motion(kept, targets, assignment, hardware, run)
                 motion.pointing = settings.pointing
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
-                loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg)
+                steps = steps_of(kept, assignment, targets, settings.exposures)
+                loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg, steps)
                 await beside(self.known.record_used, run)
                 await _whole(loop, about)
+                about |= _series(targets, assignment, loop)
                 await beside(self.known.record_learnt, run)
                 await beside(log.close)
             finally:
@@ -263,6 +271,22 @@ class Observer:
     ) -> FieldMotion:
         recorder = self.known.learning(StoreRecorder(run, kept, targets, assignment))
         return self.motion(kept, self.known.maps, hardware, recorder, self.watcher.say)
+
+
+def _sky_about(targets: TargetList, assignment: Assignment) -> dict[str, Any]:
+    """The field on the sky, and what an exposure does to the targets; nothing for a list in mm."""
+    if targets.on_sky is None:
+        return {}
+    drift = targets.on_sky.drift_about(assignment.target, assignment.fibre)
+    return {"sky": targets.on_sky.about() | drift}
+
+
+def _series(targets: TargetList, assignment: Assignment, loop: Loop) -> dict[str, Any]:
+    """How near the fibres were in each exposure of a series; nothing of a single one."""
+    if targets.on_sky is None or len(loop.placed) < 2:
+        return {}
+    first_mm = targets.on_sky.places_mm(assignment.target, assignment.fibre)
+    return {"series": series_about(targets.on_sky, assignment, loop.placed, first_mm, loop.correctable)}
 
 
 def _moved(loop: Loop | None) -> dict[str, Any]:

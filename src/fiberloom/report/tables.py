@@ -127,6 +127,28 @@ def budget_line(budget: Mapping[str, Any]) -> str:
     return f"parts, {budget['known']} [µm rms]: {', '.join(parts)}{guider}"
 
 
+def drift_line(sky: Mapping[str, Any]) -> str:
+    """What the exposure does to the targets, and when to re-position."""
+    every = f"re-position every {sky['reposition_every_s'] / 60.0:.0f} min to stay within"
+    told = f"sky: airmass {sky['airmass']:.2f}, placed for {sky['placed_for_utc']} UTC; "
+    if sky["exposure_s"]:
+        told += (
+            f"an exposure of {sky['exposure_s'] / 60.0:.0f} min moves targets by up to "
+            f"{sky['drift_um']:.1f} um, {sky['drift_guided_um']:.1f} um with guiding; "
+        )
+    return f"{told}{every} {sky['drift_limit_um']:g} um"
+
+
+def series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How near the fibres were to guided targets in each exposure of a series."""
+    return [
+        f"exposure {one['exposure']}, {one['begin_s'] / 60.0:.0f} to {one['end_s'] / 60.0:.0f} min: "
+        f"worst fibre {one['worst_um']:.1f} um (drift {one['drift_um']:.1f}); not re-positioned "
+        f"{one['worst_unless_moved_um']:.1f} um (drift {one['drift_unless_moved_um']:.1f})"
+        for one in series
+    ]
+
+
 def temperature_line(temperature: Mapping[str, Any]) -> str:
     """How long arms were taken to be; empty: as measured. `temperature`: of summary.json, deg C and ppm."""
     if temperature["why_not"]:

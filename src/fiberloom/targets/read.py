@@ -1,22 +1,33 @@
 """Read target lists: CSV, ECSV, FITS with our columns, or SDSS-V confSummary files."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.tables import TableFile, read_table
+from fiberloom.targets.columns import columns_of, is_sky, positioners
 from fiberloom.targets.target_list import FREE, TargetList
 from fiberloom.targets.yanny import Yanny, read_yanny
-from fiberloom.typing import Array, Ints
+from fiberloom.typing import Array
 from fiberloom.wholefile import write_whole
+
+if TYPE_CHECKING:
+    from fiberloom.instruments import Instrument
+    from fiberloom.sky.sky_field import SkyField
+    from fiberloom.targets.sky_list import SkyList
 
 REQUIRED = ("target_id", "x_mm", "y_mm")
 OPTIONAL = ("priority", "fibre", "positioner_id")
 PAR_SUFFIXES = (".par", ".par.gz")
 
 
-def read_targets(path: str | Path) -> TargetList:
+def read_targets(
+    path: str | Path, field: SkyField | str | Path | None = None, instrument: str | Instrument = "sdssv"
+) -> TargetList:
     """The targets of a file, by the suffix of its name.
 
     Parameters
@@ -26,6 +37,11 @@ def read_targets(path: str | Path) -> TargetList:
         first, default 0), fibre (default any) and positioner_id (default any, -1). From a confSummary of
         SDSS-V (.par, .par.gz) come the rows with valid = 1 and assigned = 1, each on its own positioner
         and fibre at xwok, ywok.
+    field : SkyField, str or Path, optional
+        Field on the sky, or its TOML file: the list has ra and dec (and epoch, pmra, ...) in place of x_mm
+        and y_mm; of a confSummary the sky columns are read.
+    instrument : str or Instrument
+        Whose optics lead from the sky to the focal plane.
 
     Returns
     -------
@@ -47,9 +63,59 @@ def read_targets(path: str | Path) -> TargetList:
     fiberloom.errors.InputError: none.csv: no such file
     """
     path = Path(path)
+    if field is not None:
+        return _placed(path, field, instrument)
     if path.name.lower().endswith(PAR_SUFFIXES):
         return _from_confsummary(read_yanny(path))
     return _from_table(read_table(path))
+
+
+def _placed(path: Path, field: SkyField | str | Path, instrument: str | Instrument) -> TargetList:
+    from fiberloom.instruments import load_instrument
+    from fiberloom.sky.sky_field import SkyField
+
+    where = field if isinstance(field, str | Path) else None
+    field = SkyField.read(field) if isinstance(field, str | Path) else field
+    model = load_instrument(instrument) if isinstance(instrument, str) else instrument
+    return read_sky(path)[0].placed(field.chain(model, where), field)
+
+
+def read_sky(path: str | Path) -> tuple[SkyList, SkyField | None]:
+    """The targets of a file by RA and Dec, and the field of a confSummary.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV, ECSV or FITS with columns as `sky_list.NAMES` has them; of a confSummary the rows with
+        assigned = 1, valid = 1 and on_target = 1, each on its own positioner and fibre.
+
+    Returns
+    -------
+    tuple
+        The list, and for a confSummary the field it was made for.
+
+    Raises
+    ------
+    InputError
+        No RA and Dec; a row that cannot be: file, line, column, rule.
+    """
+    from fiberloom.sky.sky_field import SkyField
+    from fiberloom.targets.sky_list import sky_list
+
+    path = Path(path)
+    if not path.name.lower().endswith(PAR_SUFFIXES):
+        table = read_table(path)
+        if not is_sky(table):
+            raise InputError(f"{path}: no columns ra and dec; the columns are {', '.join(table.columns)}")
+        if not len(table):
+            raise InputError(f"{path}: no rows below the header")
+        if "target_id" in columns_of(table):
+            table.unique(columns_of(table)["target_id"])
+        return sky_list(table), None
+    file = read_yanny(path)
+    chosen = _rows_of(_fibermap(file), *_FLAGS, "on_target")
+    names = _distinct(chosen.strings("catalogid"), chosen.integers("positionerId"))
+    return sky_list(chosen, {"target_id": names}), SkyField.of_confsummary(file.keywords, str(path))
 
 
 def write_targets(targets: TargetList, path: str | Path, comments: tuple[str, ...] = ()) -> None:
@@ -69,16 +135,16 @@ def write_targets(targets: TargetList, path: str | Path, comments: tuple[str, ..
 
 
 def _from_table(table: TableFile) -> TargetList:
-    if "x_mm" not in table and _is_sky(table):
+    if "x_mm" not in table and is_sky(table):
         raise InputError(
-            f"{table.path}: sky coordinates are not supported yet; give x_mm, y_mm in the focal plane"
+            f"{table.path}: has RA and Dec; give the field with --field field.toml (`fiberloom sky --help`)"
         )
     table.require(*REQUIRED)
     table.unique("target_id")
     for row in np.flatnonzero(table.strings("target_id") == "").tolist():
         raise table.error(row, "target_id", "is empty")
     n = len(table)
-    positioner = _positioners(table) if "positioner_id" in table else np.full(n, FREE)
+    positioner = positioners(table, "positioner_id") if "positioner_id" in table else np.full(n, FREE)
     return TargetList(
         target_id=table.strings("target_id"),
         x_mm=table.numbers("x_mm"),
@@ -89,50 +155,34 @@ def _from_table(table: TableFile) -> TargetList:
     )
 
 
-def _is_sky(table: TableFile) -> bool:
-    names = {name.lower() for name in table.columns}
-    return bool(names & {"ra", "ra_deg", "racat"}) and bool(names & {"dec", "dec_deg", "deccat"})
-
-
-def _positioners(table: TableFile) -> Ints:
-    """Whole numbers; empty cells are free. Two targets must not demand one positioner."""
-    cells = [text or str(FREE) for text in table.strings("positioner_id")]
-    filled = TableFile(table.path, {"positioner_id": cells}, table.places)
-    ids = filled.integers("positioner_id")
-    first: dict[int, int] = {}
-    for row in np.flatnonzero(ids != FREE).tolist():
-        if ids[row] < 0:
-            raise table.error(row, "positioner_id", f"= {ids[row]}: -1 means any, others count up")
-        if (other := first.setdefault(int(ids[row]), row)) != row:
-            raise table.error(row, "positioner_id", f"= {ids[row]} is demanded by {table.places[other]} too")
-    return ids
-
-
+_FLAGS = ("valid", "assigned")
 _NEEDED = ("positionerId", "fiberType", "assigned", "valid", "xwok", "ywok", "catalogid")
 
 
 def _from_confsummary(file: Yanny) -> TargetList:
     table = _fibermap(file)
     table.require(*_NEEDED)
-    keep = (table.integers("valid") == 1) & (table.integers("assigned") == 1)
-    if not keep.any():
-        raise InputError(f"{file.path}: no row with valid = 1 and assigned = 1")
-    rows = np.flatnonzero(keep).tolist()
-    chosen = TableFile(
-        file.path,
-        {name: [cells[i] for i in rows] for name, cells in table.columns.items()},
-        [table.places[i] for i in rows],
-    )
-    chosen.unique("positionerId", number=True)
+    chosen = _rows_of(table, *_FLAGS)
     fibre, positioner = chosen.strings("fiberType"), chosen.integers("positionerId")
     return TargetList(
         target_id=_distinct(chosen.strings("catalogid"), positioner),
         x_mm=chosen.numbers("xwok"),
         y_mm=chosen.numbers("ywok"),
-        priority=np.zeros(len(rows)),
+        priority=np.zeros(len(chosen)),
         fibre=fibre,
         positioner_id=positioner,
     )
+
+
+def _rows_of(table: TableFile, *flags: str) -> TableFile:
+    """Rows whose flags are all 1, each of a positioner of its own."""
+    table.require("positionerId", *flags)
+    keep = np.all([table.integers(flag) == 1 for flag in flags], axis=0)
+    if not keep.any():
+        raise InputError(f"{table.path}: no row with {' and '.join(f'{flag} = 1' for flag in flags)}")
+    chosen = table.select(np.flatnonzero(keep))
+    chosen.unique("positionerId", number=True)
+    return chosen
 
 
 def _fibermap(file: Yanny) -> TableFile:

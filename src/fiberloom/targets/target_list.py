@@ -1,6 +1,8 @@
 """A target list in focal-plane millimetres."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +10,9 @@ from numpy.typing import NDArray
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
 from fiberloom.typing import Array, Floats, Ints
+
+if TYPE_CHECKING:
+    from fiberloom.sky.on_sky import OnSky
 
 FREE = -1
 """positioner_id of a target that any positioner may take."""
@@ -51,12 +56,19 @@ class TargetList:
     """Fibre that must look at it; empty: any science fibre."""
     positioner_id: Ints
     """Positioner that must take it; -1: any."""
+    by_fibre: Mapping[str, Floats] = field(default_factory=dict)
+    """(n, 2) mm by fibre, of targets on the sky: colours stand apart. Others have one place for all."""
+    on_sky: "OnSky | None" = None
+    """Of targets on the sky: where they are there, and the field."""
 
     def __post_init__(self) -> None:
         n = len(self.target_id)
         for name in ("x_mm", "y_mm", "priority", "fibre", "positioner_id"):
             if getattr(self, name).shape != (n,):
                 raise InputError(f"target list: {name} must have {n} values, one per target_id")
+        for fibre, places in self.by_fibre.items():
+            if places.shape != (n, 2):
+                raise InputError(f"target list: by_fibre['{fibre}'] must have {n} places, one per target_id")
 
     def __len__(self) -> int:
         return len(self.target_id)
@@ -116,4 +128,29 @@ class TargetList:
             self.priority[rows],
             self.fibre[rows],
             self.positioner_id[rows],
+            {fibre: places[rows] for fibre, places in self.by_fibre.items()},
+            None if self.on_sky is None else self.on_sky.select(rows),
         )
+
+    def place_mm(self, fibre: str) -> Floats:
+        """(n, 2) places in mm where a fibre must be."""
+        return self.by_fibre.get(fibre, self.xy_mm)
+
+    def settled(self, target: Ints, fibre: NDArray[np.str_]) -> "TargetList":
+        """The list with the one place in mm that counts, for targets whose fibre has been chosen.
+
+        `target` (N,): row of the target of each positioner, -1 for none; `fibre` (N,): its fibre.
+        """
+        if not self.by_fibre:
+            return self
+        xy = self.xy_mm
+        for name in self.by_fibre:
+            rows = target[(target >= 0) & (fibre == name)]
+            xy[rows] = self.by_fibre[name][rows]
+        return replace(self, x_mm=xy[:, 0].copy(), y_mm=xy[:, 1].copy(), by_fibre={})
+
+    def moved(self, shift_mm: Floats) -> "TargetList":
+        """The list with each of its places moved, by (n, 2) mm."""
+        x, y = (self.xy_mm + shift_mm).T.copy()
+        by_fibre = {fibre: places + shift_mm for fibre, places in self.by_fibre.items()}
+        return replace(self, x_mm=x, y_mm=y, by_fibre=by_fibre)

@@ -207,8 +207,7 @@ class FibreOffsets:
         if self.frame is None:
             return targets
         xy_mm = np.column_stack([targets.x_mm, targets.y_mm])
-        x_mm, y_mm = (xy_mm - self.frame.at_mm(xy_mm)).T
-        return replace(targets, x_mm=x_mm, y_mm=y_mm)
+        return targets.moved(-self.frame.at_mm(xy_mm))
 
     def applied(self, plane: FocalPlane) -> FocalPlane:
         """The layout with its science fibres where they are.

@@ -5,7 +5,6 @@ Written while the run goes on: what was measured can be shown whatever happens t
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -25,11 +24,14 @@ from fiberloom.typing import Array
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
-PLACES = ("metrology_goal_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm")
+PLACES = (
+    *("metrology_goal_mm", "target_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm"),
+)
 """Where fibres were to be in a move, and what a twin knows of where they were."""
 
 _POINT, _HANDICAP, _RANGE, _DOTS = "point ", "handicap ", "range ", "dots"
 _PLANE = ("positioner_id", "hole", "arms", "fiducials", "guide_cameras", "offline", "offline_position_deg")
+_LIST = ("target_id", "x_mm", "y_mm", "priority", "fibre", "positioner_id")
 _ASSIGNED = ("target", "fibre", "alpha_deg", "beta_deg", "approach_deg", "clearance_mm")
 
 
@@ -42,7 +44,7 @@ def record_begin(
     `targets`; `about`: entries of summary.json.
     """
     run.record_part(LAYOUT, packed_layout(plane))
-    run.record_part(TARGETS, pack({}, _arrays(targets, [f.name for f in fields(TargetList)])))
+    run.record_part(TARGETS, pack({}, _arrays(targets, _LIST)))
     why = {"unassigned": list(assignment.unassigned.items()), "notes": assignment.notes}
     lead = {} if assignment.lead_mm is None else {"lead_mm": assignment.lead_mm}
     run.record_part(ASSIGNMENT, pack(why, _arrays(assignment, _ASSIGNED) | lead))
@@ -90,7 +92,8 @@ def plane_of(part: RunPart) -> FocalPlane:
 
 def targets_of(part: RunPart) -> TargetList:
     """The target list of a part."""
-    return TargetList(**part.arrays)
+    arrays: dict[str, Any] = {name: part.arrays[name] for name in _LIST}
+    return TargetList(**arrays)
 
 
 def assignment_of(part: RunPart) -> Assignment:

@@ -37,12 +37,12 @@ def budget(observed: ObservedField) -> dict[str, Any]:
     if move.true_mm is None or move.true_metrology_mm is None:
         return _expected(observed, move, rows)
     metrology = move.true_metrology_mm - observed.metrology_goal_mm(move) - observed.frame_mm()
-    return _in_truth(observed, rows, metrology, move.true_mm - observed.target_mm())
+    return _in_truth(observed, rows, metrology, move.true_mm - observed.target_mm(move))
 
 
 def _in_truth(observed: ObservedField, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
     """By true errors (N, 2), mm: metrology fibre at the image, science fibre in the exposure."""
-    star_mm, sagged = observed.target_mm(), _sagged_mm(observed)
+    star_mm, sagged = observed.target_mm(observed.final), _sagged_mm(observed)
     loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm(observed.final)
     left = guided(science[rows], star_mm[rows], np.ones(int(rows.sum()), dtype=bool))
     return {

@@ -36,7 +36,7 @@ def fibres_table(observed: ObservedField) -> Table:
 
 def _fibres_of(observed: ObservedField, move: Move) -> Table:
     plane, assignment = observed.plane, observed.assignment
-    target, goal = observed.target_mm(), observed.metrology_goal_mm(move)
+    target, goal = observed.target_mm(move), observed.metrology_goal_mm(move)
     names = np.append(observed.targets.target_id, "")  # index -1: no target
     nothing = np.full((len(plane), 2), np.nan)
     true, true_um = move.true_mm, observed.true_error_um(move)
@@ -58,7 +58,7 @@ def _fibres_of(observed: ObservedField, move: Move) -> Table:
             "error_um": observed.error_um(move),
             "status": np.array([status.value for status in move.status]),
             "grade": _grades(observed, move),
-            "flags": _flags(observed, move),
+            "flags": flags_of(observed, move),
         }
     )
 
@@ -73,7 +73,7 @@ def _grades(observed: ObservedField, move: Move) -> NDArray[np.str_]:
     return np.array([grade(e, observed.requirement_um, h) for e, h in zip(errors, has, strict=True)])
 
 
-def _flags(observed: ObservedField, move: Move) -> Ints:
+def flags_of(observed: ObservedField, move: Move) -> Ints:
     """(N,) bits of `FibreFlag`."""
     flags = np.array([_OF_STATUS.get(status, 0) for status in move.status], dtype=np.int64)
     ambiguous = move.measurement.ambiguous

@@ -39,8 +39,13 @@ class ObservedField:
         """Largest error that the instrument accepts."""
         return self.plane.instrument.operation.requirement_um
 
-    def target_mm(self) -> Floats:
+    def target_mm(self, move: Move | None = None) -> Floats:
         """Where the science fibre of each positioner should be.
+
+        Parameters
+        ----------
+        move : Move, optional
+            One of `moves`: in a series of exposures targets on the sky go from where the list has them.
 
         Returns
         -------
@@ -55,6 +60,8 @@ class ObservedField:
         >>> seen.target_mm().shape
         (7, 2)
         """
+        if move is not None and move.target_mm is not None:
+            return move.target_mm
         xy = np.full((len(self.plane), 2), np.nan)
         has = self.assignment.target >= 0
         chosen = self.assignment.target[has]
@@ -110,7 +117,7 @@ class ObservedField:
         >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
         True
         """
-        return _apart_um(move.true_mm, self.target_mm())
+        return _apart_um(move.true_mm, self.target_mm(move))
 
     def guided_error_um(self, move: Move) -> Floats | None:
         """True distance of the science fibres from their stars, on a telescope that guides by them.
@@ -138,7 +145,7 @@ class ObservedField:
         """
         if move.true_mm is None:
             return None
-        star_mm = self.target_mm()
+        star_mm = self.target_mm(move)
         place_mm = np.where(np.isfinite(star_mm), star_mm, self.plane.centres_mm)
         left_mm = guided(move.true_mm - star_mm, place_mm, self.counted(move))
         return np.asarray(UM_PER_MM * np.hypot(*left_mm.T))
@@ -235,7 +242,7 @@ class ObservedField:
         middle_um = self.true_error_um(move)
         if middle_um is None or move.true_ends_mm is None:
             return None
-        ends_um = UM_PER_MM * np.linalg.norm(move.true_ends_mm - self.target_mm(), axis=2)
+        ends_um = UM_PER_MM * np.linalg.norm(move.true_ends_mm - self.target_mm(move), axis=2)
         return np.asarray(np.maximum(middle_um, ends_um.max(axis=0)))
 
     def error_um(self, move: Move) -> Floats:

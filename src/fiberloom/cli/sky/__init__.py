@@ -1,0 +1,1 @@
+"""`fiberloom sky`: from RA and Dec to mm, and back."""

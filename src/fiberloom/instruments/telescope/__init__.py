@@ -1,0 +1,1 @@
+"""The telescope of an instrument: sites, wavelengths of the fibres, optics."""

@@ -1,0 +1,1 @@
+"""A series of exposures on one field."""

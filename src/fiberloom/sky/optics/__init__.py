@@ -1,0 +1,1 @@
+"""Optics of telescopes: from directions in the field to millimetres, and back."""
