@@ -124,7 +124,7 @@ def test_apo_step_by_step(shared_sdssv):
 
 
 def test_what_decides_moves_the_places_as_published(shared_sdssv):
-    """Each input changed alone: rms over the file, um (2.7 of the recipe, two digits)."""
+    """Each input changed alone: rms over the file, um, as another implementation has it to two digits."""
     there, targets, wok_mm = confsummary(shared_sdssv)
 
     def rms_um(changed):

@@ -385,3 +385,24 @@ def test_a_telescope_that_points_too_far_east_and_south_is_told_so(fl, night, tm
     assert [told["points_off_ra_arcsec"], told["points_off_dec_arcsec"]] == pytest.approx(
         [1.0, -2.0], abs=0.01
     )
+
+
+def test_guide_stars_with_errors_say_how_well_a_place_at_the_edge_is_known(fl, night, tmp_path):
+    """sigma sqrt((1 + r^2 / g^2) / N) for stars of 6 um all over a disc, whose rms radius is g."""
+    stars, path, _ = night("sdssv", 200)
+    from fiberloom.targets.read import read_sky
+
+    found, _ = read_sky(stars)
+    chain = SkyField.read(path).chain(load_instrument("sdssv"))
+    place_mm = chain.place(found.targets, "metrology").xy_mm
+    seen_mm = place_mm + 6e-3 * np.random.default_rng(0).standard_normal(place_mm.shape)
+    lines = stars.read_text().splitlines()
+    rows = [f"{line},{x:.9f},{y:.9f}" for line, (x, y) in zip(lines[1:], seen_mm, strict=True)]
+    stars.write_text("\n".join([lines[0] + ",x_mm,y_mm", *rows]) + "\n")
+    told = json.loads(fl("sky", "guide", stars, "--field", path, "--json")[1])
+    spread_mm = np.sqrt(((place_mm - place_mm.mean(axis=0)) ** 2).sum(axis=1).mean())
+    expected_um = 6.0 * np.sqrt((1.0 + (333.2 / spread_mm) ** 2) / 200)
+    # 200 stars tell their scatter to 4 %
+    assert told["star_sigma_um"] == pytest.approx(6.0, rel=0.12)
+    assert told["error_at_edge_um"] == pytest.approx(expected_um, rel=0.12)
+    assert abs(told["scale_ppm"]) < 4 * told["scale_error_ppm"]

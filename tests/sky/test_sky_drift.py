@@ -82,7 +82,7 @@ def test_east_and_west_drift_alike():
 
 
 def test_one_place_per_colour_and_how_far_they_are_apart():
-    """Shift along the vertical against the guide wavelength at airmass 1.41, um (SKY: 13, -32)."""
+    """Shift along the vertical against the guide wavelength at airmass 1.41: 13 and -32 um, published."""
     chain = at(0, 2.12)
     centre = beside(chain, np.zeros((1, 2)))
     places = {f: chain.place(centre, f).xy_mm[0] for f in ("BOSS", "APOGEE", "metrology")}

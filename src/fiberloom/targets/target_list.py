@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
@@ -133,13 +133,49 @@ class TargetList:
         )
 
     def place_mm(self, fibre: str) -> Floats:
-        """(n, 2) places in mm where a fibre must be."""
+        """Where a fibre must be to look at the targets.
+
+        Parameters
+        ----------
+        fibre : str
+            By its name in the instrument.
+
+        Returns
+        -------
+        (n, 2) float
+            mm; the same for all fibres but for targets on the sky.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> targets = fl.read_targets("targets.csv")
+        >>> bool((targets.place_mm("BOSS") == targets.xy_mm).all())
+        True
+        """
         return self.by_fibre.get(fibre, self.xy_mm)
 
     def settled(self, target: Ints, fibre: NDArray[np.str_]) -> "TargetList":
         """The list with the one place in mm that counts, for targets whose fibre has been chosen.
 
-        `target` (N,): row of the target of each positioner, -1 for none; `fibre` (N,): its fibre.
+        Parameters
+        ----------
+        target : array
+            (N,) row of the target of each positioner, -1 for none.
+        fibre : array
+            (N,) its fibre.
+
+        Returns
+        -------
+        TargetList
+            The same n targets; mm.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> targets = fl.read_targets("targets.csv")
+        >>> assigned = fl.assign(fl.FocalPlane.of("sdssv", n=7), targets)
+        >>> len(targets.settled(assigned.target, assigned.fibre))
+        60
         """
         if not self.by_fibre:
             return self
@@ -149,8 +185,26 @@ class TargetList:
             xy[rows] = self.by_fibre[name][rows]
         return replace(self, x_mm=xy[:, 0].copy(), y_mm=xy[:, 1].copy(), by_fibre={})
 
-    def moved(self, shift_mm: Floats) -> "TargetList":
-        """The list with each of its places moved, by (n, 2) mm."""
-        x, y = (self.xy_mm + shift_mm).T.copy()
-        by_fibre = {fibre: places + shift_mm for fibre, places in self.by_fibre.items()}
+    def moved(self, shift_mm: ArrayLike) -> "TargetList":
+        """The list with each of its places moved.
+
+        Parameters
+        ----------
+        shift_mm : array
+            (n, 2) mm, or one for all.
+
+        Returns
+        -------
+        TargetList
+            The places of every fibre are moved alike.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> targets = fl.read_targets("targets.csv")
+        >>> bool((targets.moved([1.0, 0.0]).x_mm == targets.x_mm + 1.0).all())
+        True
+        """
+        x, y = (self.xy_mm + np.asarray(shift_mm)).T.copy()
+        by_fibre = {fibre: places + np.asarray(shift_mm) for fibre, places in self.by_fibre.items()}
         return replace(self, x_mm=x, y_mm=y, by_fibre=by_fibre)

@@ -76,6 +76,16 @@ def _sense(chain: Chain) -> float:
     return math.copysign(1.0, fit.rotation_deg)
 
 
+def _edge_mm(chain: Chain) -> float:
+    """Radius of the field in the focal plane."""
+    import numpy as np
+
+    from fiberloom.sky.drift import field_grid
+
+    edge_mm = chain.place(field_grid(chain, rings=(1.0,)), "metrology").xy_mm
+    return float(np.hypot(*(edge_mm - edge_mm.mean(axis=0)).T).mean())
+
+
 def report(chain: Chain, fit: GuideFit) -> dict[str, Any]:
     """What a fit of guide stars says of the telescope, for people and machines."""
     import numpy as np
@@ -101,6 +111,7 @@ def report(chain: Chain, fit: GuideFit) -> dict[str, Any]:
         "rotation_error_arcsec": 3600.0 * float(np.degrees(sigma[2])),
         "scale_ppm": 1e6 * (fit.scale - 1.0),
         "scale_error_ppm": 1e6 * float(sigma[3]),
+        "error_at_edge_um": float(fit.error_um(_edge_mm(chain))),
         "position_angle_deg": p.pa_deg + turned_deg,
         "scale": view.scale / fit.scale,
     }
