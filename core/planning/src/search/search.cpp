@@ -254,7 +254,6 @@ void Search::relax(Place at, const Open &here, int move) {
     const Place next{moved(at.cell, move), at.step + 1};
     if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
     const NodeId to = id(next);
-    if (closed(to)) return;
     const int to_come = least_to_come(next, move);
     int cost = here.cost + turn.cost + beta_cost(at.cell);
     if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
