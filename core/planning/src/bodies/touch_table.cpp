@@ -64,7 +64,8 @@ void TouchTable::add_ends(const Segment &other, Hull &hull) const {
         if (touch <= reach * reach) {
             hull.add(at, direction_rad({std::sqrt(std::max(touch, 0.0)), need}));
         } else {
-            const double along = 0.5 * (reach * reach + d * d - need * need) / d; // of the end, towards the disc
+            const double along =
+                0.5 * (reach * reach + d * d - need * need) / d; // of the end, towards the disc
             hull.add(at, direction_rad({along, std::sqrt(std::max(reach * reach - along * along, 0.0))}));
         }
     }

@@ -22,8 +22,8 @@ int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -
 GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const Settings &settings,
                                  const Clock &clock)
     : bodies_(bodies), arms_(bodies), task_(task), settings_(settings), clock_(clock),
-      need_mm_(2.0 * arms_.radius_mm() + settings.clearance_mm),
-      goals_(static_cast<int>(bodies.arms.size())), grids_(goals_.size()) {
+      need_mm_(2.0 * arms_.radius_mm() + settings.clearance_mm), goals_(static_cast<int>(bodies.arms.size())),
+      grids_(goals_.size()) {
     for (const PositionerIndex i : places()) {
         const Angles from = start(i), to = row(task.goal, i);
         set_goal(i, to, usual(i));
@@ -122,7 +122,8 @@ const AxisGrid &GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, d
                         alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
                         alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad};
     KnownGrid &known = alpha ? grids_[i].alpha : grids_[i].beta;
-    if (!(known.span == span) || known.step_rad != step_rad) known = {span, step_rad, AxisGrid(span, step_rad)};
+    if (!(known.span == span) || known.step_rad != step_rad)
+        known = {span, step_rad, AxisGrid(span, step_rad)};
     return known.grid;
 }
 

@@ -66,7 +66,7 @@ FL_INLINE CellBits bits_of(Int8 mask) {
 } // namespace
 
 const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
-                                TouchTables &tables) {
+                                 TouchTables &tables) {
     if (slot >= begins_.size()) begins_.resize(slot + 1);
     auto &begins = begins_[slot];
     if (begins.empty()) begins.assign(neighbour.cells(), -1);
@@ -104,8 +104,8 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
                            TouchTables &tables, CellBits *out) {
     const double turn = me.beta().angle(me.beta().size() - 1) - me.beta().angle(0);
     if (!me.from_elbow() || !neighbour.from_elbow() || turn > 2.0 * pi - margin_rad) return false;
-    const TouchTable *table = tables.of(
-        {me.length_mm(), neighbour.length_mm(), need_mm + me.extra_mm() + neighbour.extra_mm()});
+    const TouchTable *table =
+        tables.of({me.length_mm(), neighbour.length_mm(), need_mm + me.extra_mm() + neighbour.extra_mm()});
     if (table == nullptr) return false;
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
@@ -118,7 +118,8 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
                                   CellBits *out) const {
     const float reach = table.squared_reach_mm2();
     for (int first = 0; first < elbows_.direction.size(); first += at_once) {
-        const Float8 x = single(elbow.x) - load(&elbows_.x[first]), y = single(elbow.y) - load(&elbows_.y[first]);
+        const Float8 x = single(elbow.x) - load(&elbows_.x[first]),
+                     y = single(elbow.y) - load(&elbows_.y[first]);
         const Float8 squared = x * x + y * y;
         if (bits_of(squared < all(reach)) == 0) continue;
         const Int8 bearings = directions_of(x, y);

@@ -49,7 +49,7 @@ class BlockedCells {
     struct Elbows {
         List<float> x, y;         // at each line of alpha, from the centre, mm
         List<TurnPart> direction; // of the arm there, at the first line of beta
-        List<int> line_at;        // the first line of beta at so many parts of a turn above the first, or more
+        List<int> line_at; // the first line of beta at so many parts of a turn above the first, or more
     };
     void lay_out_elbows(const Robot &me);
     bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables,

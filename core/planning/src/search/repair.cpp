@@ -15,8 +15,8 @@ constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 8000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 constexpr Mode guided{false, 0, 0, 0}; // without a first look for a path that nothing is in the way of
-constexpr int tidy_enough = 12; // cost above the least: three corners are not worth a search ...
-constexpr int tidy_excess = 60; // ... and these two
+constexpr int tidy_enough = 12;        // cost above the least: three corners are not worth a search ...
+constexpr int tidy_excess = 60;        // ... and these two
 constexpr int joint_every = 12;        // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;           // a deadline grows by the first one over this
 constexpr int hurry_rounds = 25;       // repairs for one that hurries; in the end ...

@@ -144,8 +144,7 @@ void Search::prepare_end() {
     list_rest(last_cell_);
     end_cost_.assign(ask_.steps + 2, 0);
     if (!ask_.backward) end_cost_[ask_.steps + 1] = leg_encounters(ask_.steps);
-    for (int step = ask_.steps; step >= 0; --step)
-        end_cost_[step] = end_cost_[step + 1] + rest_cost_[step];
+    for (int step = ask_.steps; step >= 0; --step) end_cost_[step] = end_cost_[step + 1] + rest_cost_[step];
 }
 
 // Whether the centre lines alone do not tell that two touch.

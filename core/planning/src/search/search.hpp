@@ -107,7 +107,7 @@ class Search {
     int changes_to_go(Cell c, int move) const;
     int beta_cost(Cell c) const;
     void begin_queue();
-        bool look(Open &open, Place at);
+    bool look(Open &open, Place at);
     void expand(const Open &here, Place at);
     void finish(const Open &here, Place at);
     void relax(Place at, const Open &here, int move);
