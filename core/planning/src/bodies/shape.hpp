@@ -18,14 +18,33 @@ struct Limb {
     Layers layers = first_layer;
 };
 
+// The frames of both arms at one place: their origins, and their x axes as unit vectors.
+struct Pose {
+    Vec2 alpha_at, alpha_x, beta_at, beta_x;
+};
+
 struct Shape {
     Vec2 centre_mm;
     double l_alpha_mm = 0.0;
     double line_mm = 0.0; // length of the centre line
     List<Limb> limbs;
-    // Where a limb is when the centre line is there.
+    // Where the arms are when the centre line is there ...
+    Pose pose(const Segment &line) const {
+        const double a = 1.0 / l_alpha_mm, b = 1.0 / line_mm;
+        const Vec2 alpha = line.a - centre_mm, beta = line.b - line.a;
+        return {centre_mm, {alpha.x * a, alpha.y * a}, line.a, {beta.x * b, beta.y * b}};
+    }
+    // ... and a limb.
     Segment place(const Limb &limb, const Segment &line) const;
 };
+
+inline Segment placed(const Limb &limb, const Pose &pose) {
+    const Vec2 at = limb.on_alpha ? pose.alpha_at : pose.beta_at;
+    const Vec2 x = limb.on_alpha ? pose.alpha_x : pose.beta_x;
+    const Segment &s = limb.line;
+    return {{at.x + s.a.x * x.x - s.a.y * x.y, at.y + s.a.x * x.y + s.a.y * x.x},
+            {at.x + s.b.x * x.x - s.b.y * x.y, at.y + s.b.x * x.y + s.b.y * x.x}};
+}
 
 // A body as limbs; one without a shape is a single limb, its own centre line.
 class Limbs {
@@ -45,6 +64,20 @@ class Limbs {
 
   private:
     const SweptArm &body_;
+};
+
+// The limbs of a body at one place.
+class PlacedLimbs {
+  public:
+    PlacedLimbs(const SweptArm &body, const Segment &line) : shape_(body.shape), line_(line) {
+        if (shape_ != nullptr) pose_ = shape_->pose(line);
+    }
+    Segment at(int k) const { return shape_ == nullptr ? line_ : placed(shape_->limbs[k], pose_); }
+
+  private:
+    const Shape *shape_;
+    Segment line_;
+    Pose pose_;
 };
 
 // Calls test(a, b, need_mm) for all limbs that can touch, until it is false.

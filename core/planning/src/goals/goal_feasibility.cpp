@@ -22,8 +22,8 @@ int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -
 GoalFeasibility::GoalFeasibility(const Bodies &bodies, const Task &task, const Settings &settings,
                                  const Clock &clock)
     : bodies_(bodies), arms_(bodies), task_(task), settings_(settings), clock_(clock),
-      need_mm_(2.0 * arms_.radius_mm() + settings.clearance_mm),
-      goals_(static_cast<int>(bodies.arms.size())) {
+      need_mm_(2.0 * arms_.radius_mm() + settings.clearance_mm), goals_(static_cast<int>(bodies.arms.size())),
+      grids_(goals_.size()) {
     for (const PositionerIndex i : places()) {
         const Angles from = start(i), to = row(task.goal, i);
         set_goal(i, to, usual(i));
@@ -115,16 +115,19 @@ bool GoalFeasibility::inside_travel(PositionerIndex i, Angles place, const Desce
                                                         place.beta_rad + descent.beta.height_rad});
 }
 
-AxisGrid GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) const {
+const AxisGrid &GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) {
     const Limits &t = travel(i);
     const bool alpha = axis == &Angles::alpha_rad;
-    return AxisGrid({start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
-                     alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
-                     alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad},
-                    step_rad);
+    const GridSpan span{start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
+                        alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
+                        alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad};
+    KnownGrid &known = alpha ? grids_[i].alpha : grids_[i].beta;
+    if (!(known.span == span) || known.step_rad != step_rad)
+        known = {span, step_rad, AxisGrid(span, step_rad)};
+    return known.grid;
 }
 
-Robot GoalFeasibility::make_robot(PositionerIndex i) const {
+Robot GoalFeasibility::make_robot(PositionerIndex i) {
     const double step = step_rad(i);
     Robot robot(body(i), grid(i, &Angles::alpha_rad, step), grid(i, &Angles::beta_rad, step), step);
     if (goals_[i].in_hand) robot.keep_in_hand(settings_.in_hand_mm, free_steps * clock_.grid_rad(pace(i)));
@@ -269,7 +272,7 @@ List<Angles> GoalFeasibility::folded_places(PositionerIndex i) const {
 
 // Where it can come to past what does not move, the nearest first: one in a pocket stays in it, but may make
 // room there for others.
-List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) const {
+List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) {
     Robot robot = make_robot(i);
     const Angles above = usual(i).above(0);
     List<Angles> out;

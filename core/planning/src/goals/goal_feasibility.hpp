@@ -28,7 +28,7 @@ class GoalFeasibility {
     const std::vector<Refused> &refused() const { return refused_; }
 
     // The positioner on its grid, with all bodies at rest around it.
-    Robot make_robot(PositionerIndex i) const;
+    Robot make_robot(PositionerIndex i);
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
@@ -53,6 +53,15 @@ class GoalFeasibility {
         bool in_hand = true;  // on its way it keeps more than it needs
         bool tight = false;   // it may not: it would find no path past the others
         int steps_alone = 0;
+    };
+    // A grid as it was made last.
+    struct KnownGrid {
+        GridSpan span{};
+        double step_rad = 0.0;
+        AxisGrid grid;
+    };
+    struct KnownGrids {
+        KnownGrid alpha, beta;
     };
     // What is at rest in the way: a positioner that does not move, or an obstacle.
     struct Blocked {
@@ -88,7 +97,7 @@ class GoalFeasibility {
     void set_goal(PositionerIndex i, Angles angles, const Descent &descent);
     bool inside_travel(PositionerIndex i, Angles place) const;
     bool inside_travel(PositionerIndex i, Angles place, const Descent &descent) const;
-    AxisGrid grid(PositionerIndex i, double Angles::*axis, double step_rad) const;
+    const AxisGrid &grid(PositionerIndex i, double Angles::*axis, double step_rad);
     Blocked blocked(PositionerIndex i, const Legs &legs) const;
     Blocked blocked(PositionerIndex i, const SweptArm &leg) const;
     double bulge_mm(PositionerIndex i) const;
@@ -103,7 +112,7 @@ class GoalFeasibility {
     bool safe(PositionerIndex i, const Legs &legs) const;
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
-    List<Angles> reachable_places(PositionerIndex i) const;
+    List<Angles> reachable_places(PositionerIndex i);
 
     // approaches.cpp
     bool find_descent(PositionerIndex i);
@@ -127,6 +136,7 @@ class GoalFeasibility {
     const Clock &clock_;
     double need_mm_;
     List<Goal, PositionerIndex> goals_;
+    List<KnownGrids, PositionerIndex> grids_;
     List<List<PositionerIndex>, PositionerIndex> near_;
     std::vector<Refused> refused_;
     int rearranged_ = 0; // groups that have got new descents

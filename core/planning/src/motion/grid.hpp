@@ -23,6 +23,7 @@ struct GridSpan {
     double start_rad, goal_rad; // goal: the place before the approach
     double low_rad, high_rad;   // ends of the travel
     double zero_rad;            // added to the angles before their sine and cosine are taken
+    friend bool operator==(const GridSpan &, const GridSpan &) = default;
 };
 
 class AxisGrid {

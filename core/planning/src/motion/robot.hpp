@@ -70,6 +70,9 @@ class Robot {
     double reach_mm() const { return body_.reach_mm(); }
     double extra_mm() const { return body_.extra_mm; }
     const Shape *shape() const { return body_.shape; }
+    // Whether the arm is one line from its elbow on; how long that is.
+    bool from_elbow() const { return body_.shape == nullptr && body_.from_mm == 0.0 && body_.to_mm > 0.0; }
+    double length_mm() const { return body_.to_mm - body_.from_mm; }
     SweptArm resting(Cell c) const { return body_.resting(line(c)); }
     // Its limbs, at no place.
     const SweptArm &limbs() const { return limbs_; }

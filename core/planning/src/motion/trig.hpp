@@ -15,8 +15,8 @@ struct Turn {
 inline Turn small_turn(double x) {
     const double z = x * x;
     double s = 1.0, c = 1.0;
-    for (int n = 17; n >= 3; n -= 2) s = 1.0 - s * z / (n * (n - 1));
-    for (int n = 18; n >= 2; n -= 2) c = 1.0 - c * z / (n * (n - 1));
+    for (int n = 17; n >= 3; n -= 2) s = 1.0 - s * (z * (1.0 / (n * (n - 1))));
+    for (int n = 18; n >= 2; n -= 2) c = 1.0 - c * (z * (1.0 / (n * (n - 1))));
     return {c, x * s};
 }
 

@@ -14,6 +14,8 @@ constexpr double pi = std::numbers::pi;
 constexpr double too_near_mm = 1.0; // to the centre, to have a sector of directions
 constexpr double margin_rad = 1e-4;
 
+constexpr int line_bits = 6, line_bins = 1 << (16 - line_bits); // of directions in which lines are looked up
+
 constexpr int at_once = 8;         // cells
 constexpr float nowhere_mm = 1e6f; // where nothing is, for the places beyond the last cell of a line
 
@@ -41,6 +43,17 @@ FL_INLINE Float8 clamped01(Float8 t) {
     const Float8 above = t > all(0.0f) ? t : all(0.0f);
     return lower(above, all(1.0f));
 }
+FL_INLINE Float8 higher(Float8 a, Float8 b) { return a < b ? b : a; }
+FL_INLINE Float8 positive(Float8 a) { return a < all(0.0f) ? -a : a; }
+// The directions of eight vectors, in parts of a turn; as `direction_of`.
+FL_INLINE Int8 directions_of(Float8 x, Float8 y) {
+    const Float8 ax = positive(x), ay = positive(y);
+    const Float8 low = arctan(lower(ax, ay) / higher(ax, ay));
+    const Float8 first = ay > ax ? all(single(0.5 * pi)) - low : low;
+    const Float8 half = x < all(0.0f) ? all(single(pi)) - first : first;
+    const Float8 angle = y < all(0.0f) ? -half : half;
+    return __builtin_convertvector(angle * single(parts_per_rad) + 65536.5f, Int8);
+}
 // Bit k where the lane k of the mask is set.
 FL_INLINE CellBits bits_of(Int8 mask) {
     mask &= Int8{1, 2, 4, 8, 16, 32, 64, 128};
@@ -52,7 +65,8 @@ FL_INLINE CellBits bits_of(Int8 mask) {
 
 } // namespace
 
-const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm) {
+const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
+                                 TouchTables &tables) {
     if (slot >= begins_.size()) begins_.resize(slot + 1);
     auto &begins = begins_[slot];
     if (begins.empty()) begins.assign(neighbour.cells(), -1);
@@ -60,9 +74,76 @@ const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbo
     if (begin < 0) {
         begin = bits_.size();
         bits_.resize(begin + words(me), 0);
-        look_all(me, neighbour, at, need_mm, bits_.data() + begin);
+        CellBits *out = bits_.data() + begin;
+        if (!look_up(me, neighbour, at, need_mm, tables, out)) look_all(me, neighbour, at, need_mm, out);
     }
     return bits_.data() + begin;
+}
+
+void BlockedCells::lay_out_elbows(const Robot &me) {
+    for (int alpha = 0; alpha < me.alpha().size(); ++alpha) {
+        const Segment arm = me.line({alpha, 0});
+        elbows_.x.push_back(single(arm.a.x - me.centre().x));
+        elbows_.y.push_back(single(arm.a.y - me.centre().y));
+        elbows_.direction.push_back(direction_of(arm.b - arm.a));
+    }
+    while (elbows_.x.size() % at_once != 0) {
+        elbows_.x.push_back(nowhere_mm);
+        elbows_.y.push_back(0.0f);
+    }
+    int line = 0;
+    for (int bin = 0; bin <= line_bins; ++bin) {
+        const double from_rad = me.beta().angle(0) + (bin << line_bits) / parts_per_rad;
+        while (line < me.beta().size() && me.beta().angle(line) < from_rad - margin_rad) ++line;
+        elbows_.line_at.push_back(line);
+    }
+}
+
+// False if there is no table for the two.
+bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm,
+                           TouchTables &tables, CellBits *out) {
+    const double turn = me.beta().angle(me.beta().size() - 1) - me.beta().angle(0);
+    if (!me.from_elbow() || !neighbour.from_elbow() || turn > 2.0 * pi - margin_rad) return false;
+    const TouchTable *table =
+        tables.of({me.length_mm(), neighbour.length_mm(), need_mm + me.extra_mm() + neighbour.extra_mm()});
+    if (table == nullptr) return false;
+    if (elbows_.x.empty()) lay_out_elbows(me);
+    const Segment there = neighbour.line(at);
+    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), words_per_line(me), out);
+    return true;
+}
+
+// Sets the bits of the cells that touch an arm with its elbow at a place, from the centre.
+FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words,
+                                  CellBits *out) const {
+    const float reach = table.squared_reach_mm2();
+    for (int first = 0; first < elbows_.direction.size(); first += at_once) {
+        const Float8 x = single(elbow.x) - load(&elbows_.x[first]),
+                     y = single(elbow.y) - load(&elbows_.y[first]);
+        const Float8 squared = x * x + y * y;
+        if (bits_of(squared < all(reach)) == 0) continue;
+        const Int8 bearings = directions_of(x, y);
+        for (int k = 0; k < at_once; ++k) {
+            if (squared[k] >= reach) continue;
+            const int alpha = first + k;
+            const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
+            Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
+            d.first = static_cast<TurnPart>(d.first + bearing - elbows_.direction[alpha]);
+            if (d.width > 0) mark_lines(alpha, d, words, out);
+        }
+    }
+}
+
+// Directions are those above the first line of beta.
+FL_INLINE void BlockedCells::mark_lines(int alpha, Directions d, int words, CellBits *out) const {
+    const auto &line_at = elbows_.line_at;
+    const CellBits bit = CellBits{1} << alpha % bits;
+    CellBits *column = out + alpha / bits;
+    const int end = d.first + d.width, wrapped = end - 65536; // beyond a whole turn lines begin anew
+    const int last = line_at[std::min(end >> line_bits, line_bins - 1) + 1];
+    for (int line = line_at[d.first >> line_bits]; line < last; ++line) column[line * words] |= bit;
+    for (int line = 0; wrapped >= 0 && line < line_at[(wrapped >> line_bits) + 1]; ++line)
+        column[line * words] |= bit;
 }
 
 // A line that those of cells may touch; these are all of one length.

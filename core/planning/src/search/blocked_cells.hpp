@@ -2,6 +2,7 @@
 // passes the same places on most of its paths.
 #pragma once
 
+#include "bodies/touch_table.hpp"
 #include "motion/robot.hpp"
 
 #include <cstdint>
@@ -19,9 +20,10 @@ class BlockedCells {
     static int words(const Robot &robot) { return robot.beta().size() * words_per_line(robot); }
 
     // The cells of `me`, always the same, less than need_mm beyond both extra radii from `neighbour`, the one
-    // at place `slot` among its neighbours, when that is at a cell. As precise as single precision. Valid
-    // until the next call.
-    const CellBits *by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm);
+    // at place `slot` among its neighbours, when that is at a cell. Of plain arms as precise as the table,
+    // of others as single precision. Valid until the next call.
+    const CellBits *by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
+                       TouchTables &tables);
 
   private:
     // Directions from the centre of the robot.
@@ -43,8 +45,21 @@ class BlockedCells {
     void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
     struct Other;
 
+    // Plain arms, whose directions tell where they touch.
+    struct Elbows {
+        List<float> x, y;         // at each line of alpha, from the centre, mm
+        List<TurnPart> direction; // of the arm there, at the first line of beta
+        List<int> line_at; // the first line of beta at so many parts of a turn above the first, or more
+    };
+    void lay_out_elbows(const Robot &me);
+    bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables,
+                 CellBits *out);
+    void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words, CellBits *out) const;
+    void mark_lines(int alpha, Directions directions, int words, CellBits *out) const;
+
     List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
     List<CellBits> bits_;
+    Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape
     List<Sector> groups_; // of cells that are looked at at once: their alpha, from that of the first line
 };

@@ -146,7 +146,7 @@ void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
 
 // All combinations of moves in which those chosen so far stay apart.
 void JointSearch::combine(NodeId from, int which, Moves &moves, int cost) {
-    if (which == count()) return reach(from, moves, cost);
+    if (which >= std::min(count(), most)) return reach(from, moves, cost);
     for (int move = 0; move < 9; ++move) {
         if (!options_[which].possible[move]) continue;
         bool free = true;

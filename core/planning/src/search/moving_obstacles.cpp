@@ -45,18 +45,18 @@ void MovingObstacles::add_late(int slot, const SweptArm &swept, int cost, Cell c
 }
 
 void MovingObstacles::sort(int steps) {
-    const auto always = [&](const Visit &v) { return v.late && v.first == 0 && v.last == steps; };
+    steps_ = steps;
     always_.clear();
     for (int i = 0; i < visits_.size(); ++i)
-        if (always(visits_[i])) always_.push_back(i);
+        if (is_always(visits_[i])) always_.push_back(i);
     ends_.assign(steps + 2, 0);
     for (const Visit &v : visits_)
-        for (int k = v.first; k <= v.last && !always(v); ++k) ++ends_[k + 1];
+        for (int k = v.first; k <= v.last && !is_always(v); ++k) ++ends_[k + 1];
     for (int k = 1; k < ends_.size(); ++k) ends_[k] += ends_[k - 1];
     by_step_.resize(ends_.back());
     List<int> next = ends_;
     for (int i = 0; i < visits_.size(); ++i)
-        for (int k = visits_[i].first; k <= visits_[i].last && !always(visits_[i]); ++k)
+        for (int k = visits_[i].first; k <= visits_[i].last && !is_always(visits_[i]); ++k)
             by_step_[next[k]++] = i;
 }
 

@@ -40,6 +40,7 @@ class MovingObstacles {
 
     // Of one that may stop for good: visits at any step of all. They are not among those of a step.
     const List<int> &always() const { return always_; }
+    bool is_always(const Visit &v) const { return v.late && v.first == 0 && v.last == steps_; }
     // Indices of the visits at a step.
     struct View {
         const int *first;
@@ -55,6 +56,7 @@ class MovingObstacles {
     bool extends_last(int slot, int step, const SweptArm &swept) const;
     static Visit visit_of(const SweptArm &swept, int slot, int cost, Cell cell);
 
+    int steps_ = 0;
     List<Visit> visits_;
     List<int> by_step_;
     List<int> always_;

@@ -222,7 +222,7 @@ void PathSet::guide(Request &request, Member &member) {
     for (const auto &visit : moving_.visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
         const CellBits *cells =
-            member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_ + guide_margin_mm);
+            member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_ + guide_margin_mm, tables_);
         for (int step = visit.first; step <= visit.last; ++step)
             guide_.block(back ? steps_ - step : step, cells, visit.cost);
     }

@@ -168,6 +168,7 @@ class PathSet {
     bool noting_ = false;
     MovingObstacles moving_;
     CostToGo guide_;
+    TouchTables tables_;
     MovingObstacles joint_moving_[JointSearch::most];
 };
 

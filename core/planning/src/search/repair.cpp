@@ -15,12 +15,15 @@ constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 8000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 constexpr Mode guided{false, 0, 0, 0}; // without a first look for a path that nothing is in the way of
-constexpr int tidy_excess = 60;        // cost above the least
+constexpr int tidy_enough = 12;        // cost above the least: three corners are not worth a search ...
+constexpr int tidy_excess = 60;        // ... and these two
 constexpr int joint_every = 12;        // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;           // a deadline grows by the first one over this
 constexpr int hurry_rounds = 25;       // repairs for one that hurries; in the end ...
 constexpr int rounds_per_step = 10;    // ... so many more for each step that it is behind the wish
-constexpr int most_hurries = 64;       // attempts of one to arrive earlier in which others have to give way
+constexpr int far_behind = 5; // the wish over what is missing at most, for one that is tried more often ...
+constexpr int last_attempts = 4; // ... so many times in all
+constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
@@ -366,7 +369,7 @@ PathIndex Repair::last_to_arrive() const {
 // costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
-    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries};
+    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries, last_attempts};
     List<int, PathIndex> low(paths_.size(), wanted_steps); // what each of them may hope for
     while (may_hurry()) {
         const PathIndex last = last_to_arrive();
@@ -376,11 +379,20 @@ void Repair::hurry(int wanted_steps) {
             const int deadline = (low[last] + arrival) / 2;
             if (!squeeze(last, deadline, hurry_rounds)) low[last] = deadline + 1;
         } else {
-            const int behind = arrival - wanted_steps;
-            if (!squeeze(last, arrival - 1, hurry_rounds + rounds_per_step * behind)) return;
+            if (!squeeze_in_the_end(last, wanted_steps)) return;
             low[last] = wanted_steps;
         }
     }
+}
+
+// A step less, with more repairs. One that is far behind needs another order of the arms rather than the same
+// one sooner: it is tried again, half-way to the wish and a step earlier in turn.
+bool Repair::squeeze_in_the_end(PathIndex last, int wanted_steps) {
+    const int arrival = paths_.arrival(last), behind = arrival - wanted_steps;
+    const int repairs = hurry_rounds + rounds_per_step * behind;
+    for (bool half = false; !squeeze(last, half ? arrival - behind / 2 : arrival - 1, repairs); half = !half)
+        if (far_behind * behind < wanted_steps || attempts_.in_the_end-- <= 0 || enough()) return false;
+    return true;
 }
 
 bool Repair::may_hurry() {
@@ -435,7 +447,7 @@ void Repair::tidy_one(PathIndex i, const Costs &costs) {
     const Member &member = paths_.at(i);
     if (member.still) return;
     const int cost = path_cost(member, costs);
-    if (cost <= least_cost(member.robot, costs)) return;
+    if (cost <= least_cost(member.robot, costs) + tidy_enough) return;
     ++statistics_.searches;
     paths_.seek(i, costs, cost, guided, search_);
 }

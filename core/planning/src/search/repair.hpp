@@ -58,6 +58,7 @@ class Repair {
     void judge(Pair pair, const Group &group, int conflicts_now);
     bool may_hurry();
     bool squeeze(PathIndex last, int deadline, int most_repairs);
+    bool squeeze_in_the_end(PathIndex last, int wanted_steps);
     PathIndex last_to_arrive() const;
     bool rounds(int most);
     bool enough();
@@ -73,9 +74,10 @@ class Repair {
     Random random_;
     Search search_;
     JointSearch joint_;
-    // Attempts of one to arrive earlier that are left: of all, and of those in which others have to give way.
+    // Attempts of one to arrive earlier that are left: of all, of those in which others have to give way, and
+    // of those that repeat one in vain.
     struct Attempts {
-        int all = 0, with_repairs = 0;
+        int all = 0, with_repairs = 0, in_the_end = 0;
     } attempts_;
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set

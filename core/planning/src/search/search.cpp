@@ -1,6 +1,7 @@
 #include "search/search.hpp"
 
 #include <algorithm>
+#include <numeric>
 
 namespace fl::planning {
 namespace {
@@ -33,12 +34,6 @@ Search::Place Search::place(NodeId id) const {
     return {{cell % width, cell / width}, step};
 }
 
-Search::Node &Search::node(NodeId id) {
-    Node &n = nodes_[id];
-    if (n.round != round_) n = {round_, ask_.give_up, stay, false};
-    return n;
-}
-
 int Search::changes_to_go(Cell c, int move) const {
     return axis_changes(c.alpha, last_cell_.alpha, alpha_of(move)) +
            axis_changes(c.beta, last_cell_.beta, beta_of(move));
@@ -59,24 +54,31 @@ int Search::total(int cost, int to_come) const {
 
 int Search::beta_cost(Cell c) const { return ask_.costs->beta.empty() ? 0 : ask_.costs->beta[c.beta]; }
 
-void Search::push(NodeId id, int total) {
+void Search::push(const Open &open, int total) {
     const int bucket = std::min(total, most_buckets - 1);
     if (bucket >= buckets_.size()) buckets_.resize(bucket + 1);
-    buckets_[bucket].push_back(id);
+    buckets_[bucket].push_back(open);
     lowest_ = std::min(lowest_, bucket);
     highest_ = std::max(highest_, bucket);
     ++open_;
 }
 
-// The open node of lowest total cost; false if there is none below that of the path found.
-bool Search::pop(NodeId &id) {
+// The one of lowest total cost; false if there is none below that of the path found.
+bool Search::pop(Open &open) {
     if (open_ == 0) return false;
     while (buckets_[lowest_].empty()) ++lowest_;
     if (best_ < ask_.give_up && lowest_ >= best_) return false;
-    id = buckets_[lowest_].back();
+    open = buckets_[lowest_].back();
     buckets_[lowest_].pop_back();
     --open_;
     return true;
+}
+
+void Search::begin_queue() {
+    for (int k = 0; k < std::min(highest_ + 1, buckets_.size()); ++k) buckets_[k].clear();
+    lowest_ = most_buckets;
+    highest_ = 0;
+    open_ = 0;
 }
 
 void Search::begin() {
@@ -88,15 +90,12 @@ void Search::begin() {
     if (nodes_.size() < size) nodes_.resize(size);
     const int turnings = ask_.moving->always().empty() ? 0 : 81 * ask_.robot->cells();
     if (always_.size() < turnings) always_.resize(turnings);
-    if (++round_ == 0) { // after 2^32 searches the marks would repeat
+    if (++round_ > Node::most_rounds) { // the marks would repeat
         std::fill(nodes_.begin(), nodes_.end(), Node{});
         std::fill(always_.begin(), always_.end(), Always{});
         round_ = 1;
     }
-    for (int k = 0; k < std::min(highest_ + 1, buckets_.size()); ++k) buckets_[k].clear();
-    lowest_ = most_buckets;
-    highest_ = 0;
-    open_ = 0;
+    begin_queue();
     path_.clear();
     best_ = ask_.give_up;
     list_turnings();
@@ -117,59 +116,40 @@ void Search::list_turnings() {
         }
 }
 
-int Search::hold_cost() {
-    int cost = 0;
-    for (int step = 0; step < ask_.hold; ++step) {
-        gather_near({first_cell(), step});
-        cost += rest_encounters(first_cell());
+// What resting at a cell costs at each step; at the goal, on the legs to come as well.
+void Search::list_rest(Cell cell) {
+    const SweptArm here = ask_.robot->resting(cell);
+    const bool at_goal = cell == ask_.robot->goal() && !ask_.robot->legs().empty();
+    rest_cost_.assign(ask_.steps + 1, always_encounters(cell, {}));
+    rest_met_.assign(ask_.steps + 1, -1);
+    for (const MovingObstacles::Visit &e : ask_.moving->visits()) {
+        if (ask_.moving->is_always(e) || !e.meets(here, ask_.need_mm)) continue;
+        for (int k = e.first; k <= e.last; ++k) {
+            const int step = ask_.backward ? ask_.steps - k : k;
+            if (rest_met_[step] != e.slot) rest_cost_[step] += e.cost; // no one is met twice in a step
+            rest_met_[step] = e.slot;
+        }
     }
-    return cost;
+    for (int step = 0; at_goal && step <= ask_.steps; ++step) rest_cost_[step] += leg_encounters(step);
+}
+
+int Search::hold_cost() {
+    if (ask_.hold == 0) return 0;
+    list_rest(first_cell());
+    return std::accumulate(rest_cost_.begin(), rest_cost_.begin() + ask_.hold, 0);
 }
 
 // What it costs to rest at the last cell from each step to the end.
 void Search::prepare_end() {
+    list_rest(last_cell_);
     end_cost_.assign(ask_.steps + 2, 0);
-    for (int step = ask_.steps; step >= 0; --step) {
-        gather_near({last_cell_, step});
-        if (step == ask_.steps && !ask_.backward) end_cost_[step + 1] = leg_encounters();
-        end_cost_[step] = end_cost_[step + 1] + rest_encounters(last_cell_);
-    }
-}
-
-// The neighbours that some step around this cell could meet.
-void Search::gather_near(Place at) {
-    near_.clear();
-    const Segment here = ask_.robot->line(at.cell);
-    const Vec2 centre = middle(here.a, here.b);
-    const Robot &robot = *ask_.robot;
-    const double widest = ask_.need_mm + robot.widest_displacement_mm(), room = widest + robot.extra_mm();
-    const double radius = 0.5 * length(here.b - here.a) + room;
-    for (int index : ask_.moving->at(ask_.backward ? ask_.steps - at.step : at.step)) {
-        const MovingObstacles::Visit &e = ask_.moving->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (dot(gap, gap) >= touch * touch) continue;
-        const double close = room + e.swept->displacement_bound_mm + e.swept->extra_mm;
-        if (squared_distance(here, e.swept->at[2]) >= close * close) continue;
-        if (!shaped(e) || limbs_within(robot.limbs(), here, *e.swept, e.swept->at[2],
-                                       widest + e.swept->displacement_bound_mm))
-            near_.push_back(&e);
-    }
+    if (!ask_.backward) end_cost_[ask_.steps + 1] = leg_encounters(ask_.steps);
+    for (int step = ask_.steps; step >= 0; --step) end_cost_[step] = end_cost_[step + 1] + rest_cost_[step];
 }
 
 // Whether the centre lines alone do not tell that two touch.
 bool Search::shaped(const MovingObstacles::Visit &e) const {
     return ask_.robot->shape() != nullptr || e.swept->shape != nullptr;
-}
-
-int Search::encounters(const SweptArm &step) const {
-    int cost = 0, met = -1; // no one is met twice in a step
-    for (const MovingObstacles::Visit *e : near_)
-        if (e->slot != met && e->meets(step, ask_.need_mm)) {
-            cost += e->cost;
-            met = e->slot;
-        }
-    return cost;
 }
 
 // With those that may be there at any step.
@@ -198,52 +178,59 @@ int Search::always_encounters(Cell cell, VelocityChanges turn) {
 }
 
 // Of one that comes down to its goal: with those that may be late then.
-int Search::leg_encounters() const {
+int Search::leg_encounters(int step) const {
     int cost = 0, met = -1;
     for (const SweptArm &leg : ask_.robot->legs()) {
         cost += look_always(leg);
-        for (const MovingObstacles::Visit *e : near_)
-            if (e->late && e->slot != met && e->meets(leg, ask_.need_mm)) {
-                cost += e->cost;
-                met = e->slot;
+        for (const int index : visits_at(step)) {
+            const MovingObstacles::Visit &e = ask_.moving->visit(index);
+            if (e.late && e.slot != met && e.meets(leg, ask_.need_mm)) {
+                cost += e.cost;
+                met = e.slot;
             }
+        }
     }
     return cost;
 }
 
-// At rest at a cell; at the goal, on the legs to come as well.
-int Search::rest_encounters(Cell cell) {
-    const int rest = encounters(ask_.robot->swept(cell, {})) + always_encounters(cell, {});
-    return cell == ask_.robot->goal() ? rest + leg_encounters() : rest;
+int Search::encounters(Place at, VelocityChanges turn) {
+    const int cost = always_encounters(at.cell, turn) + near_encounters(at, turn);
+    return doubtful_.empty() ? cost : cost + doubtful_encounters(ask_.robot->swept(at.cell, turn));
 }
 
-int Search::encounters(Place at, VelocityChanges turn) {
-    int cost = always_encounters(at.cell, turn);
-    if (near_.empty()) return cost;
-    // most are seen to be clear, or not, from mid-step alone
-    const Segment here = ask_.robot->middle_line(at.cell, turn);
-    const double room = ask_.need_mm + ask_.robot->bulge_mm() + ask_.robot->displacement_bound_mm(turn) +
-                        ask_.robot->extra_mm();
-    int met = -1;
+// Most are seen to be clear, or not, from mid-step alone; the others are doubtful.
+int Search::near_encounters(Place at, VelocityChanges turn) {
+    const Robot &robot = *ask_.robot;
+    const Segment here = robot.middle_line(at.cell, turn);
+    const Vec2 centre = middle(here.a, here.b);
+    const double way = robot.displacement_bound_mm(turn);
+    const double room = ask_.need_mm + robot.bulge_mm() + way + robot.extra_mm();
+    const double radius = 0.5 * length(here.b - here.a) + room;
+    int cost = 0, met = -1; // no one is met twice in a step
     doubtful_.clear();
-    for (const MovingObstacles::Visit *e : near_) {
-        if (e->slot == met) continue;
-        const double d2 = squared_distance(here, e->swept->at[2]);
-        const double clear = room + e->swept->bulge_mm + e->swept->displacement_bound_mm + e->swept->extra_mm;
+    for (const int index : visits_at(at.step)) {
+        const MovingObstacles::Visit &e = ask_.moving->visit(index);
+        const Vec2 gap = e.centre - centre;
+        const double touch = radius + e.radius_mm;
+        if (dot(gap, gap) >= touch * touch || e.slot == met) continue;
+        const double d2 = squared_distance(here, e.swept->at[2]);
+        const double clear = room + e.swept->bulge_mm + e.swept->displacement_bound_mm + e.swept->extra_mm;
         if (d2 >= clear * clear) continue;
-        if (shaped(*e) || d2 >= ask_.need_mm * ask_.need_mm) {
-            doubtful_.push_back(e);
+        if (shaped(e) || d2 >= ask_.need_mm * ask_.need_mm) {
+            doubtful_.push_back(&e);
             continue;
         }
-        cost += e->cost;
-        met = e->slot;
+        cost += e.cost;
+        met = e.slot;
         while (!doubtful_.empty() && doubtful_.back()->slot == met) doubtful_.pop_back();
     }
-    if (doubtful_.empty()) return cost;
-    const SweptArm swept = ask_.robot->swept(at.cell, turn);
-    met = -1;
+    return cost;
+}
+
+int Search::doubtful_encounters(const SweptArm &step) const {
+    int cost = 0, met = -1;
     for (const MovingObstacles::Visit *e : doubtful_)
-        if (e->slot != met && e->meets(swept, ask_.need_mm)) {
+        if (e->slot != met && e->meets(step, ask_.need_mm)) {
             cost += e->cost;
             met = e->slot;
         }
@@ -251,43 +238,48 @@ int Search::encounters(Place at, VelocityChanges turn) {
 }
 
 // To rest at the last cell from here to the end.
-void Search::finish(NodeId from, Place at) {
-    const Node n = node(from);
-    const Turning &turn = turnings_[n.move][stay];
+void Search::finish(const Open &here, Place at) {
+    const Turning &turn = turnings_[here.move][stay];
     if (!ask_.robot->clear(at.cell, turn.changes)) return;
-    const int cost = n.cost + turn.cost + encounters(at, turn.changes) + end_cost_[at.step + 1];
+    const int cost = here.cost + turn.cost + encounters(at, turn.changes) + end_cost_[at.step + 1];
     if (cost >= best_) return;
     best_ = cost;
-    last_ = from;
+    last_ = here.node;
 }
 
-void Search::relax(Place at, const Node &here, int move) {
+void Search::relax(Place at, const Open &here, int move) {
     const Turning &turn = turnings_[here.move][move];
     if (!turn.possible) return;
     const Place next{moved(at.cell, move), at.step + 1};
     if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
+    const NodeId to = id(next);
     const int to_come = least_to_come(next, move);
     int cost = here.cost + turn.cost + beta_cost(at.cell);
     if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
-    if (cost + to_come >= best_) return;
-    const NodeId to = id(next);
-    Node &m = node(to);
-    if (m.closed || cost >= m.cost) return;
-    if (!ask_.robot->clear(at.cell, turn.changes)) return;
-    cost += encounters(at, turn.changes);
-    if (cost >= m.cost || cost + to_come >= best_) return;
-    m.cost = cost;
-    m.move = static_cast<Move>(move);
-    push(to, total(cost, to_come));
+    if (cost + to_come < best_) push({to, cost, static_cast<Move>(move)}, total(cost, to_come));
 }
 
-void Search::expand(NodeId from) {
+// Whether the last step of a way, to here, keeps it the best one. If it meets others the way goes back into
+// the queue.
+bool Search::look(Open &open, Place at) {
+    if (open.looked_at) return true;
+    const Place before{moved(at.cell, 8 - open.move), at.step - 1};
+    const VelocityChanges turn = turnings_[nodes_[id(before)].move()][open.move].changes;
+    if (!ask_.robot->clear(before.cell, turn)) return false;
+    const int met = encounters(before, turn);
+    if (met == 0) return true;
+    open.cost += met;
+    open.looked_at = true;
+    const int to_come = least_to_come(at, open.move);
+    if (open.cost + to_come < best_) push(open, total(open.cost, to_come));
+    return false;
+}
+
+void Search::expand(const Open &here, Place at) {
     ++expansions_;
-    const Place at = place(from);
-    gather_near(at);
-    if (at.cell == last_cell_) finish(from, at);
+    nodes_[here.node] = {round_, here.move};
+    if (at.cell == last_cell_) finish(here, at);
     if (at.step == last_step_) return;
-    const Node here = node(from);
     // Of equals, the last is looked at first. So an arm unfolds as late as it can (beta stays or goes up),
     // and is out of the way of others until then.
     for (int move = 0; move < 9; ++move) relax(at, here, move);
@@ -299,7 +291,7 @@ void Search::trace() {
     while (true) {
         path_[at.step] = at.cell;
         if (at.step == ask_.hold) break;
-        const int back = 8 - node(id(at)).move; // the opposite move
+        const int back = 8 - nodes_[id(at)].move(); // the opposite move
         at = {moved(at.cell, back), at.step - 1};
     }
     std::fill(path_.begin(), path_.begin() + ask_.hold, first_cell());
@@ -309,16 +301,16 @@ void Search::trace() {
 const List<Cell> &Search::run(const Request &request) {
     ask_ = request;
     begin();
-    const NodeId first = id({first_cell(), ask_.hold});
-    node(first).cost = hold_cost();
-    push(first, total(node(first).cost, least_to_come({first_cell(), ask_.hold}, stay)));
+    const Place first{first_cell(), ask_.hold};
+    const int cost = hold_cost();
+    push({id(first), cost, stay, true}, total(cost, least_to_come(first, stay)));
     const std::int64_t last = ask_.most_expansions > 0 ? expansions_ + ask_.most_expansions : -1;
     undecided_ = false;
-    for (NodeId from; pop(from);) {
-        Node &n = node(from);
-        if (n.closed) continue;
-        n.closed = true;
-        expand(from);
+    for (Open open; pop(open);) {
+        if (closed(open.node)) continue;
+        const Place at = place(open.node);
+        if (!look(open, at)) continue;
+        expand(open, at);
         if (expansions_ == last) {
             undecided_ = true;
             return path_;

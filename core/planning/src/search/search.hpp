@@ -65,11 +65,25 @@ class Search {
   private:
     using NodeId = Index<struct NodeKind>; // of a cell at a step
 
-    struct Node {
-        std::uint32_t round = 0; // of which search the rest is
+    // A cell at a step: the move of the best way to it, and in which search this was found.
+    class Node {
+      public:
+        static constexpr std::uint32_t most_rounds = (1u << 28) - 1;
+        Node() = default;
+        Node(std::uint32_t round, Move move) : code_(round << 4 | move) {}
+        Move move() const { return code_ & 15; }
+        std::uint32_t round() const { return code_ >> 4; }
+
+      private:
+        std::uint32_t code_ = 0;
+    };
+    // A way to a node that may be the best one. What the last step meets is looked at only when its turn
+    // comes: of most it never does.
+    struct Open {
+        NodeId node;
         int cost = 0;
-        Move move = 0; // by which it was reached
-        bool closed = false;
+        Move move = stay; // the last one
+        bool looked_at = false;
     };
     struct Place {
         Cell cell;
@@ -92,22 +106,27 @@ class Search {
     int total(int cost, int to_come) const;
     int changes_to_go(Cell c, int move) const;
     int beta_cost(Cell c) const;
-    void expand(NodeId id);
-    void finish(NodeId id, Place at);
-    void relax(Place at, const Node &here, int move);
-    void gather_near(Place at);
+    void begin_queue();
+    bool look(Open &open, Place at);
+    void expand(const Open &here, Place at);
+    void finish(const Open &here, Place at);
+    void relax(Place at, const Open &here, int move);
     bool shaped(const MovingObstacles::Visit &e) const;
-    int encounters(const SweptArm &step) const;
-    int rest_encounters(Cell cell);
-    int leg_encounters() const;
+    MovingObstacles::View visits_at(int step) const {
+        return ask_.moving->at(ask_.backward ? ask_.steps - step : step);
+    }
+    void list_rest(Cell cell);
+    int leg_encounters(int step) const;
     int always_encounters(Cell cell, VelocityChanges turn);
     int look_always(const SweptArm &step) const;
     int encounters(Place at, VelocityChanges turn);
-    void push(NodeId id, int total);
-    bool pop(NodeId &id);
+    int near_encounters(Place at, VelocityChanges turn);
+    int doubtful_encounters(const SweptArm &step) const;
+    void push(const Open &open, int total);
+    bool pop(Open &open);
     NodeId id(Place at) const;
     Place place(NodeId id) const;
-    Node &node(NodeId id);
+    bool closed(NodeId id) const { return nodes_[id].round() == round_; }
     void trace();
 
     Request ask_;
@@ -115,17 +134,18 @@ class Search {
     int last_step_ = 0; // by which the path must be done, in the direction of the search
     Turning turnings_[9][9];
     List<Node, NodeId> nodes_;
-    List<List<NodeId>> buckets_; // open nodes by total cost; the last come first
+    List<List<Open>> buckets_; // by total cost; the last come first
     int lowest_ = 0, highest_ = 0;
     int open_ = 0;
-    List<const MovingObstacles::Visit *> near_, doubtful_;
+    List<const MovingObstacles::Visit *> doubtful_;
     // Encounters at any step, for each cell and turning: of which search they are, and what they cost.
     struct Always {
         std::uint32_t round = 0;
         int cost = 0;
     };
     List<Always> always_;
-    List<int> end_cost_; // of resting at the last cell from a step to the end
+    List<int> rest_cost_, rest_met_; // of resting at a cell at each step, and with whom it was counted last
+    List<int> end_cost_;             // of resting at the last cell from a step to the end
     List<Cell> path_;
     std::uint32_t round_ = 0;
     NodeId last_;
