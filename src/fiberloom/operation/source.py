@@ -40,6 +40,13 @@ class Source(Protocol):
         """Takes what the `file` of a calibration says of motors that have no transmission maps."""
         ...
 
+    def keep(self, file: Path | None) -> None:
+        """Keeps in a `file` what motors that have no transmission maps teach; None: in one of its own.
+
+        InputError where such motors teach nothing that can be kept.
+        """
+        ...
+
     def about(self) -> dict[str, Any]:
         """Entries of summary.json about the source."""
         ...
@@ -123,6 +130,10 @@ class OpenedArray:
     def know(self, file: Path) -> None:
         """No array outside has such motors yet: InputError for any `file`."""
         raise InputError(f"{file}: this array has transmission maps, or none at all")
+
+    def keep(self, file: Path | None) -> None:
+        """No array outside has such motors yet: InputError."""
+        raise InputError("--adapt: the motors of this array teach nothing that can be kept; leave it out")
 
     def about(self) -> dict[str, Any]:
         """Empty: only a twin has entries of its own."""

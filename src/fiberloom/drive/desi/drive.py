@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -22,8 +23,10 @@ from fiberloom.drive.desi.frames import (
     rows_of,
     table_frames,
 )
+from fiberloom.drive.desi.kept import save_maps
 from fiberloom.drive.desi.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
+from fiberloom.drive.desi.places import folded_deg
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
 from fiberloom.drive.desi.stages import Aims, Staged, staged
@@ -74,9 +77,11 @@ class DesiDrive:
         nothing, and all are taken to be folded.
         """
         self.plane, self.transport = plane, transport
-        self.maps = maps or LearnedMaps(plane, plane.park_deg)
+        self.maps = maps or LearnedMaps(plane, folded_deg(plane))
         self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
         self.ids: list[int] = []
+        self.kept: Path | None = None
+        """File to which what was learnt is written after each image; None: it is not kept."""
         self.safe_deg = safe_phi_deg(plane)
         self._image_um = max(self.model.noise.camera_um, 1e-3)
         self._running: tuple[float, MoveTables] | None = None
@@ -253,6 +258,8 @@ class DesiDrive:
     def seen(self, image: Measurement, mobile: Flags) -> Floats:
         """Learns from an image; (N, 2) deg where arms are believed to be now. `mobile` (N,): who may tell."""
         self.maps.see(image.xy_mm, self._sigma_mm(image), image.seen & mobile)
+        if self.kept is not None:
+            save_maps(self.maps, self.kept)
         return self.maps.output_deg(self.maps.believed_deg)
 
     def _sigma_mm(self, image: Measurement) -> Floats | float:

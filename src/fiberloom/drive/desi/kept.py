@@ -7,13 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
+from fiberloom.calibration.transmission.cache import default_directory
 from fiberloom.drive.desi.learned import LearnedMaps, MapBasis
+from fiberloom.drive.desi.places import folded_deg
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Array
 from fiberloom.wholefile import whole
 
 _ARRAYS = ("positioner_id", "orders", "believed_deg", "mean", "covariance", "surprises")
+
+
+def kept_file(plane: FocalPlane, seed: int) -> Path:
+    """Where what a twin of this `plane` and `seed` has taught is kept, unless a file is named."""
+    return default_directory() / f"learnt-{plane.config_hash()[:16]}-{seed}.npz"
 
 
 def save_maps(maps: LearnedMaps, path: str | Path) -> None:
@@ -23,7 +30,8 @@ def save_maps(maps: LearnedMaps, path: str | Path) -> None:
     """
     arrays = {name: getattr(maps, name) for name in _ARRAYS[2:]}
     with whole(path, folders=True) as part, part.open("wb") as file:
-        np.savez_compressed(
+        # not compressed: it is written after each image, and noise does not shrink
+        np.savez(
             file,
             allow_pickle=False,
             positioner_id=maps.plane.positioner_id,
@@ -39,7 +47,7 @@ def read_maps(path: str | Path, plane: FocalPlane, basis: MapBasis) -> LearnedMa
     InputError where there is no such file, or it is not one of maps with these orders.
     """
     found = _arrays(Path(path), basis)
-    maps = LearnedMaps(plane, plane.park_deg, basis)
+    maps = LearnedMaps(plane, folded_deg(plane), basis)
     row_of = {int(number): row for row, number in enumerate(found["positioner_id"])}
     here = np.array(
         [row for row, number in enumerate(plane.positioner_id) if int(number) in row_of], dtype=int

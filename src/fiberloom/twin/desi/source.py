@@ -11,7 +11,9 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
-from fiberloom.errors import InputError
+from fiberloom.drive.desi.kept import kept_file, read_maps
+from fiberloom.drive.desi.learned import PLANETARY, LearnedMaps
+from fiberloom.drive.desi.places import folded_deg
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -39,6 +41,8 @@ class DesiSource:
         self.faults = schedule_faults(parse_faults(faults, FAULTS), able, (), seed)
         self.plane, self.seed, self.camera = plane, seed, camera
         self.errors = TwinErrors.of(plane.instrument, errors)
+        self._maps: LearnedMaps | None = None
+        self._kept: Path | None = None
 
     @cached_property
     def units(self) -> DesiUnits:
@@ -66,7 +70,8 @@ class DesiSource:
         else:
             rms_um = self.plane.instrument.metrology.noise_rms_um
             camera = NoiseCamera(self.twin, rms_um, self.seed, self.errors)
-        drive = DesiDrive(self.plane, DesiTransport(self.twin))
+        drive = DesiDrive(self.plane, DesiTransport(self.twin), self._maps)
+        drive.kept = self._kept
         vouched = np.ones(len(self.plane), dtype=bool)
         return Hardware(None, camera, self.twin, vouched=vouched, telescope=self.twin, drive=drive)
 
@@ -83,9 +88,19 @@ class DesiSource:
         return None
 
     def know(self, file: Path) -> None:
-        """Maps are learnt from images: InputError for any `file`."""
-        name = self.plane.instrument.name
-        raise InputError(f"{file}: {name} learns its maps from images; leave --calibration out")
+        """Begins with the maps of a `file` of earlier nights. InputError where it is none."""
+        self._maps = read_maps(file, self.plane, PLANETARY)
+        # arms and fields of this twin are where those of its first night were
+        self._maps.believed_deg = folded_deg(self.plane)
+
+    def keep(self, file: Path | None) -> None:
+        """Begins with what is in the `file`, if there is one, and writes it anew after each image.
+
+        None: the file of this layout and seed in the user's own folder.
+        """
+        self._kept = file or kept_file(self.plane, self.seed)
+        if self._kept.exists():
+            self.know(self._kept)
 
     def about(self) -> dict[str, Any]:
         """What was put in."""
