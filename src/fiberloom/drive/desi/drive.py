@@ -26,7 +26,6 @@ from fiberloom.drive.desi.frames import (
 from fiberloom.drive.desi.kept import save_maps
 from fiberloom.drive.desi.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
-from fiberloom.drive.desi.places import folded_deg
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
 from fiberloom.drive.desi.stages import Aims, Staged, staged
@@ -77,7 +76,7 @@ class DesiDrive:
         nothing, and all are taken to be folded.
         """
         self.plane, self.transport = plane, transport
-        self.maps = maps or LearnedMaps(plane, folded_deg(plane))
+        self.maps = maps or LearnedMaps(plane, plane.park_deg)
         self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
         self.ids: list[int] = []
         self.kept: Path | None = None

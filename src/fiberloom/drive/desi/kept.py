@@ -9,7 +9,6 @@ import numpy as np
 
 from fiberloom.calibration.transmission.cache import default_directory
 from fiberloom.drive.desi.learned import LearnedMaps, MapBasis
-from fiberloom.drive.desi.places import folded_deg
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Array
@@ -47,7 +46,7 @@ def read_maps(path: str | Path, plane: FocalPlane, basis: MapBasis) -> LearnedMa
     InputError where there is no such file, or it is not one of maps with these orders.
     """
     found = _arrays(Path(path), basis)
-    maps = LearnedMaps(plane, folded_deg(plane), basis)
+    maps = LearnedMaps(plane, plane.park_deg, basis)
     row_of = {int(number): row for row, number in enumerate(found["positioner_id"])}
     here = np.array(
         [row for row, number in enumerate(plane.positioner_id) if int(number) in row_of], dtype=int

@@ -1,18 +1,12 @@
-"""Where arms are: by the place of a fibre where the angles are known roughly; folded where nothing is known."""
+"""From the place of a fibre to the angles of its arm, where the angles are known roughly."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fiberloom.assignment.clearance import obstacle_gap_mm, obstacles, sweep
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import CENTRE
-from fiberloom.typing import Floats, Ints
-
-ROOM_MM = 0.4
-"""[D] Of a folded arm, to what does not move: 1.5 sigma of a map that nothing has taught are 0.15 mm, the play of
-theta 0.2 mm."""
-_TURNS_DEG = np.array([turn * side for turn in range(10, 190, 10) for side in (1, -1)], dtype=np.float64)
+from fiberloom.typing import Floats
 
 
 def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
@@ -31,28 +25,3 @@ def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
         found.append(angles + 360.0 * np.rint((near_deg - angles) / 360.0))
     far = [np.abs(angles - near_deg).sum(axis=1) for angles in found]
     return np.asarray(np.where((far[0] <= far[1])[:, None], *found), dtype=np.float64)
-
-
-def folded_deg(plane: FocalPlane) -> Floats:
-    """(N, 2) deg where units of a `plane` are taken to be before anything is known: folded.
-
-    Theta is at 0, and where the folded arm would be nearer than `ROOM_MM` to what does not move, turned away
-    from it by as little as leaves that room: no arm can be inside of an edge.
-    """
-    out, bodies = plane.park_deg, obstacles(plane, 0.0)
-    able = np.flatnonzero(~plane.offline)
-    gap = _gap_mm(plane, able, out[able], bodies)
-    rows, best = able[gap < ROOM_MM], gap[gap < ROOM_MM]
-    first = out[rows].copy()
-    for turn in _TURNS_DEG:
-        tried = first + [turn, 0.0]
-        low, high = plane.limits_of(rows)[:, 0].T
-        found = _gap_mm(plane, rows, tried, bodies)
-        better = (best < ROOM_MM) & (found > best) & (tried[:, 0] >= low) & (tried[:, 0] <= high)
-        out[rows[better]], best = tried[better], np.where(better, found, best)
-    return out
-
-
-def _gap_mm(plane: FocalPlane, rows: Ints, angles_deg: Floats, bodies: Floats) -> Floats:
-    """(n,) mm from folded arms to what does not move."""
-    return obstacle_gap_mm(plane, rows, sweep(plane, rows, angles_deg, 0.0), bodies)

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from fiberloom._core import geometry
 from fiberloom.drive.desi.frames import ALL, POSITIONERS, DesiFrame, tables_from
 from fiberloom.drive.desi.paths import FieldPath, executed_path
-from fiberloom.drive.desi.places import folded_deg
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -190,7 +189,7 @@ def _with_resting(field: FieldPath, rows: Ints, n: int) -> FieldPath:
 
 
 def _start(plane: FocalPlane, start_deg: ArrayLike | None) -> Floats:
-    first = folded_deg(plane) if start_deg is None else start_deg
-    start = np.array(np.broadcast_to(np.asarray(first, dtype=np.float64), (len(plane), 2)))
+    folded = plane.instrument.positioner.park_deg if start_deg is None else start_deg
+    start = np.array(np.broadcast_to(np.asarray(folded, dtype=np.float64), (len(plane), 2)))
     start[plane.offline] = plane.offline_position_deg[plane.offline]
     return start

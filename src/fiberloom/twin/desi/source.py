@@ -13,7 +13,6 @@ from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.desi.kept import kept_file, read_maps
 from fiberloom.drive.desi.learned import PLANETARY, LearnedMaps
-from fiberloom.drive.desi.places import folded_deg
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -91,7 +90,7 @@ class DesiSource:
         """Begins with the maps of a `file` of earlier nights. InputError where it is none."""
         self._maps = read_maps(file, self.plane, PLANETARY)
         # arms and fields of this twin are where those of its first night were
-        self._maps.believed_deg = folded_deg(self.plane)
+        self._maps.believed_deg = self.plane.park_deg.copy()
 
     def keep(self, file: Path | None) -> None:
         """Begins with what is in the `file`, if there is one, and writes it anew after each image.
