@@ -207,9 +207,8 @@ def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
     from fiberloom.twin.errors.switches import check_switches
     from fiberloom.twin.faults.grammar import parse_faults
-    from fiberloom.twin.faults.kinds import OBSERVED
 
-    parse_faults(options.faults, OBSERVED)
+    parse_faults(options.faults)  # what the twin of this instrument cannot do it refuses itself
     check_switches(options.errors)
     options.check_plane()
     check_camera(options)

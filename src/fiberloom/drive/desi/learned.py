@@ -134,9 +134,13 @@ class LearnedMaps:
 
     def _relocate(self, xy_mm: Floats, lost: Flags) -> None:
         """Units that stand elsewhere than their map can have them: believed where they are seen."""
+        self.surprises += lost
+        self.stands(xy_mm, lost)
+
+    def stands(self, xy_mm: Floats, lost: Flags) -> None:
+        """Believes those `lost` (N,) to be where they are seen, at `xy_mm` (N, 2): turns are not known."""
         if not lost.any():
             return
-        self.surprises += lost
         here = self.output_deg(self.believed_deg)
         # a folded or stretched arm does not tell its angles
         lost = lost & (np.abs(np.sin(np.deg2rad(here[:, 1]))) > LEAST_SINE)
