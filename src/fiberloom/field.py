@@ -463,7 +463,7 @@ class Field:
         folder = prepare_folder(place.base)
         settings, learning = asked(corrections, options, self.seed, place.store)
         if learning.adapt and not self._has_maps:
-            learning = self._kept_by_motors(learning)
+            learning = learning.kept_by(self.source, self.calibration_file)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)
@@ -481,15 +481,6 @@ class Field:
             self._observer.motion = held.motion
             await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
-
-    def _kept_by_motors(self, learning: Learning) -> Learning:
-        """Has what motors without transmission maps learn kept: in the file that is given, or their own."""
-        if learning.learnt is not None:
-            name = self.plane.instrument.name
-            raise InputError(f"--learnt: {name} keeps what it learns in the file of --calibration; name that")
-        if self._observer is None:
-            self.source.keep(self.calibration_file)
-        return replace(learning, adapt=False)
 
     async def survey(
         self,

@@ -120,7 +120,7 @@ def test_a_move_is_counted_and_done(plane):
 def test_no_table_runs_where_one_was_lost(plane):
     lost = int(plane.positioner_id[1])
     results, drive, wire, twin = moved(plane, lambda f: f.can_id == lost and f.command == DesiCommand.ROW)
-    assert results[lost].outcome is Outcome.TIMED_OUT
+    assert results[lost].outcome is Outcome.REFUSED  # it answers, and has no table
     assert [r.outcome for i, r in results.items() if i != lost] == [Outcome.STOPPED] * 2
     assert DesiCommand.RUN not in [frame.command for frame in wire.sent]
     np.testing.assert_array_equal(drive.maps.believed_deg, plane.park_deg)

@@ -23,6 +23,7 @@ from fiberloom.drive.desi.frames import (
     rows_of,
     table_frames,
 )
+from fiberloom.drive.desi.homing import HOMED_SIGMA_DEG, homed_deg, homing_tables
 from fiberloom.drive.desi.kept import save_maps
 from fiberloom.drive.desi.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
@@ -42,6 +43,8 @@ TUBE_SIGMA = 1.5
 ANSWER_S = 0.5
 TRIES = 3
 """Of a question, and to load a table."""
+SURPRISES = 2
+"""[A] One may be a turn that was lost once."""
 SETTLE_S = 0.05
 """After the last table has ended."""
 ALIVE_S = 20.0
@@ -87,6 +90,7 @@ class DesiDrive:
         self._image_um = max(self.model.noise.camera_um, 1e-3)
         self._back = np.zeros(len(plane), dtype=bool)
         """(N,) that were silent and answer again, and that no image has shown since."""
+        self._ran = False
         self._running: tuple[float, MoveTables] | None = None
 
     @property
@@ -216,21 +220,27 @@ class DesiDrive:
         answers and does not hold it has refused.
         """
         commands: Tables = programme.commands
-        moving = programme.moving
-        missing = await self._load(commands.tables, moving)
+        results = await self._run(commands.tables, programme.moving)
+        if self._ran:
+            self.maps.went(commands.way_deg)
+        return results
+
+    async def _run(self, tables: MoveTables, moving: list[int]) -> Results:
+        """Loads, starts and waits for the end; `_ran` says whether anything was started."""
+        self._ran = False
+        missing = await self._load(tables, moving)
         if missing:
             heard = await self._told(DesiCommand.VERSION, missing)
             self._lose(missing - set(heard))
             why = {i: Outcome.REFUSED if i in heard else Outcome.TIMED_OUT for i in missing}
             return Results({i: Result(i, why.get(i, Outcome.STOPPED)) for i in moving})
         await self._broadcast(DesiCommand.RUN, b"\x01")
-        self._running = self.time_s, commands.tables
-        await self.sleep(float(commands.tables.duration_s.max(initial=0.0)) + SETTLE_S)
+        self._ran, self._running = True, (self.time_s, tables)
+        await self.sleep(float(tables.duration_s.max(initial=0.0)) + SETTLE_S)
         told = await self._told(DesiCommand.MOVE_STATUS, moving)
         late = {*_still_moving(told), *set(moving) - set(told)}
         self._lose(set(moving) - set(told))
         self._running = None
-        self.maps.went(commands.way_deg)
         return Results({i: Result(i, Outcome.TIMED_OUT if i in late else Outcome.DONE) for i in moving})
 
     async def _load(self, tables: MoveTables, moving: list[int]) -> set[int]:
@@ -250,6 +260,18 @@ class DesiDrive:
             if not missing:
                 break
         return missing
+
+    async def home(self, ids: Iterable[int]) -> Results:
+        """Searches both stops of these by creep, some minutes; who ends well is believed to be there.
+
+        Nothing says where their arms are on the way: the caller sees to it that no neighbour is in their reach.
+        """
+        rows = np.sort(self.plane.index_of(list(ids)))
+        tables, numbers = homing_tables(self.plane, rows), self.plane.positioner_id[rows].tolist()
+        results = await self._run(tables, numbers)
+        done = rows[[results[k].ok for k in numbers]]
+        self.maps.homed(done, homed_deg(self.plane, done), HOMED_SIGMA_DEG)
+        return results
 
     async def settle(self, ids: list[int]) -> None:
         """Stops these and forgets their tables."""
@@ -277,6 +299,15 @@ class DesiDrive:
         if self.kept is not None:
             save_maps(self.maps, self.kept)
         return self.maps.output_deg(self.maps.believed_deg)
+
+    def suspects(self) -> dict[int, str]:
+        """Those that an image has shown `SURPRISES` times where no map can have them: degraded motors."""
+        why = "seen {} times where its map cannot have it: a motor that slips, or loses turns"
+        times = self.maps.surprises
+        return {
+            int(self.plane.positioner_id[row]): why.format(times[row])
+            for row in np.flatnonzero(times >= SURPRISES)
+        }
 
     def _sigma_mm(self, image: Measurement) -> Floats | float:
         if image.covariance_mm2 is None:

@@ -13,7 +13,7 @@ import numpy as np
 from fiberloom.drive.desi.orders import ORDERS
 from fiberloom.drive.desi.places import angles_near
 from fiberloom.instruments import FocalPlane
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 
 ARM_TERMS = 4
 """Centre x, y and both lengths, mm."""
@@ -148,6 +148,13 @@ class LearnedMaps:
         self.believed_deg = np.where(lost[:, None], self.believed_deg + measured - here, self.believed_deg)
         for zero in (0, self.basis.terms):
             self.covariance[lost, zero, zero] += self.basis.offset_deg**2
+
+    def homed(self, rows: Ints, output_deg: Floats, sigma_deg: float) -> None:
+        """Believes arms of these rows (n,) to be at (n, 2) deg, by their stops; `sigma_deg` of each axis."""
+        here = self.output_deg(self.believed_deg)[rows]
+        self.believed_deg[rows] += output_deg - here
+        for zero in (0, self.basis.terms):
+            self.covariance[rows, zero, zero] += sigma_deg**2
 
     def _axis_means(self) -> Floats:
         terms = self.basis.terms

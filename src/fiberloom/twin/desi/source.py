@@ -71,7 +71,7 @@ class DesiSource:
         return DesiTwin(self.plane, self.units, seed=self.seed)
 
     @cached_property
-    def _schedule(self) -> list[ScheduledFault]:
+    def schedule(self) -> list[ScheduledFault]:
         """The faults, those of a bus for each of its positioners."""
         numbers = self.plane.positioner_id[~self.plane.offline].tolist()
         bus_of = dict(zip(self.plane.positioner_id.tolist(), self._buses, strict=True))
@@ -91,7 +91,7 @@ class DesiSource:
         else:
             rms_um = self.plane.instrument.metrology.noise_rms_um
             camera = NoiseCamera(self.twin, rms_um, self.seed, self.errors)
-        faults = FaultClock(self.twin, self._schedule, self.seed)
+        faults = FaultClock(self.twin, self.schedule, self.seed)
         drive = DesiDrive(self.plane, DesiTransport(self.twin, faults), self._maps)
         drive.kept = self._kept
         vouched = np.ones(len(self.plane), dtype=bool)
@@ -111,6 +111,8 @@ class DesiSource:
 
     def know(self, file: Path) -> None:
         """Begins with the maps of a `file` of earlier nights. InputError where it is none."""
+        if file == self._kept and not file.exists():
+            return  # its first night
         self._maps = read_maps(file, self.plane, PLANETARY)
         # arms and fields of this twin are where those of its first night were
         self._maps.believed_deg = self.plane.park_deg.copy()
@@ -121,8 +123,7 @@ class DesiSource:
         None: the file of this layout and seed in the user's own folder.
         """
         self._kept = file or kept_file(self.plane, self.seed)
-        if self._kept.exists():
-            self.know(self._kept)
+        self.know(self._kept)
 
     def about(self) -> dict[str, Any]:
         """What was put in."""
