@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiberloom.drive.desi.air import NONE_STANDS, Air, Standing, air_of
 from fiberloom.drive.desi.orders import ORDERS
 from fiberloom.drive.desi.places import angles_near
 from fiberloom.instruments import FocalPlane
@@ -148,6 +149,16 @@ class LearnedMaps:
         self.believed_deg = np.where(lost[:, None], self.believed_deg + measured - here, self.believed_deg)
         for zero in (0, self.basis.terms):
             self.covariance[lost, zero, zero] += self.basis.offset_deg**2
+
+    def air_in(
+        self, xy_mm: Floats, sigma_mm: Floats | float, seen: Flags, standing: Standing = NONE_STANDS
+    ) -> Air:
+        """The air of an image, by all its fibres and what is `standing`: `xy_mm` (N, 2), those `seen` (N,),
+        `sigma_mm` of the camera per coordinate, without air.
+        """
+        expected = self.places_mm(self.output_deg(self.believed_deg))
+        own = 1e-3 * self.sigma_um(self.believed_deg) / np.sqrt(2.0)
+        return air_of(expected, xy_mm - expected, np.hypot(own, sigma_mm), seen, standing)
 
     def homed(self, rows: Ints, output_deg: Floats, sigma_deg: float) -> None:
         """Believes arms of these rows (n,) to be at (n, 2) deg, by their stops; `sigma_deg` of each axis."""
