@@ -2,16 +2,16 @@
 
 The motors are those of the twin (gears, play, scatter, arms as calibrated), without contacts: one target
 after another in the whole reach. Laws see images of a camera and the air; the first `--fields` fields only
-teach them, the last one is reported. Air is drawn for each fibre alone (`--air white`), or smooth over `--air-mm`
-(`smooth`), and then taken off as far as it is found (`removed`): by learned maps from all fibres, by the
-published law from fiducials and units that stand still, whose places are taken as known.
+teach them, the last one is reported. Air is drawn for each fibre alone (`--air white`), or smooth over
+`--air-mm` (`smooth`), and then taken off as far as it is found (`removed`): by fiducials and units that stand
+still, whose places are taken as known, and for learned maps by all fibres too.
 """
 
 import numpy as np
 
 from fiberloom.drive.desi import PLANETARY, SMOOTH, LearnedMaps, TrackingLaw, move_tables
-from fiberloom.drive.desi.clock import degrees_of
 from fiberloom.drive.desi.air import Air, Standing
+from fiberloom.drive.desi.clock import degrees_of
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.metrology.turbulence import remove_turbulence
 from fiberloom.twin.camera.air import air_shift_mm
@@ -100,7 +100,7 @@ def field(law, twin, goal_deg, moves, args, rng):
 
 
 def look(law, twin, args, rng):
-    """An image, which the law sees; where fibres seem to be, mm: as it is taken, and less the air that is found."""
+    """An image, which the law sees; where fibres seem to be, mm: as taken, and less the air that is found."""
     true, camera_mm = twin.fibre_xy(), 1e-3 * args.camera_um / np.sqrt(2.0)
     seen = true + camera_mm * rng.standard_normal(true.shape)
     points = np.vstack([true, twin.plane.fiducials[:, :2]])
@@ -151,10 +151,12 @@ def table(found):
     good = found["healthy"]
     for k in range(found["error_um"].shape[1]):
         true, seen = found["error_um"][good, k], found["measured_um"][good, k]
+        less_air = found["cleared_um"][good, k]
         p95, p99 = np.percentile(true, [95, 99])
         lines.append(
             f"{k + 1:>4} {rms(true):>12.2f} {p95:>7.1f} {p99:>7.1f} {100 * np.mean(true < 5.0):>6.1f}% "
-            f"{rms(seen):>13.2f} {rms(found['cleared_um'][good, k]):>9.2f} {100 * np.mean(seen > 200.0):>8.2f}%   {', '.join(PUBLISHED.get(k + 1, ()))}"
+            f"{rms(seen):>13.2f} {rms(less_air):>9.2f} {100 * np.mean(seen > 200.0):>8.2f}%   "
+            f"{', '.join(PUBLISHED.get(k + 1, ()))}"
         )
     sigma = found["blind_sigma_um"][good]
     if np.isfinite(sigma).all():

@@ -248,9 +248,7 @@ def _notice_silence(writer: asyncio.StreamWriter) -> None:
 class CanNetTransport:
     """A Transport over one or more CAN@net NT 420 gateways, each a link. Time is the wall clock."""
 
-    def __init__(
-        self, gateways: Sequence[_Gateway], whose: Callable[[int], int] = positioner_of
-    ) -> None:
+    def __init__(self, gateways: Sequence[_Gateway], whose: Callable[[int], int] = positioner_of) -> None:
         """`whose`: the positioner of an identifier, 0 for all."""
         self._gateways, self._whose = gateways, whose
         self._route: dict[int, tuple[_Gateway, int]] = {}

@@ -180,8 +180,8 @@ class PythonCanTransport:
         bitrate: int = 1_000_000,
         whose: Callable[[int], int] = positioner_of,
     ) -> PythonCanTransport:
-        """Opens buses by python-can's names for the interface and its channels; `bitrate` in bit/s, `whose`: the
-        positioner of an identifier, 0 for all.
+        """Opens buses by python-can's names for the interface and its channels; `bitrate` in bit/s, `whose`:
+        the positioner of an identifier, 0 for all.
         """
         import can
 

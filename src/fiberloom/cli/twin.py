@@ -168,9 +168,7 @@ def _desi_server(options: TwinOptions, plane: Any, address: Address) -> DesiServ
         if getattr(options, name):
             raise InputError(f"--{name.replace('_', '-')}: goes with SDSS-V's positioners; leave it out")
     source = DesiSource(plane, options.seed, "noise", options.faults, options.errors)
-    return DesiServer(
-        source.twin, address, schedule=source.schedule, speed=options.speed, seed=options.seed
-    )
+    return DesiServer(source.twin, address, schedule=source.schedule, speed=options.speed, seed=options.seed)
 
 
 def _camera(options: TwinOptions, plane: Any, server: TwinServer | DesiServer) -> CameraProcess:
@@ -237,7 +235,9 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 def _text(report: dict[str, Any]) -> str:
     """The report as a few lines of text."""
     if "p50_ms" not in report:
-        return ", ".join(f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list))
+        return ", ".join(
+            f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list)
+        )
     lines = [
         f"{report['time_s']:.1f} s of twin time: "
         f"{report['ticks']} ticks computed, {report['resting']} at rest",

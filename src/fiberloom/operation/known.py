@@ -180,8 +180,9 @@ class Learning:
     of the arms is learnt from these."""
 
     def kept_by(self, source: Source, file: Path | None) -> Learning:
-        """The same without `adapt`: motors without transmission maps learn by themselves, and the `source` keeps
-        that in a `file`, None: in one of its own. InputError where it cannot."""
+        """The same without `adapt`: motors without transmission maps learn by themselves, and the `source`
+        keeps that in a `file`, None: in one of its own. InputError where it cannot.
+        """
         if self.learnt is not None:
             raise InputError("--learnt: these motors keep what they learn in the file of --calibration")
         source.keep(file)

@@ -166,7 +166,9 @@ class OpenedDesi(OpenedArray):
     def keep(self, file: Path | None) -> None:
         """As `know` with a `file`, which is written anew after each image. InputError where none is named."""
         if file is None:
-            raise InputError("--adapt: name the file in which this array keeps what it learns, by --calibration")
+            raise InputError(
+                "--adapt: name the file in which this array keeps what it learns, by --calibration"
+            )
         self.files["kept"] = file
 
     async def open(self) -> Hardware:

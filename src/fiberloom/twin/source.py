@@ -87,7 +87,9 @@ class TwinSource:
 
     def keep(self, file: Path | None) -> None:
         """InputError for any `file`: maps of these motors are learnt beside the transmission maps."""
-        raise InputError("--adapt: maps of these motors are learnt beside the transmission maps; leave it out")
+        raise InputError(
+            "--adapt: maps of these motors are learnt beside the transmission maps; leave it out"
+        )
 
     def about(self) -> dict[str, Any]:
         """What was put in; and a note where what spoils a real array was not."""

@@ -62,6 +62,8 @@ def test_a_search_is_longer_than_the_range():
     tables = homing_tables(PLANE, np.array([2]))
     way_deg = tables.steps[2].sum(axis=0) / (10.0 * (46 / 14 + 1) ** 4)
     ranges = np.ptp(PLANE.stops_of(), axis=2)[2]
-    np.testing.assert_allclose(way_deg, [-1.3 * ranges[0] + BACK_DEG / 2, 1.3 * ranges[1] - BACK_DEG / 2], atol=1e-3)
+    np.testing.assert_allclose(
+        way_deg, [-1.3 * ranges[0] + BACK_DEG / 2, 1.3 * ranges[1] - BACK_DEG / 2], atol=1e-3
+    )
     assert not tables.steps[[0, 1, 3]].any()
     np.testing.assert_allclose(homed_deg(PLANE, np.array([2])), [[-193.1, 182.0]])

@@ -1,4 +1,4 @@
-"""Half a petal without power, motors that slip, replies that are lost or wrong: flagged, and the rest goes on."""
+"""Half a petal without power, motors that slip, replies that are lost or wrong: flagged; the rest goes on."""
 
 import asyncio
 

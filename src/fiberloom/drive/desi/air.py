@@ -1,8 +1,9 @@
 """The smooth part of what an image shows beside where fibres are expected: air, not arms.
 
-Errors of gears are each unit's own; air shifts neighbours together. So what all fibres have in common over some
-50 mm is taken off before an image teaches. How large the units' own errors are is told by neighbours, whose air is
-the same, where they differ by more than their maps say: then maps are worse than they know, and less is taken off.
+Errors of gears are each unit's own; air shifts neighbours together. So what all fibres have in common over
+some 50 mm is taken off before an image teaches. How large the units' own errors are is told by neighbours,
+whose air is the same, where they differ by more than their maps say: maps are worse than they know then, and
+less is taken off.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _NORMAL = 1.4826
 
 @dataclass(frozen=True)
 class Standing:
-    """Points that do not move: M places in mm, by how much each is seen beside it, and how well that is known."""
+    """Points that do not move: M places, how far each is seen beside it, and how well that is known; mm."""
 
     places_mm: Floats
     off_mm: Floats
@@ -84,7 +85,7 @@ def air_of(
 
 
 def _size(standing: Standing) -> tuple[float, float]:
-    """Rms per coordinate in um and length in mm of the air, by what stands still: fibres err too much to tell."""
+    """Rms per coordinate in um and length in mm of the air, by what stands still: fibres err too much."""
     if len(standing.places_mm) < LEAST_STANDING:
         return USUAL_UM, USUAL_MM
     places = standing.places_mm

@@ -264,7 +264,7 @@ class DesiDrive:
     async def home(self, ids: Iterable[int]) -> Results:
         """Searches both stops of these by creep, some minutes; who ends well is believed to be there.
 
-        Nothing says where their arms are on the way: the caller sees to it that no neighbour is in their reach.
+        Nothing says where their arms are on the way: the caller sees to it that none is in their reach.
         """
         rows = np.sort(self.plane.index_of(list(ids)))
         tables, numbers = homing_tables(self.plane, rows), self.plane.positioner_id[rows].tolist()

@@ -1,8 +1,8 @@
 """Homing by the stops: for units whose place nobody knows.
 
-Phi creeps to its stop, folded, then theta to its lower stop; both back off and come again in their final direction,
-so that the play is closed as after a move. The field of a rotor that a stop holds goes on; what is left of its
-last turn is not known.
+Phi creeps to its stop, folded, then theta to its lower stop; both back off and come again in their final
+direction, so that the play is closed as after a move. The field of a rotor that a stop holds goes on; what is
+left of its last turn is not known.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ _ROOM_DEG = 5.0
 def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
     """(N, 2) angles in deg that put fibres at `xy_mm` (N, 2), the solution nearest to `near_deg` (N, 2).
 
-    One within the stops goes before one that is not. Of a place out of reach: the arm stretched or folded towards it. NaN where the place is.
+    One within the stops goes before one that is not. Of a place out of reach: the arm stretched or folded
+    towards it. NaN where the place is.
     """
     arms, (a, b) = plane.arms, (plane.l_alpha_mm, plane.l_beta_mm)
     z = (xy_mm - arms[:, CENTRE]) @ np.array([1.0, 1.0j])

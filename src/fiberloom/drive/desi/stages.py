@@ -118,9 +118,7 @@ def staged(plane: FocalPlane, here_deg: Floats, way_deg: Floats, safe_deg: Float
         corners = np.zeros((n, 4, 2))
         corners[:, 1:, 1] = np.column_stack([first - phi, second - phi, goal - phi])
         corners[:, 2:, 0] = way_deg[:, :1]
-        legs[:, : MoveStage.SWING] = np.where(
-            moves[:, None, None], np.diff(tenths_of(corners), axis=1), 0
-        )
+        legs[:, : MoveStage.SWING] = np.where(moves[:, None, None], np.diff(tenths_of(corners), axis=1), 0)
     return Staged(legs, np.zeros(n, dtype=np.int64), np.zeros((n, STAGES), dtype=np.int64))
 
 

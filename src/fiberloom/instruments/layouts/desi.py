@@ -200,7 +200,7 @@ def _wider(table: TableFile, rows: Ints, instrument: Instrument) -> Handicaps:
 
 
 def _turned_mm(instrument: Instrument, arm: str, angle_deg: Floats) -> Floats:
-    """(n,) mm by which corners stick out of an arm's outline that are turned away from its axis by (n,) deg."""
+    """(n,) mm by which corners of an arm stick out of its outline that are turned away by (n,) deg."""
     polygons = [
         np.array(part.polygon_mm) for part in instrument.bodies.parts if part.arm == arm and part.polygon_mm
     ]

@@ -1,7 +1,7 @@
 """DESI's twin behind a CAN@net device on TCP, in real time: what `CanNetTransport` connects to.
 
-One device with four ports; positioners are shared out over them. Frames go over at once: the device's queue and
-the wire's rate are not modelled.
+One device with four ports; positioners are shared out over them. Frames go over at once: the device's queue
+and the wire's rate are not modelled.
 """
 
 from __future__ import annotations
