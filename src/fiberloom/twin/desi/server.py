@@ -110,7 +110,7 @@ class DesiServer:
         self._host = writer
         self.traffic["clients"] += 1
         self.device.say = self._say
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, asyncio.CancelledError):  # cancelled where the loop ends
             while data := await reader.read(READ_BYTES):
                 self._forward()
                 self.device.take(data)
