@@ -10,8 +10,8 @@ still, whose places are taken as known, and for learned maps by all fibres too.
 import numpy as np
 
 from fiberloom.drive.desi import PLANETARY, SMOOTH, LearnedMaps, TrackingLaw, move_tables
-from fiberloom.drive.desi.air import Air, Standing
 from fiberloom.drive.desi.clock import degrees_of
+from fiberloom.drive.desi.maps.air import Air, StillPoints
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.metrology.turbulence import remove_turbulence
 from fiberloom.twin.camera.air import air_shift_mm
@@ -128,7 +128,7 @@ def removed(law, twin, raw_mm, fiducials_mm, camera_mm):
     places = np.vstack([twin.plane.fiducials[:, :2], twin.fibre_xy()[still]])
     off = np.vstack([fiducials_mm, raw_mm[still] - twin.fibre_xy()[still]])
     if isinstance(law, Learned):
-        return law.law.air_in(raw_mm, camera_mm, ~twin.dark, Standing(places, off, camera_mm))
+        return law.law.air_in(raw_mm, camera_mm, ~twin.dark, StillPoints(places, off, camera_mm))
     found = remove_turbulence(places, off, camera_mm, raw_mm)
     return Air(found.shift_mm, np.sqrt(found.variance_mm2))
 

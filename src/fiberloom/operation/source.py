@@ -15,8 +15,8 @@ from fiberloom.bus.transport import Frame, Transport
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.desi.frames import positioner_of
-from fiberloom.drive.desi.kept import read_maps
-from fiberloom.drive.desi.learned import PLANETARY
+from fiberloom.drive.desi.maps.kept import read_maps
+from fiberloom.drive.desi.maps.learned import PLANETARY
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane

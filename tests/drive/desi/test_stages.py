@@ -102,7 +102,9 @@ def test_one_that_swings_extends_beside_its_goal_and_ends_there_all_the_same(pla
     move = staged(plane, here, way, safe_phi_deg(plane), small=False)
     swung = move.swung(5, 40.0).swung(5, -20.0)  # the last one counts
     made = timed(swung)
-    np.testing.assert_array_equal(made.tables.way_tenths.sum(axis=1), timed(move).tables.way_tenths.sum(axis=1))
+    np.testing.assert_array_equal(
+        made.tables.way_tenths.sum(axis=1), timed(move).tables.way_tenths.sum(axis=1)
+    )
     path = executed_path(made.tables)
     extend = made.begin_tick[5, MoveStage.EXTEND] + np.arange(2) * (
         made.end_tick[5, MoveStage.EXTEND] - made.begin_tick[5, MoveStage.EXTEND]

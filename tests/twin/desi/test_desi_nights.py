@@ -5,7 +5,7 @@ import pytest
 
 import fiberloom as fl
 from fiberloom.drive.desi import PLANETARY
-from fiberloom.drive.desi.kept import kept_file, read_maps
+from fiberloom.drive.desi.maps.kept import kept_file, read_maps
 from fiberloom.errors import InputError
 from fiberloom.targets.generate import random_targets
 

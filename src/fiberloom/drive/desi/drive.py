@@ -24,8 +24,8 @@ from fiberloom.drive.desi.frames import (
     table_frames,
 )
 from fiberloom.drive.desi.homing import HOMED_SIGMA_DEG, homed_deg, homing_tables
-from fiberloom.drive.desi.kept import save_maps
-from fiberloom.drive.desi.learned import LearnedMaps
+from fiberloom.drive.desi.maps.kept import save_maps
+from fiberloom.drive.desi.maps.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg

@@ -1,4 +1,4 @@
-"""Homing by the stops: for units whose place nobody knows.
+"""Homing by the stops: for units whose place is not known.
 
 Phi creeps to its stop, folded, then theta to its lower stop; both back off and come again in their final
 direction, so that the play is closed as after a move. The field of a rotor that a stop holds goes on; what is

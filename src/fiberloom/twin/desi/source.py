@@ -11,8 +11,8 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
-from fiberloom.drive.desi.kept import kept_file, read_maps
-from fiberloom.drive.desi.learned import PLANETARY, LearnedMaps
+from fiberloom.drive.desi.maps.kept import kept_file, read_maps
+from fiberloom.drive.desi.maps.learned import PLANETARY, LearnedMaps
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -30,7 +30,7 @@ from fiberloom.twin.hardware import check_camera
 
 FAULTS = Reach(("busoff", "dark", "dead", "deaf", "lost", "lying", "slipping"), timed=True)
 """Of --faults. There is no encoder: one that is dead reports what one that lies does. `busoff` takes bus and
-power from half a petal, `slipping` is a degraded ("linear") motor that nobody knows to be one."""
+power from half a petal, `slipping` is a degraded ("linear") motor that is not known to be one."""
 PETALS, MIDDLE_DEVICE = 10, 270
 """[A] Half a petal has a bus and a supply of its own: locations below and above the middle one."""
 

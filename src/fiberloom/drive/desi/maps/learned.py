@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.drive.desi.air import NONE_STANDS, Air, Standing, air_of
-from fiberloom.drive.desi.orders import ORDERS
+from fiberloom.drive.desi.maps.air import NO_STILL_POINTS, Air, StillPoints, air_of
+from fiberloom.drive.desi.maps.orders import ORDERS
 from fiberloom.drive.desi.places import angles_near
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
@@ -151,7 +151,7 @@ class LearnedMaps:
             self.covariance[lost, zero, zero] += self.basis.offset_deg**2
 
     def air_in(
-        self, xy_mm: Floats, sigma_mm: Floats | float, seen: Flags, standing: Standing = NONE_STANDS
+        self, xy_mm: Floats, sigma_mm: Floats | float, seen: Flags, standing: StillPoints = NO_STILL_POINTS
     ) -> Air:
         """The air of an image, by all its fibres and what is `standing`: `xy_mm` (N, 2), those `seen` (N,),
         `sigma_mm` of the camera per coordinate, without air.

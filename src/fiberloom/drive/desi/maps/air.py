@@ -28,7 +28,7 @@ _NORMAL = 1.4826
 
 
 @dataclass(frozen=True)
-class Standing:
+class StillPoints:
     """Points that do not move: M places, how far each is seen beside it, and how well that is known; mm."""
 
     places_mm: Floats
@@ -36,7 +36,7 @@ class Standing:
     sigma_mm: float
 
 
-NONE_STANDS = Standing(np.empty((0, 2)), np.empty((0, 2)), 1.0)
+NO_STILL_POINTS = StillPoints(np.empty((0, 2)), np.empty((0, 2)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,11 @@ class Air:
 
 
 def air_of(
-    expected_mm: Floats, off_mm: Floats, sigma_mm: Floats, told: Flags, standing: Standing = NONE_STANDS
+    expected_mm: Floats,
+    off_mm: Floats,
+    sigma_mm: Floats,
+    told: Flags,
+    standing: StillPoints = NO_STILL_POINTS,
 ) -> Air:
     """The air of an image; nothing where too few tell.
 
@@ -64,7 +68,7 @@ def air_of(
         How well that is known without the air, per coordinate.
     told : (N,) bool
         Who is seen, and moves as told.
-    standing : Standing
+    standing : StillPoints
         Points that do not move, beside them.
     """
     rows = np.flatnonzero(told & np.isfinite(off_mm).all(axis=1))
@@ -84,7 +88,7 @@ def air_of(
     return Air(found.shift_mm, np.sqrt(found.variance_mm2))
 
 
-def _size(standing: Standing) -> tuple[float, float]:
+def _size(standing: StillPoints) -> tuple[float, float]:
     """Rms per coordinate in um and length in mm of the air, by what stands still: fibres err too much."""
     if len(standing.places_mm) < LEAST_STANDING:
         return USUAL_UM, USUAL_MM

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fiberloom.calibration.transmission.cache import default_directory
-from fiberloom.drive.desi.learned import LearnedMaps, MapBasis
+from fiberloom.drive.desi.maps.learned import LearnedMaps, MapBasis
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Array

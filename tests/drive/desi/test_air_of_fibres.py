@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fiberloom.drive.desi.air import LEAST_FIBRES, Standing, air_of
+from fiberloom.drive.desi.maps.air import LEAST_FIBRES, StillPoints, air_of
 from fiberloom.twin.camera.air import air_shift_mm
 
 RNG = np.random.default_rng(0)
@@ -20,7 +20,7 @@ def image(error_um, air_um=5.0, seed=0):
     error = 1e-3 * error_um * rng.standard_normal(PLACES.shape)
     noise = CAMERA_MM * rng.standard_normal(both.shape)
     seen = air + error + noise[: len(PLACES)]
-    standing = Standing(POINTS, on_points + noise[len(PLACES) :], CAMERA_MM)
+    standing = StillPoints(POINTS, on_points + noise[len(PLACES) :], CAMERA_MM)
     return air, error, seen, standing
 
 
