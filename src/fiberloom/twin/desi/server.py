@@ -18,7 +18,6 @@ from fiberloom.bus.cannet import frame_to_line
 from fiberloom.bus.transport import Frame
 from fiberloom.drive.desi.frames import DesiFrame
 from fiberloom.errors import InputError
-from fiberloom.twin.camera.imaging import TwinScene
 from fiberloom.twin.desi.array import DesiTwin
 from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.schedule import ScheduledFault
@@ -84,7 +83,8 @@ class DesiServer:
     def look(self) -> Look:
         """What a camera sees now."""
         self._forward()
-        return Look(self.twin.time_s, TwinScene(self.twin).lit_mm())
+        lit_mm = np.where(self.twin.dark[:, None], np.nan, self.twin.fibre_xy())
+        return Look(self.twin.time_s, lit_mm)
 
     def faults(self) -> frozenset[str]:
         """Of the camera: none."""
