@@ -207,8 +207,10 @@ def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
     from fiberloom.twin.errors.switches import check_switches
     from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.kinds import ANYWHERE, OBSERVED
 
-    parse_faults(options.faults)  # what the twin of this instrument cannot do it refuses itself
+    # twins of other motors have faults of their own, and refuse the others themselves
+    parse_faults(options.faults, OBSERVED if options.instrument == "sdssv" else ANYWHERE)
     check_switches(options.errors)
     options.check_plane()
     check_camera(options)
