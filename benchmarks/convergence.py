@@ -180,6 +180,11 @@ def main():
         "--camera-um", type=float, help="error of a place seen; pfs: 1, per axis; desi: 3, both axes together"
     )
     parser.add_argument("--air-um", type=float, default=6.0, help="desi: of the air, both axes together")
+    parser.add_argument(
+        "--air", choices=["white", "smooth", "removed"], default="white",
+        help="desi: of each fibre alone, smooth, or smooth and taken off as far as it is found",
+    )  # fmt: skip
+    parser.add_argument("--air-mm", type=float, default=50.0, help="desi: length over which air is the same")
     parser.add_argument("--fields", type=int, default=30, help="desi: fields before the one that counts")
     parser.add_argument("--units", type=int, default=4647, help="desi: how many")
     parser.add_argument("--basis", choices=["planetary", "smooth"], default="planetary", help="desi, ours")

@@ -14,7 +14,7 @@ from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.source import OpenedArray, Source
+from fiberloom.operation.source import OpenedArray, OpenedDesi, Source
 
 if TYPE_CHECKING:
     from fiberloom.metrology import Camera
@@ -67,9 +67,11 @@ def open_hardware(
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
-    if isinstance(camera, str):
-        return OpenedArray.of(bus, _camera(plane, camera), camera)
-    return OpenedArray.of(bus, camera)
+    address = camera if isinstance(camera, str) else ""
+    found = OpenedArray.of(bus, _camera(plane, camera) if address else camera, address)
+    if plane.instrument.drive.protocol == "desi":
+        return OpenedDesi(found.bus, found.camera, address, plane)
+    return found
 
 
 def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> Source:

@@ -464,6 +464,8 @@ class Field:
         place = Place.of(out)
         folder = prepare_folder(place.base)
         settings, learning = asked(corrections, options, self.seed, place.store)
+        if learning.adapt and not self._has_maps:
+            learning = learning.kept_by(self.source, self.calibration_file)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"
         known = await beside(known_so_far, self.plane, maps, maps_file, learning)

@@ -86,6 +86,9 @@ class PlainDrive:
         self.told_deg = np.where(known[:, None], seen_deg, self.told_deg)
         return self.told_deg.copy()
 
+    def suspects(self):
+        return {}
+
     async def close(self):
         pass
 

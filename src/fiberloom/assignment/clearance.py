@@ -6,9 +6,12 @@ the centre lines of the P parts of an arm (SDSS-V: one capsule); `dip_mm` bounds
 come between poses than at them.
 """
 
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.single_units import handicaps_of
@@ -32,6 +35,11 @@ POSES = 3
 
 _ARM = 1
 """Column of parts."""
+
+_CARE_MM = 1.0
+"""Bodies that are so much farther away than they can meet are looked at still."""
+_LONG_MM = 10.0
+"""Half length of a body from which on it is held against all."""
 
 
 def outline(plane: FocalPlane) -> Floats:
@@ -155,11 +163,28 @@ def obstacle_gap_mm(plane: FocalPlane, positioner: Ints, segments: Floats, bodie
 def _near_bodies(plane: FocalPlane, positioner: Ints, bodies: Floats) -> tuple[Ints, Ints]:
     """(place, body) pairs that can meet: found once per positioner, then spread to its places."""
     rows, where = np.unique(positioner, return_inverse=True)
-    centre, reach = plane.centres_mm[rows, None], plane.body_reach_mm[rows, None]
-    near = point_segment_mm(centre, bodies[None, :, :4]) < reach + bodies[:, 4] + 1.0
-    near[plane.offline[rows]] = False
-    place, body = np.nonzero(near[where])
-    return place, body
+    row, body = _candidates(plane.centres_mm[rows], float(plane.body_reach_mm[rows].max(initial=0.0)), bodies)
+    away = point_segment_mm(plane.centres_mm[rows[row]], bodies[body, :4])
+    near = away < plane.body_reach_mm[rows[row]] + bodies[body, 4] + _CARE_MM
+    near &= ~plane.offline[rows[row]]
+    pairs = csr_array((np.ones(near.sum(), dtype=bool), (row[near], body[near])), (len(rows), len(bodies)))
+    place, which = pairs[where].nonzero()
+    return place, which
+
+
+def _candidates(centres_mm: Floats, reach_mm: float, bodies: Floats) -> tuple[Ints, Ints]:
+    """(row, body) pairs of short bodies that may be near centres (n, 2), and of all long ones."""
+    along = bodies[:, 2:4] - bodies[:, :2]
+    far = 0.5 * np.hypot(along[:, 0], along[:, 1]) + bodies[:, 4]
+    short, long = np.flatnonzero(far <= _LONG_MM), np.flatnonzero(far > _LONG_MM)
+    middles = cKDTree(bodies[short, :2] + 0.5 * along[short])
+    found = cKDTree(centres_mm).query_ball_tree(middles, reach_mm + _LONG_MM + _CARE_MM)
+    row = np.repeat(np.arange(len(found)), [len(some) for some in found])
+    body = short[np.fromiter(chain.from_iterable(found), dtype=np.int64)]
+    every = np.arange(len(centres_mm))
+    return np.concatenate([row, np.repeat(every, len(long))]), np.concatenate(
+        [body, np.tile(long, len(every))]
+    )
 
 
 class Discs(NamedTuple):

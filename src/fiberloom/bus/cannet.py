@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from fiberloom.bus.identifier import positioner_of
 from fiberloom.bus.links import Link, retries_s
 from fiberloom.bus.transport import Frame, TransportLost, take_all
 from fiberloom.errors import InputError
@@ -247,8 +248,9 @@ def _notice_silence(writer: asyncio.StreamWriter) -> None:
 class CanNetTransport:
     """A Transport over one or more CAN@net NT 420 gateways, each a link. Time is the wall clock."""
 
-    def __init__(self, gateways: Sequence[_Gateway]) -> None:
-        self._gateways = gateways
+    def __init__(self, gateways: Sequence[_Gateway], whose: Callable[[int], int] = positioner_of) -> None:
+        """`whose`: the positioner of an identifier, 0 for all."""
+        self._gateways, self._whose = gateways, whose
         self._route: dict[int, tuple[_Gateway, int]] = {}
         self._received: asyncio.Queue[Frame] = asyncio.Queue()
         self._closed = False
@@ -268,11 +270,13 @@ class CanNetTransport:
         ports: Sequence[int] = (1, 2, 3, 4),
         bitrate_kbit: float = 1000,
         timeout_s: float = 5.0,
+        whose: Callable[[int], int] = positioner_of,
     ) -> CanNetTransport:
         """Connect to gateways and start their CAN ports.
 
         `hosts`: "host" or "host:port" each, `tcp_port` where none is given; `ports`: the CAN ports to
-        use; `bitrate_kbit`: kbit/s of these; `timeout_s`: for the connection and each answer.
+        use; `bitrate_kbit`: kbit/s of these; `timeout_s`: for the connection and each answer; `whose`: the
+        positioner of an identifier, 0 for all.
         InputError for a bit rate that the device does not have, or when a gateway does not answer.
         """
         if bitrate_kbit not in BITRATES_KBIT:
@@ -288,7 +292,7 @@ class CanNetTransport:
             for gateway in gateways:
                 await gateway.close()
             raise
-        return cls(gateways)
+        return cls(gateways, whose)
 
     @property
     def time_s(self) -> float:
@@ -316,7 +320,7 @@ class CanNetTransport:
                 self.events.append(f"{gateway.name}: {line}")
             return
         port, frame = parsed
-        self._route[frame.id >> 18] = (gateway, port)
+        self._route[self._whose(frame.id)] = (gateway, port)
         self._received.put_nowait(frame._replace(time_s=self.time_s))
 
     async def send(self, frames: Sequence[_Sent]) -> None:
@@ -328,7 +332,7 @@ class CanNetTransport:
             raise TransportLost("CAN@net: the transport is closed")
         queues: dict[tuple[_Gateway, int], list[_Sent]] = {}
         for frame in frames:
-            for place in self._places(frame[0] >> 18):
+            for place in self._places(self._whose(frame[0])):
                 queues.setdefault(place, []).append(frame)
         await asyncio.gather(*(g.feed(p, mine) for (g, p), mine in queues.items()))
 

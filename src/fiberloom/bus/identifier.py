@@ -52,3 +52,8 @@ def decode(identifier: int) -> Identifier:
         identifier >> 4 & MAX_UID,
         identifier & MAX_CODE,
     )
+
+
+def positioner_of(identifier: int) -> int:
+    """Whose an identifier is, 0 for all: of SDSS-V's frames. Transports route by it, or by one like it."""
+    return identifier >> 18

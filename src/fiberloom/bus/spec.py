@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fiberloom.bus.cannet import CanNetTransport
+from fiberloom.bus.identifier import positioner_of
 from fiberloom.bus.transport import PythonCanTransport, Transport
 from fiberloom.errors import InputError
 
@@ -33,8 +35,8 @@ class BusSpec:
             raise InputError(f"bus '{text}': one channel is named twice")
         return cls(interface, channels)
 
-    async def open(self) -> Transport:
-        """Connects; each gateway or channel is a link of its own."""
+    async def open(self, whose: Callable[[int], int] = positioner_of) -> Transport:
+        """Connects; each gateway or channel is a link of its own. `whose`: positioner of an identifier."""
         if self.interface == CANNET:
-            return await CanNetTransport.open(self.channels)
-        return PythonCanTransport.open(self.interface, *self.channels)
+            return await CanNetTransport.open(self.channels, whose=whose)
+        return PythonCanTransport.open(self.interface, *self.channels, whose=whose)

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
+from fiberloom.bus.identifier import positioner_of
 from fiberloom.bus.links import Link, retries_s
 from fiberloom.errors import InputError
 
@@ -153,8 +154,12 @@ class PythonCanTransport:
         *more: Any,
         names: Sequence[str] = (),
         reopen: Callable[[str], Any] | None = None,
+        whose: Callable[[int], int] = positioner_of,
     ) -> None:
-        """`names` of the buses; `reopen`: opens the bus of a name anew, else one that breaks stays down."""
+        """`names` of the buses; `reopen`: opens the bus of a name anew, else one that breaks stays down;
+        `whose`: the positioner of an identifier, 0 for all.
+        """
+        self._whose = whose
         buses = (bus, *more)
         names = tuple(names) or tuple(f"CAN bus {k}" for k in range(len(buses)))
         self._channels = [
@@ -168,8 +173,16 @@ class PythonCanTransport:
             channel.take = partial(self._take, channel)
 
     @classmethod
-    def open(cls, interface: str, *channels: str, bitrate: int = 1_000_000) -> PythonCanTransport:
-        """Opens buses by python-can's names for the interface and its channels."""
+    def open(
+        cls,
+        interface: str,
+        *channels: str,
+        bitrate: int = 1_000_000,
+        whose: Callable[[int], int] = positioner_of,
+    ) -> PythonCanTransport:
+        """Opens buses by python-can's names for the interface and its channels; `bitrate` in bit/s, `whose`:
+        the positioner of an identifier, 0 for all.
+        """
         import can
 
         def bus_of(channel: str) -> Any:
@@ -186,7 +199,7 @@ class PythonCanTransport:
                     f"cannot open CAN interface '{interface}', channel '{channel}': {error}; check "
                     "the names against python-can's list of interfaces, and that the bus is up"
                 ) from None
-        return cls(*opened, names=channels, reopen=bus_of)
+        return cls(*opened, names=channels, reopen=bus_of, whose=whose)
 
     @property
     def time_s(self) -> float:
@@ -206,7 +219,7 @@ class PythonCanTransport:
     def _take(self, channel: _Channel, frames: list[Frame]) -> None:
         """Frames of a channel; none: the link has changed, which wakes the task that waits."""
         for frame in frames:
-            self._route[frame.id >> 18] = channel
+            self._route[self._whose(frame.id)] = channel
         for frame in frames or [Frame(-1)]:
             self._received.put_nowait(frame)
 
@@ -215,7 +228,8 @@ class PythonCanTransport:
         self._serve()
         queues: dict[_Channel, list[tuple[int, bytes] | Frame]] = {}
         for frame in frames:
-            known = self._route.get(frame[0] >> 18) if frame[0] >> 18 else None
+            number = self._whose(frame[0])
+            known = self._route.get(number) if number else None
             for channel in self._channels if known is None else [known]:
                 queues.setdefault(channel, []).append(frame)
         await asyncio.gather(*(channel.send(mine) for channel, mine in queues.items()))

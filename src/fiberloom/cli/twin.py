@@ -16,6 +16,7 @@ from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
+    from fiberloom.twin.desi.server import DesiServer
     from fiberloom.twin.server.address import Address
     from fiberloom.twin.server.camera.process import CameraProcess
     from fiberloom.twin.server.server import TwinServer
@@ -105,9 +106,11 @@ def twin(options: TwinOptions) -> None:
     from fiberloom.twin.server.server import device_count
 
     plane = options.plane()
-    addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))
+    of_desi = plane.instrument.drive.protocol == "desi"
+    devices = 1 if of_desi else options.devices or device_count(len(plane))
+    addresses = addresses_of(options.listen, devices)
     _warn_of_the_network(options, addresses)
-    server = _server(options, plane, addresses)
+    server = _desi_server(options, plane, addresses[0]) if of_desi else _server(options, plane, addresses)
     camera = _camera(options, plane, server) if options.has_camera else None
     if options.jaeger_config is not None:
         from fiberloom.twin.server.jaeger import jaeger_config
@@ -156,7 +159,19 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 
 
-def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProcess:
+def _desi_server(options: TwinOptions, plane: Any, address: Address) -> DesiServer:
+    """Another kind of motors behind one device; what is SDSS-V's alone is refused."""
+    from fiberloom.twin.desi.server import DesiServer
+    from fiberloom.twin.desi.source import DesiSource
+
+    for name in ("devices", "bootloader", "first", "jaeger_config"):
+        if getattr(options, name):
+            raise InputError(f"--{name.replace('_', '-')}: goes with SDSS-V's positioners; leave it out")
+    source = DesiSource(plane, options.seed, "noise", options.faults, options.errors)
+    return DesiServer(source.twin, address, schedule=source.schedule, speed=options.speed, seed=options.seed)
+
+
+def _camera(options: TwinOptions, plane: Any, server: TwinServer | DesiServer) -> CameraProcess:
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.server.address import address_of
     from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
@@ -171,7 +186,7 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProce
 
 
 async def _serve(
-    server: TwinServer, camera: CameraProcess | None, options: TwinOptions, greeting: str
+    server: TwinServer | DesiServer, camera: CameraProcess | None, options: TwinOptions, greeting: str
 ) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -193,7 +208,7 @@ async def _serve(
             camera.close()
 
 
-async def _wait(server: TwinServer, options: TwinOptions, stop: asyncio.Event) -> None:
+async def _wait(server: TwinServer | DesiServer, options: TwinOptions, stop: asyncio.Event) -> None:
     """Waits for the stop or the end of the time; prints reports in between."""
     loop = asyncio.get_running_loop()
     end = None if options.stop_after_s is None else loop.time() + options.stop_after_s
@@ -219,6 +234,10 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 
 def _text(report: dict[str, Any]) -> str:
     """The report as a few lines of text."""
+    if "p50_ms" not in report:
+        return ", ".join(
+            f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list)
+        )
     lines = [
         f"{report['time_s']:.1f} s of twin time: "
         f"{report['ticks']} ticks computed, {report['resting']} at rest",

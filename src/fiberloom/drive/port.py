@@ -201,6 +201,10 @@ class Drive(Protocol):
         """
         ...
 
+    def suspects(self) -> dict[int, str]:
+        """Positioners that again and again do not go where their motors were told, by what was seen: why."""
+        ...
+
     async def close(self) -> None:
         """Lets go of the bus."""
         ...

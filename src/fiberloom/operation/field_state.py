@@ -114,6 +114,13 @@ class FieldState:
         self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
+    def suspect(self, suspects: dict[int, str]) -> None:
+        """Books as astray those that follow commands so far, and that their drive has found not to: why."""
+        for positioner, why in suspects.items():
+            row = int(self.plane.index_of(positioner))
+            if self.faults[row] is None:
+                self.flag(row, FibreStatus.ASTRAY, why)
+
     def keep_faults(self, before: FieldState) -> None:
         """Books what was seen `before` of those that did not follow, which an image at rest does not show."""
         for row, fault in enumerate(before.faults):

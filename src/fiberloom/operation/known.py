@@ -18,6 +18,7 @@ from fiberloom.calibration.focal_plane.arms_file import arms_measured_C, load_ar
 from fiberloom.calibration.gravity.lead import led
 from fiberloom.calibration.gravity.sag import ArmSag
 from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.pointing import ExposurePointing
 from fiberloom.operation.care.warm_arms import WarmArms
@@ -177,6 +178,15 @@ class Learning:
     history: Path | None = None
     """Store of earlier observations: where maps are learnt, or what was learnt of them is used, the expansion
     of the arms is learnt from these."""
+
+    def kept_by(self, source: Source, file: Path | None) -> Learning:
+        """The same without `adapt`: motors without transmission maps learn by themselves, and the `source`
+        keeps that in a `file`, None: in one of its own. InputError where it cannot.
+        """
+        if self.learnt is not None:
+            raise InputError("--learnt: these motors keep what they learn in the file of --calibration")
+        source.keep(file)
+        return replace(self, adapt=False)
 
 
 def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, asked: Learning) -> Known:

@@ -121,6 +121,7 @@ class FieldMotion:
         image = await self.look(~answered & ~self.plane.offline)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
+        state.suspect(self.drive.suspects())
         await self.writer.written()
 
     async def _all_at_rest(self) -> None:
@@ -244,6 +245,7 @@ class FieldMotion:
         interrupted = self.state.judge(made.results, image, made.before_deg, end_deg, hidden)
         if (believed_deg := self.drive.seen(image, self.state.mobile)) is not None:
             self.state.here_deg = np.where(self.state.mobile[:, None], believed_deg, self.state.here_deg)
+        self.state.suspect(self.drive.suspects())
         error_um = self._measured_error_um(image, made.goals)
         move = Move(
             number=made.number,

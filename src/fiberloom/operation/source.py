@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast
+
+import numpy as np
 
 from fiberloom.bus.links import Link, links_of
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
+from fiberloom.drive.desi.drive import DesiDrive
+from fiberloom.drive.desi.frames import positioner_of
+from fiberloom.drive.desi.maps.kept import read_maps
+from fiberloom.drive.desi.maps.learned import PLANETARY
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -38,6 +44,13 @@ class Source(Protocol):
 
     def know(self, file: Path) -> None:
         """Takes what the `file` of a calibration says of motors that have no transmission maps."""
+        ...
+
+    def keep(self, file: Path | None) -> None:
+        """Keeps in a `file` what motors that have no transmission maps teach; None: in one of its own.
+
+        InputError where such motors teach nothing that can be kept.
+        """
         ...
 
     def about(self) -> dict[str, Any]:
@@ -124,6 +137,10 @@ class OpenedArray:
         """No array outside has such motors yet: InputError for any `file`."""
         raise InputError(f"{file}: this array has transmission maps, or none at all")
 
+    def keep(self, file: Path | None) -> None:
+        """No array outside has such motors yet: InputError."""
+        raise InputError("--adapt: the motors of this array teach nothing that can be kept; leave it out")
+
     def about(self) -> dict[str, Any]:
         """Empty: only a twin has entries of its own."""
         return {}
@@ -132,3 +149,37 @@ class OpenedArray:
     def true_plane(self) -> FocalPlane | None:
         """None: the true layout is not known."""
         return None
+
+
+@dataclass(frozen=True)
+class OpenedDesi(OpenedArray):
+    """An array of motors without encoders on a bus of DESI's frames. Implements `Source`."""
+
+    plane: FocalPlane | None = None
+    files: dict[str, Path] = field(default_factory=dict)
+    """`known`: what earlier nights have taught; `kept`: the same, written anew after each image."""
+
+    def know(self, file: Path) -> None:
+        """Begins with the maps of a `file`, and believes arms to be where it says."""
+        self.files["known"] = file
+
+    def keep(self, file: Path | None) -> None:
+        """As `know` with a `file`, which is written anew after each image. InputError where none is named."""
+        if file is None:
+            raise InputError(
+                "--adapt: name the file in which this array keeps what it learns, by --calibration"
+            )
+        self.files["kept"] = file
+
+    async def open(self) -> Hardware:
+        """Opens the bus, unless the caller has opened it. Without a file all are taken to be folded."""
+        assert self.plane is not None
+        kept = self.files.get("kept")
+        found = kept or self.files.get("known")
+        begins = found is None or (found == kept and not found.exists())
+        maps = None if begins or found is None else read_maps(found, self.plane, PLANETARY)
+        opened = self.bus
+        bus = await opened.open(positioner_of) if isinstance(opened, BusSpec) else _LeftOpen(opened)
+        drive = DesiDrive(self.plane, bus, maps)
+        drive.kept = kept
+        return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)

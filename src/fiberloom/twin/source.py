@@ -85,6 +85,12 @@ class TwinSource:
         """The host has the transmission maps: InputError for any `file`."""
         raise InputError(f"{file}: transmission maps are the host's")
 
+    def keep(self, file: Path | None) -> None:
+        """InputError for any `file`: maps of these motors are learnt beside the transmission maps."""
+        raise InputError(
+            "--adapt: maps of these motors are learnt beside the transmission maps; leave it out"
+        )
+
     def about(self) -> dict[str, Any]:
         """What was put in; and a note where what spoils a real array was not."""
         about: dict[str, Any] = {"put_in": put_in(self.plane, self.camera, self.errors)}

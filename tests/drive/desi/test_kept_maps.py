@@ -5,7 +5,7 @@ import pytest
 
 import fiberloom as fl
 from fiberloom.drive.desi import PLANETARY, SMOOTH, LearnedMaps
-from fiberloom.drive.desi.kept import read_maps, save_maps
+from fiberloom.drive.desi.maps.kept import read_maps, save_maps
 from fiberloom.errors import InputError
 
 PLANE = fl.FocalPlane.of("desi", seed=0, n=12)

@@ -10,10 +10,12 @@ from fiberloom.drive.desi.clock import TICK_HZ, degrees_of
 from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import MOST_TURNS, Resolver, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
-from fiberloom.drive.desi.stages import Aims, Level, MoveStage, plan_of, staged, timed
+from fiberloom.drive.desi.stages import STAGES, Aims, Level, MoveStage, plan_of, staged, timed
 from fiberloom.planning import Plan, Trajectory
 
 N = 80
+SWINGING = (6,)
+"""Seeds of fields in which an arm sweeps over another one on its way, in either order."""
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +62,11 @@ def test_stages_count_the_whole_way_and_come_one_after_another(plane):
     # stage by stage, turn by turn, all others wait
     spans = [
         (int(made.begin_tick[k, s]), int(made.end_tick[k, s]), int(move.turn[k, s]))
-        for s in range(4)
+        for s in range(STAGES)
         for k in range(N)
         if made.end_tick[k, s] > made.begin_tick[k, s]
     ]
-    order = [(s, t) for s in range(4) for t in range(MOST_TURNS)]
+    order = [(s, t) for s in range(STAGES) for t in range(MOST_TURNS)]
     ends = -1
     for stage, turn in order:
         mine = [
@@ -93,6 +95,43 @@ def test_what_a_unit_is_said_to_do_is_what_its_path_does(plane):
             assert at[0] == at[1]
             assert at[2] != at[1]
             assert made.active(k, (begin + end) / 2 / TICK_HZ) == stage
+
+
+def test_one_that_swings_extends_beside_its_goal_and_ends_there_all_the_same(plane):
+    here, way = drawn(plane, 3)
+    move = staged(plane, here, way, safe_phi_deg(plane), small=False)
+    swung = move.swung(5, 40.0).swung(5, -20.0)  # the last one counts
+    made = timed(swung)
+    np.testing.assert_array_equal(
+        made.tables.way_tenths.sum(axis=1), timed(move).tables.way_tenths.sum(axis=1)
+    )
+    path = executed_path(made.tables)
+    extend = made.begin_tick[5, MoveStage.EXTEND] + np.arange(2) * (
+        made.end_tick[5, MoveStage.EXTEND] - made.begin_tick[5, MoveStage.EXTEND]
+    )
+    theta = degrees_of(path.at(extend)[5, :, 0])
+    np.testing.assert_allclose(theta, way[5, 0] - 20.0, atol=0.02)
+    assert made.active(5, (made.begin_tick[5, MoveStage.SWING] + 5) / TICK_HZ) == MoveStage.SWING
+    # the others have no such stage
+    others = np.arange(N) != 5
+    np.testing.assert_array_equal(made.begin_tick[others, 3], made.end_tick[others, 3])
+
+
+def test_swings_let_more_arrive(plane, monkeypatch):
+    """Of goals that touch nobody, drawn without a look at the ways to them."""
+    from fiberloom.drive.desi import resolve
+    from fiberloom.drive.port import with_tube
+    from fiberloom.targets.generate import random_targets
+
+    here, thick, refused = plane.park_deg, with_tube(plane, np.full(N, 0.12)), []
+    goals = [fl.assign(thick, random_targets(plane, 4 * N, seed=s), seed=s).goal_deg for s in SWINGING]
+    for swings in (resolve.SWINGS_DEG, np.empty(0)):
+        monkeypatch.setattr(resolve, "SWINGS_DEG", swings)
+        moves = [staged(plane, here, goal - here, safe_phi_deg(thick), small=False) for goal in goals]
+        found = [Resolver(thick, m, lambda m: Aims(here, np.zeros((N, 2)))).resolve() for m in moves]
+        assert all(proven(thick, (f.plan, f.loose)).ok for f in found)
+        refused.append(sum(len(f.plan.refused) for f in found))
+    assert refused[0] < refused[1]
 
 
 def test_a_shortened_move_ends_before_the_stage_that_it_lacks(plane):

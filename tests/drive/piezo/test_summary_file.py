@@ -77,7 +77,7 @@ def test_a_field_takes_them_as_its_calibration(tmp_path):
     np.testing.assert_allclose(source.known_maps.step_deg[0, 0], 0.011 + 1e-4 * np.arange(4))
     desi = fl.FocalPlane.of("desi", n=3)
     other = fl.Field(desi, twin_source(desi, 0, "noise", ""), 0, tmp_path / "maps.npz")
-    with pytest.raises(fl.InputError, match="learns its maps from images"):
+    with pytest.raises(fl.InputError, match="no file of learnt maps"):
         other.run.calibrate()
 
 

@@ -50,10 +50,13 @@ def test_a_petal_is_turned_and_shifted(tmp_path):
     # theta to both sides of 0, phi up to 185; 3 deg of clearance, 3 of room where the last move comes from
     np.testing.assert_allclose(plane.stops_of()[0], [[-196.0, 196.0], [-6.0, 185.0]])
     np.testing.assert_allclose(plane.limits_of()[0], [[-193.0, 190.0], [0.0, 182.0]])
-    # outlines widened by 5.5 deg: 2 sin(2.75 deg) times their reach, and 0.1 mm of a longer arm
-    wide = 2.0 * math.sin(math.radians(2.75))
-    theta, phi = (wide * plane.instrument.bodies.reach_mm(arm) for arm in ("alpha", "beta"))
-    assert plane.handicaps.wider_mm[1] == pytest.approx(max(theta, phi + 0.1), abs=1e-9)
+    # outlines widened by 5.5 deg: the widest corner of phi goes out over its long edge; a longer arm
+    corner, edge = complex(3.269, 1.583), complex(-1.172 - 3.269, 1.037 - 1.583)
+    turned = corner * complex(math.cos(math.radians(5.5)), math.sin(math.radians(5.5)))
+    off = (turned - corner) * edge.conjugate() / abs(edge)
+    assert 0.0 < off.real < abs(edge)
+    phi = abs(off.imag)
+    assert plane.handicaps.wider_mm[1] == pytest.approx(phi + 0.1, abs=1e-9)
     assert plane.handicaps.wider_mm[0] == pytest.approx(0.06, abs=1e-9)
     assert len(plane.fiducials) == 3
 

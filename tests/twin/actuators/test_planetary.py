@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fiberloom.drive.desi.orders import ORDERS, RATIO
+from fiberloom.drive.desi.maps.orders import ORDERS, RATIO
 from fiberloom.twin.actuators.planetary import draw_gears, played
 
 

@@ -72,7 +72,7 @@ def test_broken_units_are_found_and_the_others_arrive(plane):
     assert twin.touches() == []
 
 
-@pytest.mark.parametrize(("faults", "told"), [("blocked=1", "blocked"), ("dark=1@5", "dark")])
+@pytest.mark.parametrize(("faults", "told"), [("blocked=1", "blocked"), ("powercut=1", "powercut")])
 def test_faults_that_this_twin_does_not_have_are_refused(plane, faults, told):
     with pytest.raises(InputError, match=told):
         fl.Field.twin(plane, faults=faults)
@@ -120,8 +120,8 @@ def test_a_move_is_counted_and_done(plane):
 def test_no_table_runs_where_one_was_lost(plane):
     lost = int(plane.positioner_id[1])
     results, drive, wire, twin = moved(plane, lambda f: f.can_id == lost and f.command == DesiCommand.ROW)
-    assert results[lost].outcome is Outcome.TIMED_OUT
-    assert [r.outcome for i, r in results.items() if i != lost] == [Outcome.NOT_STARTED] * 2
+    assert results[lost].outcome is Outcome.REFUSED  # it answers, and has no table
+    assert [r.outcome for i, r in results.items() if i != lost] == [Outcome.STOPPED] * 2
     assert DesiCommand.RUN not in [frame.command for frame in wire.sent]
     np.testing.assert_array_equal(drive.maps.believed_deg, plane.park_deg)
     np.testing.assert_allclose(twin.truth(), plane.park_deg, atol=1e-9)

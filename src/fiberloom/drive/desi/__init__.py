@@ -2,7 +2,7 @@
 
 from fiberloom.drive.desi.frames import DesiCommand, DesiFrame, TableRow, checksum, decode_row, encode_row
 from fiberloom.drive.desi.laws import TrackingLaw
-from fiberloom.drive.desi.learned import PLANETARY, SMOOTH, LearnedMaps, MapBasis
+from fiberloom.drive.desi.maps.learned import PLANETARY, SMOOTH, LearnedMaps, MapBasis
 from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables, move_tables
 

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from fiberloom.drive.desi.frames import (
     rows_of,
     table_frames,
 )
-from fiberloom.drive.desi.learned import LearnedMaps
+from fiberloom.drive.desi.homing import HOMED_SIGMA_DEG, homed_deg, homing_tables
+from fiberloom.drive.desi.maps.kept import save_maps
+from fiberloom.drive.desi.maps.learned import LearnedMaps
 from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
@@ -38,6 +41,10 @@ from fiberloom.typing import Flags, Floats, Ints
 TUBE_SIGMA = 1.5
 """[A] An arm may be so many of its map's sigma from its way: a 2-D rms, 0.1 mm before anything is learnt."""
 ANSWER_S = 0.5
+TRIES = 3
+"""Of a question, and to load a table."""
+SURPRISES = 2
+"""[A] One may be a turn that was lost once."""
 SETTLE_S = 0.05
 """After the last table has ended."""
 ALIVE_S = 20.0
@@ -77,8 +84,13 @@ class DesiDrive:
         self.maps = maps or LearnedMaps(plane, plane.park_deg)
         self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
         self.ids: list[int] = []
+        self.kept: Path | None = None
+        """File to which what was learnt is written after each image; None: it is not kept."""
         self.safe_deg = safe_phi_deg(plane)
         self._image_um = max(self.model.noise.camera_um, 1e-3)
+        self._back = np.zeros(len(plane), dtype=bool)
+        """(N,) that were silent and answer again, and that no image has shown since."""
+        self._ran = False
         self._running: tuple[float, MoveTables] | None = None
 
     @property
@@ -117,36 +129,43 @@ class DesiDrive:
     async def connect(self) -> None:
         """Asks all for their firmware. InputError where none of the layout's positioners answers."""
         known = self.plane.positioner_id[~self.plane.offline].tolist()
-        self.ids = sorted(await self._versions(known))
+        self.ids = sorted(await self._told(DesiCommand.VERSION, known))
         if not self.ids:
             raise none_answers(self.plane)
 
-    async def _versions(self, whom: list[int]) -> dict[int, bytes]:
-        frames = [DesiFrame.of(number, DesiCommand.VERSION) for number in whom]
-        return await self._ask(frames, DesiCommand.VERSION, whom)
+    async def _told(self, command: DesiCommand, whom: Iterable[int]) -> dict[int, bytes]:
+        """What these answer to a question; one that does not is asked again, `TRIES` times in all."""
+        found: dict[int, bytes] = {}
+        left = set(whom)
+        for _ in range(TRIES):
+            found |= await self._ask([DesiFrame.of(k, command) for k in sorted(left)], command, left)
+            left -= set(found)
+            if not left:
+                break
+        return found
+
+    def _lose(self, silent: Iterable[int]) -> None:
+        self.ids = sorted(set(self.ids) - set(silent))
 
     async def rest(self, alarm: Callable[[str], None], left_moving: bool = False) -> None:
         """Stops what a host that was killed has left on its way; `alarm` and `left_moving` as in the port."""
-        moving = await self._moving(self.ids)
+        told = await self._told(DesiCommand.MOVE_STATUS, self.ids)
+        moving = _still_moving(told)
         if moving or left_moving:
             await self._broadcast(DesiCommand.STOP)
             alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
 
-    async def _moving(self, ids: list[int]) -> list[int]:
-        frames = [DesiFrame.of(number, DesiCommand.MOVE_STATUS) for number in ids]
-        told = await self._ask(frames, DesiCommand.MOVE_STATUS, ids)
-        return [number for number, data in told.items() if data != b"\x00"]
-
     async def believed(self, ids: Ints) -> BelievedPlaces:
-        """Where these (n,) are by what was counted and learnt; all are known."""
+        """Where these (n,) are by what was counted and learnt; known of those that answer on the bus."""
         rows = self.plane.index_of(ids)
         angles = self.maps.output_deg(self.maps.believed_deg)[rows]
-        return BelievedPlaces(angles, self.maps.believed_deg[rows], np.ones(len(rows), dtype=bool))
+        return BelievedPlaces(angles, self.maps.believed_deg[rows], np.isin(ids, self.ids))
 
     async def heard_again(self, silent: Iterable[int]) -> list[int]:
-        """Those of the `silent` that answer now."""
-        back = sorted(await self._versions(list(silent)))
+        """Those of the `silent` that answer now. Where they stand the next image tells the map."""
+        back = sorted(await self._told(DesiCommand.VERSION, silent))
         self.ids = sorted({*self.ids, *back})
+        self._back[self.plane.index_of(back)] = True
         return back
 
     # programmes
@@ -197,30 +216,40 @@ class DesiDrive:
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
         """Loads tables, proves their checksums, starts all at once and waits. `watch` and `say`: not used.
 
-        Nothing starts where one unit does not hold its table: the way was proven for all together.
+        Nothing starts where one unit does not hold its table: the way was proven for all together. One that
+        answers and does not hold it has refused.
         """
         commands: Tables = programme.commands
-        moving = programme.moving
-        missing = await self._load(commands.tables, moving)
+        results = await self._run(commands.tables, programme.moving)
+        if self._ran:
+            self.maps.went(commands.way_deg)
+        return results
+
+    async def _run(self, tables: MoveTables, moving: list[int]) -> Results:
+        """Loads, starts and waits for the end; `_ran` says whether anything was started."""
+        self._ran = False
+        missing = await self._load(tables, moving)
         if missing:
-            return Results(
-                {i: Result(i, Outcome.TIMED_OUT if i in missing else Outcome.NOT_STARTED) for i in moving}
-            )
+            heard = await self._told(DesiCommand.VERSION, missing)
+            self._lose(missing - set(heard))
+            why = {i: Outcome.REFUSED if i in heard else Outcome.TIMED_OUT for i in missing}
+            return Results({i: Result(i, why.get(i, Outcome.STOPPED)) for i in moving})
         await self._broadcast(DesiCommand.RUN, b"\x01")
-        self._running = self.time_s, commands.tables
-        await self.sleep(float(commands.tables.duration_s.max(initial=0.0)) + SETTLE_S)
-        late = await self._moving(moving)
+        self._ran, self._running = True, (self.time_s, tables)
+        await self.sleep(float(tables.duration_s.max(initial=0.0)) + SETTLE_S)
+        told = await self._told(DesiCommand.MOVE_STATUS, moving)
+        late = {*_still_moving(told), *set(moving) - set(told)}
+        self._lose(set(moving) - set(told))
         self._running = None
-        self.maps.went(commands.way_deg)
         return Results({i: Result(i, Outcome.TIMED_OUT if i in late else Outcome.DONE) for i in moving})
 
     async def _load(self, tables: MoveTables, moving: list[int]) -> set[int]:
-        """Those that do not hold their table after two tries."""
+        """Those that do not hold their table after `TRIES`."""
         rows = {i: rows_of(tables, int(self.plane.index_of(i))) for i in moving}
         # a table that was run is still there, and the start is for all
         await self._broadcast(DesiCommand.CLEAR)
         missing = set(moving)
-        for _ in range(2):
+        for _ in range(TRIES):
             frames = [frame for i in sorted(missing) for frame in table_frames(i, rows[i])]
             told = await self._ask(frames, DesiCommand.CHECKSUM, missing)
             missing -= {
@@ -231,6 +260,18 @@ class DesiDrive:
             if not missing:
                 break
         return missing
+
+    async def home(self, ids: Iterable[int]) -> Results:
+        """Searches both stops of these by creep, some minutes; who ends well is believed to be there.
+
+        Nothing says where their arms are on the way: the caller sees to it that none is in their reach.
+        """
+        rows = np.sort(self.plane.index_of(list(ids)))
+        tables, numbers = homing_tables(self.plane, rows), self.plane.positioner_id[rows].tolist()
+        results = await self._run(tables, numbers)
+        done = rows[[results[k].ok for k in numbers]]
+        self.maps.homed(done, homed_deg(self.plane, done), HOMED_SIGMA_DEG)
+        return results
 
     async def settle(self, ids: list[int]) -> None:
         """Stops these and forgets their tables."""
@@ -245,7 +286,7 @@ class DesiDrive:
             gone = executed_path(tables).at(np.array([(self.time_s - begin_s) * TICK_HZ]))[:, 0]
             self.maps.went(degrees_of(gone))
             self._running = None
-        return sorted(await self._versions(self.ids))
+        return sorted(await self._told(DesiCommand.VERSION, self.ids))
 
     def excused(self, image: Measurement) -> None:
         """None: a fibre that an `image` does not show is dark."""
@@ -253,7 +294,20 @@ class DesiDrive:
     def seen(self, image: Measurement, mobile: Flags) -> Floats:
         """Learns from an image; (N, 2) deg where arms are believed to be now. `mobile` (N,): who may tell."""
         self.maps.see(image.xy_mm, self._sigma_mm(image), image.seen & mobile)
+        self.maps.stands(image.xy_mm, image.seen & self._back)
+        self._back &= ~image.seen
+        if self.kept is not None:
+            save_maps(self.maps, self.kept)
         return self.maps.output_deg(self.maps.believed_deg)
+
+    def suspects(self) -> dict[int, str]:
+        """Those that an image has shown `SURPRISES` times where no map can have them: degraded motors."""
+        why = "seen {} times where its map cannot have it: a motor that slips, or loses turns"
+        times = self.maps.surprises
+        return {
+            int(self.plane.positioner_id[row]): why.format(times[row])
+            for row in np.flatnonzero(times >= SURPRISES)
+        }
 
     def _sigma_mm(self, image: Measurement) -> Floats | float:
         if image.covariance_mm2 is None:
@@ -264,3 +318,8 @@ class DesiDrive:
     async def close(self) -> None:
         """Closes the bus."""
         await self.transport.close()
+
+
+def _still_moving(told: dict[int, bytes]) -> list[int]:
+    """Those whose answer to the question for their move is not 0."""
+    return [number for number, data in told.items() if data != b"\x00"]

@@ -94,6 +94,12 @@ _MOVES, _CRUISES, _CCW = 4, 2, 1
 _PHI_SHIFT = 3
 
 
+def positioner_of(identifier: int) -> int:
+    """Whose an identifier is, 0 for a broadcast."""
+    number = identifier >> 8
+    return 0 if number in (ALL, POSITIONERS, FIDUCIALS) else number
+
+
 def encode_row(row: TableRow) -> bytes:
     """The 8 bytes of a row; InputError for steps of more than 20 bits or a pause of more than 16."""
     if not 0 <= row.pause_ms <= MOST_PAUSE_MS:

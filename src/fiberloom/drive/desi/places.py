@@ -8,11 +8,15 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import CENTRE
 from fiberloom.typing import Floats
 
+_ROOM_DEG = 5.0
+"""Zeros and maps are off by less: a place that is farther beyond a stop cannot be."""
+
 
 def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
     """(N, 2) angles in deg that put fibres at `xy_mm` (N, 2), the solution nearest to `near_deg` (N, 2).
 
-    Of a place out of reach: the arm stretched or folded towards it. NaN where the place is.
+    One within the stops goes before one that is not. Of a place out of reach: the arm stretched or folded
+    towards it. NaN where the place is.
     """
     arms, (a, b) = plane.arms, (plane.l_alpha_mm, plane.l_beta_mm)
     z = (xy_mm - arms[:, CENTRE]) @ np.array([1.0, 1.0j])
@@ -23,5 +27,8 @@ def angles_near(plane: FocalPlane, xy_mm: Floats, near_deg: Floats) -> Floats:
         beta = elbow - plane.beta_off_rad - plane.metrology_phi_rad
         angles = np.rad2deg(np.column_stack([alpha, beta]))
         found.append(angles + 360.0 * np.rint((near_deg - angles) / 360.0))
+    low, high = np.moveaxis(plane.stops_of(), -1, 0)
+    beyond = [np.maximum(low - angles, angles - high).max(axis=1) > _ROOM_DEG for angles in found]
     far = [np.abs(angles - near_deg).sum(axis=1) for angles in found]
+    far = [off + 1e3 * out for off, out in zip(far, beyond, strict=True)]
     return np.asarray(np.where((far[0] <= far[1])[:, None], *found), dtype=np.float64)

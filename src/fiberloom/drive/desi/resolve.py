@@ -17,7 +17,11 @@ from fiberloom.typing import Floats
 
 MOST_TURNS = 3
 """Of a stage: each makes all others wait."""
-ROUNDS = 30
+ROUNDS = 40
+_HARD_AFTER = 30
+"""Rounds after which no more orders are tried."""
+SWINGS_DEG = np.array([20.0, -20.0, 40.0, -40.0, 70.0, -70.0])
+"""[A] So far beside its goal an arm extends that would sweep over another one there, in turn."""
 CLOCK = MotionLimits(speed_deg_s=300.0, acceleration_deg_s2=1e6, separating=True)
 """The clock of the motors sees to speeds and ramps: a path has corners a tick apart, with times rounded to
 1 us, and waves of gears on it. Arms that stand nearer than their tubes may move apart."""
@@ -60,6 +64,12 @@ class Resolver:
         self.plane, self.move, self.ends = plane, move, ends
         self._tried: Counter[tuple[int, int, int]] = Counter()
         self.refused: dict[int, str] = {}
+        goal = ends(move).here_deg + degrees_of(move.legs.sum(axis=1))
+        low, high = plane.limits_of()[:, 0].T
+        ways = goal[:, :1] + SWINGS_DEG
+        # a move that is straight and at once has no swings
+        self._may_swing = (ways >= low[:, None]) & (ways <= high[:, None])
+        self._may_swing &= not move.legs[:, MoveStage.EXTEND, 0].any()
 
     def resolve(self) -> Resolved:
         """Rounds of verifying and mending; where that does not end, those that still meet others stay."""
@@ -72,7 +82,7 @@ class Resolver:
             for violation in found.violations:
                 if violation in found.contacts:
                     continue  # of bodies that do not move
-                self._mend(made, violation, hard=count > ROUNDS // 2)
+                self._mend(made, violation, hard=count > _HARD_AFTER)
         self._hold_back(np.flatnonzero(self.move.moves), "the others, in any order that was tried")
         made, plan, loose = self._made()
         return Resolved(self.move, made, plan, loose, ROUNDS, 0)
@@ -95,7 +105,9 @@ class Resolver:
         row = moving[0]
         stage = int(stage_of[row] or 0)
         other = second if row == first else first
-        if other is None or hard or not self._reorder(row, other, stage):
+        if other is not None and not hard and self._reorder(row, other, stage):
+            return
+        if hard or not any(self._swing(one, stage_of[one]) for one in moving):
             name = f"positioner {self._name(other)}" if other is not None else violation.other
             self._shorten(row, stage, name or f"a limit ({violation.kind})")
 
@@ -128,9 +140,18 @@ class Resolver:
         self.move = replace(self.move, turn=turn)
         return True
 
+    def _swing(self, row: int, stage: int | None) -> bool:
+        """Tries the next way beside its goal of one that extends or swings; False: none is left."""
+        left = np.flatnonzero(self._may_swing[row])
+        if stage not in (MoveStage.EXTEND, MoveStage.SWING) or not len(left):
+            return False
+        self._may_swing[row, left[0]] = False
+        self.move = self.move.swung(row, float(SWINGS_DEG[left[0]]))
+        return True
+
     def _shorten(self, row: int, stage: int, other: str) -> None:
         level = self.move.level.copy()
-        levels = {MoveStage.EXTEND: 1, MoveStage.ROTATE: 2, MoveStage.RETRACT: 3}
+        levels = {MoveStage.SWING: 1, MoveStage.EXTEND: 1, MoveStage.ROTATE: 2, MoveStage.RETRACT: 3}
         below = levels.get(MoveStage(stage), level[row] + 1)
         legs = self.move.legs[row]
         level[row] = min(max(level[row] + 1, below), Level.STILL)

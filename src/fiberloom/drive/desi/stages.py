@@ -1,7 +1,8 @@
-"""A move in stages: retract, rotate, extend, approach; each in turns that all units have in common.
+"""A move in stages: retract, rotate, extend, swing, approach; each in turns that all units have in common.
 
-While phi is retracted theta may turn as it likes, so pairs can meet only while they retract, extend or
-approach. A unit whose turn comes later waits by pauses of its table.
+While phi is retracted theta may turn as it likes, so pairs can meet only while they retract, extend, swing or
+approach. A unit whose turn comes later waits by pauses of its table. One whose arm would sweep over another's
+while it extends does so beside its goal, and swings in by theta.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, Trajectory
 from fiberloom.typing import Flags, Floats, Ints
 
-STAGES = 4
+STAGES = 5
+LEGS = STAGES - 1
 _SPARE_TICKS = 6 * PAUSE_TICKS
 """Between turns: pauses are whole milliseconds, rounded up in each row."""
 
@@ -36,7 +38,8 @@ class MoveStage(IntEnum):
     RETRACT = 0
     ROTATE = 1
     EXTEND = 2
-    APPROACH = 3
+    SWING = 3
+    APPROACH = 4
 
 
 class Level(IntEnum):
@@ -53,7 +56,7 @@ class Staged:
     """What N units shall do; fields that say who waits for whom are changed until nothing meets."""
 
     legs: Ints
-    """(N, 3, 2) ways of the first three stages, tenths of a motor deg."""
+    """(N, LEGS, 2) ways of all stages before the approach, tenths of a motor deg."""
     level: Ints
     """(N,) `Level`."""
     turn: Ints
@@ -61,14 +64,21 @@ class Staged:
 
     @property
     def reduced(self) -> Ints:
-        """(N, 3, 2) ways of what each unit makes of its move."""
-        last = np.array([3, 2, 1, 0])[self.level]
-        return np.where(np.arange(3)[None, :, None] < last[:, None, None], self.legs, 0)
+        """(N, LEGS, 2) ways of what each unit makes of its move."""
+        last = np.array([LEGS, 2, 1, 0])[self.level]
+        return np.where(np.arange(LEGS)[None, :, None] < last[:, None, None], self.legs, 0)
 
     @property
     def moves(self) -> Flags:
         """(N,) who has anything to do."""
         return np.asarray(self.reduced.any(axis=(1, 2)))
+
+    def swung(self, unit: int, swing_deg: float) -> Staged:
+        """The same with one that extends so far beside its goal, in deg of theta, and swings in."""
+        legs, beside = self.legs.copy(), int(tenths_of(swing_deg))
+        legs[unit, MoveStage.ROTATE, 0] += legs[unit, MoveStage.SWING, 0] + beside
+        legs[unit, MoveStage.SWING, 0] = -beside
+        return replace(self, legs=legs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +108,9 @@ def staged(plane: FocalPlane, here_deg: Floats, way_deg: Floats, safe_deg: Float
     before the approach.
     """
     n = len(plane)
-    legs = np.zeros((n, 3, 2), dtype=np.int64)
+    legs = np.zeros((n, LEGS, 2), dtype=np.int64)
     if small:
-        legs[:, 2] = tenths_of(way_deg)
+        legs[:, MoveStage.EXTEND] = tenths_of(way_deg)
     else:
         phi, goal = here_deg[:, 1], here_deg[:, 1] + way_deg[:, 1]
         moves = np.abs(way_deg).sum(axis=1) > 0.0
@@ -108,7 +118,7 @@ def staged(plane: FocalPlane, here_deg: Floats, way_deg: Floats, safe_deg: Float
         corners = np.zeros((n, 4, 2))
         corners[:, 1:, 1] = np.column_stack([first - phi, second - phi, goal - phi])
         corners[:, 2:, 0] = way_deg[:, :1]
-        legs = np.where(moves[:, None, None], np.diff(tenths_of(corners), axis=1), 0)
+        legs[:, : MoveStage.SWING] = np.where(moves[:, None, None], np.diff(tenths_of(corners), axis=1), 0)
     return Staged(legs, np.zeros(n, dtype=np.int64), np.zeros((n, STAGES), dtype=np.int64))
 
 
@@ -121,8 +131,8 @@ def timed(move: Staged) -> Timed:
     still, creeps = np.zeros((n, 1, 2), dtype=np.int64), np.zeros((n, 1, 2), dtype=bool)
     all_steps = np.concatenate([still, steps, -back[:, None], last[:, None]], axis=1)
     all_cruise = np.concatenate([creeps, cruise, creeps, creeps], axis=1)
-    bare = MoveTables(all_steps, all_cruise, np.zeros((n, 6), dtype=np.int64))
-    own = np.column_stack([bare.ticks[:, 1:4], bare.ticks[:, 4] + bare.ticks[:, 5]])
+    bare = MoveTables(all_steps, all_cruise, np.zeros(all_steps.shape[:2], dtype=np.int64))
+    own = np.column_stack([bare.ticks[:, 1:STAGES], bare.ticks[:, -2:].sum(axis=1)])
     begin = _begins(own, move.turn)
     pause, begin = _pauses(bare.ticks, begin, own)
     return Timed(replace(bare, pause_ms=pause), begin, begin + own)
@@ -141,11 +151,11 @@ def _begins(own: Ints, turn: Ints) -> Ints:
 
 
 def _pauses(ticks: Ints, wanted: Ints, own: Ints) -> tuple[Ints, Ints]:
-    """(N, 6) ms after each row so that stages begin as wanted, and (N, STAGES) when they really do."""
+    """(N, rows) ms after each row so that stages begin as wanted, and (N, STAGES) when they really do."""
     n = len(ticks)
     rows, now, last = np.arange(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    pause, begin = np.zeros((n, 6), dtype=np.int64), wanted.copy()
-    for stage, row in enumerate((1, 2, 3, 4)):
+    pause, begin = np.zeros(ticks.shape, dtype=np.int64), wanted.copy()
+    for stage, row in enumerate(range(1, STAGES + 1)):
         used = own[:, stage] > 0
         wait = np.where(used, np.maximum(-((now - wanted[:, stage]) // PAUSE_TICKS), 0), 0)
         pause[rows, last] += wait

@@ -113,6 +113,10 @@ class SdssvDrive:
     def seen(self, image: Measurement, mobile: Flags) -> None:
         """Nothing is learnt: positioners report where they are, `image` and `mobile` do not change that."""
 
+    def suspects(self) -> dict[int, str]:
+        """None: the judgement after a move finds them."""
+        return {}
+
     async def close(self) -> None:
         """Closes the bus; one that the caller has opened stays open."""
         await self.client.close()

@@ -8,6 +8,7 @@ instead; turned and shifted by its alignment it is the focal plane (CS5).
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from fiberloom.errors import InputError
 from fiberloom.files import MB, read_text
@@ -24,7 +25,7 @@ from fiberloom.instruments.layouts.folder import (
 )
 from fiberloom.instruments.model import Instrument
 from fiberloom.tables import TableFile
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import deg_to_rad
 
 CALIBRATIONS = ("calib-*.csv.gz", "calib-*.csv")
@@ -184,10 +185,7 @@ def _ranges(table: TableFile, rows: Ints, instrument: Instrument) -> Ranges:
 
 
 def _wider(table: TableFile, rows: Ints, instrument: Instrument) -> Handicaps:
-    """Room for arms that are longer than the outline, and for its expansions: all parts as wide as needed.
-
-    An angular expansion turns each corner away from the arm's axis; the farthest goes farthest.
-    """
+    """Room for arms that are longer than the outline, and for its expansions: all parts as wide as needed."""
     grown = {name: table.numbers(name)[rows] for name in _EXPANSIONS}
     linear = np.char.lower(table.strings("zeno_motor_p")[rows]) == "true"
     angle = {arm: grown[f"keepout_expansion_{arm}_angular"] for arm in ("theta", "phi")}
@@ -195,11 +193,35 @@ def _wider(table: TableFile, rows: Ints, instrument: Instrument) -> Handicaps:
     longer = np.maximum(table.numbers("length_r2")[rows] - NOMINAL_R2_MM, 0.0)
     room = []
     for arm, name, more in (("theta", "alpha", 0.0), ("phi", "beta", longer)):
-        far = instrument.bodies.reach_mm(name)
-        turned = 2.0 * far * np.sin(deg_to_rad(np.clip(angle[arm], 0.0, 180.0)) / 2.0)
+        turned = _turned_mm(instrument, name, np.clip(angle[arm], 0.0, 90.0))
         room.append(turned + np.maximum(grown[f"keepout_expansion_{arm}_radial"], 0.0) + more)
     none = Handicaps.none(len(rows))
     return Handicaps(np.maximum(*room), none.doubt_deg, none.speed_share, none.acceleration_share)
+
+
+def _turned_mm(instrument: Instrument, arm: str, angle_deg: Floats) -> Floats:
+    """(n,) mm by which corners of an arm stick out of its outline that are turned away by (n,) deg."""
+    polygons = [
+        np.array(part.polygon_mm) for part in instrument.bodies.parts if part.arm == arm and part.polygon_mm
+    ]
+    angles, which = np.unique(angle_deg, return_inverse=True)
+    out = np.zeros(len(angles))
+    for corners in polygons:
+        turn = deg_to_rad(np.sign(corners[:, 1]) * angles[:, None])
+        z = (corners[:, 0] + 1j * corners[:, 1]) * np.exp(1j * turn)
+        out = np.maximum(out, _outside_mm(z, corners[ConvexHull(corners).vertices]).max(axis=1))
+    return np.asarray(out[which])
+
+
+def _outside_mm(points: Array, hull: Floats) -> Floats:
+    """Distances of complex points (..., ) in mm from a convex polygon (k, 2), 0 inside of it."""
+    corners = hull @ [1.0, 1.0j]
+    edges = np.roll(corners, -1) - corners
+    off = points[..., None] - corners
+    along = np.clip(np.real(off * np.conj(edges)) / np.abs(edges) ** 2, 0.0, 1.0)
+    beyond = np.imag(off * np.conj(edges)) < -1e-12
+    nearest = np.abs(off - along * edges).min(axis=-1)
+    return np.asarray(np.where(beyond.any(axis=-1), nearest, 0.0))
 
 
 def _fiducials(folder: Path, instrument: Instrument) -> Floats:

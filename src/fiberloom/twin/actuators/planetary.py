@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.drive.desi.orders import ORDERS
+from fiberloom.drive.desi.maps.orders import ORDERS
 from fiberloom.typing import Floats
 
 AMPLITUDE_DEG = np.array([0.45, 0.20, 0.30, 0.15, 0.05, 0.05, 0.01])

@@ -148,6 +148,10 @@ class CobraSource:
         """The motors are those of a summary of motor maps, in `file`, with the errors of the twin."""
         self.maps = read_summary_maps(file, self.plane.positioner_id)
 
+    def keep(self, file: Path | None) -> None:
+        """InputError for any `file`: what cobras teach is not kept."""
+        raise InputError("--adapt: what cobras teach is not kept; leave it out")
+
     def about(self) -> dict[str, Any]:
         """What was put in."""
         errors = PiezoErrors()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom._core import geometry
-from fiberloom.drive.desi.frames import ALL, POSITIONERS, DesiFrame, tables_from
+from fiberloom.drive.desi.frames import ALL, POSITIONERS, DesiCommand, DesiFrame, tables_from
 from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
@@ -18,7 +19,9 @@ from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.desi.contacts import ContactFinder, Touching
 from fiberloom.twin.desi.controller import DesiController
 from fiberloom.twin.desi.motion import ArmState, TruePath, true_path
-from fiberloom.twin.desi.units import DesiUnits, draw_desi_units
+from fiberloom.twin.desi.units import DesiSizes, DesiUnits, draw_desi_units
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import AilmentKind, FaultKind, ServiceKind
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import deg_to_rad
@@ -57,7 +60,7 @@ class DesiTwin:
         self._running: list[tuple[float, Ints, TruePath]] = []
         self._touches: list[Touch] = []
         self._given = 0
-        self._rng = np.random.default_rng([seed, 0xDE52])
+        self._seed, self._rng = seed, np.random.default_rng([seed, 0xDE52])
 
     # the bus
 
@@ -94,6 +97,50 @@ class DesiTwin:
             return [c for number, c in self.controllers.items() if number not in self.deaf]
         found = self.controllers.get(frame.can_id)
         return [found] if found and frame.can_id not in self.deaf else []
+
+    # what goes wrong
+
+    def inject(self, fault: Fault) -> None:
+        """From now on a positioner is dark, deaf, does not move, or makes a share of its way; without power
+        (`busoff`) it is deaf, stops and forgets its table."""
+        row, number = self._row[fault.positioner_id], fault.positioner_id
+        match fault.kind:
+            case FaultKind.DARK:
+                self.dark[row] = True
+            case FaultKind.DEAF:
+                self.deaf.add(number)
+            case AilmentKind.SLIPPING:
+                self.units.scale[row] = self._slips[row]
+            case ServiceKind.BUS_OFF:
+                self._cut(number)
+            case _:
+                self.units.stuck[row] = True
+
+    def clear(self, fault: Fault) -> None:
+        """Ends what `inject` has begun."""
+        row, number = self._row[fault.positioner_id], fault.positioner_id
+        match fault.kind:
+            case FaultKind.DARK:
+                self.dark[row] = False
+            case FaultKind.DEAF | ServiceKind.BUS_OFF:
+                self.deaf.discard(number)
+            case AilmentKind.SLIPPING:
+                self.units.scale[row] = 1.0
+            case _:
+                self.units.stuck[row] = False
+
+    @cached_property
+    def _slips(self) -> Floats:
+        """(N, 2, 2) scales of these units, were their motors degraded."""
+        every = DesiSizes(linear_theta=1.0, linear_phi=1.0)
+        return draw_desi_units(self.plane, self._seed, every).scale
+
+    def _cut(self, number: int) -> None:
+        self.deaf.add(number)
+        controller = self.controllers[number]
+        controller.receive(DesiFrame.of(number, DesiCommand.STOP))
+        self._stop([controller] if controller.stopped else [])
+        controller.receive(DesiFrame.of(number, DesiCommand.RESET))
 
     # motion
 

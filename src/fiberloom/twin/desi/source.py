@@ -11,7 +11,8 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
-from fiberloom.errors import InputError
+from fiberloom.drive.desi.maps.kept import kept_file, read_maps
+from fiberloom.drive.desi.maps.learned import PLANETARY, LearnedMaps
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
@@ -21,13 +22,28 @@ from fiberloom.twin.desi.array import DesiTwin
 from fiberloom.twin.desi.transport import DesiTransport
 from fiberloom.twin.desi.units import DesiUnits, draw_desi_units
 from fiberloom.twin.errors.sizes import TwinErrors
+from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.grammar import parse_faults
-from fiberloom.twin.faults.kinds import FaultKind, Reach
-from fiberloom.twin.faults.schedule import schedule_faults
+from fiberloom.twin.faults.kinds import Reach, ServiceKind
+from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 from fiberloom.twin.hardware import check_camera
 
-FAULTS = Reach(("dark", "dead", "deaf", "lying"))
-"""Of --faults, for good. There is no encoder: one that is dead reports what one that lies does."""
+FAULTS = Reach(("busoff", "dark", "dead", "deaf", "lost", "lying", "slipping"), timed=True)
+"""Of --faults. There is no encoder: one that is dead reports what one that lies does. `busoff` takes bus and
+power from half a petal, `slipping` is a degraded ("linear") motor that is not known to be one."""
+PETALS, MIDDLE_DEVICE = 10, 270
+"""[A] Half a petal has a bus and a supply of its own: locations below and above the middle one."""
+
+
+def buses_of(plane: FocalPlane) -> list[tuple[int, int]]:
+    """Petal and half of each positioner of a `plane`: of a table by its number, else by its direction."""
+    numbers = plane.positioner_id
+    if plane.hole[0].startswith("P"):  # location: 1000 x place of the petal + device
+        petal, half = numbers // 1000, numbers % 1000 >= MIDDLE_DEVICE
+    else:
+        turn = np.arctan2(*plane.centres_mm.T[::-1]) / (2.0 * np.pi) % 1.0 * PETALS
+        petal, half = turn.astype(int), turn % 1.0 >= 0.5
+    return [(int(p), int(h)) for p, h in zip(petal, half, strict=True)]
 
 
 class DesiSource:
@@ -36,26 +52,35 @@ class DesiSource:
     def __init__(self, plane: FocalPlane, seed: int, camera: str, faults: str, errors: str = "none") -> None:
         check_camera(camera)
         able = plane.positioner_id[~plane.offline]
-        self.faults = schedule_faults(parse_faults(faults, FAULTS), able, (), seed)
+        self._buses = buses_of(plane)
+        places = sorted(set(self._buses))
+        self.faults = schedule_faults(parse_faults(faults, FAULTS), able, places, seed)
         self.plane, self.seed, self.camera = plane, seed, camera
         self.errors = TwinErrors.of(plane.instrument, errors)
+        self._maps: LearnedMaps | None = None
+        self._kept: Path | None = None
 
     @cached_property
     def units(self) -> DesiUnits:
-        """The true units, with the faults asked for."""
-        units = draw_desi_units(self.plane, self.seed)
-        for fault in self.faults:
-            if fault.kind != FaultKind.DEAF:
-                broken = units.dark if fault.kind == FaultKind.DARK else units.stuck
-                broken[self.plane.index_of(fault.positioner_id)] = True
-        return units
+        """The true units."""
+        return draw_desi_units(self.plane, self.seed)
 
     @cached_property
     def twin(self) -> DesiTwin:
         """The field, folded at first; it keeps its state from one observation to the next."""
-        twin = DesiTwin(self.plane, self.units, seed=self.seed)
-        twin.deaf |= {f.positioner_id for f in self.faults if f.kind == FaultKind.DEAF}
-        return twin
+        return DesiTwin(self.plane, self.units, seed=self.seed)
+
+    @cached_property
+    def schedule(self) -> list[ScheduledFault]:
+        """The faults, those of a bus for each of its positioners."""
+        numbers = self.plane.positioner_id[~self.plane.offline].tolist()
+        bus_of = dict(zip(self.plane.positioner_id.tolist(), self._buses, strict=True))
+        return [
+            fault if fault.kind != ServiceKind.BUS_OFF else replace(fault, positioner_id=number)
+            for fault in self.faults
+            for number in (numbers if fault.kind == ServiceKind.BUS_OFF else [0])
+            if fault.kind != ServiceKind.BUS_OFF or bus_of[number] == fault.place
+        ]
 
     @cached_property
     def hardware(self) -> Hardware:
@@ -66,7 +91,9 @@ class DesiSource:
         else:
             rms_um = self.plane.instrument.metrology.noise_rms_um
             camera = NoiseCamera(self.twin, rms_um, self.seed, self.errors)
-        drive = DesiDrive(self.plane, DesiTransport(self.twin))
+        faults = FaultClock(self.twin, self.schedule, self.seed)
+        drive = DesiDrive(self.plane, DesiTransport(self.twin, faults), self._maps)
+        drive.kept = self._kept
         vouched = np.ones(len(self.plane), dtype=bool)
         return Hardware(None, camera, self.twin, vouched=vouched, telescope=self.twin, drive=drive)
 
@@ -83,9 +110,20 @@ class DesiSource:
         return None
 
     def know(self, file: Path) -> None:
-        """Maps are learnt from images: InputError for any `file`."""
-        name = self.plane.instrument.name
-        raise InputError(f"{file}: {name} learns its maps from images; leave --calibration out")
+        """Begins with the maps of a `file` of earlier nights. InputError where it is none."""
+        if file == self._kept and not file.exists():
+            return  # its first night
+        self._maps = read_maps(file, self.plane, PLANETARY)
+        # arms and fields of this twin are where those of its first night were
+        self._maps.believed_deg = self.plane.park_deg.copy()
+
+    def keep(self, file: Path | None) -> None:
+        """Begins with what is in the `file`, if there is one, and writes it anew after each image.
+
+        None: the file of this layout and seed in the user's own folder.
+        """
+        self._kept = file or kept_file(self.plane, self.seed)
+        self.know(self._kept)
 
     def about(self) -> dict[str, Any]:
         """What was put in."""

@@ -7,13 +7,15 @@ from collections.abc import Sequence
 
 from fiberloom.bus.transport import Frame
 from fiberloom.twin.desi.array import DesiTwin
+from fiberloom.twin.faults.clock import FaultClock
 
 
 class DesiTransport:
     """Implements `fiberloom.bus.transport.Transport` on the twin's virtual clock."""
 
-    def __init__(self, twin: DesiTwin) -> None:
-        self._twin = twin
+    def __init__(self, twin: DesiTwin, faults: FaultClock | None = None) -> None:
+        """`faults`: what begins and ends meanwhile."""
+        self._twin, self._faults = twin, faults or FaultClock(twin, (), 0)
         self._replies: list[Frame] = []
 
     @property
@@ -23,16 +25,23 @@ class DesiTransport:
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         """Puts frames on the bus now."""
-        told = self._twin.send((frame[0], frame[1]) for frame in frames)
+        told = self._faults.carried(self._twin.send((frame[0], frame[1]) for frame in frames))
         self._replies += [Frame(reply.identifier, reply.data, self._twin.time_s) for reply in told]
 
     async def receive(self, timeout_s: float) -> list[Frame]:
         """What was answered; else time passes."""
         await asyncio.sleep(0)
         if not self._replies:
-            self._twin.run(max(timeout_s, 0.0))
+            self._wait(max(timeout_s, 0.0))
         replies, self._replies = self._replies, []
         return replies
+
+    def _wait(self, duration_s: float) -> None:
+        """Time passes, with a stop at each fault that begins or ends."""
+        end_s = self._twin.time_s + duration_s
+        while (left_s := end_s - self._twin.time_s) > 0.0:
+            self._twin.run(min(left_s, max(self._faults.next_s - self._twin.time_s, 1e-6)))
+            self._faults.follow()
 
     async def close(self) -> None:
         """Nothing to let go of."""

@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import ServiceKind
 from fiberloom.twin.faults.schedule import ScheduledFault
-from fiberloom.twin.twin import Reply, Twin
+
+
+class Breakable(Protocol):
+    """A twin in which something can break."""
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time."""
+        ...
+
+    def inject(self, fault: Fault) -> None:
+        """It begins now."""
+        ...
+
+    def clear(self, fault: Fault) -> None:
+        """It ends now."""
+        ...
+
+
+_Reply = TypeVar("_Reply")
 
 
 class FaultClock:
@@ -17,7 +38,7 @@ class FaultClock:
     `seed`: of the replies that are lost.
     """
 
-    def __init__(self, twin: Twin, schedule: Iterable[ScheduledFault], seed: int) -> None:
+    def __init__(self, twin: Breakable, schedule: Iterable[ScheduledFault], seed: int) -> None:
         self._twin = twin
         faults = tuple(schedule)
         self._due = sorted(
@@ -28,6 +49,11 @@ class FaultClock:
         self._rng = np.random.default_rng([seed, 0x105E])
         self.follow()
 
+    @property
+    def next_s(self) -> float:
+        """When the next one begins or ends; infinity: never."""
+        return self._due[0][0] if self._due else np.inf
+
     def follow(self) -> None:
         """Begins and ends what is due by now."""
         while self._due and self._due[0][0] <= self._twin.time_s:
@@ -37,7 +63,7 @@ class FaultClock:
             else:
                 (self._twin.inject if begins else self._twin.clear)(fault.fault)
 
-    def carried(self, replies: Sequence[Reply]) -> list[Reply]:
+    def carried(self, replies: Sequence[_Reply]) -> list[_Reply]:
         """The replies that arrive."""
         if not self._losses:
             return list(replies)

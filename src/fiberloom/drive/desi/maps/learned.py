@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.drive.desi.orders import ORDERS
+from fiberloom.drive.desi.maps.air import NO_STILL_POINTS, Air, StillPoints, air_of
+from fiberloom.drive.desi.maps.orders import ORDERS
 from fiberloom.drive.desi.places import angles_near
 from fiberloom.instruments import FocalPlane
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 
 ARM_TERMS = 4
 """Centre x, y and both lengths, mm."""
@@ -134,9 +135,13 @@ class LearnedMaps:
 
     def _relocate(self, xy_mm: Floats, lost: Flags) -> None:
         """Units that stand elsewhere than their map can have them: believed where they are seen."""
+        self.surprises += lost
+        self.stands(xy_mm, lost)
+
+    def stands(self, xy_mm: Floats, lost: Flags) -> None:
+        """Believes those `lost` (N,) to be where they are seen, at `xy_mm` (N, 2): turns are not known."""
         if not lost.any():
             return
-        self.surprises += lost
         here = self.output_deg(self.believed_deg)
         # a folded or stretched arm does not tell its angles
         lost = lost & (np.abs(np.sin(np.deg2rad(here[:, 1]))) > LEAST_SINE)
@@ -144,6 +149,23 @@ class LearnedMaps:
         self.believed_deg = np.where(lost[:, None], self.believed_deg + measured - here, self.believed_deg)
         for zero in (0, self.basis.terms):
             self.covariance[lost, zero, zero] += self.basis.offset_deg**2
+
+    def air_in(
+        self, xy_mm: Floats, sigma_mm: Floats | float, seen: Flags, standing: StillPoints = NO_STILL_POINTS
+    ) -> Air:
+        """The air of an image, by all its fibres and what is `standing`: `xy_mm` (N, 2), those `seen` (N,),
+        `sigma_mm` of the camera per coordinate, without air.
+        """
+        expected = self.places_mm(self.output_deg(self.believed_deg))
+        own = 1e-3 * self.sigma_um(self.believed_deg) / np.sqrt(2.0)
+        return air_of(expected, xy_mm - expected, np.hypot(own, sigma_mm), seen, standing)
+
+    def homed(self, rows: Ints, output_deg: Floats, sigma_deg: float) -> None:
+        """Believes arms of these rows (n,) to be at (n, 2) deg, by their stops; `sigma_deg` of each axis."""
+        here = self.output_deg(self.believed_deg)[rows]
+        self.believed_deg[rows] += output_deg - here
+        for zero in (0, self.basis.terms):
+            self.covariance[rows, zero, zero] += sigma_deg**2
 
     def _axis_means(self) -> Floats:
         terms = self.basis.terms

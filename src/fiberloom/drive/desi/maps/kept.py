@@ -7,13 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from fiberloom.drive.desi.learned import LearnedMaps, MapBasis
+from fiberloom.calibration.transmission.cache import default_directory
+from fiberloom.drive.desi.maps.learned import LearnedMaps, MapBasis
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Array
 from fiberloom.wholefile import whole
 
 _ARRAYS = ("positioner_id", "orders", "believed_deg", "mean", "covariance", "surprises")
+
+
+def kept_file(plane: FocalPlane, seed: int) -> Path:
+    """Where what a twin of this `plane` and `seed` has taught is kept, unless a file is named."""
+    return default_directory() / f"learnt-{plane.config_hash()[:16]}-{seed}.npz"
 
 
 def save_maps(maps: LearnedMaps, path: str | Path) -> None:
@@ -23,7 +29,8 @@ def save_maps(maps: LearnedMaps, path: str | Path) -> None:
     """
     arrays = {name: getattr(maps, name) for name in _ARRAYS[2:]}
     with whole(path, folders=True) as part, part.open("wb") as file:
-        np.savez_compressed(
+        # not compressed: it is written after each image, and noise does not shrink
+        np.savez(
             file,
             allow_pickle=False,
             positioner_id=maps.plane.positioner_id,
