@@ -77,6 +77,16 @@ def test_motors_that_scatter_are_known(calibrated):
     assert np.exp(np.median(one - two)) == pytest.approx(1.1, abs=0.25)
 
 
+def test_a_motor_that_was_not_swept_keeps_its_map(calibrated):
+    """Its fibre stood, or was turned by the other motor: no figure of that is a step."""
+    _, _, maps, found = calibrated
+    rows = np.flatnonzero([text.startswith("phi: not swept") for text in found.reason])
+    assert len(rows) > 2
+    phi = 2 * rows + 1
+    assert np.array_equal(found.motors.maps.step_deg[phi], maps.step_deg[phi])
+    assert not np.isfinite(found.motors.scatter[phi]).any()
+
+
 def flat(step_deg=0.1, bins=10):
     return MotorMaps(np.full((1, 2, bins), step_deg), 10.0, np.full((1, 2), 44.0))
 

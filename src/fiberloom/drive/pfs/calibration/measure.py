@@ -202,9 +202,12 @@ class _Work:
         for one in told.tolist():
             await self._run(axis, one, chosen)
             seen.append(self._look())
-        if not np.isfinite(seen).any():
+        xy_mm = np.array(seen)
+        if not np.isfinite(xy_mm).any():
             raise InputError("the camera sees none of the fibres; check the back-illumination")
-        return CobraSweep(told, np.array(seen))
+        # what did not move tells nothing, least of all of how far it goes
+        xy_mm[:, ~chosen] = np.nan
+        return CobraSweep(told, xy_mm)
 
     def _look(self) -> Floats:
         image = self.camera.measure(None)
@@ -226,9 +229,11 @@ def evaluate(
     """Geometry and maps of n cobras from their sweeps `phi` and `theta`; `before`: maps known; `settings`."""
     circles = [fit_circles(sweep.xy_mm.transpose(1, 0, 2), _all_of(sweep)) for sweep in (theta, phi)]
     reason = _why_not(circles)
+    bad = np.array([bool(r) for r in reason])
     centre, elbow = circles[THETA].centre_mm, circles[PHI].centre_mm
     first = elbow - centre
     link = np.column_stack([np.hypot(*first.T), circles[PHI].radius_mm])
+    link[bad] = np.nan
     turned = _turned(phi.xy_mm, elbow)
     along = rad_to_deg(np.arctan2(first[:, 1], first[:, 0]))
     phi_zero = (rad_to_deg(np.arctan2(*(phi.xy_mm[0] - elbow).T[::-1])) - along) % 360.0 - 360.0
@@ -239,7 +244,6 @@ def evaluate(
     for row, (a, b) in enumerate(zip(motors.reason[0::2], motors.reason[1::2], strict=True)):
         named = [f"{name}: {r}" for name, r in (("theta", a), ("phi", b)) if r]
         reason[row] = reason[row] or "; ".join(named)
-    bad = np.array([bool(r) for r in _why_not(circles)])
     out = [np.where(bad[:, None], np.nan, a) for a in (centre, link, np.column_stack([first_deg, phi_zero]))]
     return CobraCalibration(out[0], out[1], out[2], np.where(bad[:, None], np.nan, ranges), motors, reason)
 
