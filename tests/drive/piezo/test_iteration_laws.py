@@ -59,6 +59,7 @@ def test_a_way_of_too_many_steps_is_made_by_longer_pulses():
     assert longer == pytest.approx(2.5, rel=0.05)  # whole us: steps of 5 % at most
     assert sent.steps * longer == pytest.approx([5000.0, 5000.0], rel=0.05)
     # but by none that makes steps longer than those of the fast maps
+    law.place_deg = None
     far = law.command(np.zeros(2), np.full(2, 350.0), SIGMA_DEG, ALL)
     longer = pulse_factor(far.pulse_us, law.maps.pulse_us[:, 0], CURVE_US)
     assert longer == pytest.approx(6.0, rel=0.05)

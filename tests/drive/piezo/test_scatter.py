@@ -1,4 +1,4 @@
-"""What a motor scatters: learned from its moves and from all of its kind; tubes with the tails of what is open."""
+"""What a motor scatters: learned from its moves and from all of its kind; tubes with heavy tails."""
 
 import numpy as np
 import pytest

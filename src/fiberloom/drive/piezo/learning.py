@@ -174,7 +174,7 @@ class LearningLaw:
         return np.clip(way_deg, np.minimum(farthest, 0.0), np.maximum(farthest, 0.0))
 
     def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:
-        """(M,) deg that moves by `way_deg` (M,) miss their ends by, but for as rarely as by so many `sigmas`."""
+        """(M,) deg that ways (M,) miss their ends by, but for as rarely as normal ones by `sigmas`."""
         assert self.place_deg is not None
         rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
         gain, variance = self.gain[rows, direction], self.gain_variance[rows, direction]

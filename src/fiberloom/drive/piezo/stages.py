@@ -46,7 +46,7 @@ ROOM_DEG = 2.0
 TURN_DEG = 30.0
 """A cobra whose theta lacks more has still to turn."""
 INWARD = np.linspace(0.0, 1.0, 19) ** 2
-"""From the most open phi of a turn to the innermost: the first whose tube stays within the territory is taken."""
+"""From the most open phi of a turn inwards: the first whose tube stays within the territory is taken."""
 SHARES = (1.0, 0.65, 0.4, 0.2)
 """Of phi's way, for the first stages."""
 
