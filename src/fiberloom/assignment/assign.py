@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiberloom.assignment.candidates import Block, Candidates, check_targets, find_candidates
+from fiberloom.assignment.candidates import Block, Candidates, WayRule, check_targets, find_candidates
 from fiberloom.assignment.choose import LEVEL_WEIGHT, STRICT_LEVELS, conflicts, pack, shortlist
 from fiberloom.assignment.clearance import sweep
 from fiberloom.assignment.demanded import place_demanded
@@ -34,6 +34,8 @@ class AssignSettings:
     """No number of targets of lower priority outweighs one of higher priority."""
     progress: Say = silent
     """Called with the name of each step."""
+    ways: WayRule | None = None
+    """What the drive asks of targets that a positioner may choose; None: nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,7 @@ def assign(
     mine = targets.positioner_id[found.target] != FREE
     block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng, by)
     settings.progress(f"choosing for {plane.n} positioners")
-    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by)
+    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by, settings.ways)
     settings.progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
     given_up = park(placement, rest, rules, _worth(placement, targets, by))
@@ -166,18 +168,22 @@ def _place_free(
     rules: Rules,
     rng: np.random.Generator,
     by: Preference,
+    ways: WayRule | None = None,
 ) -> Ints:
     """Place targets that any positioner may take; (C,) what blocks each candidate."""
     plane = placement.plane
     segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
     block = screen(plane, found, segments, rules.approach_deg, rules)
     screen_placed(placement, found, segments, block, rules.pair_mm)
+    if ways is not None:
+        free = np.flatnonzero(block == Block.NONE)
+        block[free[ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
     open_ = np.flatnonzero(block == Block.NONE)
     level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
     few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
     ok = open_[few]
     some = found.select(ok)
-    pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)
+    pairs = conflicts(plane, some, segments[ok], rules.pair_mm, ways)
     chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng, wish.select(ok))
     if not proven or len(ok) < len(open_):
         placement.notes.append("the choice of targets is good, but not proven to be the best")
