@@ -74,6 +74,9 @@ class PlainDrive:
         self.stops += 1
         return self.ids
 
+    def stuck(self):
+        return None
+
     def excused(self, image):
         return None
 

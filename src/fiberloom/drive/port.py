@@ -194,6 +194,10 @@ class Drive(Protocol):
         """(N,) of which an `image` after a move shows no fibre though they are not lost; None: none is."""
         ...
 
+    def stuck(self) -> Flags | None:
+        """(N,) that did not move though they were told to, by what images show; None: replies tell."""
+        ...
+
     def seen(self, image: Measurement, mobile: Flags) -> Floats | None:
         """What an image after a move shows, to learn from; `mobile` (N,): of these it may tell.
 

@@ -120,6 +120,12 @@ class FieldState:
             if fault in DID_NOT_FOLLOW and self.mobile[row]:
                 self.flag(row, fault, before.why[row].removeprefix(f"{fault}: "))
 
+    def book_stuck(self, stuck: Flags) -> None:
+        """Books those (N,) of which images show that they do not move."""
+        for row in np.flatnonzero(stuck).tolist():
+            if self.faults[row] is None:
+                self.flag(row, FibreStatus.DEAD, "stuck: it was told to move again, and did not")
+
     def book_blocked(self, planned: Plan) -> None:
         """Books the positioners that the plan refuses, in place of those of the last plan."""
         self.blocked[:] = False

@@ -247,6 +247,9 @@ class DesiDrive:
             self._running = None
         return sorted(await self._versions(self.ids))
 
+    def stuck(self) -> None:
+        """None: the judgement of a move finds those."""
+
     def excused(self, image: Measurement) -> None:
         """None: a fibre that an `image` does not show is dark."""
 

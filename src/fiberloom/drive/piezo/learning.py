@@ -225,11 +225,22 @@ class LearningLaw:
         wanted = np.abs(self.maps.steps(self.place_deg, np.where(direction == REVERSE, -way_deg, way_deg)))
         needed = wanted / (self.gain[rows, direction] * self.settings.most_steps)
         factor = np.maximum(factor, np.minimum(needed, self._longer(direction)))
-        # the pulse t with hypot(t, p1) - p1 = factor times that of the usual one
-        height = factor * (np.hypot(usual_us, self.curve_us) - self.curve_us)
-        pulse = np.sqrt(height * (height + 2.0 * self.curve_us))
+        pulse = self._by_factor_us(factor, usual_us)
         least = np.minimum(self.settings.least_pulse_us, usual_us)
         return np.clip(np.rint(np.maximum(pulse, least)), 1.0, MOST_PULSE_US)
+
+    def _by_factor_us(self, factor: Floats, usual_us: Floats) -> Floats:
+        """(M,) the pulse t with hypot(t, p1) - p1 = `factor` (M,) times that of the usual one."""
+        height = factor * (np.hypot(usual_us, self.curve_us) - self.curve_us)
+        pulse: Floats = np.sqrt(height * (height + 2.0 * self.curve_us))
+        return pulse
+
+    def pulse_for(self, step_deg: Floats, direction: int) -> Floats:
+        """(M,) whole us: the usual pulse, or a longer one where steps are to be `step_deg` (M,) at least."""
+        usual, mean = self.maps.pulse_us[:, direction], self.maps.step_deg[:, direction].mean(axis=1)
+        each = np.full(self.maps.motors, direction)
+        factor = np.clip(step_deg / (self.gain[:, direction] * mean), 1.0, self._longer(each))
+        return np.minimum(np.rint(self._by_factor_us(factor, usual)), MOST_PULSE_US)
 
     def _longer(self, direction: Ints) -> Floats:
         """(M,) how much longer than by its usual pulse a step of each motor may be."""

@@ -72,7 +72,7 @@ class Motors(Protocol):
 class StageSettings:
     """How careful moves are."""
 
-    sigmas: float = 3.0
+    sigmas: float = 3.5
     """Half of a tube, in standard deviations of where a move ends."""
     least_share: float = 0.05
     """The same, of the way: no motor is believed to be better."""

@@ -15,6 +15,8 @@ from fiberloom.drive.piezo.swept import SweptCheck, box_of
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
 
+BESIDE_DOT_MM = 0.05
+"""[A] A fibre that near to its dot may be cut off by it."""
 ROOM_DEG = 6.0
 """[A] Beside theta and beyond phi of a target: what motors may miss when they go out."""
 
@@ -30,16 +32,33 @@ class WaysOut:
     """(n,) cobras that do not move."""
     stands_deg: Floats
     """(n, 2) where these are, from their stops."""
+    dots_mm: Floats | None
+    """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
 
     @classmethod
     def of(cls, plane: FocalPlane) -> WaysOut:
         """Those of a `plane` with its fiducials and its offline cobras."""
         low = stops_deg(plane)[0]
         check = SweptCheck.of(CobraArms.of(plane), plane.fiducials)
-        return cls(low, check, plane.offline, plane.offline_position_deg - low)
+        return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm)
 
     def barred(self, positioner: Ints, goal_deg: Floats) -> Flags:
-        """(C,) candidates whose way out meets what does not move; rows (C,), goals (C, 2) in deg."""
+        """(C,) candidates behind a dot, or whose way out meets what does not move.
+
+        `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta.
+        """
+        return self._meets_what_stands(positioner, goal_deg) | self._behind_dots(positioner, goal_deg)
+
+    def _behind_dots(self, positioner: Ints, goal_deg: Floats) -> Flags:
+        """(C,) candidates at which the fibre is behind a dot: dark, so that nothing corrects it."""
+        if self.dots_mm is None:
+            return np.zeros(len(positioner), dtype=bool)
+        at = self.check.arms.segments_mm(goal_deg - self.low_deg[positioner], positioner)[:, 2:]
+        x, y, radius = self.dots_mm[positioner].T
+        behind: Flags = np.hypot(at[:, 0] - x, at[:, 1] - y) < radius + BESIDE_DOT_MM
+        return behind
+
+    def _meets_what_stands(self, positioner: Ints, goal_deg: Floats) -> Flags:
         n, wide = self.check.cobras, self._boxes(positioner, goal_deg)
         i, j = self.check.pairs.T
         still = np.append(self.stands, np.ones(len(self.check.arms) - n, dtype=bool))
