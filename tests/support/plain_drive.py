@@ -74,7 +74,7 @@ class PlainDrive:
         self.stops += 1
         return self.ids
 
-    def stuck(self):
+    def found_stuck(self):
         return None
 
     def excused(self, image):

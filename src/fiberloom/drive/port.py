@@ -194,7 +194,7 @@ class Drive(Protocol):
         """(N,) of which an `image` after a move shows no fibre though they are not lost; None: none is."""
         ...
 
-    def stuck(self) -> Flags | None:
+    def found_stuck(self) -> Flags | None:
         """(N,) that did not move though they were told to, by what images show; None: replies tell."""
         ...
 

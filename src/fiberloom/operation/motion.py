@@ -244,7 +244,7 @@ class FieldMotion:
         interrupted = self.state.judge(made.results, image, made.before_deg, end_deg, hidden)
         if (believed_deg := self.drive.seen(image, self.state.mobile)) is not None:
             self.state.here_deg = np.where(self.state.mobile[:, None], believed_deg, self.state.here_deg)
-        if (stuck := self.drive.stuck()) is not None:
+        if (stuck := self.drive.found_stuck()) is not None:
             self.state.book_stuck(stuck)
         error_um = self._measured_error_um(image, made.goals)
         move = Move(

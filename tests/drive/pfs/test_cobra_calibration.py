@@ -18,6 +18,7 @@ from fiberloom.drive.pfs.calibration import (
     maps_at,
     pulses_for,
 )
+from fiberloom.drive.pfs.calibration.measure import CobraSweep, _turned
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
 from fiberloom.twin.camera.noise_camera import NoiseCamera
@@ -35,6 +36,7 @@ CURVE_US = np.array([88.0])
 def calibrated():
     plane, maps = pfs_plane(N), drawn_maps(N, 0)
     array = CobraArray(plane, maps, PiezoErrors(), seed=0)
+    array.motors.stuck[100:102] = True
     drive = CobraDrive(plane, maps, FpgaClient(VirtualBoards(array).connector()), plane.dots_mm)
     found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), CobraSweepSettings()))
     return drive, array, maps, found
@@ -85,6 +87,31 @@ def test_a_motor_that_was_not_swept_keeps_its_map(calibrated):
     phi = 2 * rows + 1
     assert np.array_equal(found.motors.maps.step_deg[phi], maps.step_deg[phi])
     assert not np.isfinite(found.motors.scatter[phi]).any()
+
+
+def test_a_stuck_motor_keeps_its_map(calibrated):
+    _, array, maps, found = calibrated
+    assert array.stuck.any()
+    rows = np.flatnonzero(np.repeat(array.stuck, 2))
+    assert np.array_equal(found.motors.maps.step_deg[rows], maps.step_deg[rows])
+
+
+def test_no_map_is_off_by_more_than_scatter_allows(calibrated):
+    """Lasting errors have 20 %: one move of a motor that scatters is no reason for a map three times off."""
+    _, array, _, found = calibrated
+    moves = np.array([not text for text in found.motors.reason])
+    ratio = (found.motors.maps.step_deg / array.motors.maps.step_deg)[moves][:, :, 2:45]
+    assert np.abs(np.log(np.median(ratio, axis=2))).max() < np.log(1.6)
+
+
+def test_more_than_half_a_turn_between_two_images_is_one_in_the_direction_of_the_steps():
+    steps = np.array([500, 500, -500, -500])
+    turn = np.radians(np.array([0.0, 110.0, np.nan, 310.0, 60.0]))
+    xy_mm = 2.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None]
+    found = _turned(CobraSweep(steps, xy_mm), np.zeros((1, 2)))[:, 0]
+    # from 110 with one image missing, back by 160; then by 250
+    assert found[[0, 1, 3, 4]] == pytest.approx([0.0, 110.0, -50.0, -300.0])
+    assert np.isnan(found[2])
 
 
 def flat(step_deg=0.1, bins=10):

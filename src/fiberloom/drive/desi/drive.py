@@ -247,7 +247,7 @@ class DesiDrive:
             self._running = None
         return sorted(await self._versions(self.ids))
 
-    def stuck(self) -> None:
+    def found_stuck(self) -> None:
         """None: the judgement of a move finds those."""
 
     def excused(self, image: Measurement) -> None:

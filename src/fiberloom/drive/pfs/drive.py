@@ -178,7 +178,7 @@ class CobraDrive:
         self._still[moved_mm > STILL_MM] = 0
         self._seen_mm, self._told_mm = xy_mm, np.zeros(len(self.plane))
 
-    def stuck(self) -> Flags:
+    def found_stuck(self) -> Flags:
         """(N,) cobras that have not moved though they were told to, more than once."""
         return self._still >= STILL_MOVES
 
@@ -233,7 +233,7 @@ class CobraDrive:
         refused = self._refused(goal, active)
         active &= ~np.isin(self.plane.positioner_id, list(refused))
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
-        active &= ~self.stuck() & ~self._rests(goal)
+        active &= ~self.found_stuck() & ~self._rests(goal)
         self._seed += 1
         chosen = self.stages.choose(self.law, goal, active, self._seed)
         goes = chosen.stage != CobraStage.STAY

@@ -107,7 +107,7 @@ class SdssvDrive:
         await self.client.wait_until_done(stopped.ok_ids, REST_TIMEOUT_S, stop_on_collision=False)
         return stopped.ok_ids
 
-    def stuck(self) -> None:
+    def found_stuck(self) -> None:
         """None: positioners that do not move are found by their reports."""
 
     def excused(self, image: Measurement) -> None:
