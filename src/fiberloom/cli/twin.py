@@ -16,6 +16,7 @@ from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
+    from fiberloom.twin.cobras.served import ServedCobras
     from fiberloom.twin.server.address import Address
     from fiberloom.twin.server.camera.process import CameraProcess
     from fiberloom.twin.server.server import TwinServer
@@ -62,6 +63,12 @@ class TwinOptions(ErrorsOptions, PlaneOptions, JsonOptions):
     first: Annotated[
         bool, typer.Option("--first", help="Real-time priority for the clock; the system must allow it.")
     ] = False
+    maps: Annotated[
+        Path | None, typer.Option(help="PFS: motor maps of the cobras (npz); drawn where left out.")
+    ] = None
+    write_maps: Annotated[
+        Path | None, typer.Option(help="PFS: write these maps for hosts, which name them by --calibration.")
+    ] = None
     jaeger_config: Annotated[
         Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
     ] = None
@@ -105,9 +112,11 @@ def twin(options: TwinOptions) -> None:
     from fiberloom.twin.server.server import device_count
 
     plane = options.plane()
-    addresses = addresses_of(options.listen, options.devices or device_count(len(plane)))
+    cobras = plane.instrument.drive.protocol == "pfs"
+    count = 1 if cobras else options.devices or device_count(len(plane))
+    addresses = addresses_of(options.listen, count)
     _warn_of_the_network(options, addresses)
-    server = _server(options, plane, addresses)
+    server = _cobras(options, plane, addresses[0]) if cobras else _server(options, plane, addresses)
     camera = _camera(options, plane, server) if options.has_camera else None
     if options.jaeger_config is not None:
         from fiberloom.twin.server.jaeger import jaeger_config
@@ -115,7 +124,8 @@ def twin(options: TwinOptions) -> None:
         folder = options.jaeger_config.resolve().parent
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(options.jaeger_config, jaeger_config(addresses, folder))
-    report = asyncio.run(_serve(server, camera, options, _greeting(len(plane), addresses)))
+    greeting = f"{len(plane)} cobras: fpga://{addresses[0]}; Ctrl-C ends" if cobras else None
+    report = asyncio.run(_serve(server, camera, options, greeting or _greeting(len(plane), addresses)))
     if options.as_json:
         options.print_json(report)
     else:
@@ -156,7 +166,22 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 
 
-def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProcess:
+def _cobras(options: TwinOptions, plane: Any, address: Address) -> ServedCobras:
+    """PFS: one FPGA in front of all cobras."""
+    from fiberloom.drive.piezo import read_summary_maps, write_summary_maps
+    from fiberloom.twin.cobras.served import ServedCobras
+    from fiberloom.twin.cobras.source import CobraSource
+
+    if options.jaeger_config is not None or options.devices is not None or options.bootloader:
+        raise InputError("--jaeger-config, --devices, --bootloader: PFS has one FPGA; leave them out")
+    maps = options.maps and read_summary_maps(options.maps, plane.positioner_id)
+    source = CobraSource(plane, options.seed, "noise", options.faults, options.errors or "none", maps or None)
+    if options.write_maps is not None:
+        write_summary_maps(options.write_maps, source.known_maps, plane.positioner_id)
+    return ServedCobras(source.array, address, options.speed)
+
+
+def _camera(options: TwinOptions, plane: Any, server: TwinServer | ServedCobras) -> CameraProcess:
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.server.address import address_of
     from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
@@ -171,7 +196,7 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer) -> CameraProce
 
 
 async def _serve(
-    server: TwinServer, camera: CameraProcess | None, options: TwinOptions, greeting: str
+    server: TwinServer | ServedCobras, camera: CameraProcess | None, options: TwinOptions, greeting: str
 ) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -193,7 +218,7 @@ async def _serve(
             camera.close()
 
 
-async def _wait(server: TwinServer, options: TwinOptions, stop: asyncio.Event) -> None:
+async def _wait(server: TwinServer | ServedCobras, options: TwinOptions, stop: asyncio.Event) -> None:
     """Waits for the stop or the end of the time; prints reports in between."""
     loop = asyncio.get_running_loop()
     end = None if options.stop_after_s is None else loop.time() + options.stop_after_s
@@ -219,6 +244,10 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 
 def _text(report: dict[str, Any]) -> str:
     """The report as a few lines of text."""
+    if "runs" in report:
+        from fiberloom.twin.cobras.served import cobra_report
+
+        return cobra_report(report)
     lines = [
         f"{report['time_s']:.1f} s of twin time: "
         f"{report['ticks']} ticks computed, {report['resting']} at rest",

@@ -73,7 +73,7 @@ def fit_maps(before: MotorMaps, curve_us: Floats, moves: Moves, range_deg: Float
     scatter = _scatter(ratios, moves.passes)
     for direction, ratio in zip((FORWARD, REVERSE), by_direction, strict=True):
         found, bad = _bins(before, start, way, ratio)
-        believed = _believed(found, ratio, scatter, moves.passes)
+        believed = _believed(found, way, ratio, scatter, moves.passes)
         step_deg[:, direction] = before.step_deg[:, direction] * believed
         for row in np.flatnonzero(bad):
             way_name = ("forward", "reverse")[direction]
@@ -84,14 +84,16 @@ def fit_maps(before: MotorMaps, curve_us: Floats, moves: Moves, range_deg: Float
     return MapFit(MotorMaps(step_deg, before.bin_deg, before.pulse_us), scatter, reason)
 
 
-def _believed(found: Floats, ratio: Floats, scatter: Floats, passes: int) -> Floats:
+def _believed(found: Floats, way: Floats, ratio: Floats, scatter: Floats, passes: int) -> Floats:
     """(M, B) ratios of bins as far as a motor's `scatter` (M,) lets them be believed; NaN: as `found`.
 
     A bin has few moves, the mean of a motor many; both are weighed against how far maps are usually off.
     """
     known = np.isfinite(ratio)
     count = np.maximum(known.sum(axis=0), 1)
-    mean = np.where(known, ratio, 0.0).sum(axis=0) / count
+    # by how far they went: a slow place has many moves and says nothing of the others
+    weight = np.where(known, np.abs(way), 0.0)
+    mean = (weight * np.nan_to_num(ratio)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
     share = UNIT_SD**2 / (UNIT_SD**2 + np.square(scatter) / count)
     motor = np.where(known.any(axis=0), 1.0 + share * (mean - 1.0), 1.0)[:, None]
     here = (HERE_SD**2 / (HERE_SD**2 + np.square(scatter) / passes))[:, None]
