@@ -100,10 +100,11 @@ def test_one_move_of_a_motor_that_scatters_does_not_make_a_map():
     """Two passes of moves by 100 steps over the same bins; ways of 1 to 14 deg where 10 are told."""
     ways = np.array([1.0, 12.0, 7.0, 14.0])
     first, second = (20.0 + np.append(0.0, np.cumsum(w)) for w in (ways, ways[::-1]))
-    steps = np.tile([100, 100, 100, 100, -340], 2)[:, None]
-    places = np.concatenate([first, second, [20.0]])[:, None]
+    back = np.array([43.0, 33.0])
+    steps = np.tile([100, 100, 100, 100, -110, -100, -70], 2)[:, None]
+    places = np.concatenate([first, back[:2], second, back[:2], [20.0]])[:, None]
     fits = [
-        fit_maps(flat(), CURVE_US, Moves(steps, np.full((10, 1), 44.0), places, passes), np.array([100.0]))
+        fit_maps(flat(), CURVE_US, Moves(steps, np.full((14, 1), 44.0), places, passes), np.array([100.0]))
         for passes in (1, 2)
     ]
     one, two = (fit.maps.step_deg[0, 0, 2:6] for fit in fits)
