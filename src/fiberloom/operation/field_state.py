@@ -198,8 +198,9 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        report = Report(self.here_deg, answered, image, vouched, self.model.scatter_mm)
-        found = begin_check(self.plane, report, self.model.allowed_mm + self.looser_mm, self.looser_mm)
+        model = self.model
+        report = Report(self.here_deg, answered, image, vouched, model.scatter_mm, not model.reports)
+        found = begin_check(self.plane, report, model.allowed_mm + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):

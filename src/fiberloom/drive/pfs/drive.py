@@ -338,10 +338,13 @@ class CobraDrive:
         ended = np.array([how is Ended.DONE for how in result.ended], dtype=bool)
         lost = np.array([how in (Ended.UNKNOWN, Ended.TIMED_OUT) for how in result.ended], dtype=bool)
         done[iteration.rows], unknown[iteration.rows] = ended, lost
+        # by the maps: what is learned of one that does not move is that it goes nowhere
+        told_deg = self.tracker.place_deg + iteration.order.told_deg.reshape(-1, 2)
+        told_mm = self.arms.xy_mm(np.clip(told_deg, 0.0, self.arms.range_deg))
         was_mm = self.arms.xy_mm(self.tracker.place_deg)
         self._moved[iteration.rows] = True
         self.law.take(iteration.order, np.repeat(done, 2))
-        self._told_mm = np.where(done, np.hypot(*(self.arms.xy_mm(self.expected_deg) - was_mm).T), 0.0)
+        self._told_mm = np.where(done, np.hypot(*(told_mm - was_mm).T), 0.0)
         self.law.doubt_way(iteration.order, np.repeat(unknown, 2))
         if unknown.any():
             say(f"how far {int(unknown.sum())} cobras came is not known: an image tells")
