@@ -141,7 +141,7 @@ def assign(
     if approach_deg is None:
         approach_deg = plane.instrument.approach_deg
     start = None if start_deg is None else checked_start(plane, start_deg)
-    by = Preference(settings.strict, start, plane.instrument.approach_sides)
+    by = Preference(settings.strict, start, plane.instrument.approach_sides, settings.ways)
     rules = Rules.of(plane, approach_deg, settings.margin_mm)
     rng = np.random.default_rng(seed)
     placement = Placement(plane, np.full(plane.n, approach_deg))
@@ -151,7 +151,7 @@ def assign(
     mine = targets.positioner_id[found.target] != FREE
     block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng, by)
     settings.progress(f"choosing for {plane.n} positioners")
-    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by, settings.ways)
+    block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by)
     settings.progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
     given_up = park(placement, rest, rules, _worth(placement, targets, by))
@@ -168,22 +168,21 @@ def _place_free(
     rules: Rules,
     rng: np.random.Generator,
     by: Preference,
-    ways: WayRule | None = None,
 ) -> Ints:
     """Place targets that any positioner may take; (C,) what blocks each candidate."""
     plane = placement.plane
     segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
     block = screen(plane, found, segments, rules.approach_deg, rules)
     screen_placed(placement, found, segments, block, rules.pair_mm)
-    if ways is not None:
+    if by.ways is not None:
         free = np.flatnonzero(block == Block.NONE)
-        block[free[ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
+        block[free[by.ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
     open_ = np.flatnonzero(block == Block.NONE)
     level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
     few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
     ok = open_[few]
     some = found.select(ok)
-    pairs = conflicts(plane, some, segments[ok], rules.pair_mm, ways)
+    pairs = conflicts(plane, some, segments[ok], rules.pair_mm, by.ways)
     chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng, wish.select(ok))
     if not proven or len(ok) < len(open_):
         placement.notes.append("the choice of targets is good, but not proven to be the best")

@@ -68,7 +68,11 @@ class WayRule(Protocol):
         ...
 
     def crossing(self, positioner: Ints, goal_deg: Floats, first: Ints, second: Ints) -> Flags:
-        """(p,) pairs of candidates, rows `first` and `second` (p,), of which one bars the other's way."""
+        """(p,) pairs of candidates of which one bars the other's way.
+
+        `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta; `first`, `second` (p,): rows
+        of the candidates.
+        """
         ...
 
 

@@ -240,7 +240,8 @@ class LearningLaw:
         usual, mean = self.maps.pulse_us[:, direction], self.maps.step_deg[:, direction].mean(axis=1)
         each = np.full(self.maps.motors, direction)
         factor = np.clip(step_deg / (self.gain[:, direction] * mean), 1.0, self._longer(each))
-        return np.minimum(np.rint(self._by_factor_us(factor, usual)), MOST_PULSE_US)
+        pulse: Floats = np.minimum(np.rint(self._by_factor_us(factor, usual)), MOST_PULSE_US)
+        return pulse
 
     def _longer(self, direction: Ints) -> Floats:
         """(M,) how much longer than by its usual pulse a step of each motor may be."""
@@ -248,4 +249,5 @@ class LearningLaw:
         usual, mean = self.maps.pulse_us[rows, direction], self.maps.step_deg[rows, direction].mean(axis=1)
         most = pulse_factor(np.full(self.maps.motors, MOST_PULSE_US), usual, self.curve_us)
         wanted = self.settings.longest_step_deg / (self.gain[rows, direction] * mean)
-        return np.clip(wanted, 1.0, np.maximum(most, 1.0))
+        longer: Floats = np.clip(wanted, 1.0, np.maximum(most, 1.0))
+        return longer

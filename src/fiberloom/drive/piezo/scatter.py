@@ -50,7 +50,7 @@ class ScatterBelief:
         self._share_out()
 
     def measured(self, scatter: Floats, known: Flags, moves: float) -> None:
-        """Motors `known` (M,) showed a `scatter` (M,), of their way, in so many `moves`."""
+        """Motors `known` (M,) showed a `scatter` (M,), dimensionless, of their way, in so many `moves`."""
         size = np.where(known, np.nan_to_num(scatter, nan=1.0), 1.0)[:, None]
         told = -0.5 * moves * (2.0 * np.log(SIZES) + np.minimum((size / SIZES) ** 2, 100.0))
         self._told = np.where(known[:, None], told, self._told)
@@ -58,20 +58,23 @@ class ScatterBelief:
 
     @property
     def variance(self) -> Floats:
-        """(M,) mean square of the scatter of each, of its way."""
+        """(M,) mean square of the scatter of each, dimensionless, of its way."""
         out: Floats = self.weight @ SIZES**2
         return out
 
     def precision(self, way: Floats, other_variance: Floats) -> Floats:
-        """(M,) mean of 1 / variance of where moves by `way` (M,) end; `other_variance` (M,) as in `tube`."""
+        """(M,) mean of 1 / variance, 1/deg^2, of where moves by `way` (M,) in deg end.
+
+        `other_variance` (M,) deg^2: of all that is not scatter.
+        """
         variance = SIZES**2 * np.square(way)[:, None] + other_variance[:, None]
         out: Floats = (self.weight / np.maximum(variance, 1e-12)).sum(axis=1)
         return out
 
     def tube(self, way: Floats, other_variance: Floats, sigmas: float) -> Floats:
-        """(M,) what a move by `way` (M,) misses its end by, but for as rarely as a normal one by `sigmas`.
+        """(M,) deg that moves by `way` (M,) miss their ends by, but for as rarely as normal ones by `sigmas`.
 
-        `other_variance` (M,): of all that is not scatter, in the square of the unit of `way`.
+        `other_variance` (M,) deg^2: of all that is not scatter.
         """
         sd = np.sqrt(SIZES**2 * np.square(way)[:, None] + other_variance[:, None])
         low, high = sigmas * sd[:, 0], sigmas * sd[:, -1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def write_summary_maps(path: str | Path, maps: MotorMaps, cobra_id: Ints) -> Non
     own = np.asarray(cobra_id) - 1
     step = maps.step_deg.reshape(len(own), 2, 2, -1)
     last = np.full(len(own), maps.bin_deg * step.shape[3])
-    arrays = {"module": np.array([f"SC{k:02d}" for k in own // PER_MODULE + 1])}
+    arrays: dict[str, Any] = {"module": np.array([f"SC{k:02d}" for k in own // PER_MODULE + 1])}
     arrays["positioner"] = own % PER_MODULE + 1
     for i, motor in enumerate(_MOTORS):
         for j, way in enumerate(_WAYS):
