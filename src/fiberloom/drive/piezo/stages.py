@@ -223,16 +223,19 @@ class Stages:
     def _turn(self, motors: Motors, here: Floats, goal: Floats) -> tuple[Floats, Flags]:
         """Targets (n, 2): theta at its goal, phi as near to it as the territory allows; where that holds."""
         most = np.minimum(self.phi_in_deg, self._short_of_dot_deg(motors, here, goal))
-        low, found = -0.5 * self.arms.range_deg[:, PHI], np.zeros(len(here), dtype=bool)
-        end = np.empty_like(here)
+        low = -0.5 * self.arms.range_deg[:, PHI]
+        safe, seen, end = np.zeros(len(here), dtype=bool), np.zeros(len(here), dtype=bool), here.copy()
         for share in INWARD:  # into the stop and beyond, where that is what it takes: the stop holds
             target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
             target[:, PHI] += share * (low - target[:, PHI])
             way = self._limited(motors, target - here)
             top = np.clip((here + way + self._tube(motors, way))[:, PHI], 0.0, None)
-            end[~found] = (here + way)[~found]
-            found |= top <= most + 1e-6
-        return end, found
+            shows, stays = top <= most + 1e-6, top <= self.phi_in_deg + 1e-6
+            # a fibre behind its dot is no danger: a turn within the territory is better than none
+            better = (shows & ~seen) | (stays & ~safe)
+            end[better] = (here + way)[better]
+            safe, seen = safe | stays, seen | shows
+        return end, safe
 
     def _short_of_dot_deg(self, motors: Motors, here: Floats, goal: Floats) -> Floats:
         """(n,) the most open phi in deg at which a fibre is seen, where theta may end at its dot."""
@@ -393,7 +396,7 @@ class Stages:
         stage, n = stage.copy(), self.check.cobras
         boxes, rows = np.stack([o.boxes_deg for o in options]), np.arange(n)
         order = np.append(rank, np.full(len(self.check.arms) - n, n))
-        for level in range(CobraStage.TURN):
+        for level in range(CobraStage.STAY):
             tries = np.append(active & (stage > level) & options[level].may, np.zeros(len(order) - n, bool))
             i, j = self.check.pairs.T
             near = np.flatnonzero(tries[i] | tries[j])
