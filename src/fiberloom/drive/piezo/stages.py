@@ -232,7 +232,7 @@ class Stages:
             top = np.clip((here + way + self._tube(motors, way))[:, PHI], 0.0, None)
             shows, stays = top <= most + 1e-6, top <= self.phi_in_deg + 1e-6
             # a fibre behind its dot is no danger: a turn within the territory is better than none
-            better = (shows & ~seen) | (stays & ~safe)
+            better = (shows & ~seen) | ~safe
             end[better] = (here + way)[better]
             safe, seen = safe | stays, seen | shows
         return end, safe
