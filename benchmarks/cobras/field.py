@@ -6,8 +6,9 @@ Fields begin at home, each further one where the one before has ended. `--rule o
 regions cannot meet. `--rule via`: the published rule, via points in the first two iterations (phi at most
 60 deg open, theta behind by half of what phi lacks), pulses scaled, nothing checked; which elbow and which
 turn it has is taken from the truth. `--cold`: with maps as they were before their lasting errors, else ours
-are calibrated first. Goals do not touch and are not behind dots. The
-camera has the noise of the instrument, and knows whose spot is whose.
+are calibrated first. Goals do not touch, are not behind dots, and no way out crosses another one's, as the
+drive asks of an assignment (`--crossing`: they may). The camera has the noise of the instrument, and knows
+whose spot is whose.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from fiberloom._core.geometry import segment_distance
 from fiberloom.drive.pfs.client import Orders
 from fiberloom.drive.piezo import SpeedScalingLaw
 from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.drive.piezo.ways_out import WaysOut
 from fiberloom.drive.port import Wanted
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -31,30 +33,43 @@ OPEN_DEG, CLOSE_UM = 60.0, {"ours": 2.5, "via": 5.0}
 VIA_MOVES = 2
 
 
-def drawn_goals(drive, dots_mm, rng):
-    """(n, 2) deg from the stops, and (n,) which have one: evenly over the reach, none touching another."""
-    arms, n = drive.arms, len(drive.arms)
+def drawn_goals(drive, dots_mm, rng, crossing):
+    """(n, 2) deg from the stops, and (n,) which have one: evenly over the reach, none touching another.
+
+    As an assignment gives them: none behind its dot, and where not `crossing` none in another one's way out.
+    """
+    arms, n, pairs = drive.arms, len(drive.arms), drive.stages.check.pairs
     reach = np.sqrt(rng.uniform(0.05, 0.97, (TRIALS, n))) * arms.link_mm.sum(axis=1)
     turn = rng.uniform(0.0, 2.0 * np.pi, (TRIALS, n))
     places = arms.centre_mm + np.stack([reach * np.cos(turn), reach * np.sin(turn)], axis=2)
     angles = np.array([arms.angles_deg(place, np.full((n, 2), 180.0)) for place in places])
-    segments = np.array([arms.segments_mm(angle) for angle in angles])
-    inside = np.all((angles > 2.0) & (angles < arms.range_deg - 2.0), axis=2)
-    hidden = np.hypot(*np.moveaxis(places - dots_mm[:, :2], 2, 0)) < dots_mm[:, 2] + APART_MM
-    neighbours = [[] for _ in range(n)]
-    for i, j in drive.stages.check.pairs.tolist():
-        if j < n:
-            neighbours[i].append(j)
-            neighbours[j].append(i)
-    goal, has, taken = np.full((n, 2), 10.0), np.zeros(n, dtype=bool), np.zeros((n, 4))
-    for row in rng.permutation(n):
-        others = taken[[k for k in neighbours[row] if has[k]]]
-        for k in np.flatnonzero(inside[:, row] & ~hidden[:, row]):
-            own = np.repeat(segments[k, row][None], len(others), axis=0)
-            if np.all(segment_distance(own, others) > 2.0 * arms.radius_mm[row] + APART_MM):
-                goal[row], has[row], taken[row] = angles[k, row], True, segments[k, row]
-                break
-    return goal, has
+    low, rows, rule = stops_deg(drive.plane)[0], np.arange(n), WaysOut.of(drive.plane)
+    open_ = np.all((angles > 2.0) & (angles < arms.range_deg - 2.0), axis=2)
+    open_ &= np.hypot(*np.moveaxis(places - dots_mm[:, :2], 2, 0)) > dots_mm[:, 2] + APART_MM
+    if not crossing:
+        for k in range(TRIALS):
+            open_[k] &= ~rule.barred(rows, angles[k] + low)
+    rank, ours = rng.permutation(n), pairs[pairs[:, 1] < n]
+    while True:
+        has, trial = open_.any(axis=0), open_.argmax(axis=0)
+        goal = np.where(has[:, None], angles[trial, rows], 10.0)
+        met = ours[has[ours].all(axis=1)]
+        met = met[bar(rule, arms, goal, low, met, crossing)]
+        if len(met) == 0:
+            return goal, has
+        i, j = met.T
+        lost = np.unique(np.where(rank[i] < rank[j], i, j))
+        open_[trial[lost], lost] = False
+
+
+def bar(rule, arms, goal, low, pairs, crossing):
+    """(p,) pairs of goals of which both cannot be: they touch, or their ways out cross."""
+    if not crossing:
+        return rule.crossing(np.arange(len(goal)), goal + low, *pairs.T)
+    segments = arms.segments_mm(goal)
+    i, j = pairs.T
+    apart = segment_distance(segments[i], segments[j])
+    return apart < arms.radius_mm[i] + arms.radius_mm[j] + APART_MM
 
 
 async def iterate_ours(drive, goal, active):
@@ -84,7 +99,7 @@ async def iterate_via(drive, law, seen_deg, goal, active, move):
 async def field(source, drive, camera, args, rng, law):
     """The moves of one field; lines of the table."""
     array, n = source.array, len(source.plane)
-    goal, has = drawn_goals(drive, array.dots_mm, rng)
+    goal, has = drawn_goals(drive, array.dots_mm, rng, args.crossing)
     place_mm, healthy = drive.arms.xy_mm(goal), has & ~array.stuck
     stopped, before, begun_s = np.zeros(n, dtype=bool), len(array.touched), time.process_time()
     for move in range(MOVES):
@@ -144,6 +159,7 @@ def main():
     parser.add_argument("--fields", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cold", action="store_true", help="maps are not calibrated before")
+    parser.add_argument("--crossing", action="store_true", help="ways out to the goals may cross")
     args = parser.parse_args()
     try:
         asyncio.run(fields(args))

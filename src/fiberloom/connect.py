@@ -14,7 +14,7 @@ from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.source import OpenedArray, OpenedDesi, Source
+from fiberloom.operation.source import FPGA, OpenedArray, OpenedCobras, OpenedDesi, Source
 
 if TYPE_CHECKING:
     from fiberloom.metrology import Camera
@@ -39,7 +39,8 @@ def open_hardware(
         The layout of the array.
     bus : str or Transport
         `twin:`, `cannet://HOST[:PORT][,HOST...]`, `socketcan:can0[,can1]`, `slcan:/dev/ttyUSB0`, or any
-        `INTERFACE:CHANNEL` of python-can; or an open transport, which stays open.
+        `INTERFACE:CHANNEL` of python-can; `fpga://HOST[:PORT]` for the boards of PFS; or an open transport,
+        which stays open.
     camera : str or Camera
         `twin:image` or `twin:noise` with the bus `twin:`; else `alpaca://HOST:PORT/N?exposure=S`,
         `folder:PATH?trigger=CMD`, `indi://HOST:PORT/NAME`, `aravis:NAME`; or an object with
@@ -68,7 +69,10 @@ def open_hardware(
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
     address = camera if isinstance(camera, str) else ""
-    found = OpenedArray.of(bus, _camera(plane, camera) if address else camera, address)
+    seen = _camera(plane, camera) if isinstance(camera, str) else camera
+    if isinstance(bus, str) and bus.startswith(FPGA):
+        return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
+    found = OpenedArray.of(bus, seen, address)
     if plane.instrument.drive.protocol == "desi":
         return OpenedDesi(found.bus, found.camera, address, plane)
     return found

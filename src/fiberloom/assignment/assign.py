@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiberloom.assignment.candidates import Block, Candidates, check_targets, find_candidates
+from fiberloom.assignment.candidates import Block, Candidates, WayRule, check_targets, find_candidates
 from fiberloom.assignment.choose import LEVEL_WEIGHT, STRICT_LEVELS, conflicts, pack, shortlist
 from fiberloom.assignment.clearance import sweep
 from fiberloom.assignment.demanded import place_demanded
@@ -34,6 +34,8 @@ class AssignSettings:
     """No number of targets of lower priority outweighs one of higher priority."""
     progress: Say = silent
     """Called with the name of each step."""
+    ways: WayRule | None = None
+    """What the drive asks of targets that a positioner may choose; None: nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,7 @@ def assign(
     if approach_deg is None:
         approach_deg = plane.instrument.approach_deg
     start = None if start_deg is None else checked_start(plane, start_deg)
-    by = Preference(settings.strict, start, plane.instrument.approach_sides)
+    by = Preference(settings.strict, start, plane.instrument.approach_sides, settings.ways)
     rules = Rules.of(plane, approach_deg, settings.margin_mm)
     rng = np.random.default_rng(seed)
     placement = Placement(plane, np.full(plane.n, approach_deg))
@@ -172,12 +174,15 @@ def _place_free(
     segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
     block = screen(plane, found, segments, rules.approach_deg, rules)
     screen_placed(placement, found, segments, block, rules.pair_mm)
+    if by.ways is not None:
+        free = np.flatnonzero(block == Block.NONE)
+        block[free[by.ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
     open_ = np.flatnonzero(block == Block.NONE)
     level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
     few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
     ok = open_[few]
     some = found.select(ok)
-    pairs = conflicts(plane, some.positioner, some.target, segments[ok], rules.pair_mm)
+    pairs = conflicts(plane, some, segments[ok], rules.pair_mm, by.ways)
     chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng, wish.select(ok))
     if not proven or len(ok) < len(open_):
         placement.notes.append("the choice of targets is good, but not proven to be the best")

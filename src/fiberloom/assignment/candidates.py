@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,25 @@ class Candidates:
             fibre=self.fibre[rows],
             goal_deg=self.goal_deg[rows],
         )
+
+
+class WayRule(Protocol):
+    """What the motors of an instrument ask of the targets, beside that arms do not touch there."""
+
+    def barred(self, positioner: Ints, goal_deg: Floats) -> Flags:
+        """(C,) candidates that cannot be reached past what does not move.
+
+        `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta.
+        """
+        ...
+
+    def crossing(self, positioner: Ints, goal_deg: Floats, first: Ints, second: Ints) -> Flags:
+        """(p,) pairs of candidates of which one bars the other's way.
+
+        `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta; `first`, `second` (p,): rows
+        of the candidates.
+        """
+        ...
 
 
 def check_targets(plane: FocalPlane, targets: TargetList) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import csc_array, csr_array, vstack
 
+from fiberloom.assignment.candidates import Candidates, WayRule
 from fiberloom.assignment.clearance import places, too_near
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
@@ -68,22 +69,30 @@ ANY = Wish()
 
 
 def conflicts(
-    plane: FocalPlane, positioner: Ints, target: Ints, segments: Floats, limit_mm: float
+    plane: FocalPlane,
+    found: Candidates,
+    segments: Floats,
+    limit_mm: float,
+    ways: WayRule | None = None,
 ) -> tuple[Ints, Ints]:
-    """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit.
+    """Pairs of candidates (rows; sorted by positioner) that come nearer than the limit, or bar ways.
 
-    `positioner` and `target` (C,): rows of the `plane` and of the target list; `segments` (C, POSES, P,
-    4) mm: centre lines of the arm at the goal and on the approach; `limit_mm`: least gap between two
-    arms. Pairs on the same target are left out: they exclude each other anyway.
+    `found`: C candidates on the `plane`; `segments` (C, POSES, P, 4) mm: centre lines of the arm at the goal
+    and on the approach; `limit_mm`: least gap between two arms; `ways`: what the drive asks. Pairs on the
+    same target are left out: they exclude each other anyway.
     """
+    positioner, target = found.positioner, found.target
     all_places = places(plane, positioner, segments)
-    found = [np.empty((0, 2), dtype=np.int64)]
+    pairs = [np.empty((0, 2), dtype=np.int64)]
     for a, b in _neighbouring(plane, positioner):
         other = target[a] != target[b]
         a, b = a[other], b[other]
         near = too_near(all_places, a, all_places, b, limit_mm)
-        found.append(np.column_stack([a[near], b[near]]))
-    first, second = np.concatenate(found).T
+        if ways is not None:
+            apart = np.flatnonzero(~near)
+            near[apart] = ways.crossing(positioner, found.goal_deg, a[apart], b[apart])
+        pairs.append(np.column_stack([a[near], b[near]]))
+    first, second = np.concatenate(pairs).T
     return first, second
 
 

@@ -45,7 +45,7 @@ def place_demanded(
     block = screen(plane, found, segments, approach, bare)
     ok = np.flatnonzero(block == Block.NONE)
     some = found.select(ok)
-    pairs = conflicts(plane, some.positioner, some.target, segments[ok], bare.pair_mm)
+    pairs = conflicts(plane, some, segments[ok], bare.pair_mm)
     level = by.levels(targets.priority)[some.target]
     wish = by.wish(some, approach[ok])
     chosen, proven = pack(some.positioner, some.target, level, pairs, rng, wish)
@@ -68,5 +68,5 @@ def _crowded(plane: FocalPlane, found: Candidates, approach: Floats, rules: Rule
     """Candidates that the usual approach would bring into collision."""
     segments = sweep(plane, found.positioner, found.goal_deg, approach)
     block = screen(plane, found, segments, approach, rules)
-    pairs = conflicts(plane, found.positioner, found.target, segments, rules.pair_mm)
+    pairs = conflicts(plane, found, segments, rules.pair_mm)
     return np.unique(np.concatenate([np.flatnonzero(block != Block.NONE), *pairs]))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiberloom.assignment.candidates import Candidates
+from fiberloom.assignment.candidates import Candidates, WayRule
 from fiberloom.assignment.choose import Wish, levels_of
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -53,6 +53,8 @@ class Preference:
     """(N, 2) from where the positioners go; None: ways do not matter."""
     sides: tuple[float, float] = (1.0, 1.0)
     """From which side of their goals the axes come: 1 above, -1 below."""
+    ways: WayRule | None = None
+    """What the drive asks; None: nothing."""
 
     def wish(self, found: Candidates, approach_deg: float | Floats) -> Wish:
         """For the candidates `found`, with their approaches in deg."""

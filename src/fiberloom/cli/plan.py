@@ -104,10 +104,11 @@ def _assigned(
 ) -> tuple[Assignment, dict[str, Any]]:
     """The assignment and, where the start is known, what is to be told of the motion."""
     from fiberloom.assignment import AssignSettings, SwapSettings, assign_relaxed, swap_targets
+    from fiberloom.drive.way_rules import way_rule
     from fiberloom.planning import bound_s, read_configuration
 
     start_deg = None if options.start is None else read_configuration(options.start, plane)
-    how = AssignSettings(strict=options.strict, progress=wait.say)
+    how = AssignSettings(strict=options.strict, progress=wait.say, ways=way_rule(plane))
     with naming(options.targets):
         kept, found = assign_relaxed(plane, wanted, seed=options.seed, start_deg=start_deg, settings=how)
     if start_deg is None:

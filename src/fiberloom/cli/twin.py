@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -16,10 +17,13 @@ from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
+    from fiberloom.twin.cobras.served import ServedCobras
     from fiberloom.twin.desi.server import DesiServer
     from fiberloom.twin.server.address import Address
     from fiberloom.twin.server.camera.process import CameraProcess
     from fiberloom.twin.server.server import TwinServer
+
+    Served: TypeAlias = TwinServer | DesiServer | ServedCobras
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +67,12 @@ class TwinOptions(ErrorsOptions, PlaneOptions, JsonOptions):
     first: Annotated[
         bool, typer.Option("--first", help="Real-time priority for the clock; the system must allow it.")
     ] = False
+    maps: Annotated[
+        Path | None, typer.Option(help="PFS: motor maps of the cobras (npz); drawn where left out.")
+    ] = None
+    write_maps: Annotated[
+        Path | None, typer.Option(help="PFS: write these maps for hosts, which name them by --calibration.")
+    ] = None
     jaeger_config: Annotated[
         Path | None, typer.Option(help="Write the configuration that jaeger needs for these devices.")
     ] = None
@@ -106,11 +116,13 @@ def twin(options: TwinOptions) -> None:
     from fiberloom.twin.server.server import device_count
 
     plane = options.plane()
-    of_desi = plane.instrument.drive.protocol == "desi"
-    devices = 1 if of_desi else options.devices or device_count(len(plane))
-    addresses = addresses_of(options.listen, devices)
+    protocol = plane.instrument.drive.protocol
+    other: dict[str, Callable[..., Served]] = {"desi": _desi_server, "pfs": _cobras}
+    serve = other.get(protocol)
+    count = 1 if serve else options.devices or device_count(len(plane))
+    addresses = addresses_of(options.listen, count)
     _warn_of_the_network(options, addresses)
-    server = _desi_server(options, plane, addresses[0]) if of_desi else _server(options, plane, addresses)
+    server = serve(options, plane, addresses[0]) if serve else _server(options, plane, addresses)
     camera = _camera(options, plane, server) if options.has_camera else None
     if options.jaeger_config is not None:
         from fiberloom.twin.server.jaeger import jaeger_config
@@ -118,7 +130,10 @@ def twin(options: TwinOptions) -> None:
         folder = options.jaeger_config.resolve().parent
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(options.jaeger_config, jaeger_config(addresses, folder))
-    report = asyncio.run(_serve(server, camera, options, _greeting(len(plane), addresses)))
+    greeting = _greeting(len(plane), addresses)
+    if protocol == "pfs":
+        greeting = f"{len(plane)} cobras: fpga://{addresses[0]}; Ctrl-C ends"
+    report = asyncio.run(_serve(server, camera, options, greeting))
     if options.as_json:
         options.print_json(report)
     else:
@@ -171,7 +186,22 @@ def _desi_server(options: TwinOptions, plane: Any, address: Address) -> DesiServ
     return DesiServer(source.twin, address, schedule=source.schedule, speed=options.speed, seed=options.seed)
 
 
-def _camera(options: TwinOptions, plane: Any, server: TwinServer | DesiServer) -> CameraProcess:
+def _cobras(options: TwinOptions, plane: Any, address: Address) -> ServedCobras:
+    """PFS: one FPGA in front of all cobras."""
+    from fiberloom.drive.piezo import read_summary_maps, write_summary_maps
+    from fiberloom.twin.cobras.served import ServedCobras
+    from fiberloom.twin.cobras.source import CobraSource
+
+    if options.jaeger_config is not None or options.devices is not None or options.bootloader:
+        raise InputError("--jaeger-config, --devices, --bootloader: PFS has one FPGA; leave them out")
+    maps = options.maps and read_summary_maps(options.maps, plane.positioner_id)
+    source = CobraSource(plane, options.seed, "noise", options.faults, options.errors or "none", maps or None)
+    if options.write_maps is not None:
+        write_summary_maps(options.write_maps, source.known_maps, plane.positioner_id)
+    return ServedCobras(source.array, address, options.speed)
+
+
+def _camera(options: TwinOptions, plane: Any, server: Served) -> CameraProcess:
     from fiberloom.twin.errors.sizes import TwinErrors
     from fiberloom.twin.server.address import address_of
     from fiberloom.twin.server.camera.process import CameraDoors, CameraProcess
@@ -186,7 +216,7 @@ def _camera(options: TwinOptions, plane: Any, server: TwinServer | DesiServer) -
 
 
 async def _serve(
-    server: TwinServer | DesiServer, camera: CameraProcess | None, options: TwinOptions, greeting: str
+    server: Served, camera: CameraProcess | None, options: TwinOptions, greeting: str
 ) -> dict[str, Any]:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -208,7 +238,7 @@ async def _serve(
             camera.close()
 
 
-async def _wait(server: TwinServer | DesiServer, options: TwinOptions, stop: asyncio.Event) -> None:
+async def _wait(server: Served, options: TwinOptions, stop: asyncio.Event) -> None:
     """Waits for the stop or the end of the time; prints reports in between."""
     loop = asyncio.get_running_loop()
     end = None if options.stop_after_s is None else loop.time() + options.stop_after_s
@@ -234,6 +264,10 @@ def _greeting(count: int, addresses: list[Address]) -> str:
 
 def _text(report: dict[str, Any]) -> str:
     """The report as a few lines of text."""
+    if "runs" in report:
+        from fiberloom.twin.cobras.served import cobra_report
+
+        return cobra_report(report)
     if "p50_ms" not in report:
         return ", ".join(
             f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list)

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from fiberloom.lazy import on_use
 
 if TYPE_CHECKING:
-    from fiberloom.drive.port import BelievedPlaces, Drive, DriveModel, Programme, Wanted
+    from fiberloom.drive.port import BelievedPlaces, Drive, DriveModel, Programme, Suspect, Wanted
 
-__all__ = ["BelievedPlaces", "Drive", "DriveModel", "Programme", "Wanted"]
+__all__ = ["BelievedPlaces", "Drive", "DriveModel", "Programme", "Suspect", "Wanted"]
 
 __getattr__ = on_use(__name__)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -122,6 +122,14 @@ class BelievedPlaces:
     """(n,) of which this is known."""
 
 
+class Suspect(NamedTuple):
+    """A positioner whose motors do not do what they are told."""
+
+    moves: bool
+    """False: it stands where it is."""
+    why: str
+
+
 class Drive(Protocol):
     """The motors of an array. Every positioner is named by its number in the focal plane."""
 
@@ -201,8 +209,8 @@ class Drive(Protocol):
         """
         ...
 
-    def suspects(self) -> dict[int, str]:
-        """Positioners that again and again do not go where their motors were told, by what was seen: why."""
+    def suspects(self) -> dict[int, Suspect]:
+        """Positioners that again and again do not go where their motors were told, by what was seen."""
         ...
 
     async def close(self) -> None:

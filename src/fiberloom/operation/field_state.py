@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from fiberloom.bus.outcome import Outcome, Results
-from fiberloom.drive.port import DriveModel
+from fiberloom.drive.port import DriveModel, Suspect
 from fiberloom.errors import InputError
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
@@ -114,12 +114,12 @@ class FieldState:
         self.faults[row], self.why[row] = fault, f"{fault}: {why}"
         self.recorder.event(fault.value, why, int(self.plane.positioner_id[row]))
 
-    def suspect(self, suspects: dict[int, str]) -> None:
-        """Books as astray those that follow commands so far, and that their drive has found not to: why."""
-        for positioner, why in suspects.items():
+    def suspect(self, suspects: dict[int, Suspect]) -> None:
+        """Books those that followed commands so far, and that their drive has found not to."""
+        for positioner, found in suspects.items():
             row = int(self.plane.index_of(positioner))
             if self.faults[row] is None:
-                self.flag(row, FibreStatus.ASTRAY, why)
+                self.flag(row, FibreStatus.ASTRAY if found.moves else FibreStatus.DEAD, found.why)
 
     def keep_faults(self, before: FieldState) -> None:
         """Books what was seen `before` of those that did not follow, which an image at rest does not show."""
@@ -199,8 +199,9 @@ class FieldState:
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"
             )
-        report = Report(self.here_deg, answered, image, vouched, self.model.scatter_mm)
-        found = begin_check(self.plane, report, self.model.allowed_mm + self.looser_mm, self.looser_mm)
+        model = self.model
+        report = Report(self.here_deg, answered, image, vouched, model.scatter_mm, not model.reports)
+        found = begin_check(self.plane, report, model.allowed_mm + self.looser_mm, self.looser_mm)
         self.beginning, self.seen_mm = found, image.xy_mm
         wrong = [i for i, s in enumerate(found.standing) if s in NOT_AS_REPORTED and not found.certain[i]]
         if len(wrong) > MOST * len(self.plane):

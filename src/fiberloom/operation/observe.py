@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypedDict, cast
 
 from fiberloom.assignment import Assignment, AssignSettings, SwapSettings, assign_relaxed, swap_targets
+from fiberloom.drive.way_rules import way_rule
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -244,7 +245,8 @@ class Observer:
         self, targets: TargetList, settings: ObserveSettings, here_deg: Floats | None = None
     ) -> tuple[FocalPlane, Assignment]:
         """The plane with the buffer that holds, and who takes what; `here_deg` (N, 2): where they are."""
-        aims, how = self.known.aims(targets), AssignSettings(strict=settings.strict)
+        aims = self.known.aims(targets)
+        how = AssignSettings(strict=settings.strict, ways=way_rule(self.known.plane))
         kept, found = assign_relaxed(
             self.known.plane, aims, seed=settings.seed, start_deg=here_deg, settings=how
         )

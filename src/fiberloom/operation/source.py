@@ -17,10 +17,16 @@ from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.desi.frames import positioner_of
 from fiberloom.drive.desi.maps.kept import read_maps
 from fiberloom.drive.desi.maps.learned import PLANETARY
+from fiberloom.drive.pfs import CobraDrive, FpgaClient
+from fiberloom.drive.pfs.streams import over_tcp, tcp_address
+from fiberloom.drive.piezo import MotorMaps, read_summary_maps
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
+
+FPGA = "fpga://"
+"""Before the address of the boards of PFS."""
 
 
 class Source(Protocol):
@@ -183,3 +189,49 @@ class OpenedDesi(OpenedArray):
         drive = DesiDrive(self.plane, bus, maps)
         drive.kept = kept
         return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
+
+
+class OpenedCobras:
+    """Cobras of PFS behind an FPGA on TCP, and a camera that looks at them. Implements `Source`."""
+
+    def __init__(self, plane: FocalPlane, address: str, camera: Camera, camera_name: str = "") -> None:
+        """`plane` of the cobras; `address`: HOST or HOST:PORT; `camera`, and its address."""
+        self.plane, self.camera, self.camera_name, self.address = plane, camera, camera_name, address
+        self._connect = over_tcp(*tcp_address(address))
+        self._maps: MotorMaps | None = None
+
+    def named(self) -> dict[str, str]:
+        """Bus and camera in words: equal for two commands to one array."""
+        return {"bus": f"{FPGA}{self.address}", "camera": self.camera_name or type(self.camera).__name__}
+
+    async def open(self) -> Hardware:
+        """Homes all cobras: nothing else tells where they are. InputError where maps are missing."""
+        if self._maps is None:
+            raise InputError(f"{FPGA}{self.address}: name the motor maps of its cobras by --calibration")
+        drive = CobraDrive(self.plane, self._maps, FpgaClient(self._connect), self.plane.dots_mm)
+        await drive.home()
+        return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
+
+    async def sweep(self, points: int, progress: Progress) -> None:
+        """None: an array has no bench."""
+
+    def maps_file(self, points: int) -> Path | None:
+        """None: maps come from a file that the caller names."""
+        return None
+
+    def know(self, file: Path) -> None:
+        """The motors are those of a summary of motor maps, in `file`."""
+        self._maps = read_summary_maps(file, self.plane.positioner_id)
+
+    def keep(self, file: Path | None) -> None:
+        """InputError for any `file`: what cobras teach is not kept."""
+        raise InputError("--adapt: what cobras teach is not kept; leave it out")
+
+    def about(self) -> dict[str, Any]:
+        """Empty: only a twin has entries of its own."""
+        return {}
+
+    @property
+    def true_plane(self) -> FocalPlane | None:
+        """None: the true layout is not known."""
+        return None

@@ -18,6 +18,7 @@ from fiberloom.drive.pfs.calibration import (
     maps_at,
     pulses_for,
 )
+from fiberloom.drive.pfs.calibration.measure import CobraSweep, _turned
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
 from fiberloom.twin.camera.noise_camera import NoiseCamera
@@ -35,6 +36,7 @@ CURVE_US = np.array([88.0])
 def calibrated():
     plane, maps = pfs_plane(N), drawn_maps(N, 0)
     array = CobraArray(plane, maps, PiezoErrors(), seed=0)
+    array.motors.stuck[100:102] = True
     drive = CobraDrive(plane, maps, FpgaClient(VirtualBoards(array).connector()), plane.dots_mm)
     found = asyncio.run(calibrate_cobras(drive, NoiseCamera(array, 1.4, 0), CobraSweepSettings()))
     return drive, array, maps, found
@@ -75,6 +77,51 @@ def test_motors_that_scatter_are_known(calibrated):
     one, two = np.log(found.motors.scatter[told]), np.log(array.motors.move_sigma[told])
     assert np.corrcoef(one, two)[0, 1] > 0.75
     assert np.exp(np.median(one - two)) == pytest.approx(1.1, abs=0.25)
+
+
+def test_a_motor_that_was_not_swept_keeps_its_map(calibrated):
+    """Its fibre stood, or was turned by the other motor: no figure of that is a step."""
+    _, _, maps, found = calibrated
+    rows = np.flatnonzero([text.startswith("phi: not swept") for text in found.reason])
+    assert len(rows) > 2
+    phi = 2 * rows + 1
+    assert np.array_equal(found.motors.maps.step_deg[phi], maps.step_deg[phi])
+    assert not np.isfinite(found.motors.scatter[phi]).any()
+
+
+def test_a_stuck_motor_keeps_its_map(calibrated):
+    _, array, maps, found = calibrated
+    assert array.stuck.any()
+    rows = np.flatnonzero(np.repeat(array.stuck, 2))
+    assert np.array_equal(found.motors.maps.step_deg[rows], maps.step_deg[rows])
+
+
+def test_one_move_of_a_motor_that_scatters_does_not_make_a_map():
+    """Two passes of moves by 100 steps over the same bins; ways of 1 to 14 deg where 10 are told."""
+    ways = np.array([1.0, 12.0, 7.0, 14.0])
+    first, second = (20.0 + np.append(0.0, np.cumsum(w)) for w in (ways, ways[::-1]))
+    back = np.array([43.0, 33.0])
+    steps = np.tile([100, 100, 100, 100, -110, -100, -70], 2)[:, None]
+    places = np.concatenate([first, back[:2], second, back[:2], [20.0]])[:, None]
+    fits = [
+        fit_maps(flat(), CURVE_US, Moves(steps, np.full((14, 1), 44.0), places, passes), np.array([100.0]))
+        for passes in (1, 2)
+    ]
+    one, two = (fit.maps.step_deg[0, 0, 2:6] for fit in fits)
+    # without passes nothing tells that it scatters: the published weighting, bin by bin
+    assert fits[1].scatter[0] > 0.3
+    assert np.ptp(one) > 3.0 * np.ptp(two)
+    assert two == pytest.approx(0.1, rel=0.25)
+
+
+def test_more_than_half_a_turn_between_two_images_is_one_in_the_direction_of_the_steps():
+    steps = np.array([500, 500, -500, -500])
+    turn = np.radians(np.array([0.0, 110.0, np.nan, 310.0, 60.0]))
+    xy_mm = 2.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None]
+    found = _turned(CobraSweep(steps, xy_mm), np.zeros((1, 2)))[:, 0]
+    # from 110 with one image missing, back by 160; then by 250
+    assert found[[0, 1, 3, 4]] == pytest.approx([0.0, 110.0, -50.0, -300.0])
+    assert np.isnan(found[2])
 
 
 def flat(step_deg=0.1, bins=10):

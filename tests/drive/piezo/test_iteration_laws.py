@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fiberloom.drive.piezo import LearningLaw, MotorMaps, SpeedScalingLaw, pulse_factor
+from fiberloom.drive.piezo import LearningLaw, LearningSettings, MotorMaps, SpeedScalingLaw, pulse_factor
 
 CURVE_US = np.array([88.0, 72.0])
 ALL = np.ones(2, dtype=bool)
@@ -45,8 +45,24 @@ def test_who_is_not_active_gets_no_steps():
 
 
 def test_no_move_has_more_steps_than_the_board_takes():
-    for law in (SpeedScalingLaw(even_maps(0.01)), LearningLaw(even_maps(0.01), CURVE_US)):
-        assert law.command(np.zeros(2), np.full(2, 180.0), SIGMA_DEG, ALL).steps.tolist() == [2000, 2000]
+    law = SpeedScalingLaw(even_maps(0.01))
+    assert law.command(np.zeros(2), np.full(2, 180.0), SIGMA_DEG, ALL).steps.tolist() == [2000, 2000]
+    law = LearningLaw(even_maps(0.0005), CURVE_US)
+    assert law.command(np.zeros(2), np.full(2, 180.0), SIGMA_DEG, ALL).steps.tolist() == [2000, 2000]
+
+
+def test_a_way_of_too_many_steps_is_made_by_longer_pulses():
+    """Maps of 0.02 deg per step: 100 deg are 5000 steps, of which a move has 2000, each 2.5 times as long."""
+    law = LearningLaw(even_maps(0.02), CURVE_US, LearningSettings(gain=1.0))
+    sent = law.command(np.zeros(2), np.full(2, 100.0), SIGMA_DEG, ALL)
+    longer = pulse_factor(sent.pulse_us, law.maps.pulse_us[:, 0], CURVE_US)
+    assert longer == pytest.approx(2.5, rel=0.05)  # whole us: steps of 5 % at most
+    assert sent.steps * longer == pytest.approx([5000.0, 5000.0], rel=0.05)
+    # but by none that makes steps longer than those of the fast maps
+    law.place_deg = None
+    far = law.command(np.zeros(2), np.full(2, 350.0), SIGMA_DEG, ALL)
+    longer = pulse_factor(far.pulse_us, law.maps.pulse_us[:, 0], CURVE_US)
+    assert longer == pytest.approx(6.0, rel=0.05)
 
 
 def driven(law, gain, moves, goal_deg=(60.0, 70.0)):
@@ -87,7 +103,7 @@ def test_a_motor_that_scatters_is_believed_less():
             law.place_deg = None
             sent = law.command(at, at + 20.0, SIGMA_DEG, ALL)
             law.see(at + sent.steps * 0.1 * (1.0 + scatter * rng.standard_normal(2)), SIGMA_DEG)
-    assert np.all(wild.move_variance > 9.0 * quiet.move_variance)
+    assert np.all(wild.scatter.variance > 9.0 * quiet.scatter.variance)
 
 
 def test_places_are_filtered():

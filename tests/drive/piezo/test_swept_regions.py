@@ -27,7 +27,7 @@ def motors_at(place_deg, share=0.2, sigma_deg=0.1):
         place_deg=place_deg.ravel(),
         place_variance=variance,
         limited_deg=lambda way: np.clip(way, -200.0, 200.0),
-        doubt_deg=lambda way: np.sqrt(variance + (share * way) ** 2),
+        tube_deg=lambda way, sigmas: sigmas * np.sqrt(variance + (share * way) ** 2),
     )
 
 
@@ -148,3 +148,18 @@ def test_a_cobra_that_must_turn_far_does_so_in_its_territory():
     assert np.all(np.isin(chosen.stage[turning], [CobraStage.TURN, CobraStage.STAY]))
     turned = turning & (chosen.stage == CobraStage.TURN)
     assert np.all(chosen.boxes_deg[turned, :, PHI, 1] <= stages.phi_in_deg[turned, None] + 1e-6)
+
+
+def test_a_turn_opens_phi_as_far_as_its_tube_stays_within_the_territory():
+    """A folded fibre shows nothing of theta, and a motor that stands nothing of its gain."""
+    place, goal = np.zeros((N, 2)), drawn(8)
+    goal[:, PHI] = 150.0
+    stages = Stages.of(ARMS, PLANE.fiducials)
+    for share in (0.05, 0.2, 0.4):
+        chosen = stages.choose(motors_at(place, share), goal, np.ones(N, dtype=bool))
+        turns = chosen.stage == CobraStage.TURN
+        top = chosen.boxes_deg[turns, 1, PHI, 1]
+        assert turns.sum() > N / 2
+        assert np.all(top <= stages.phi_in_deg[turns] + 1e-6)
+        # target + 3.5 share target = most, but for the raster of phi
+        assert np.all(chosen.target_deg[turns, PHI] > stages.phi_in_deg[turns] / (1.0 + 3.5 * share) - 13.0)

@@ -61,7 +61,7 @@ class Exchanger:
         segments = sweep(self.plane, choices.positioner, choices.goal_deg, self.rules.approach_deg)
         open_ = np.flatnonzero(self._is_open(found, members, choices, segments))
         some, now = choices.select(open_), present[open_]
-        pairs = conflicts(self.plane, some.positioner, some.target, segments[open_], self.rules.pair_mm)
+        pairs = conflicts(self.plane, some, segments[open_], self.rules.pair_mm)
         kind, numbers = self._kinds(some.target, now)
         cost = self._cost(some, now, avoid)
         chosen = exchange(some.positioner, some.target, kind, pairs, numbers, cost)

@@ -31,7 +31,15 @@ from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
 from fiberloom.drive.desi.stages import Aims, Staged, staged
 from fiberloom.drive.desi.tables import MoveTables
-from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers, with_tube
+from fiberloom.drive.port import (
+    BelievedPlaces,
+    DriveModel,
+    Programme,
+    Suspect,
+    Wanted,
+    none_answers,
+    with_tube,
+)
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
@@ -300,12 +308,12 @@ class DesiDrive:
             save_maps(self.maps, self.kept)
         return self.maps.output_deg(self.maps.believed_deg)
 
-    def suspects(self) -> dict[int, str]:
+    def suspects(self) -> dict[int, Suspect]:
         """Those that an image has shown `SURPRISES` times where no map can have them: degraded motors."""
         why = "seen {} times where its map cannot have it: a motor that slips, or loses turns"
         times = self.maps.surprises
         return {
-            int(self.plane.positioner_id[row]): why.format(times[row])
+            int(self.plane.positioner_id[row]): Suspect(True, why.format(times[row]))
             for row in np.flatnonzero(times >= SURPRISES)
         }
 

@@ -12,13 +12,14 @@ import numpy as np
 from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Outcome, Result, Results
 from fiberloom.drive.pfs.client import Ended, FpgaClient, Orders
+from fiberloom.drive.piezo.air import air_mm
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings, Order
 from fiberloom.drive.piezo.loose import pair_loose
-from fiberloom.drive.piezo.maps import PULSE_CURVE_US, MotorMaps
+from fiberloom.drive.piezo.maps import PULSE_CURVE_US, REVERSE, MotorMaps
 from fiberloom.drive.piezo.stages import PHI, THETA, Chosen, CobraStage, Stages, StageSettings
 from fiberloom.drive.piezo.tracking import Tracker
-from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers
+from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Suspect, Wanted, none_answers
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan, Trajectory, Verification
@@ -30,6 +31,10 @@ MOST_STEPS = 4000.0
 """Of a motor in one iteration (ics_fpsActor)."""
 HOME_STEPS = (10_000, 5_000)
 """Theta, phi: into the stops from anywhere (cobraCharmer)."""
+HOME_ROUNDS, HOME_WAYS = 3, 1.5
+"""[A] So often, and by the map so many ranges at least: motors are slower than that, and scatter."""
+TOLD_MM, STILL_MM, STILL_MOVES = 0.3, 0.02, 2
+"""[A] One that was told to move its fibre by so much and moved it by less than that, so often, is stuck."""
 HOME_SIGMA_DEG = 0.2
 """[A] How well a stop is known."""
 LONGEST_RUN_S = 30.0
@@ -51,6 +56,8 @@ class CobraSettings:
 
     stages: StageSettings = field(default_factory=StageSettings)
     motors: LearningSettings = field(default_factory=lambda: LearningSettings(most_steps=MOST_STEPS))
+    rest_share: float = 0.5
+    """[A] Of the requirement: one that is believed to be so near stays: a move brings it no nearer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +100,9 @@ class CobraDrive:
         self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
         self._discs_mm = plane.fiducials
         self._answers: list[int] = []
+        self._moved = np.ones(len(plane), dtype=bool)
+        self._still, self._told_mm = np.zeros(len(plane), dtype=np.int64), np.zeros(len(plane))
+        self._seen_mm = np.full((len(plane), 2), np.nan)
         self._seed = 0
         self.believe(np.zeros((len(plane), 2)))
 
@@ -116,6 +126,7 @@ class CobraDrive:
     def believe(self, angle_deg: Floats, sigma_deg: float = HOME_SIGMA_DEG) -> None:
         """They are at `angle_deg` (N, 2) from their stops, known to `sigma_deg`, in deg."""
         self.tracker.believe(angle_deg, sigma_deg)
+        self._moved = np.ones(len(self.plane), dtype=bool)
 
     async def sleep(self, duration_s: float) -> None:
         """Lets time pass, s."""
@@ -153,8 +164,23 @@ class CobraDrive:
         """Learns from an `image`; `mobile` (N,): cobras of which it may tell. Returns (N, 2) deg."""
         xy_mm = np.where(image.seen[:, None], image.xy_mm, self._loose_mm(image))
         xy_mm[~mobile & ~image.seen] = np.nan
-        self.tracker.see(xy_mm, self._camera_um(image))
+        self._watch_motors(xy_mm)
+        air = air_mm(xy_mm, self.arms.xy_mm(self.expected_deg), ~self._moved & image.seen)
+        self.tracker.see(xy_mm - air, self._camera_um(image))
+        self._moved[:] = False
         return self.tracker.place_deg + stops_deg(self.plane)[0]
+
+    def _watch_motors(self, xy_mm: Floats) -> None:
+        """Counts moves in a row that did nothing, by fibres at (N, 2) mm, NaN where not seen."""
+        moved_mm = np.hypot(*(xy_mm - self._seen_mm).T)
+        told = self._told_mm > TOLD_MM
+        self._still = np.where(told & (moved_mm < STILL_MM), self._still + 1, self._still)
+        self._still[moved_mm > STILL_MM] = 0
+        self._seen_mm, self._told_mm = xy_mm, np.zeros(len(self.plane))
+
+    def found_stuck(self) -> Flags:
+        """(N,) cobras that have not moved though they were told to, more than once."""
+        return self._still >= STILL_MOVES
 
     def excused(self, image: Measurement) -> Flags:
         """(N,) cobras that an `image` after a move does not show without being lost.
@@ -207,6 +233,7 @@ class CobraDrive:
         refused = self._refused(goal, active)
         active &= ~np.isin(self.plane.positioner_id, list(refused))
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
+        active &= ~self.found_stuck() & ~self._rests(goal)
         self._seed += 1
         chosen = self.stages.choose(self.law, goal, active, self._seed)
         goes = chosen.stage != CobraStage.STAY
@@ -216,6 +243,13 @@ class CobraDrive:
         about = {"stages": dict(zip([s.name.lower() for s in CobraStage], stages, strict=True))}
         made = Programme(self._plan(iteration, refused), self._tube_mm(chosen), iteration, about)
         return made.timed(begun_s)
+
+    def _rests(self, goal: Floats) -> Flags:
+        """(N,) cobras that are believed to be so near to their goals (N, 2) that they stay."""
+        off_um = UM_PER_MM * np.hypot(*(self.arms.xy_mm(goal) - self.arms.xy_mm(self.tracker.place_deg)).T)
+        limit_um = self.settings.rest_share * self.plane.instrument.operation.requirement_um
+        rests: Flags = off_um < limit_um
+        return rests
 
     def _know_discs(self, discs_mm: Floats) -> None:
         """Discs stand for fiducials, and for cobras that may be anywhere within their reach."""
@@ -304,7 +338,13 @@ class CobraDrive:
         ended = np.array([how is Ended.DONE for how in result.ended], dtype=bool)
         lost = np.array([how in (Ended.UNKNOWN, Ended.TIMED_OUT) for how in result.ended], dtype=bool)
         done[iteration.rows], unknown[iteration.rows] = ended, lost
+        # by the maps: what is learned of one that does not move is that it goes nowhere
+        told_deg = self.tracker.place_deg + iteration.order.told_deg.reshape(-1, 2)
+        told_mm = self.arms.xy_mm(np.clip(told_deg, 0.0, self.arms.range_deg))
+        was_mm = self.arms.xy_mm(self.tracker.place_deg)
+        self._moved[iteration.rows] = True
         self.law.take(iteration.order, np.repeat(done, 2))
+        self._told_mm = np.where(done, np.hypot(*(told_mm - was_mm).T), 0.0)
         self.law.doubt_way(iteration.order, np.repeat(unknown, 2))
         if unknown.any():
             say(f"how far {int(unknown.sum())} cobras came is not known: an image tells")
@@ -321,18 +361,23 @@ class CobraDrive:
         return list(self._answers)
 
     async def home(self, steps: tuple[int, int] = HOME_STEPS) -> None:
-        """Phi into its stop, folded, then theta: whatever was believed, they are known again."""
+        """Phi into its stop, folded, then theta: whatever was believed, they are known again.
+
+        `steps` of theta and phi in one round; slow motors get longer pulses.
+        """
         ids = self.plane.positioner_id
-        pulse_us = np.array(self.law.maps.pulse_us[:, 1].reshape(-1, 2))
-        for axis in (PHI, THETA):
+        wanted = HOME_WAYS * self.arms.range_deg / np.array(steps)
+        pulse_us = self.law.pulse_for(wanted.ravel(), REVERSE).reshape(-1, 2)
+        for axis in (PHI, THETA) * HOME_ROUNDS:
             told = np.zeros((len(ids), 2), dtype=np.int64)
             told[:, axis] = -steps[axis]
             await self.client.run(Orders(ids, told, pulse_us))
         self.believe(np.zeros((len(ids), 2)))
 
-    def suspects(self) -> dict[int, str]:
-        """None: the judgement after a move finds them."""
-        return {}
+    def suspects(self) -> dict[int, Suspect]:
+        """Those that are stuck."""
+        stuck = self.plane.positioner_id[self.found_stuck()].tolist()
+        return dict.fromkeys(stuck, Suspect(False, "stuck: it was told to move again, and did not"))
 
     async def close(self) -> None:
         """Lets go of the FPGA."""

@@ -4,7 +4,7 @@ from fiberloom.drive.piezo.iterations import MotorSteps, SpeedScalingLaw
 from fiberloom.drive.piezo.learning import LearningLaw, LearningSettings
 from fiberloom.drive.piezo.maps import FORWARD, REVERSE, MotorMaps, direction_of, pulse_factor
 from fiberloom.drive.piezo.module_file import read_module_maps
-from fiberloom.drive.piezo.summary_file import read_summary_maps
+from fiberloom.drive.piezo.summary_file import read_summary_maps, write_summary_maps
 
 __all__ = [
     "FORWARD",
@@ -18,4 +18,5 @@ __all__ = [
     "pulse_factor",
     "read_module_maps",
     "read_summary_maps",
+    "write_summary_maps",
 ]

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.drive.piezo.iterations import MOST_PULSE_US, MOST_STEPS, MotorSteps
-from fiberloom.drive.piezo.maps import MotorMaps, direction_of, pulse_factor
+from fiberloom.drive.piezo.maps import REVERSE, MotorMaps, direction_of, pulse_factor
+from fiberloom.drive.piezo.scatter import ScatterBelief
 from fiberloom.typing import Flags, Floats, Ints
 
 AT_STOP_DEG = 0.5
@@ -22,18 +23,16 @@ class LearningSettings:
     """By so much the gain differs from place to place, and between pulses."""
     measured_gain_sigma: float = 0.05
     """The same, where a calibration has measured the map."""
-    least_scatter: float = 0.05
-    """No motor is believed to scatter less, whatever two passes of a calibration show."""
-    most_scatter: float = 0.2
-    """[A] Nor more, at first: with a wider tube a motor would hardly find a free way."""
-    move_sigma: float = 0.15
-    """Fresh scatter of a move, of its way."""
+    measured_moves: float = 10.0
+    """So many moves a calibration counts as that has measured the scatter."""
     step_sigma: float = 0.6
     """Fresh scatter of a move, in steps for each root of their number."""
     fine_steps: float = 8.0
     """A move is made of so many steps at least, by shorter pulses where these are too large."""
     most_steps: float = float(MOST_STEPS)
     """Of a motor in one move."""
+    longest_step_deg: float = 0.12
+    """[Q] Longer pulses are used where a way has more steps, up to such steps: those of the fast maps."""
     least_pulse_us: float = 12.0
     """Shorter pulses are not used: that a motor moves with them is not published."""
 
@@ -57,8 +56,7 @@ class LearningLaw:
         self.maps, self.curve_us, self.settings = maps, curve_us, settings or LearningSettings()
         self.gain = np.full((maps.motors, 2), self.settings.gain)
         self.gain_variance = np.full((maps.motors, 2), self.settings.gain_sigma**2)
-        self.move_variance = np.full(maps.motors, self.settings.move_sigma**2)
-        self._moves_seen = np.full(maps.motors, 4.0)  # so many the first belief counts as
+        self.scatter = ScatterBelief(np.unique(curve_us, return_inverse=True)[1])
         self.place_deg: Floats | None = None
         self.place_variance = np.zeros(maps.motors)
         self.range_deg: Floats = np.full(maps.motors, np.inf)
@@ -70,9 +68,7 @@ class LearningLaw:
         s = self.settings
         used = known & np.isfinite(scatter)
         self.gain[used], self.gain_variance[used] = 1.0, s.measured_gain_sigma**2
-        self.move_variance = np.where(
-            used, np.clip(scatter, s.least_scatter, s.most_scatter) ** 2, self.move_variance
-        )
+        self.scatter.measured(scatter, used, s.measured_moves)
 
     def command(self, seen_deg: Floats, goal_deg: Floats, sigma_deg: Floats, active: Flags) -> MotorSteps:
         """What to send.
@@ -173,19 +169,19 @@ class LearningLaw:
         """(M,) signed ways in deg as far as the steps of one move go, of the `way_deg` (M,) wanted."""
         assert self.place_deg is not None
         rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
-        most = self.settings.most_steps * self.gain[rows, direction]
+        most = self.settings.most_steps * self.gain[rows, direction] * self._longer(direction)
         farthest = self.maps.way_deg(self.place_deg, np.copysign(most, way_deg))
         return np.clip(way_deg, np.minimum(farthest, 0.0), np.maximum(farthest, 0.0))
 
-    def doubt_deg(self, way_deg: Floats) -> Floats:
-        """(M,) standard deviations in deg of where moves by `way_deg` (M,) end."""
+    def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:
+        """(M,) deg that ways (M,) miss their ends by, but for as rarely as normal ones by `sigmas`."""
         assert self.place_deg is not None
         rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
         gain, variance = self.gain[rows, direction], self.gain_variance[rows, direction]
-        share = (variance + self.settings.drift_sigma**2) / gain**2 + self.move_variance
+        share = (variance + self.settings.drift_sigma**2) / gain**2
         step = self.settings.step_sigma**2 * gain * self.maps.step_at(self.place_deg, direction)
-        out: Floats = np.sqrt(self.place_variance + share * way_deg**2 + step * np.abs(way_deg))
-        return out
+        other = self.place_variance + share * way_deg**2 + step * np.abs(way_deg)
+        return self.scatter.tube(way_deg, other, sigmas)
 
     def innovation_sigma_deg(self) -> Floats:
         """(M,) standard deviations in deg of where motors are after what was sent last."""
@@ -200,36 +196,58 @@ class LearningLaw:
         return out
 
     def _learn(self, off: Floats, told: Floats, spread: Floats, doubt: Floats) -> None:
-        """Gains by how far off moves ended (M,); the scatter of each by how far that is from `doubt`."""
+        """Scatter and gains by how far off moves ended (M,), of which `doubt` (M,) deg^2 was expected."""
         rows, direction = np.arange(self.maps.motors), direction_of(told)
         moved = (told != 0.0) & np.isfinite(off)
         off = np.where(moved, off, 0.0)
-        share = np.where(moved, spread * told / doubt, 0.0)
-        gain = np.clip(self.gain[rows, direction] + share * off, 0.1, 4.0)
-        left = np.where(moved, spread * (1.0 - spread * told**2 / doubt), spread)
-        self.gain[rows, direction] = gain
-        self.gain_variance[rows, direction] = left
         far = moved & (spread * told**2 > 0.25 * doubt)  # short moves tell of steps and of the camera
-        surprise = np.where(far, off**2 / doubt, 1.0)
-        weight = np.where(far, 1.0 / (self._moves_seen + 1.0), 0.0)
-        self._moves_seen += far
-        self.move_variance *= 1.0 + weight * (np.minimum(surprise, 25.0) - 1.0)
+        other = np.maximum(doubt - self.scatter.variance * told**2, 0.0)
+        self.scatter.learn(np.where(far, off, np.nan), told, other)
+        sure = np.where(moved, self.scatter.precision(told, other), 0.0)
+        self.gain[rows, direction] = np.clip(
+            self.gain[rows, direction] + spread * told * sure * off, 0.1, 4.0
+        )
+        self.gain_variance[rows, direction] = spread * (1.0 - spread * told**2 * sure)
 
     def _fresh_variance(self, told: Floats, step_deg: Floats, steps: Ints) -> Floats:
         """(M,) deg^2."""
-        out: Floats = self.move_variance * told**2 + (self.settings.step_sigma * step_deg) ** 2 * np.abs(
+        out: Floats = self.scatter.variance * told**2 + (self.settings.step_sigma * step_deg) ** 2 * np.abs(
             steps
         )
         return out
 
     def _pulse_us(self, way_deg: Floats, usual_us: Floats, direction: Ints) -> Floats:
-        """(M,) whole us: the usual pulse, or the one whose steps are short enough for the way."""
+        """(M,) whole us: the usual pulse; a shorter one for short ways, a longer one for ways too long."""
         assert self.place_deg is not None
         rows = np.arange(self.maps.motors)
         step = self.gain[rows, direction] * self.maps.step_at(self.place_deg, direction)
         factor = np.minimum(way_deg / (self.settings.fine_steps * step), 1.0)
-        # the pulse t with hypot(t, p1) - p1 = factor times that of the usual one
-        height = factor * (np.hypot(usual_us, self.curve_us) - self.curve_us)
-        pulse = np.sqrt(height * (height + 2.0 * self.curve_us))
+        wanted = np.abs(self.maps.steps(self.place_deg, np.where(direction == REVERSE, -way_deg, way_deg)))
+        needed = wanted / (self.gain[rows, direction] * self.settings.most_steps)
+        factor = np.maximum(factor, np.minimum(needed, self._longer(direction)))
+        pulse = self._by_factor_us(factor, usual_us)
         least = np.minimum(self.settings.least_pulse_us, usual_us)
         return np.clip(np.rint(np.maximum(pulse, least)), 1.0, MOST_PULSE_US)
+
+    def _by_factor_us(self, factor: Floats, usual_us: Floats) -> Floats:
+        """(M,) the pulse t with hypot(t, p1) - p1 = `factor` (M,) times that of the usual one."""
+        height = factor * (np.hypot(usual_us, self.curve_us) - self.curve_us)
+        pulse: Floats = np.sqrt(height * (height + 2.0 * self.curve_us))
+        return pulse
+
+    def pulse_for(self, step_deg: Floats, direction: int) -> Floats:
+        """(M,) whole us: the usual pulse, or a longer one where steps are to be `step_deg` (M,) at least."""
+        usual, mean = self.maps.pulse_us[:, direction], self.maps.step_deg[:, direction].mean(axis=1)
+        each = np.full(self.maps.motors, direction)
+        factor = np.clip(step_deg / (self.gain[:, direction] * mean), 1.0, self._longer(each))
+        pulse: Floats = np.minimum(np.rint(self._by_factor_us(factor, usual)), MOST_PULSE_US)
+        return pulse
+
+    def _longer(self, direction: Ints) -> Floats:
+        """(M,) how much longer than by its usual pulse a step of each motor may be."""
+        rows = np.arange(self.maps.motors)
+        usual, mean = self.maps.pulse_us[rows, direction], self.maps.step_deg[rows, direction].mean(axis=1)
+        most = pulse_factor(np.full(self.maps.motors, MOST_PULSE_US), usual, self.curve_us)
+        wanted = self.settings.longest_step_deg / (self.gain[rows, direction] * mean)
+        longer: Floats = np.clip(wanted, 1.0, np.maximum(most, 1.0))
+        return longer

@@ -45,6 +45,8 @@ ROOM_DEG = 2.0
 """Around such ways, for what motors miss: less would be found free and then be blocked."""
 TURN_DEG = 30.0
 """A cobra whose theta lacks more has still to turn."""
+INWARD = np.linspace(0.0, 1.0, 19) ** 2
+"""From the most open phi of a turn inwards: the first whose tube stays within the territory is taken."""
 SHARES = (1.0, 0.65, 0.4, 0.2)
 """Of phi's way, for the first stages."""
 
@@ -61,8 +63,8 @@ class Motors(Protocol):
         """(M,) ways in deg as far as one move goes."""
         ...
 
-    def doubt_deg(self, way_deg: Floats) -> Floats:
-        """(M,) standard deviations in deg of where ways (M,) end."""
+    def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:
+        """(M,) deg that ways (M,) miss their ends by, but for as rarely as normal ones by `sigmas`."""
         ...
 
 
@@ -70,7 +72,7 @@ class Motors(Protocol):
 class StageSettings:
     """How careful moves are."""
 
-    sigmas: float = 3.0
+    sigmas: float = 3.5
     """Half of a tube, in standard deviations of where a move ends."""
     least_share: float = 0.05
     """The same, of the way: no motor is believed to be better."""
@@ -221,17 +223,19 @@ class Stages:
     def _turn(self, motors: Motors, here: Floats, goal: Floats) -> tuple[Floats, Flags]:
         """Targets (n, 2): theta at its goal, phi as near to it as the territory allows; where that holds."""
         most = np.minimum(self.phi_in_deg, self._short_of_dot_deg(motors, here, goal))
-        target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
-        for _ in range(4):  # phi's tube depends on its way
+        low = -0.5 * self.arms.range_deg[:, PHI]
+        safe, seen, end = np.zeros(len(here), dtype=bool), np.zeros(len(here), dtype=bool), here.copy()
+        for share in INWARD:  # into the stop and beyond, where that is what it takes: the stop holds
+            target = np.column_stack([goal[:, THETA], np.minimum(goal[:, PHI], most)])
+            target[:, PHI] += share * (low - target[:, PHI])
             way = self._limited(motors, target - here)
-            over = here[:, PHI] + way[:, PHI] + self._tube(motors, way)[:, PHI] - most
-            target[:, PHI] -= np.maximum(over, 0.0)
-        # into the stop and beyond, where that is what it takes: the stop holds
-        target[:, PHI] = np.maximum(target[:, PHI], -0.5 * self.arms.range_deg[:, PHI])
-        way = self._limited(motors, target - here)
-        target = here + way
-        ends = np.clip(target[:, PHI] + self._tube(motors, way)[:, PHI], 0.0, None)
-        return target, ends <= self.phi_in_deg + 1e-6
+            top = np.clip((here + way + self._tube(motors, way))[:, PHI], 0.0, None)
+            shows, stays = top <= most + 1e-6, top <= self.phi_in_deg + 1e-6
+            # a fibre behind its dot is no danger: a turn within the territory is better than none
+            better = (shows & ~seen) | ~safe
+            end[better] = (here + way)[better]
+            safe, seen = safe | stays, seen | shows
+        return end, safe
 
     def _short_of_dot_deg(self, motors: Motors, here: Floats, goal: Floats) -> Floats:
         """(n,) the most open phi in deg at which a fibre is seen, where theta may end at its dot."""
@@ -258,7 +262,7 @@ class Stages:
 
     def _tube(self, motors: Motors, way: Floats) -> Floats:
         """(n, 2) deg beside where ways (n, 2) end, half a tube."""
-        doubt = self.settings.sigmas * _by_cobra(motors.doubt_deg(way.ravel()))
+        doubt = _by_cobra(motors.tube_deg(way.ravel(), self.settings.sigmas))
         return np.maximum(doubt, self.settings.least_share * np.abs(way))
 
     def inside(self, here: Floats, doubt: Floats) -> Flags:
@@ -392,7 +396,7 @@ class Stages:
         stage, n = stage.copy(), self.check.cobras
         boxes, rows = np.stack([o.boxes_deg for o in options]), np.arange(n)
         order = np.append(rank, np.full(len(self.check.arms) - n, n))
-        for level in range(CobraStage.TURN):
+        for level in range(CobraStage.STAY):
             tries = np.append(active & (stage > level) & options[level].may, np.zeros(len(order) - n, bool))
             i, j = self.check.pairs.T
             near = np.flatnonzero(tries[i] | tries[j])

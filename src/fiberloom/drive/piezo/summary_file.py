@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from fiberloom.drive.piezo.maps import MotorMaps
 from fiberloom.errors import InputError, one_line
 from fiberloom.tables import read_table
 from fiberloom.typing import Array, Floats, Ints
+from fiberloom.wholefile import whole
 
 PER_MODULE = 57
 """Cobras of a module."""
@@ -55,6 +57,21 @@ def read_summary_maps(path: str | Path, cobra_id: Ints) -> MotorMaps:
     pulse = _pulses_us(path.parent, len(own))[:, :, rows]
     motors = step.transpose(2, 0, 1, 3).reshape(2 * len(rows), 2, bins)
     return MotorMaps(motors, float(np.median(edges)) / bins, pulse.transpose(2, 0, 1).reshape(-1, 2))
+
+
+def write_summary_maps(path: str | Path, maps: MotorMaps, cobra_id: Ints) -> None:
+    """Writes such a file: `maps` of 2 N motors, of cobras `cobra_id` (N,). Pulses are not in it."""
+    own = np.asarray(cobra_id) - 1
+    step = maps.step_deg.reshape(len(own), 2, 2, -1)
+    last = np.full(len(own), maps.bin_deg * step.shape[3])
+    arrays: dict[str, Any] = {"module": np.array([f"SC{k:02d}" for k in own // PER_MODULE + 1])}
+    arrays["positioner"] = own % PER_MODULE + 1
+    for i, motor in enumerate(_MOTORS):
+        for j, way in enumerate(_WAYS):
+            arrays[f"{motor}_{way}_deg_per_step"] = step[:, i, j]
+            arrays[f"{motor}_{way}_last_edge_deg"] = last
+    with whole(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def _arrays(path: Path) -> dict[str, Array]:

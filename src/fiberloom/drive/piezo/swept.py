@@ -59,11 +59,11 @@ class SweptCheck:
             for b in range(second_deg.shape[1]):
                 left = np.flatnonzero(~hit)
                 boxes = np.stack([first_deg[i[left], a], second_deg[j[left], b]], axis=1)
-                hit[left] = self._boxes_meet(pairs[left], boxes)
+                hit[left] = self.boxes_meet(pairs[left], boxes)
         return hit
 
-    def _boxes_meet(self, pairs: Ints, boxes: Floats) -> Flags:
-        """(p,) of pairs (p, 2) and their boxes (p, 2 arms, 2 axes, 2)."""
+    def boxes_meet(self, pairs: Ints, boxes: Floats) -> Flags:
+        """(p,) which `pairs` (p, 2) of rows could meet, by their `boxes` (p, 2 arms, 2 axes, 2) in deg."""
         hit = np.zeros(len(pairs), dtype=bool)
         which = np.arange(len(pairs))
         while len(which):

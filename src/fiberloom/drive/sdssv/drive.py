@@ -11,7 +11,15 @@ from fiberloom.bus.outcome import Results
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.bus.transport import Transport
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.drive.port import BelievedPlaces, DriveModel, Programme, Wanted, none_answers, verified
+from fiberloom.drive.port import (
+    BelievedPlaces,
+    DriveModel,
+    Programme,
+    Suspect,
+    Wanted,
+    none_answers,
+    verified,
+)
 from fiberloom.drive.sdssv.care import MotorCare
 from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
@@ -113,7 +121,7 @@ class SdssvDrive:
     def seen(self, image: Measurement, mobile: Flags) -> None:
         """Nothing is learnt: positioners report where they are, `image` and `mobile` do not change that."""
 
-    def suspects(self) -> dict[int, str]:
+    def suspects(self) -> dict[int, Suspect]:
         """None: the judgement after a move finds them."""
         return {}
 

@@ -84,6 +84,8 @@ class Report:
     """(N,) datum searched since power came on, and recorded: believed where the fibre is dark."""
     scatter_mm: float = SCATTER_MM
     """Of healthy positioners about where they report, per coordinate."""
+    to_stops: bool = False
+    """Motors are known as far as their hard stops, at which they may begin; else as far as plans go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +171,8 @@ def begin_check(
 def _beyond(plane: FocalPlane, report: Report, row: int) -> bool:
     """Whether it reports angles that no plan goes to: the elbow on the other side, or past an end."""
     low_deg, high_deg = rad_to_deg(travel_rad(plane)).T
+    if report.to_stops:
+        low_deg, high_deg = plane.stops_of(np.array([row]))[0].T
     angles_deg = report.angles_deg[row]
     return bool((angles_deg < low_deg - BEYOND_DEG).any() or (angles_deg > high_deg + BEYOND_DEG).any())
 

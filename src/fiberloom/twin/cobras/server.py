@@ -43,12 +43,18 @@ class BoardServer:
 
     async def close(self) -> None:
         """Ends everything."""
+        self.shut()
+        if self._server is not None:
+            await self._server.wait_closed()
+
+    def shut(self) -> None:
+        """Ends everything, and does not wait for it."""
         for task in self._tasks:
             task.cancel()
-        await self.cut()
+        if self._writer is not None:
+            self._writer.close()
         if self._server is not None:
             self._server.close()
-            await self._server.wait_closed()
 
     async def _client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await self.cut()

@@ -21,6 +21,8 @@ FEWEST_MOVES = 3
 LEAST_STEP_DEG, MOST_STEP_DEG = 0.003, 0.6
 """[A] A motor that is slower or faster has failed."""
 LEAST_RATIO, MOST_RATIO = 0.05, 20.0
+UNIT_SD, HERE_SD = 0.2, 0.1
+"""[A] How far maps were off before, of a motor and direction, and of a place beside that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ def fit_maps(before: MotorMaps, curve_us: Floats, moves: Moves, range_deg: Float
     moved = _counts(start, way, range_deg) & (sent * way > 0.0)
     pulse_us = moves.pulse_us
     step_deg, reason = before.step_deg.copy(), [""] * before.motors
-    ratios = np.full(way.shape, np.nan)
+    ratios, by_direction = np.full(way.shape, np.nan), []
     for direction in (FORWARD, REVERSE):
         rows = np.arange(before.motors)
         factor = pulse_factor(pulse_us, before.pulse_us[rows, direction], curve_us)
@@ -67,16 +69,35 @@ def fit_maps(before: MotorMaps, curve_us: Floats, moves: Moves, range_deg: Float
         use = moved & ((way < 0.0) == (direction == REVERSE)) & (told * way > 0.0)
         ratio = np.where(use, way / np.where(use, told, 1.0), np.nan)
         ratios = np.where(use, ratio, ratios)
-        step_deg[:, direction], bad = _bins(before, direction, start, way, ratio)
+        by_direction.append(ratio)
+    scatter = _scatter(ratios, moves.passes)
+    for direction, ratio in zip((FORWARD, REVERSE), by_direction, strict=True):
+        found, bad = _bins(before, start, way, ratio)
+        believed = _believed(found, way, ratio, scatter, moves.passes)
+        step_deg[:, direction] = before.step_deg[:, direction] * believed
         for row in np.flatnonzero(bad):
             way_name = ("forward", "reverse")[direction]
             reason[row] = reason[row] or f"fewer than {FEWEST_MOVES} moves {way_name} count"
     reason = _odd(step_deg, reason)
     kept = np.array([bool(r) for r in reason])
     step_deg[kept] = before.step_deg[kept]
-    return MapFit(
-        MotorMaps(step_deg, before.bin_deg, before.pulse_us), _scatter(ratios, moves.passes), reason
-    )
+    return MapFit(MotorMaps(step_deg, before.bin_deg, before.pulse_us), scatter, reason)
+
+
+def _believed(found: Floats, way: Floats, ratio: Floats, scatter: Floats, passes: int) -> Floats:
+    """(M, B) ratios of bins as far as a motor's `scatter` (M,) lets them be believed; NaN: as `found`.
+
+    A bin has few moves, the mean of a motor many; both are weighed against how far maps are usually off.
+    """
+    known = np.isfinite(ratio)
+    count = np.maximum(known.sum(axis=0), 1)
+    # by how far they went: a slow place has many moves and says nothing of the others
+    weight = np.where(known, np.abs(way), 0.0)
+    mean = (weight * np.nan_to_num(ratio)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
+    share = UNIT_SD**2 / (UNIT_SD**2 + np.square(scatter) / count)
+    motor = np.where(known.any(axis=0), 1.0 + share * (mean - 1.0), 1.0)[:, None]
+    here = (HERE_SD**2 / (HERE_SD**2 + np.square(scatter) / passes))[:, None]
+    return np.where(np.isfinite(here), motor * (1.0 + here * (found / motor - 1.0)), found)
 
 
 def _joined(steps: Ints, places: Floats) -> tuple[Floats, Floats, Floats]:
@@ -96,10 +117,8 @@ def _counts(start: Floats, way: Floats, range_deg: Floats) -> Flags:
     return counts
 
 
-def _bins(
-    before: MotorMaps, direction: int, start: Floats, way: Floats, ratio: Floats
-) -> tuple[Floats, Flags]:
-    """(M, B) deg per step, and (M,) motors with too few moves."""
+def _bins(before: MotorMaps, start: Floats, way: Floats, ratio: Floats) -> tuple[Floats, Flags]:
+    """(M, B) ratios to the map before, and (M,) motors with too few moves."""
     edges = before.bin_deg * np.arange(before.step_deg.shape[2] + 1)
     weight, total = np.zeros((2, before.motors, len(edges) - 1))
     for begin, length, one in zip(start, way, ratio, strict=True):
@@ -112,8 +131,7 @@ def _bins(
     found = np.where(weight > 0.0, total / np.where(weight > 0.0, weight, 1.0), np.nan)
     few = (np.isfinite(ratio).sum(axis=0) < FEWEST_MOVES) | np.isnan(found).all(axis=1)
     found[few] = 1.0
-    found = np.clip(_with_nearest(found), LEAST_RATIO, MOST_RATIO)
-    return before.step_deg[:, direction] * found, few
+    return np.clip(_with_nearest(found), LEAST_RATIO, MOST_RATIO), few
 
 
 def _with_nearest(found: Floats) -> Floats:

@@ -33,6 +33,8 @@ SHORT_OF_STOP_DEG = 5.0
 OPENING_MOVES = 3
 FEWEST_SEEN = 8
 """Images of a motor's sweep, for its circle."""
+TRAVEL_MM = 0.1
+"""[A] A fibre that stays within so much has a motor that does not turn."""
 MOST_OFF_MM = 0.05
 """Rms of places about their circle, at most."""
 
@@ -202,9 +204,12 @@ class _Work:
         for one in told.tolist():
             await self._run(axis, one, chosen)
             seen.append(self._look())
-        if not np.isfinite(seen).any():
+        xy_mm = np.array(seen)
+        if not np.isfinite(xy_mm).any():
             raise InputError("the camera sees none of the fibres; check the back-illumination")
-        return CobraSweep(told, np.array(seen))
+        # what did not move tells nothing, least of all of how far it goes
+        xy_mm[:, ~chosen] = np.nan
+        return CobraSweep(told, xy_mm)
 
     def _look(self) -> Floats:
         image = self.camera.measure(None)
@@ -226,20 +231,22 @@ def evaluate(
     """Geometry and maps of n cobras from their sweeps `phi` and `theta`; `before`: maps known; `settings`."""
     circles = [fit_circles(sweep.xy_mm.transpose(1, 0, 2), _all_of(sweep)) for sweep in (theta, phi)]
     reason = _why_not(circles)
+    bad = np.array([bool(r) for r in reason])
     centre, elbow = circles[THETA].centre_mm, circles[PHI].centre_mm
     first = elbow - centre
     link = np.column_stack([np.hypot(*first.T), circles[PHI].radius_mm])
-    turned = _turned(phi.xy_mm, elbow)
+    link[bad] = np.nan
+    turned = _turned(phi, elbow)
     along = rad_to_deg(np.arctan2(first[:, 1], first[:, 0]))
     phi_zero = (rad_to_deg(np.arctan2(*(phi.xy_mm[0] - elbow).T[::-1])) - along) % 360.0 - 360.0
     first_deg = _theta_zero(theta.xy_mm[0] - centre, link)
-    ranges = np.column_stack([_range(_turned(theta.xy_mm, centre)), _range(turned)])
-    places = np.stack([_turned(theta.xy_mm, centre), turned], axis=2)
+    ranges = np.column_stack([_range(_turned(theta, centre)), _range(turned)])
+    places = np.stack([_turned(theta, centre), turned], axis=2)
+    places[:, ~np.column_stack([_travelled(theta), _travelled(phi)])] = np.nan
     motors = _both(before, theta, phi, places, ranges, settings)
     for row, (a, b) in enumerate(zip(motors.reason[0::2], motors.reason[1::2], strict=True)):
         named = [f"{name}: {r}" for name, r in (("theta", a), ("phi", b)) if r]
         reason[row] = reason[row] or "; ".join(named)
-    bad = np.array([bool(r) for r in _why_not(circles)])
     out = [np.where(bad[:, None], np.nan, a) for a in (centre, link, np.column_stack([first_deg, phi_zero]))]
     return CobraCalibration(out[0], out[1], out[2], np.where(bad[:, None], np.nan, ranges), motors, reason)
 
@@ -254,6 +261,14 @@ def _theta_zero(fibre_mm: Floats, link: Floats) -> Floats:
 
 def _all_of(sweep: CobraSweep) -> Flags:
     return np.asarray(np.isfinite(sweep.xy_mm).all(axis=2).T, dtype=np.bool_)
+
+
+def _travelled(sweep: CobraSweep) -> Flags:
+    """(n,) fibres that a motor has moved at all: figures of one that stands are noise."""
+    seen = np.isfinite(sweep.xy_mm)
+    least, most = np.where(seen, sweep.xy_mm, np.inf), np.where(seen, sweep.xy_mm, -np.inf)
+    travelled: Flags = (most.max(axis=0) - least.min(axis=0)).max(axis=1) > TRAVEL_MM
+    return travelled
 
 
 def _why_not(circles: list[Circles]) -> list[str]:
@@ -272,20 +287,27 @@ def _why_not(circles: list[Circles]) -> list[str]:
     return out
 
 
-def _turned(xy_mm: Floats, middle_mm: Floats) -> Floats:
-    """(K + 1, n) deg turned since the first image, along the sweep; NaN where not seen."""
-    at = xy_mm - middle_mm
-    angle = np.arctan2(at[..., 1], at[..., 0])
+def _turned(sweep: CobraSweep, middle_mm: Floats) -> Floats:
+    """(K + 1, n) deg turned since the first image, along the sweep; NaN where not seen.
+
+    What an image or more did not show may have been most of a turn: it was one in the direction of the steps,
+    but for BACKWARD_DEG that a motor may go astray.
+    """
+    at = sweep.xy_mm - middle_mm
+    angle = rad_to_deg(np.arctan2(at[..., 1], at[..., 0]))
     turned = np.full(angle.shape, np.nan)
-    last = np.where(np.isfinite(angle[0]), angle[0], 0.0)
-    total = np.zeros(angle.shape[1])
-    for k, now in enumerate(angle):
+    last, total = np.nan_to_num(angle[0]), np.zeros(angle.shape[1])
+    turned[0] = np.where(np.isfinite(angle[0]), 0.0, np.nan)
+    for k, (now, sign) in enumerate(zip(angle[1:], np.sign(sweep.steps), strict=True), 1):
         seen = np.isfinite(now)
-        step = np.where(seen, (now - last + np.pi) % (2.0 * np.pi) - np.pi, 0.0)
-        total = total + step
+        step = sign * ((sign * (np.nan_to_num(now) - last) + BACKWARD_DEG) % 360.0 - BACKWARD_DEG)
+        total = total + np.where(seen, step, 0.0)
         last = np.where(seen, now, last)
-        turned[k] = np.where(seen, rad_to_deg(total), np.nan)
+        turned[k] = np.where(seen, total, np.nan)
     return turned
+
+
+BACKWARD_DEG = 90.0
 
 
 def _range(turned: Floats) -> Floats:

@@ -1,0 +1,93 @@
+"""Which targets cobras may have so that none has to wait for another: the drive's rule for an assignment.
+
+A cobra goes out along phi with theta at its target. Where no way out crosses another one, nor an arm at its
+target, all can go at once. Implements `fiberloom.assignment.candidates.WayRule`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
+from fiberloom.drive.piezo.swept import SweptCheck, box_of
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Flags, Floats, Ints
+
+BESIDE_DOT_MM = 0.05
+"""[A] A fibre that near to its dot may be cut off by it."""
+ROOM_DEG = 6.0
+"""[A] Beside theta and beyond phi of a target: what motors may miss when they go out."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaysOut:
+    """Ways out of the cobras of a plane."""
+
+    low_deg: Floats
+    """(n, 2) counter-clockwise stops."""
+    check: SweptCheck
+    stands: Flags
+    """(n,) cobras that do not move."""
+    stands_deg: Floats
+    """(n, 2) where these are, from their stops."""
+    dots_mm: Floats | None
+    """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
+
+    @classmethod
+    def of(cls, plane: FocalPlane) -> WaysOut:
+        """Those of a `plane` with its fiducials and its offline cobras."""
+        low = stops_deg(plane)[0]
+        check = SweptCheck.of(CobraArms.of(plane), plane.fiducials)
+        return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm)
+
+    def barred(self, positioner: Ints, goal_deg: Floats) -> Flags:
+        """(C,) candidates behind a dot, or whose way out meets what does not move.
+
+        `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta.
+        """
+        return self._meets_what_stands(positioner, goal_deg) | self._behind_dots(positioner, goal_deg)
+
+    def _behind_dots(self, positioner: Ints, goal_deg: Floats) -> Flags:
+        """(C,) candidates at which the fibre is behind a dot: dark, so that nothing corrects it."""
+        if self.dots_mm is None:
+            return np.zeros(len(positioner), dtype=bool)
+        at = self.check.arms.segments_mm(goal_deg - self.low_deg[positioner], positioner)[:, 2:]
+        x, y, radius = self.dots_mm[positioner].T
+        behind: Flags = np.hypot(at[:, 0] - x, at[:, 1] - y) < radius + BESIDE_DOT_MM
+        return behind
+
+    def _meets_what_stands(self, positioner: Ints, goal_deg: Floats) -> Flags:
+        n, wide = self.check.cobras, self._boxes(positioner, goal_deg)
+        i, j = self.check.pairs.T
+        still = np.append(self.stands, np.ones(len(self.check.arms) - n, dtype=bool))
+        own, other = np.concatenate([i, j[j < n]]), np.concatenate([j, i[j < n]])
+        own, other = own[still[other]], other[still[other]]
+        order = np.argsort(own, kind="stable")
+        first = np.searchsorted(own[order], np.arange(n + 1))
+        count = np.diff(first)[positioner]
+        row = np.repeat(np.arange(len(positioner)), count)
+        within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        there = other[order][first[positioner[row]] + within]
+        at = np.zeros((len(there), 2))
+        at[there < n] = self.stands_deg[there[there < n]]
+        pairs = np.column_stack([positioner[row], there])
+        out = np.zeros(len(positioner), dtype=bool)
+        out[row[self.check.boxes_meet(pairs, np.stack([wide[row], box_of(at, at)], axis=1))]] = True
+        return out
+
+    def crossing(self, positioner: Ints, goal_deg: Floats, first: Ints, second: Ints) -> Flags:
+        """(p,) pairs `first`, `second` (p,) of candidates whose ways out could meet.
+
+        `positioner` (C,): rows of the plane, and `goal_deg` (C, 2): alpha and beta of the candidates.
+        """
+        wide = self._boxes(positioner, goal_deg)
+        pairs = np.column_stack([positioner[first], positioner[second]])
+        return self.check.boxes_meet(pairs, np.stack([wide[first], wide[second]], axis=1))
+
+    def _boxes(self, positioner: Ints, goal_deg: Floats) -> Floats:
+        """(C, 2, 2) from the folded arm to the goal, with room."""
+        goal, top = goal_deg - self.low_deg[positioner], self.check.arms.range_deg[positioner]
+        low = np.column_stack([goal[:, 0] - ROOM_DEG, np.zeros(len(goal))])
+        return box_of(np.clip(low, 0.0, top), np.clip(goal + ROOM_DEG, 0.0, top))

@@ -1,0 +1,75 @@
+"""Targets that a drive rules out: none behind a dot, none whose way bars that of another."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from fiberloom.assignment import AssignSettings, assign
+from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
+from fiberloom.drive.way_rules import way_rule
+from fiberloom.instruments import FocalPlane
+from fiberloom.targets.generate import random_targets
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from support.cobras import pfs_plane
+
+PLANE = pfs_plane(114)
+TARGETS = random_targets(PLANE, 300, seed=2)
+
+
+def arms_on_their_ways(assigned):
+    """Arms (n, K, 4) in mm in K poses of phi from folded to the goals; (n,) which have one."""
+    arms, low = CobraArms.of(PLANE), stops_deg(PLANE)[0]
+    goal = assigned.goal_deg - low
+    poses = [np.column_stack([goal[:, 0], share * goal[:, 1]]) for share in np.linspace(0.0, 1.0, 40)]
+    return np.stack([arms.segments_mm(pose) for pose in poses], axis=1), assigned.target >= 0
+
+
+def crossings(assigned):
+    """Pairs of cobras with targets of which arms on their ways come nearer than they are wide."""
+    from fiberloom._core.geometry import segment_distance
+
+    ways, has = arms_on_their_ways(assigned)
+    found = 0
+    for i, j in PLANE.neighbour_pairs().tolist():
+        if has[i] and has[j]:
+            one, two = np.repeat(ways[i], 40, axis=0), np.tile(ways[j], (40, 1))
+            found += segment_distance(one, two).min() < 2.0 * PLANE.collision_buffer_mm
+    return found
+
+
+def test_ways_out_do_not_cross_and_hardly_a_target_is_lost():
+    free = assign(PLANE, TARGETS, settings=AssignSettings(ways=way_rule(PLANE)))
+    any_ = assign(PLANE, TARGETS)
+    assert crossings(any_) == 3
+    assert crossings(free) == 0
+    assert free.n_assigned >= any_.n_assigned - 4
+
+
+def test_no_target_is_behind_a_dot():
+    assigned = assign(PLANE, TARGETS, settings=AssignSettings(ways=way_rule(PLANE)))
+    has = assigned.target >= 0
+    at = PLANE.forward(*assigned.goal_deg.T)
+    gap = np.hypot(*(at - PLANE.dots_mm[:, :2]).T) - PLANE.dots_mm[:, 2]
+    assert np.all(gap[has] > 0.0)
+
+
+def test_a_cobra_that_does_not_move_bars_the_ways_over_it():
+    """One that stands stretched towards a neighbour: that one gets no target beyond it."""
+    i, j = PLANE.neighbour_pairs()[0]
+    towards = PLANE.centres_mm[j] - PLANE.centres_mm[i]
+    at = PLANE.centres_mm[i] + 4.5 * towards / np.hypot(*towards)
+    stands = PLANE.inverse(np.where(np.arange(len(PLANE))[:, None] == i, at, PLANE.centres_mm + 1.0))
+    angles = np.column_stack([stands.alpha_deg, stands.beta_deg])[[i]]
+    still = PLANE.with_offline([int(PLANE.positioner_id[i])], angles)
+    rule = way_rule(still)
+    goal = np.column_stack([np.linspace(0.0, 360.0, 73), np.full(73, -40.0)])
+    barred = rule.barred(np.full(73, j), goal)
+    assert barred.any()
+    assert not barred.all()
+    assert not way_rule(PLANE).barred(np.full(73, j), goal)[barred].all()
+
+
+def test_other_instruments_ask_nothing():
+    assert way_rule(FocalPlane.of("sdssv", n=7)) is None
