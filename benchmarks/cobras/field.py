@@ -152,9 +152,7 @@ async def fields(args):
     law = SpeedScalingLaw(source.known_maps)
     for number in range(args.fields):
         print(f"field {number + 1}, rule: {args.rule}")
-        print(
-            "move  median um    rms um   95 % um   99 % um   < 5 um < 10 um > 100 um  refused  contacts  hidden"
-        )
+        print(HEAD)
         await field(source, drive, hardware.camera, args, rng, law)
 
 
