@@ -16,7 +16,13 @@ ROOT = Path(__file__).resolve().parents[2]
 SNIPPET = ROOT / "tests" / "door" / "door_snippet.py"
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, BUILDER = PYPROJECT["project"], PYPROJECT["tool"]["cibuildwheel"]
-MODULES = {"SQLAlchemy": "sqlalchemy", "python-can": "can", "pillow": "PIL"}
+MODULES = {
+    "SQLAlchemy": "sqlalchemy",
+    "python-can": "can",
+    "pillow": "PIL",
+    "pyerfa": "erfa",
+    "astropy-iers-data": "astropy_iers_data",
+}
 """Modules of dependencies whose names differ."""
 
 SYSTEM = {"libc", "libm", "libgcc_s", "libstdc++", "libpthread"}

@@ -32,7 +32,7 @@ class DriftOptions(SkyOptions):
     out: Annotated[Path | None, typer.Option(help="CSV to write: the drift of each target.")] = None
 
 
-def drift(options: DriftOptions) -> int:
+def drift(options: DriftOptions) -> None:
     """How far targets move over their fibres during an exposure, before and after guiding, and how long
     an exposure may be.
 
@@ -53,7 +53,6 @@ def drift(options: DriftOptions) -> int:
 
         write_whole(options.out, "\n".join(lines) + "\n")
     options.show(rows)
-    return 0
 
 
 def _read(options: DriftOptions) -> tuple[Chain, SkyTargets, float]:

@@ -29,7 +29,7 @@ class GuideOptions(SkyOptions):
     ] = None
 
 
-def guide(options: GuideOptions) -> int:
+def guide(options: GuideOptions) -> None:
     """Offset, rotation and scale of a field from guide stars, with their errors.
 
     Stars beyond 3.5 robust sigmas are left out. The offset is the telescope's to take off; rotation and scale
@@ -57,7 +57,6 @@ def guide(options: GuideOptions) -> int:
         field.model_copy(update=keys).write(options.out)
         told["file"] = str(options.out)
     options.show(told | {"left_out": found.targets.target_id[~fit.used].tolist()})
-    return 0
 
 
 _STEP_DEG = 0.01

@@ -81,7 +81,7 @@ class PlaceOptions(SkyOptions):
     out: Annotated[Path, typer.Option(help="Places to write.")] = Path("places.csv")
 
 
-def place(options: PlaceOptions) -> int:
+def place(options: PlaceOptions) -> None:
     """Where targets on the sky are in the focal plane; for each fibre that may take one.
 
     Of a confSummary the rows that are assigned, valid and on target.
@@ -103,7 +103,6 @@ def place(options: PlaceOptions) -> int:
             "file": str(options.out),
         }
     )
-    return 0
 
 
 def _rows(found: SkyList, chain: Chain) -> Iterator[str]:
@@ -140,7 +139,7 @@ class WhereOptions(SkyOptions):
 CARRIED = ("target_id", "positioner_id", "fibre")
 
 
-def where(options: WhereOptions) -> int:
+def where(options: WhereOptions) -> None:
     """Where places of the focal plane look: ICRS RA and Dec at the time of the field."""
     from fiberloom.tables import read_table
 
@@ -163,7 +162,6 @@ def where(options: WhereOptions) -> int:
     prepare_file(options.out)
     _write(options.out, [",".join([*carried, "x_mm", "y_mm", "ra_deg", "dec_deg"]), *rows])
     options.show({"places": len(rows), "utc": chain.pointing.time.iso, "file": str(options.out)})
-    return 0
 
 
 def _numbers(xy_mm: Floats, radec: Floats) -> list[str]:
