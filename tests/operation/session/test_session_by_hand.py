@@ -60,9 +60,10 @@ def test_a_datum_holds_where_both_are_set_and_power_has_not_gone(bits, powered):
 def test_a_collision_counts_where_the_last_move_did_not_end(interrupted, collided):
     reports = [SimpleNamespace(positioner=p) for p in (9, 4, 9)]
     moves = [SimpleNamespace(interrupted=i) for i in interrupted]
-    motion = SimpleNamespace(client=SimpleNamespace(collisions=reports), moves=moves)
+    drive = SimpleNamespace(model=SimpleNamespace(reports=True))
+    motion = SimpleNamespace(client=SimpleNamespace(collisions=reports), moves=moves, drive=drive)
     assert SessionMotion.collided.fget(motion) == collided
-    quiet = SimpleNamespace(client=SimpleNamespace(collisions=[]), moves=moves)
+    quiet = SimpleNamespace(client=SimpleNamespace(collisions=[]), moves=moves, drive=drive)
     assert SessionMotion.collided.fget(quiet) == []
 
 
