@@ -323,7 +323,8 @@ void bind_laws(nb::module_ &m) {
     m.def("friction_fit", &friction_fit, nb::arg("rows"),
           "(coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, "
           "rotor_cnt, torque_Nm.");
-    m.def("fade", &fl_fade, nb::arg("x"), nb::arg("share"), "What is left of x after a tick: 0 below 1e-30.");
+    m.def("fade", &fl_fade, nb::arg("x"), nb::arg("share"),
+          "What is left of x after a tick: never below 1e-30.");
     m.def("round_i32", &fl_round_i32, nb::arg("x"), "Nearest integer, halves away from zero.");
     m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
     m.def("crc32", &crc32, nb::arg("data"));

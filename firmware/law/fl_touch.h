@@ -143,12 +143,12 @@ static inline float fl_touch_late(fl_touch_state_t *st, float speed_rad_s) {
 static inline bool fl_touch_watches(fl_touch_state_t *st, const fl_touch_in_t *in) {
     const float speed = fl_abs(in->speed_rad_s);
     /* the direction is the last commanded one: where it turns, so does the speed */
-    const bool drives = fl_min(speed - FL_TOUCH_SLOW_RAD_S, in->direction * st->way_rad) >= 0.0f;
+    const bool drives = fl_both_reach(speed, FL_TOUCH_SLOW_RAD_S, in->direction * st->way_rad, 0.0f);
     st->way_rad = drives ? st->way_rad + in->speed_rad_s * FL_TICK_S : 0.0f;
     st->closed_s = drives ? in->touching * (st->closed_s + FL_TICK_S) : 0.0f;
-    const float far_rad = fl_abs(st->way_rad) - FL_TOUCH_WAY_RAD;
-    st->sure = far_rad > 0.0f ? 1.0f : st->sure;
-    return fl_max(far_rad, st->sure * st->closed_s - FL_TOUCH_MET_S) > 0.0f;
+    const float way_rad = fl_abs(st->way_rad);
+    st->sure = way_rad > FL_TOUCH_WAY_RAD ? 1.0f : st->sure;
+    return fl_either_above(way_rad, FL_TOUCH_WAY_RAD, st->sure * st->closed_s, FL_TOUCH_MET_S);
 }
 
 /* What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met.
@@ -179,13 +179,13 @@ fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch
 
     const float faster = fl_touch_late(st, speed) - st->mean_speed_rad_s, more_Nm = load_Nm - st->mean_Nm;
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
-    const float unrest_Nm = watched ? 0.0f : fl_abs(more_Nm);
-    st->unrest_Nm = fl_max(unrest_Nm, fl_fade(st->unrest_Nm, FL_TOUCH_REST));
+    const float unrest_Nm = watched ? FL_LEAST : fl_abs(more_Nm);
+    st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_REST * st->unrest_Nm);
     const float pace = fl_min(speed * (1.0f / FL_TOUCH_FAST_RAD_S), 1.0f);
     const float coarse = 1.0f + FL_TOUCH_COARSE * (1.0f - pace);
     /* until it is learnt, the scatter is taken for errors of the angle, which grow with w^2 */
     const float scale = st->share > 2.0f * FL_TOUCH_SHARE ? pace * pace : coarse;
-    st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, fl_fade(st->dip_Nm, FL_TOUCH_DIP_FADE));
+    st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
     const float both_Nm = coarse * fl_max(cfg->threshold_Nm, FL_TOUCH_DIPS * st->dip_Nm);
     const float known_Nm = fl_max(both_Nm, scale * FL_TOUCH_WILD * st->scatter_Nm);
     const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +

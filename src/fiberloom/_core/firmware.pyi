@@ -91,7 +91,7 @@ def friction_fit(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     """
 
 def fade(x: float, share: float) -> float:
-    """What is left of x after a tick: 0 below 1e-30."""
+    """What is left of x after a tick: never below 1e-30."""
 
 def round_i32(x: float) -> int:
     """Nearest integer, halves away from zero."""

@@ -1,5 +1,6 @@
 // The laws over a LawBatch; included by kernel_body.hpp, compiled for every instruction set. The firmware's
 // functions are static inline, so no copy of them leaves its object file.
+#define FL_SIDE_BY_SIDE
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wshadow"
 #include "fl_drive.h"
