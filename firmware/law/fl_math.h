@@ -36,23 +36,14 @@ static inline float fl_min(float a, float b) { return a < b ? a : b; }
  * @pre lo <= hi */
 static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max(x, lo), hi); }
 
-/* Whether either of two is above its limit, and whether both reach theirs. A processor that does one axis is
- * faster where it leaves the second question out; a host that does many side by side (FL_SIDE_BY_SIDE) must
- * not branch. The answers are the same. */
+/* A processor that does one axis is faster where it leaves a second question out; a host that does many side
+ * by side must not branch. The answers are the same. */
 #ifdef FL_SIDE_BY_SIDE
-static inline bool fl_either_above(float a, float limit_a, float b, float limit_b) {
-    return fl_max(a - limit_a, b - limit_b) > 0.0f;
-}
-static inline bool fl_both_reach(float a, float limit_a, float b, float limit_b) {
-    return fl_min(a - limit_a, b - limit_b) >= 0.0f;
-}
+#define FL_EITHER_ABOVE(a, limit_a, b, limit_b) (fl_max((a) - (limit_a), (b) - (limit_b)) > 0.0f)
+#define FL_BOTH_REACH(a, limit_a, b, limit_b) (fl_min((a) - (limit_a), (b) - (limit_b)) >= 0.0f)
 #else
-static inline bool fl_either_above(float a, float limit_a, float b, float limit_b) {
-    return a > limit_a || b > limit_b;
-}
-static inline bool fl_both_reach(float a, float limit_a, float b, float limit_b) {
-    return a >= limit_a && b >= limit_b;
-}
+#define FL_EITHER_ABOVE(a, limit_a, b, limit_b) ((a) > (limit_a) || (b) > (limit_b))
+#define FL_BOTH_REACH(a, limit_a, b, limit_b) ((a) >= (limit_a) && (b) >= (limit_b))
 #endif
 
 #define FL_LEAST 1e-30f /* nothing that matters, and no subnormal float */

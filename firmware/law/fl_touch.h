@@ -143,12 +143,12 @@ static inline float fl_touch_late(fl_touch_state_t *st, float speed_rad_s) {
 static inline bool fl_touch_watches(fl_touch_state_t *st, const fl_touch_in_t *in) {
     const float speed = fl_abs(in->speed_rad_s);
     /* the direction is the last commanded one: where it turns, so does the speed */
-    const bool drives = fl_both_reach(speed, FL_TOUCH_SLOW_RAD_S, in->direction * st->way_rad, 0.0f);
+    const bool drives = FL_BOTH_REACH(speed, FL_TOUCH_SLOW_RAD_S, in->direction * st->way_rad, 0.0f);
     st->way_rad = drives ? st->way_rad + in->speed_rad_s * FL_TICK_S : 0.0f;
     st->closed_s = drives ? in->touching * (st->closed_s + FL_TICK_S) : 0.0f;
     const float way_rad = fl_abs(st->way_rad);
     st->sure = way_rad > FL_TOUCH_WAY_RAD ? 1.0f : st->sure;
-    return fl_either_above(way_rad, FL_TOUCH_WAY_RAD, st->sure * st->closed_s, FL_TOUCH_MET_S);
+    return FL_EITHER_ABOVE(way_rad, FL_TOUCH_WAY_RAD, st->sure * st->closed_s, FL_TOUCH_MET_S);
 }
 
 /* What of the load repeats with the rotor's turn, Nm: learnt where it is watched and nothing is met.
