@@ -29,7 +29,7 @@ class Made:
 
 
 def real_layout() -> Path | None:
-    """The calibration tables of Apache Point beside the checkout; they are not public."""
+    """The calibration tables of Apache Point beside the checkout; they are not part of the project."""
     places = [parent / REAL for parent in (ROOT, ROOT.parent, ROOT.parent.parent)]
     return next((place for place in places if place.is_dir()), None)
 

@@ -1,16 +1,13 @@
 """Focal planes and bodies for the tests of planning."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
-import pytest
+from tests.conftest import beside_checkout
 
 from fiberloom.instruments import FocalPlane, generate, load_instrument, read_layout
 
 SDSSV = load_instrument("sdssv")
-ROOT = Path(__file__).parents[2]
-REAL = "shared/data/sdssv/apo_2024.04.01"
 
 
 @cache
@@ -22,11 +19,7 @@ def field(n: int, seed: int = 0) -> FocalPlane:
 @cache
 def real_field() -> FocalPlane:
     """The array of Apache Point with its 60 fiducials and 6 guide cameras."""
-    for parent in (ROOT, ROOT.parent, ROOT.parent.parent):
-        if (parent / REAL).is_dir():
-            return read_layout(parent / REAL, SDSSV)
-    pytest.skip(f"no {REAL} beside the checkout: the real tables are not public")
-    raise AssertionError
+    return read_layout(beside_checkout("sdssv") / "apo_2024.04.01", SDSSV)
 
 
 def sampled_gaps(plane: FocalPlane, plan, step_s: float = 0.01) -> tuple[float, float]:

@@ -214,7 +214,7 @@ EXPECTED = {
 }
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="left out: mutants of C, there is no C compiler")
+@pytest.mark.skipif(shutil.which("cc") is None, reason="left out: mutants of C need the Debian package gcc")
 def test_every_mutant_of_c_is_in_one_program(tmp_path):
     write(tmp_path, "law.h", HEADER)
     found = native_mutants(tmp_path, Path("law.h"), [Path("law.h")])

@@ -49,7 +49,7 @@ def gcc():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not gcc(), reason="needs gcc on x86-64, which says what it vectorised")
+@pytest.mark.skipif(not gcc(), reason="apt-get install g++, on x86-64: it says which loops it vectorised")
 @pytest.mark.parametrize("kernel", ["baseline", "avx2", "avx512"])
 def test_laws_are_vector_code(kernel):
     loops = [n for n, line in enumerate(LAWS.read_text().splitlines(), 1) if "for (int i = 0" in line]

@@ -79,7 +79,7 @@ def test_the_bodies_of_a_written_layout_are_those_of_the_plane(tmp_path):
 def test_the_bodies_of_the_real_tables_are_those_of_the_plane():
     folder = pairs.real_layout()
     if folder is None:
-        pytest.skip(f"no {pairs.REAL} beside the checkout: the real tables are not public")
+        pytest.skip(f"no {pairs.REAL} beside the checkout: its tables are not part of this project")
     same_bodies(read_bodies(folder), pairs.array_of(str(folder)))
 
 
