@@ -52,6 +52,8 @@ MUTATED = (
     Target("health", ("src/fiberloom/health",), ("tests/health", "tests/operation")),
     Target("calibration", ("src/fiberloom/calibration",), ("tests/calibration", "tests/commissioning")),
     Target("planning", ("src/fiberloom/planning",), ("tests/planning",)),
+    Target("sky", ("src/fiberloom/sky",), ("tests/sky",)),
+    Target("drive", ("src/fiberloom/drive",), ("tests/drive",)),
     Target("laws", ("firmware/law",), ("tests/firmware",), "C"),
 )
 

@@ -74,6 +74,14 @@ def test_two_stars_tell_offset_and_rotation_but_no_scale():
     assert fit_guiding(p, moved(p, ppm=500.0)).scale == pytest.approx(1.0, abs=1e-15)
 
 
+def test_two_stars_leave_one_number_free():
+    p = stars(2)
+    apart = (p[1] - p[0]) / np.hypot(*(p[1] - p[0]))
+    fit = fit_guiding(p, p + np.outer([-1e-3, 1e-3], apart))
+    # 4 measured numbers less offset and rotation; the two are 1 um off each
+    assert fit.sigma_um == pytest.approx(np.sqrt(2.0), rel=1e-9)
+
+
 def test_weights_count():
     p = stars(6)
     seen = p + 1e-3 * np.random.default_rng(0).standard_normal(p.shape)

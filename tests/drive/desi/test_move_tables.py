@@ -125,3 +125,9 @@ def test_rows_that_no_motor_can_run_are_refused(steps, cruise, pause, told):
 def test_ways_that_are_no_numbers_are_refused():
     with pytest.raises(InputError, match="finite"):
         move_tables([[np.nan, 0.0]])
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (1, 2)])
+def test_rows_of_other_than_two_motors_are_refused(shape):
+    with pytest.raises(InputError, match=r"\(N, R, 2\) twice"):
+        MoveTables(np.ones(shape, dtype=int), np.zeros(shape, dtype=bool), np.zeros(shape[:2], dtype=int))

@@ -11,6 +11,7 @@ from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Outcome
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.drive.piezo.stages import CobraStage
 from fiberloom.drive.port import Wanted
 from fiberloom.errors import InputError
 from fiberloom.twin.actuators import PiezoErrors, drawn_maps
@@ -172,3 +173,20 @@ def test_a_plan_of_another_maker_is_compiled_as_one_iteration():
     assert len(again.plan.robots) == N
     assert again.plan.instrument == programme.plan.instrument
     assert np.all(again.tube_mm >= 0.0)
+
+
+def test_fibres_end_within_the_tube_of_their_way():
+    async def go():
+        rig = Rig(PiezoErrors(stuck_share=0.0))
+        await rig.drive.connect()
+        return rig, (await rig.iterate(goals(rig.drive)))[0]
+
+    rig, programme = asyncio.run(go())
+    stays = programme.commands.chosen.stage == CobraStage.STAY
+    assert not stays.all()
+    assert (programme.tube_mm[stays] == 0.0).all()
+    ends = rig.drive.arms.xy_mm(programme.plan.end_deg - stops_deg(rig.plane)[0])
+    beside_mm = np.hypot(*(rig.array.fibre_xy() - ends).T)
+    assert np.mean(beside_mm[~stays] < programme.tube_mm[~stays]) > 0.97
+    # and no tube is as wide as the way
+    assert np.median(beside_mm[~stays] / programme.tube_mm[~stays]) > 0.05

@@ -66,3 +66,12 @@ def test_a_spot_of_another_fibre_tells_no_more_than_a_bound():
     belief.learn(np.array([1e6]), np.array([20.0]), np.array([0.25]))
     assert np.isfinite(belief.weight).all()
     assert belief.variance[0] < 0.9**2
+
+
+def test_a_move_of_no_way_tells_nothing_and_one_of_a_degree_does():
+    belief = ScatterBelief(np.zeros(N, dtype=int))
+    first = belief.variance.copy()
+    belief.learn(np.full(N, 3.0), np.zeros(N), OTHER)
+    assert belief.variance == pytest.approx(first, rel=1e-9)
+    belief.learn(np.zeros(N), np.ones(N), np.full(N, 1e-6))
+    assert (belief.variance < first).all()
