@@ -58,9 +58,9 @@ bool LaneGroup::gather() {
     return any;
 }
 
-void LaneGroup::release(uint64_t tick) {
-    each(cruise_, [&](size_t i) { leave(i, tick, {false, false}); });
-    for (auto &axis : loaded_) axis.fill(false); // what comes over the bus may change parameters
+void LaneGroup::release(size_t i, uint64_t tick) {
+    if ((cruise_ >> i & 1U) != 0) leave(i, tick, {false, false});
+    for (auto &axis : loaded_) axis[i] = false; // what comes over the bus may change parameters
 }
 
 void LaneGroup::tick(uint64_t tick) {

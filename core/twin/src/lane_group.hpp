@@ -17,9 +17,9 @@ class LaneGroup {
 
     // Between slices: notes which positioners are awake. False when none is.
     bool gather();
-    // Before `tick`: what the lanes hold of positioners that cruise goes back to them. Nothing but ticks may
-    // read or change them before.
-    void release(uint64_t tick);
+    // Before `tick`: what the lanes hold of positioner i of the group goes back to it. Nothing but ticks may
+    // read or change its firmware before.
+    void release(size_t i, uint64_t tick);
     void tick(uint64_t tick);
     // After a slice: positioners that have come to rest fall asleep.
     void rest(uint64_t tick, bool may_sleep);

@@ -77,7 +77,7 @@ struct Twin::State {
     void follow_loads(size_t i);
     Angles at_rest(size_t i) const;
     void publish(size_t i);
-    void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
+    void hear(size_t i, const fl_can_frame_t &frame, int bus);
     bool any_awake() const;
     // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
     bool at_sync() const { return now % sync_ticks == 0; }
@@ -89,10 +89,16 @@ struct Twin::State {
         return {group * lane_group_size, std::min((group + 1) * lane_group_size, count)};
     }
     std::vector<Reply> collect();
-    Positioner &at(size_t i) {
+    void check(size_t i) const {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
+    }
+    // For whom it may be read or changed: its firmware is up to date.
+    Positioner &at(size_t i) {
+        check(i);
+        release(i);
         return positioners[i];
     }
+    void release(size_t i) { lane_groups[i / lane_group_size].release(i % lane_group_size, now); }
 
     Plant plant;
     size_t count;
@@ -330,16 +336,18 @@ Plant &Twin::plant() { return s_->plant; }
 const Neighbours &Twin::neighbours() const { return s_->neighbours; }
 const char *Twin::kernel_name() const { return s_->plant.kernel_name(); }
 
-void Twin::State::hear(Positioner &p, const fl_can_frame_t &frame, int bus) const {
-    if (bus == every_bus || p.bus == bus) p.receive(frame, now);
+void Twin::State::hear(size_t i, const fl_can_frame_t &frame, int bus) {
+    if (bus != every_bus && positioners[i].bus != bus) return;
+    release(i);
+    positioners[i].receive(frame, now);
 }
 
 void Twin::send(const fl_can_frame_t &frame, int bus) {
     const uint32_t id = frame.id >> 18 & 0x7ff;
     if (id == 0) {
-        for (size_t i = 0; i < s_->count; ++i) s_->hear(s_->positioners[i], frame, bus);
+        for (size_t i = 0; i < s_->count; ++i) s_->hear(i, frame, bus);
     } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
-        s_->hear(s_->positioners[found->second], frame, bus);
+        s_->hear(found->second, frame, bus);
     }
 }
 
@@ -356,17 +364,19 @@ std::vector<Reply> Twin::run(uint64_t ticks) {
         s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
         s_->quiet = resting && at_sync && !s_->any_awake();
     }
-    for (LaneGroup &g : s_->lane_groups) g.release(s_->now);
     return s_->collect();
 }
 
 Angles Twin::output(size_t i) const {
-    s_->at(i);
+    s_->check(i);
     return {s_->plant.output_rad(2 * i), s_->plant.output_rad(2 * i + 1)};
 }
 
 const fl_positioner_t &Twin::firmware(size_t i) const { return s_->at(i).firmware(); }
-bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
+bool Twin::asleep(size_t i) const {
+    s_->check(i);
+    return s_->positioners[i].asleep();
+}
 bool Twin::resting() const { return s_->quiet && !s_->any_awake(); }
 
 uint64_t Twin::ticks_skipped() const {
@@ -377,7 +387,7 @@ uint64_t Twin::ticks_skipped() const {
 
 uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
-    for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].run();
+    for (size_t i = 0; i < s_->count; ++i) sum += s_->at(i).run();
     return sum;
 }
 
