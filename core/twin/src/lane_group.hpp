@@ -1,4 +1,4 @@
-// Sixteen positioners with axes in one group of the plant: runs their firmware, the laws side by side.
+// The positioners with axes in one group of the plant: runs their firmware, the laws side by side.
 #pragma once
 
 #include <array>

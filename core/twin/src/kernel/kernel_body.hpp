@@ -162,15 +162,15 @@ inline uint32_t end_ways(AxisGroup &g, int chunk) {
     return changed;
 }
 
-inline uint32_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
+inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
     uint32_t any = 0;
     for (int i = chunk; i < chunk + chunk_size; ++i)
         any |= static_cast<uint32_t>(g.gear_rad[i] < g.cell_lo_rad[i]) |
                static_cast<uint32_t>(g.gear_rad[i] >= g.cell_hi_rad[i]);
     if (any == 0) return 0;
-    uint32_t out = 0;
+    uint64_t out = 0;
     for (int i = chunk; i < chunk + chunk_size; ++i)
-        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= 1U << i;
+        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= uint64_t{1} << i;
     return out;
 }
 
@@ -276,6 +276,11 @@ template <int count> inline void move(AxisGroup &g, const int *chunks, int subst
     });
 }
 
+template <int most> inline void move_all(AxisGroup &g, const int *chunks, int count, int substeps) {
+    if (count == most) return move<most>(g, chunks, substeps);
+    if constexpr (most > 1) move_all<most - 1>(g, chunks, count, substeps);
+}
+
 TickEvents step(AxisGroup &g, int substeps) {
     int chunks[lane_count / chunk_size], count = 0;
     for (int c = 0; c < lane_count; c += chunk_size)
@@ -284,10 +289,7 @@ TickEvents step(AxisGroup &g, int substeps) {
         load_gear(g, chunks[k]);
         begin_ways(g, chunks[k]);
     }
-    if (count == lane_count / chunk_size)
-        move<lane_count / chunk_size>(g, chunks, substeps);
-    else
-        for (int k = 0; k < count; ++k) move<1>(g, chunks + k, substeps);
+    move_all<lane_count / chunk_size>(g, chunks, count, substeps);
     TickEvents events;
     for (int k = 0; k < count; ++k) {
         // at rest now, and where it was: then at rest all the time, for the field does not turn in a tick

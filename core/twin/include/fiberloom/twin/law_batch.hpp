@@ -1,4 +1,4 @@
-// The firmware's laws for the same axis of sixteen positioners side by side: the very functions of
+// The firmware's laws for the same axis of 32 positioners side by side: the very functions of
 // firmware/law, inlined into loops that the compiler turns into vector code. Same operations in the
 // same order, so the same bits as the firmware's own tick (tests/twin/test_laws_side_by_side.py).
 //

@@ -183,7 +183,7 @@ class Plant {
     double h_s_;
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
-    std::vector<uint32_t> slipping_; // lanes of each group whose couplings slip
+    std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip
 };
 
 } // namespace fl::twin
