@@ -21,8 +21,8 @@ class LaneGroup {
     // read or change its firmware before.
     void release(size_t i, uint64_t tick);
     void tick(uint64_t tick);
-    // After a slice: positioners that have come to rest fall asleep.
-    void rest(uint64_t tick, bool may_sleep);
+    // After a slice: positioners that have come to rest fall asleep; a bit for each of them.
+    uint32_t rest(uint64_t tick, bool may_sleep);
 
     const Positioner *begin() const { return positioners_; }
     const Positioner *end() const { return positioners_ + count_; }
@@ -42,6 +42,7 @@ class LaneGroup {
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
     void look(int axis, LawBatch &batch) const;
     void drive(int axis, uint64_t tick, const LawBatch &batch);
+    void set_phases(int axis, uint32_t lanes, const LawBatch &batch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
     void advance(int axis, Tracker &t, LawBatch &batch);
     void conclude(int axis, const Tracker &t, const LawBatch &batch);
@@ -51,7 +52,7 @@ class LaneGroup {
     Positioner *positioners_ = nullptr;
     size_t count_ = 0;
     bool side_by_side_ = true;
-    std::array<bool, lane_group_size> awake_{}, runs_{};
+    uint32_t awake_ = 0, runs_ = 0; // positioners that are awake; and whose ticks their firmware does
     // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks
     uint32_t cruise_ = 0;
     std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{};

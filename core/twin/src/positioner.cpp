@@ -15,12 +15,14 @@ namespace {
 constexpr uint8_t start_command = 14; // START_TRAJECTORY
 }
 
-void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
+void Positioner::attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake) {
     plant_ = &plant;
     group_ = &plant.group(Plant::place(2 * index).group);
     lane_ = Plant::place(2 * index).lane;
     index_ = index;
     outbox_ = &outbox;
+    awake_ = &awake;
+    *awake_ |= 1U << index_ % lane_group_size;
 }
 
 fl_port_t Positioner::port() {
@@ -100,14 +102,14 @@ bool Positioner::changed(const Plant &plant) {
 
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
-    if (changed(plant) || scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) return;
-    asleep_ = true;
+    if (changed(plant) || scoped()) return;
+    *awake_ &= ~(1U << index_ % lane_group_size);
     asleep_since_ = tick;
 }
 
 void Positioner::wake(uint64_t tick) {
-    if (!asleep_) return;
-    asleep_ = false;
+    if (!asleep()) return;
+    *awake_ |= 1U << index_ % lane_group_size;
     const uint64_t ticks = tick - asleep_since_;
     skipped_ += ticks;
     if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));
@@ -123,7 +125,7 @@ std::vector<ScopeSample> Positioner::take_scope(int axis) {
     return std::exchange((*scope_)[static_cast<size_t>(axis)], {});
 }
 
-void Positioner::record_axes(const Plant &plant, uint64_t tick) {
+void Positioner::record(const Plant &plant, uint64_t tick) {
     for (int axis = 0; axis < FL_AXES; ++axis)
         if (scope_on_[axis]) (*scope_)[static_cast<size_t>(axis)].push_back(sample(plant, axis, tick));
 }

@@ -16,7 +16,8 @@ namespace fl::twin {
 #ifndef FL_LANE_GROUP_SIZE
 #define FL_LANE_GROUP_SIZE 32
 #endif
-inline constexpr int lane_group_size = FL_LANE_GROUP_SIZE; // positioners of a group, at most 32: bits of masks
+inline constexpr int lane_group_size =
+    FL_LANE_GROUP_SIZE; // positioners of a group, at most 32: bits of masks
 inline constexpr int lane_count = 2 * lane_group_size;
 // lanes that are left out together when nothing moves in them
 inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
