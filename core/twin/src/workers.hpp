@@ -53,7 +53,7 @@ class Workers {
         std::atomic<Tickets> tickets{0};
     };
     // Some ten microseconds: slices follow each other sooner, and waking a thread takes longer.
-    static constexpr int spins = 2000;
+    static constexpr int spins = 1000;
 
     static void pause() {
 #if defined(__x86_64__) || defined(__i386__)
