@@ -40,6 +40,13 @@ uint32_t quiet_ticks(const fl_positioner_t &p) {
     return silent + 1 < p.host_watch_ticks ? p.host_watch_ticks - silent - 1 : 0;
 }
 
+// A bit for each flag that is set.
+uint32_t lanes_of(const int32_t (&flags)[lane_group_size]) {
+    uint32_t lanes = 0;
+    for (int i = 0; i < lane_group_size; ++i) lanes |= static_cast<uint32_t>(flags[i] != 0) << i;
+    return lanes;
+}
+
 } // namespace
 
 void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side) {
@@ -99,6 +106,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
         load_way(b, lane, axes[axis], tick);
         cruise_axis_[axis] |= bit;
         if (axes[axis].detect) heeds_[axis] |= bit;
+        if (settles(axes[axis])) settles_[axis] |= bit;
     }
     cruise_ |= bit;
     since_[i] = tick;
@@ -124,6 +132,7 @@ void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
         stand(b, lane);
         cruise_axis_[axis] &= ~bit;
         heeds_[axis] &= ~bit;
+        settles_[axis] &= ~bit;
     }
     cruise_ &= ~bit;
     const bool within = done[FL_ALPHA] || done[FL_BETA];
@@ -159,17 +168,21 @@ void LaneGroup::set_phases(int axis, uint32_t lanes, const LawBatch &b) {
     }
 }
 
-// The phases of all that cruise; one that something blocks does the end of its tick itself.
-void LaneGroup::drive(int axis, uint64_t tick, const LawBatch &b) {
-    uint32_t stuck = 0;
-    for (int i = 0; i < lane_group_size; ++i) stuck |= static_cast<uint32_t>(b.stuck[i] != 0) << i;
-    stuck &= heeds_[static_cast<size_t>(axis)];
-    set_phases(axis, cruise_axis_[static_cast<size_t>(axis)] & ~stuck, b);
-    each(stuck, [&](size_t i) {
+// The phases of all that cruise; one that something blocks, or that has settled, does the end of its tick
+// itself.
+void LaneGroup::drive(int axis, uint64_t tick, LawBatch &b) {
+    const auto at = static_cast<size_t>(axis);
+    const auto end = [&](size_t i) {
         leave(i, tick, {true, axis == FL_BETA});
-        runs_ |= 1U << i; // the rest of this tick
+        runs_ |= 1U << i;
         conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b);
-    });
+    };
+    each(lanes_of(b.stuck) & heeds_[at], end);
+    if (settles_[at] != 0) {
+        plant_->kernel().settle_law(b);
+        each(lanes_of(b.settle.over) & settles_[at], end);
+    }
+    set_phases(axis, cruise_axis_[at], b);
 }
 
 // All of one axis before the other, as within a positioner: a collision of alpha stops beta in the same tick.

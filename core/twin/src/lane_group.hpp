@@ -41,7 +41,7 @@ class LaneGroup {
     // Back again: alpha and beta have done the ticks before `tick`, and that one too if `done` says so.
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
     void look(int axis, LawBatch &batch) const;
-    void drive(int axis, uint64_t tick, const LawBatch &batch);
+    void drive(int axis, uint64_t tick, LawBatch &batch);
     void set_phases(int axis, uint32_t lanes, const LawBatch &batch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
     void advance(int axis, Tracker &t, LawBatch &batch);
@@ -53,9 +53,10 @@ class LaneGroup {
     size_t count_ = 0;
     bool side_by_side_ = true;
     uint32_t awake_ = 0, runs_ = 0; // positioners that are awake; and whose ticks their firmware does
-    // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks
+    // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks or
+    // settle
     uint32_t cruise_ = 0;
-    std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{};
+    std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{}, settles_{};
     std::array<uint64_t, lane_group_size> since_{}, until_{};
     uint64_t next_leave_ = UINT64_MAX;
     // axes whose configuration lies in the batch, by lane: until a release

@@ -302,6 +302,7 @@ TickEvents step(AxisGroup &g, int substeps) {
 } // namespace
 
 extern const Kernel FL_KERNEL_SYMBOL;
-const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, advance_law, drive_law};
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense,       drive,     step,
+                                 hall_law,       advance_law, drive_law, settle_law};
 
 } // namespace fl::twin

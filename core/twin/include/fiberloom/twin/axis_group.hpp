@@ -88,6 +88,7 @@ struct Kernel {
     void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
     void (*advance_law)(LawBatch &batch, uint64_t tick); // the commands of those that cruise
     void (*drive_law)(LawBatch &batch, unsigned laws);   // a bit of 1 << law for each that a lane wants
+    void (*settle_law)(LawBatch &batch);                 // whether those that settle have done so
 };
 
 // The kernels this machine runs, slowest first; ends with a nullptr.
