@@ -59,10 +59,7 @@ def _show(axes: Any, image: CameraImage) -> None:
     low, high = np.percentile(blocks[::4, ::4], [5, 99.7])
     extent = (-0.5, blocks.shape[1] * step - 0.5, -0.5, blocks.shape[0] * step - 0.5)
     shade = np.arcsinh((blocks - low) / max(high - low, 1) * 10)
-    dark, bright = float(shade.min()), float(shade.max())
-    # as bytes: shades of single precision would take a second to draw
-    grey = (255.0 / max(bright - dark, 1e-9) * (shade - dark)).astype(np.uint8)
-    axes.imshow(np.dstack([grey] * 3), origin="lower", extent=extent, interpolation="nearest")
+    axes.imshow(shade, origin="lower", extent=extent, cmap="gray", interpolation="nearest")
 
 
 def _brightest(image: CameraImage, step: int) -> NDArray[np.float32]:
