@@ -9,15 +9,6 @@
 namespace fl::twin {
 namespace {
 
-// The lane_group's turn comes every few ticks, after all others': what its firmware touches is asked for at
-// once, not piece by piece.
-void fetch(const fl_positioner_t &firmware) {
-    constexpr size_t line = 64;
-    for (const fl_axis_t &a : firmware.axis)
-        for (size_t at = 0; at < offsetof(fl_axis_t, fit); at += line)
-            __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
-}
-
 constexpr uint32_t whole_group = UINT32_MAX >> (32 - lane_group_size);
 
 // The bits of a mask, lowest first.
@@ -59,7 +50,7 @@ void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size
 
 bool LaneGroup::gather() {
     awake_ = *positioners_->awake_mask();
-    each(awake_ & ~cruise_, [&](size_t i) { fetch(positioners_[i].firmware()); });
+    each(awake_ & ~cruise_, [&](size_t i) { positioners_[i].fetch(); });
     return awake_ != 0;
 }
 

@@ -1,6 +1,7 @@
 #include "positioner.hpp"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 #include <numbers>
 #include <utility>
@@ -113,6 +114,13 @@ void Positioner::wake(uint64_t tick) {
     const uint64_t ticks = tick - asleep_since_;
     skipped_ += ticks;
     if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));
+}
+
+void Positioner::fetch() const {
+    constexpr size_t line = 64;
+    for (const fl_axis_t &a : firmware_.axis)
+        for (size_t at = 0; at < offsetof(fl_axis_t, fit); at += line)
+            __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
 }
 
 void Positioner::start_scope(int axis, bool on) {

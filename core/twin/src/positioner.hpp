@@ -77,6 +77,10 @@ class Positioner {
     uint64_t skipped() const { return skipped_; }
     uint64_t run() const { return run_; }
 
+    // Others have had their turn meanwhile: what its firmware touches is asked for at once, not piece by
+    // piece.
+    void fetch() const;
+
     const fl_positioner_t &firmware() const { return firmware_; }
     fl_positioner_t &firmware() { return firmware_; }
     size_t index() const { return index_; }

@@ -351,7 +351,10 @@ void Twin::State::hear(size_t i, const fl_can_frame_t &frame, int bus) {
 void Twin::send(const fl_can_frame_t &frame, int bus) {
     const uint32_t id = frame.id >> 18 & 0x7ff;
     if (id == 0) {
-        for (size_t i = 0; i < s_->count; ++i) s_->hear(i, frame, bus);
+        for (size_t i = 0; i < s_->count; ++i) {
+            if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
+            s_->hear(i, frame, bus);
+        }
     } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
         s_->hear(found->second, frame, bus);
     }
