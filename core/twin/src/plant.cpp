@@ -109,9 +109,18 @@ void Plant::step(size_t group) {
     kernel_->drive(g);
     TickEvents events = kernel_->step(g, substeps_);
     for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
+        fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
         follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
     for (uint64_t left = slipping_[group]; left != 0; left &= left - 1)
         slip(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+}
+
+// It may lie far from the processor: all of it is asked for at once.
+void Plant::fetch(size_t axis) const {
+    constexpr size_t line = 64;
+    const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
+    for (size_t at = 0; at < sizeof(Axis); at += line) __builtin_prefetch(begin + at, 1);
 }
 
 double Plant::geared_rad(size_t axis) const {
