@@ -203,18 +203,17 @@ uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint3
     const auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
-    if (p.storage_.empty())
-        std::memset(bytes, 0xff, held); // erased flash
-    else
-        std::memcpy(bytes, p.storage_.data() + offset, held);
+    std::memset(bytes, 0xff, held); // erased flash
+    if (offset < p.storage_.size())
+        std::memcpy(bytes, p.storage_.data() + offset, std::min<size_t>(held, p.storage_.size() - offset));
     return held;
 }
 
 uint32_t Positioner::storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
     auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
-    if (p.storage_.empty()) p.storage_.assign(storage_bytes, 0xff);
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
+    if (p.storage_.size() < offset + held) p.storage_.resize(offset + held, 0xff);
     std::memcpy(p.storage_.data() + offset, bytes, held);
     return held;
 }

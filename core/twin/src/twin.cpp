@@ -400,11 +400,12 @@ uint64_t Twin::ticks_run() const {
     return sum;
 }
 
-// The firmware's own state is a board's business; neighbour lists are counted by their longest.
+// The firmware's own state is a board's business; neighbour lists and storage are counted by their longest.
 size_t Twin::bytes_per_positioner() const {
-    return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
-           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose) +
-           sizeof(LaneGroup) / lane_group_size;
+    size_t own = 0;
+    for (size_t i = 0; i < s_->count; ++i) own = std::max(own, s_->positioners[i].bytes());
+    return own + FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() +
+           2 * sizeof(Pose) + sizeof(LaneGroup) / lane_group_size;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
