@@ -94,3 +94,22 @@ def arrivals(side_by_side, kernel=""):
 @pytest.mark.parametrize("kernel", core.KERNELS)
 def test_so_are_landings_and_settling(kernel):
     assert arrivals(False) == arrivals(True, kernel)
+
+
+def motion(pieces, read):
+    """The same moves in so many calls; `read`: the firmware is looked at between them."""
+    twin = Twin(PLANE, UNITS, seed=3, threads=2)
+    for number in IDS:
+        goto(twin, number, 30.0 + number, 150.0)
+    replies = []
+    for k in range(pieces):
+        replies += twin.run(1.2 / pieces)
+        if read and k % 3 == 0:
+            _ = twin._core.ticks_run
+    return repr(replies).encode() + twin.truth().tobytes(), twin._core.ticks_run
+
+
+def test_axes_may_cruise_on_from_call_to_call():
+    whole = motion(1, False)
+    assert motion(240, False) == whole
+    assert motion(240, True) == whole, "what is read between two ticks changes nothing"
