@@ -41,24 +41,22 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
 
 } // namespace
 
-bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
-    return std::any_of(contacts.begin(), contacts.end(),
-                       [other](const Contact &c) { return c.other == other; });
-}
-
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
       near_(arms_.size()), next_look_(arms_.size(), 0) {
+    find_speeds();
     find_neighbours();
 }
 
 double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_.to_mm + body_.radius_mm; }
 
 // Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
-double Neighbours::approach_speed_mm_s(size_t i) const {
-    const double *w = gives_[i].speed_limit_rad_s;
-    return 2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm);
+void Neighbours::find_speeds() {
+    for (size_t i = 0; i < arms_.size(); ++i) {
+        const double *w = gives_[i].speed_limit_rad_s;
+        speed_mm_s_.push_back(2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm));
+    }
 }
 
 void Neighbours::find_neighbours() {
@@ -78,7 +76,8 @@ void Neighbours::find_neighbours() {
 size_t Neighbours::bytes_per_positioner() const {
     size_t longest = 0;
     for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
-    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(uint64_t) + longest * sizeof(Near);
+    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(double) + sizeof(uint64_t) +
+           longest * sizeof(Near);
 }
 
 Pose Neighbours::pose(size_t i, Angles deflected, Angles rigid) const {
@@ -133,7 +132,7 @@ double Neighbours::touch(Look &look, const Touched &body) const {
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
         // the same bits from both sides
         const double still_mm = gap_mm - (body.spring_mm + look.poses[look.i].spring_mm);
-        return std::max(still_mm, 0.0) / (approach_speed_mm_s(look.i) + body.speed_mm_s);
+        return std::max(still_mm, 0.0) / (speed_mm_s_[look.i] + body.speed_mm_s);
     }
     const Closest places[] = {closest_point(mine.a, body.line), closest_point(mine.b, body.line),
                               turned(closest_point(body.line.a, mine)),
@@ -149,7 +148,7 @@ double Neighbours::touch(Look &look, const Touched &body) const {
 Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &poses) const {
     if (number < arms_.size()) {
         const Pose &pose = poses[number];
-        return {number, pose.line, 2.0 * body_.radius_mm, pose.spring_mm, approach_speed_mm_s(number), &pose};
+        return {number, pose.line, 2.0 * body_.radius_mm, pose.spring_mm, speed_mm_s_[number], &pose};
     }
     const Obstacle &o = obstacles_[number - arms_.size()];
     return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};

@@ -60,7 +60,11 @@ struct Contact {
 };
 
 // Whether one of the contacts is with the other body.
-bool in_touch(const std::vector<Contact> &contacts, uint32_t other);
+inline bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
+    for (const Contact &c : contacts)
+        if (c.other == other) return true;
+    return false;
+}
 
 // Contact forces of all arms of a focal plane.
 class Neighbours {
@@ -116,7 +120,7 @@ class Neighbours {
         Closest closest;
     };
     double reach_mm(size_t i) const;
-    double approach_speed_mm_s(size_t i) const;
+    void find_speeds();
     void find_neighbours();
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
@@ -127,6 +131,7 @@ class Neighbours {
     std::vector<Obstacle> obstacles_;
     Body body_;
     std::vector<Give> gives_;
+    std::vector<double> speed_mm_s_; // at which a point of an arm moves at most
     std::vector<std::vector<Near>> near_;
     std::vector<uint64_t> next_look_; // tick before which nothing can touch positioner i
 };
