@@ -69,7 +69,7 @@ struct Twin::State {
     void feel_group(size_t group);
     bool touches(size_t i) const { return felt[i] != 0 && !positioners[i].contacts.empty(); }
     bool in_contact(size_t group) const;
-    bool pushes(size_t group) const;
+    bool pushes(size_t group);
 
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
@@ -117,6 +117,7 @@ struct Twin::State {
     std::vector<size_t> turns;    // groups of the batch that runs
     std::vector<uint32_t> awake;  // by group: a bit for each that is not asleep
     std::vector<uint8_t> felt;    // by positioner: it touches something, or has just done so
+    std::vector<uint8_t> pushed;  // by positioner: the force on it may change from tick to tick in this slice
     std::vector<uint32_t> scoped; // by group: who has a scope on, a bit each
     std::vector<uint8_t> close;   // by group: its arms touch, so that it waits for its turn tick by tick
     bool quiet = false;           // a sync point has passed with every positioner asleep: time alone goes on
@@ -132,7 +133,7 @@ Twin::State::State(const TwinSetup &s)
       count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)),
       lane_groups(plant.group_count()), outboxes(plant.group_count()),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
-      skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()),
+      skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()), pushed(s.ids.size()),
       scoped(plant.group_count()), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
       workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
@@ -170,7 +171,7 @@ void Twin::State::boot(const TwinSetup &s) {
 void Twin::State::feel_group(size_t group) {
     const Rows rows = rows_of(group);
     for (size_t i = rows.begin; i < rows.end; ++i)
-        if (at_sync() ? felt[i] != 0 || neighbours.due(i, now) : touches(i))
+        if (at_sync() ? felt[i] != 0 || neighbours.due(i, now) : pushed[i] != 0)
             feel_neighbours(i, outboxes[group]);
 }
 
@@ -181,14 +182,19 @@ bool Twin::State::in_contact(size_t group) const {
     return false;
 }
 
-// Whether a force on an arm of the group may change: it or what it touches is awake.
-bool Twin::State::pushes(size_t group) const {
+// Whether forces on arms of the group may change before the next sync point; notes on which: those that touch
+// something, and either of the two is awake. No other contact has a say in it.
+bool Twin::State::pushes(size_t group) {
     const auto moves = [this](const Contact &c) { return c.other < count && !positioners[c.other].asleep(); };
     const Rows rows = rows_of(group);
-    return std::any_of(&positioners[rows.begin], &positioners[0] + rows.end, [&](const Positioner &p) {
-        const bool any = std::any_of(p.contacts.begin(), p.contacts.end(), moves);
-        return any || (!p.contacts.empty() && !p.asleep());
-    });
+    bool any = false;
+    for (size_t i = rows.begin; i < rows.end; ++i) {
+        const Positioner &p = positioners[i];
+        const auto &contacts = p.contacts;
+        pushed[i] = touches(i) && (!p.asleep() || std::any_of(contacts.begin(), contacts.end(), moves));
+        any |= pushed[i] != 0;
+    }
+    return any;
 }
 
 // One task of a slice: this group's neighbours, then its ticks, unless its arms touch. Reads `seen`.
