@@ -1,11 +1,14 @@
 """What the twin costs: 1000 axes with the real firmware in the loop, all moving.
 
-    python benchmarks/twin.py [--axes 1000] [--seconds 8] [--out build/bench/twin.json]
+    python benchmarks/twin.py [--axes 1000] [--seconds 8] [--scale 500 20000] [--out build/bench/twin.json]
 
 A move of 8 s in slices of half a second: the median slice and the slowest one, for what costs more the longer
 a motor cruises is no noise. No arms touch, but in the case that says so. CPU time, because other work on the
 machine disturbs it less than wall time. The real-time factor is simulated seconds over CPU seconds on one
 core; with two threads it is over wall seconds, and means something on an idle machine only.
+
+Then the same for more axes, in twins of 4000 at most (a bus has 2047 addresses), with the exponent by which
+the cost grows; and two peers in the same run, plant only: plain C by gcc, and numba where it is installed.
 """
 
 import argparse
@@ -13,6 +16,9 @@ import json
 import os
 import platform
 import struct
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -28,19 +34,10 @@ from fiberloom.version import __version__
 
 GOTO, NEW, POINT, END, START = 30, 10, 11, 12, 14
 
-# Real-time factor for 1000 axes on one core of another, faster machine (Zen 5, AVX-512), measured
-# for this project; plant only, without firmware, hall sensors, bus or neighbours.
-PEERS = {
-    "scipy solve_ivp, CVODE, motulator, gym-electric-motor, PathSim, pydrake": "0.001 to 0.02",
-    "MuJoCo, 1000 hinges with a callback": "0.25 to 0.3",
-    "scalar C, libm sincos, RK4 / DKD": "0.65 / 1.43",
-    "numpy, structure of arrays": "0.7 to 0.9",
-    "jax on the CPU": "1.0 to 5.3",
-    "numba, structure of arrays, polynomial sincos, f64 / f32": "10 / 18",
-    "C auto-vectorised over axes, f64 (AVX2 build)": "28 (16)",
-}
-
-
+PEERS = Path(__file__).parent / "peers"
+PEER_TICKS = 2000
+MOST_AXES = 4000
+"""Of one twin: positioners of a bus have numbers up to 2047."""
 SLICE_S = 0.5
 APART, TOUCHING = (20.0, 178.0), (20.0, 60.0)
 """Where all arms begin, deg: folded, none touches; and 28 overlap."""
@@ -141,6 +138,71 @@ def measure(axes, seconds):
     return rows
 
 
+def scale(numbers, seconds):
+    """The cost with firmware and neighbours for each number of axes, one thread."""
+    out = []
+    for axes in numbers:
+        parts = [MOST_AXES] * (axes // MOST_AXES) + [axes % MOST_AXES] * (axes % MOST_AXES > 0)
+        cpu_s = 0.0
+        for part in parts:
+            plane = generate(load_instrument("sdssv"), seed=1, n_positioners=part // 2)
+            units = draw_units(plane, seed=1)
+            cpu_s += np.median(moving(plane, units, seconds, threads=1), axis=0)[0]
+        out.append(
+            {
+                "axes": axes,
+                "twins": len(parts),
+                "ns_per_axis_tick": 1e9 * core.TICK_S / SLICE_S / axes * cpu_s,
+                "real_time_factor": SLICE_S / cpu_s,
+                "bytes_per_axis": bytes_per_axis(plane, units),
+            }
+        )
+    return out
+
+
+def bytes_per_axis(plane, units):
+    """Of the twin; and with the firmware's own state."""
+    twin = Twin(plane, units, seed=1, threads=1)
+    return twin._core.bytes_per_positioner // 2
+
+
+def exponent(rows):
+    """By which power of their number the cost of axes grows."""
+    axes = np.log([r["axes"] for r in rows])
+    cost = np.log([r["axes"] * r["ns_per_axis_tick"] for r in rows])
+    return float(np.polyfit(axes, cost, 1)[0])
+
+
+def peers(axes):
+    """ns per axis-tick of other ways to compute the plant; None where one cannot run here."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = {}
+        for real in ("double", "float"):
+            program = Path(folder) / real
+            build = ["gcc", "-O3", "-march=native", "-ffast-math", f"-DREAL={real}"]
+            made = answer([*build, PEERS / "plant.c", "-o", program, "-lm"])
+            out[f"plain C by gcc, {real}"] = None if made is None else number([program, axes, PEER_TICKS])
+        for real in ("float64", "float32"):
+            command = [sys.executable, PEERS / "numba_plant.py", axes, PEER_TICKS, real]
+            out[f"numba, {real}"] = number(command)
+    return out
+
+
+def answer(command):
+    """What a program prints; None where it fails or is not there."""
+    try:
+        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout
+
+
+def number(command):
+    """The number that a program prints; None where it prints none."""
+    text = answer(command)
+    return float(text) if text else None
+
+
 def firmware_cost_ns(rows):
     """What a tick of the firmware costs: the whole without the plant, best kernel."""
     cost = {r["case"]: r["ns_per_axis_tick"] for r in rows}
@@ -157,18 +219,28 @@ def show(report):
         ns, slowest = r["ns_per_axis_tick"], r["slowest_ns_per_axis_tick"]
         print(f"{r['case']:34s}{r['threads']:8d}{ns:14.1f}{slowest:9.1f}{factor:13.1f}")
     print(f"of which the firmware's tick: {report['firmware_ns_per_axis_tick']:.0f} ns an axis")
-    print("peers, plant only, one core of a faster machine:")
-    for name, factor in PEERS.items():
-        print(f"  {factor:>15s}  {name}")
+    print("more axes, with neighbours, one thread:")
+    for r in report["scale"]:
+        print(
+            f"  {r['axes']:6d} axes in {r['twins']}: {r['ns_per_axis_tick']:6.1f} ns/axis-tick, "
+            f"{r['real_time_factor']:5.2f} x real time, {r['bytes_per_axis']} bytes an axis"
+        )
+    print(f"  growth with the power {report['exponent']:.3f}")
+    print("peers, plant only:")
+    for name, ns in report["peers_ns_per_axis_tick"].items():
+        factor = "cannot run here" if ns is None else f"{ns:6.1f} ns/axis-tick, {5e2 / ns:5.1f} x"
+        print(f"  {name:22s} {factor}")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--axes", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=8.0, help="simulated, for each case")
+    numbers = [500, 1000, 2000, 4000, 10000, 20000]
+    parser.add_argument("--scale", type=int, nargs="*", default=numbers, help="numbers of axes")
     parser.add_argument("--out", type=Path, default=Path("build/bench/twin.json"))
     args = parser.parse_args()
-    rows = measure(args.axes, args.seconds)
+    rows, larger = measure(args.axes, args.seconds), scale(args.scale, args.seconds / 2)
     report = {
         "version": __version__,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
@@ -177,7 +249,9 @@ def main():
         "kernels": core.KERNELS,
         "firmware_ns_per_axis_tick": firmware_cost_ns(rows),
         "rows": rows,
-        "peers_real_time_factor_1000_axes": PEERS,
+        "scale": larger,
+        "exponent": exponent(larger) if len(larger) > 1 else float("nan"),
+        "peers_ns_per_axis_tick": peers(args.axes),
     }
     show(report)
     args.out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The firmware's laws run for sixteen axes at once give the bits of the firmware's own tick."""
+"""The firmware's laws run for many axes at once give the bits of the firmware's own tick."""
 
 import copy
 import struct
@@ -12,11 +12,12 @@ from fiberloom.bus.identifier import encode
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, Twin, draw_units
 
-PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)  # a lane group and a quarter
+PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=40)  # a lane group and a quarter
 UNITS = draw_units(PLANE, seed=11)
 UNITS.firmware["host_timeout_ms"][16] = 500.0  # this one slows down on its trajectory: nobody talks to it
 IDS = [int(i) for i in PLANE.positioner_id]
 HOME, STOP, OPEN_LOOP_BETA, TRACE, READ_TRACE = 20, 15, 125, 240, 243
+STATUS = 3
 
 
 def by_laws(laws):
@@ -69,3 +70,46 @@ def test_so_is_law_1_alone_and_among_others(kernel, laws):
     assert COLLISION in {c[1] for c in seen}
     assert alone == together
     assert alone != everything(False)[0]
+
+
+def arrivals(side_by_side, kernel=""):
+    """Short moves that land and settle, asked for status on the way; one is blocked, one never arrives."""
+    rng = np.random.default_rng(8)
+    twin = Twin(PLANE, UNITS, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
+    here, replies, states = twin.truth(), [], b""
+    for way_deg in (3.0, -0.4):
+        here = here + way_deg * rng.uniform(0.5, 1.0, here.shape) * (1.0, -1.0)
+        for number, (alpha, beta) in zip(IDS, here, strict=True):
+            goto(twin, number, alpha, beta)
+        for k in range(100):
+            twin.send([(encode(0, STATUS, 0), b"")] if k % 7 == 0 else [])
+            replies += twin.run(0.0005 * float(rng.integers(1, 40)))
+            states += twin.truth().tobytes()
+            if k == 15:
+                twin.inject(Fault("blocked", IDS[2], "alpha"))
+                twin.inject(Fault("dead", IDS[3]))
+    return repr(replies).encode() + states
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+def test_so_are_landings_and_settling(kernel):
+    assert arrivals(False) == arrivals(True, kernel)
+
+
+def motion(pieces, read):
+    """The same moves in so many calls; `read`: the firmware is looked at between them."""
+    twin = Twin(PLANE, UNITS, seed=3, threads=2)
+    for number in IDS:
+        goto(twin, number, 30.0 + number, 150.0)
+    replies = []
+    for k in range(pieces):
+        replies += twin.run(1.2 / pieces)
+        if read and k % 3 == 0:
+            _ = twin._core.ticks_run
+    return repr(replies).encode() + twin.truth().tobytes(), twin._core.ticks_run
+
+
+def test_axes_may_cruise_on_from_call_to_call():
+    whole = motion(1, False)
+    assert motion(240, False) == whole
+    assert motion(240, True) == whole, "what is read between two ticks changes nothing"

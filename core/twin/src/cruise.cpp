@@ -20,11 +20,38 @@ int64_t change_q30(const fl_profile_state_t &p) {
     return next > p.total_ticks - p.ramp_ticks ? -p.acceleration_q30 : 0;
 }
 
+// The ticks of a landing before the one that reaches the target, as far as it is worth knowing.
+uint32_t landing_ticks(const fl_axis_t &a) {
+    constexpr uint32_t most = 64;
+    int32_t left_cnt = fl_abs_i32(fl_sub_i32(a.plan[a.leg].target_cnt, a.raw_cnt));
+    for (uint32_t ticks = 0; ticks < most; ++ticks) {
+        const int32_t step_cnt = fl_landing_step(left_cnt, a.law.landing_step_cnt);
+        if (left_cnt <= step_cnt) return ticks;
+        left_cnt -= step_cnt;
+    }
+    return most;
+}
+
+// The lanes tell when the wait is over; not worth it where that may be soon.
+uint32_t settling_ticks(const fl_axis_t &a) {
+    const uint32_t calm = a.wait.calm_ticks;
+    return calm + least_cruise_ticks > a.law.settle_ticks && a.wait.leg_ticks > FL_SMOOTH_TICKS ? 0
+                                                                                                : UINT32_MAX;
+}
+
+const fl_leg_traits_t &leg_of(const fl_axis_t &a) { return fl_leg_traits[a.plan[a.leg].kind]; }
+
 } // namespace
+
+bool settles(const fl_axis_t &a) { return (leg_of(a).traits & FL_LEG_SETTLES) != 0; }
 
 uint32_t cruise_ticks(const fl_axis_t &a) {
     if (!fl_axis_tracks(&a) || a.slowing) return 0;
-    switch (fl_leg_traits[a.plan[a.leg].kind].step) {
+    switch (leg_of(a).step) {
+    case FL_STEP_LAND:
+        return landing_ticks(a);
+    case FL_STEP_STAY:
+        return settling_ticks(a);
     case FL_STEP_PATH:
         return a.cursor.ticks_left > 0 ? a.cursor.ticks_left - 1 : 0;
     case FL_STEP_PROFILE:
@@ -101,17 +128,30 @@ void store_state(const LawBatch &b, int i, fl_axis_t &a) {
 }
 
 void stand(LawBatch &b, int i) {
-    b.way.step_cnt[i] = b.way.rest[i] = b.way.rest_sum[i] = 0;
+    b.way.step_cnt[i] = b.way.rest[i] = b.way.rest_sum[i] = b.way.lands[i] = 0;
     b.way.ticks[i] = 1;
     b.way.speed_q30[i] = b.way.change_q30[i] = 0;
 }
 
 void load_way(LawBatch &b, int i, const fl_axis_t &a, uint64_t tick) {
     b.angle_cnt[i] = a.hall.angle_cnt;
-    b.way.follows[i] = fl_leg_traits[a.plan[a.leg].kind].step == FL_STEP_PATH ? -1 : 0;
+    const fl_leg_traits_t leg = leg_of(a);
+    b.way.follows[i] = leg.step == FL_STEP_PROFILE ? 0 : -1;
+    b.way.creeps[i] = (leg.traits & FL_LEG_CREEPS) != 0;
     b.way.zero_cnt[i] = a.zero_cnt;
     stand(b, i);
-    if (b.way.follows[i] != 0) {
+    if (leg.step == FL_STEP_LAND || leg.step == FL_STEP_STAY) {
+        b.way.path_cnt[i] = a.raw_cnt;
+        b.way.lands[i] = leg.step == FL_STEP_LAND ? -1 : 0;
+        b.way.target_cnt[i] = a.plan[a.leg].target_cnt;
+        b.way.slowest_cnt[i] = a.law.landing_step_cnt;
+#define X(type, name) b.settle.name[i] = a.law.name;
+        FL_LAW_SETTLE(X)
+#undef X
+#define X(type, name) b.settle.name[i] = a.wait.name;
+        FL_LAW_WAIT(X)
+#undef X
+    } else if (leg.step == FL_STEP_PATH) {
         b.way.path_cnt[i] = a.cursor.position_cnt;
         b.way.step_cnt[i] = a.cursor.step_cnt;
         b.way.rest[i] = a.cursor.rest;
@@ -134,7 +174,15 @@ void store_way(const LawBatch &b, int i, fl_axis_t &a, uint64_t tick, uint32_t t
     a.hall.angle_cnt = b.angle_cnt[i];
     if (ticks == 0) return;
     a.position_cnt = b.way.measured_cnt[i];
-    if (b.way.follows[i] != 0) {
+    const fl_leg_traits_t leg = leg_of(a);
+    if (leg.step == FL_STEP_LAND || leg.step == FL_STEP_STAY) {
+        a.raw_cnt = b.way.path_cnt[i];
+        if (settles(a)) {
+#define X(type, name) a.wait.name = b.settle.name[i];
+            FL_LAW_WAIT(X)
+#undef X
+        }
+    } else if (leg.step == FL_STEP_PATH) {
         a.cursor.position_cnt = a.raw_cnt = b.way.path_cnt[i];
         a.cursor.rest_sum = b.way.rest_sum[i];
         a.cursor.ticks_left -= ticks;

@@ -1,6 +1,7 @@
-// An axis cruises while its command moves by one rule: within a segment of its path, or on one ramp or the
-// straight part of a go-to. Then everything of it lies in the lanes of a LawBatch, and the firmware's own
-// structure is out of date until the axis leaves them. The bits are those of the firmware's own ticks.
+// An axis cruises while its command moves by one rule: within a segment of its path, on one ramp or the
+// straight part of a go-to, in the landing at its end, or while it settles there. Then everything of it lies
+// in the lanes of a LawBatch, and the firmware's own structure is out of date until the axis leaves them. The
+// bits are those of the firmware's own ticks.
 #pragma once
 
 #include "fiberloom/twin/law_batch.hpp"
@@ -9,6 +10,9 @@
 namespace fl::twin {
 
 inline constexpr uint32_t least_cruise_ticks = 16; // fewer are not worth the copy
+
+// Whether the axis is in a leg that ends when the rotor has come along.
+bool settles(const fl_axis_t &a);
 
 // Ticks from now on in which the command moves by one rule: 0 where the axis does not track.
 uint32_t cruise_ticks(const fl_axis_t &a);

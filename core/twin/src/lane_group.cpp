@@ -9,14 +9,7 @@
 namespace fl::twin {
 namespace {
 
-// The lane_group's turn comes every few ticks, after all others': what its firmware touches is asked for at
-// once, not piece by piece.
-void fetch(const fl_positioner_t &firmware) {
-    constexpr size_t line = 64;
-    for (const fl_axis_t &a : firmware.axis)
-        for (size_t at = 0; at < offsetof(fl_axis_t, fit); at += line)
-            __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
-}
+constexpr uint32_t whole_group = UINT32_MAX >> (32 - lane_group_size);
 
 // The bits of a mask, lowest first.
 template <typename Do> void each(uint32_t mask, Do &&what) {
@@ -38,6 +31,13 @@ uint32_t quiet_ticks(const fl_positioner_t &p) {
     return silent + 1 < p.host_watch_ticks ? p.host_watch_ticks - silent - 1 : 0;
 }
 
+// A bit for each flag that is set.
+uint32_t lanes_of(const int32_t (&flags)[lane_group_size]) {
+    uint32_t lanes = 0;
+    for (int i = 0; i < lane_group_size; ++i) lanes |= static_cast<uint32_t>(flags[i] != 0) << i;
+    return lanes;
+}
+
 } // namespace
 
 void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side) {
@@ -49,18 +49,14 @@ void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size
 }
 
 bool LaneGroup::gather() {
-    bool any = false;
-    for (size_t i = 0; i < count_; ++i) {
-        awake_[i] = !positioners_[i].asleep();
-        any |= awake_[i];
-        if (awake_[i] && (cruise_ >> i & 1U) == 0) fetch(positioners_[i].firmware());
-    }
-    return any;
+    awake_ = *positioners_->awake_mask();
+    each(awake_ & ~cruise_, [&](size_t i) { positioners_[i].fetch(); });
+    return awake_ != 0;
 }
 
-void LaneGroup::release(uint64_t tick) {
-    each(cruise_, [&](size_t i) { leave(i, tick, {false, false}); });
-    for (auto &axis : loaded_) axis.fill(false); // what comes over the bus may change parameters
+void LaneGroup::release(size_t i, uint64_t tick) {
+    if ((cruise_ >> i & 1U) != 0) leave(i, tick, {false, false});
+    for (auto &axis : loaded_) axis[i] = false; // what comes over the bus may change parameters
 }
 
 void LaneGroup::tick(uint64_t tick) {
@@ -68,11 +64,12 @@ void LaneGroup::tick(uint64_t tick) {
         each(cruise_, [&](size_t i) {
             if (until_[i] <= tick) leave(i, tick, {false, false});
         });
-    for (size_t i = 0; i < count_; ++i)
-        runs_[i] = awake_[i] && (cruise_ >> i & 1U) == 0 && positioners_[i].begin_tick(tick);
+    runs_ = 0;
+    each(awake_ & ~cruise_, [&](size_t i) {
+        if (positioners_[i].begin_tick(tick)) runs_ |= 1U << i;
+    });
     for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis, tick);
-    for (size_t i = 0; i < count_; ++i)
-        if (runs_[i] && side_by_side_) set_out(i, tick + 1);
+    if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
 }
 
 uint32_t LaneGroup::lanes_for(const Positioner &p) const {
@@ -100,6 +97,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
         load_way(b, lane, axes[axis], tick);
         cruise_axis_[axis] |= bit;
         if (axes[axis].detect) heeds_[axis] |= bit;
+        if (settles(axes[axis])) settles_[axis] |= bit;
     }
     cruise_ |= bit;
     since_[i] = tick;
@@ -125,6 +123,7 @@ void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
         stand(b, lane);
         cruise_axis_[axis] &= ~bit;
         heeds_[axis] &= ~bit;
+        settles_[axis] &= ~bit;
     }
     cruise_ &= ~bit;
     const bool within = done[FL_ALPHA] || done[FL_BETA];
@@ -133,9 +132,13 @@ void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
     each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, until_[k]); });
 }
 
-void LaneGroup::rest(uint64_t tick, bool may_sleep) {
-    for (size_t i = 0; i < count_; ++i)
-        if (awake_[i]) positioners_[i].rest(*plant_, tick, may_sleep);
+uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {
+    uint32_t fell = 0;
+    each(awake_ & ~cruise_, [&](size_t i) {
+        positioners_[i].rest(*plant_, tick, may_sleep);
+        fell |= static_cast<uint32_t>(positioners_[i].asleep()) << i;
+    });
+    return fell;
 }
 
 // What the hall channels of an axis show, for all that cruise.
@@ -145,22 +148,32 @@ void LaneGroup::look(int axis, LawBatch &b) const {
     std::copy_n(&group_->hall_cnt[1][first], lane_group_size, b.adc_b_cnt);
 }
 
-// The phases of all that cruise; one that something blocks does the end of its tick itself.
-void LaneGroup::drive(int axis, uint64_t tick, const LawBatch &b) {
-    uint32_t stuck = 0;
-    for (int i = 0; i < lane_group_size; ++i) stuck |= static_cast<uint32_t>(b.stuck[i] != 0) << i;
-    stuck &= heeds_[static_cast<size_t>(axis)];
-    each(cruise_axis_[static_cast<size_t>(axis)] & ~stuck, [&](size_t i) {
-        const size_t lane = static_cast<size_t>(axis * lane_group_size) + i;
-        group_->duty[0][lane] = b.duty_a[i];
-        group_->duty[1][lane] = b.duty_b[i];
-        group_->duty[2][lane] = b.duty_c[i];
-    });
-    each(stuck, [&](size_t i) {
+void LaneGroup::set_phases(int axis, uint32_t lanes, const LawBatch &b) {
+    const float *duty[] = {b.duty_a, b.duty_b, b.duty_c};
+    for (size_t phase = 0; phase < 3; ++phase) {
+        float *out = &group_->duty[phase][axis * lane_group_size];
+        if (lanes == whole_group)
+            std::copy_n(duty[phase], lane_group_size, out);
+        else
+            each(lanes, [&](size_t i) { out[i] = duty[phase][i]; });
+    }
+}
+
+// The phases of all that cruise; one that something blocks, or that has settled, does the end of its tick
+// itself.
+void LaneGroup::drive(int axis, uint64_t tick, LawBatch &b) {
+    const auto at = static_cast<size_t>(axis);
+    const auto end = [&](size_t i) {
         leave(i, tick, {true, axis == FL_BETA});
-        runs_[i] = true; // the rest of this tick
+        runs_ |= 1U << i;
         conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b);
-    });
+    };
+    each(lanes_of(b.stuck) & heeds_[at], end);
+    if (settles_[at] != 0) {
+        plant_->kernel().settle_law(b);
+        each(lanes_of(b.settle.over) & settles_[at], end);
+    }
+    set_phases(axis, cruise_axis_[at], b);
 }
 
 // All of one axis before the other, as within a positioner: a collision of alpha stops beta in the same tick.
@@ -169,9 +182,10 @@ void LaneGroup::tick_axis(int axis, uint64_t tick) {
     const uint32_t cruise = cruise_axis_[static_cast<size_t>(axis)];
     if (cruise != 0) look(axis, batch);
     size_t count = 0;
-    for (size_t i = 0; i < count_; ++i)
-        if (runs_[i] && ask(axis, positioners_[i], static_cast<int>(i), batch))
+    each(runs_, [&](size_t i) {
+        if (ask(axis, positioners_[i], static_cast<int>(i), batch))
             trackers_[count++] = {&positioners_[i], static_cast<int>(i), {}};
+    });
     if (count == 0 && cruise == 0) return;
     plant_->kernel().hall_law(batch);
     if (cruise != 0) plant_->kernel().advance_law(batch, tick);
@@ -222,12 +236,7 @@ void LaneGroup::conclude(int axis, const Tracker &t, const LawBatch &b) {
     const int i = t.lane;
     store_state(b, i, a);
     const bool stops = b.stuck[i] != 0 && a.detect;
-    if (!stops) {
-        const int lane = axis * lane_group_size + i;
-        group_->duty[0][lane] = b.duty_a[i];
-        group_->duty[1][lane] = b.duty_b[i];
-        group_->duty[2][lane] = b.duty_c[i];
-    }
+    if (!stops) set_phases(axis, 1U << i, b);
     const fl_axis_event_t event = fl_axis_conclude(&a, &firmware.port, axis, t.demand.way_ended, stops);
     if (event != FL_AXIS_NONE) fl_positioner_end_axis(&firmware, axis, event);
 }

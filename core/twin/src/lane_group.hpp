@@ -1,4 +1,4 @@
-// Sixteen positioners with axes in one group of the plant: runs their firmware, the laws side by side.
+// The positioners with axes in one group of the plant: runs their firmware, the laws side by side.
 #pragma once
 
 #include <array>
@@ -17,12 +17,12 @@ class LaneGroup {
 
     // Between slices: notes which positioners are awake. False when none is.
     bool gather();
-    // Before `tick`: what the lanes hold of positioners that cruise goes back to them. Nothing but ticks may
-    // read or change them before.
-    void release(uint64_t tick);
+    // Before `tick`: what the lanes hold of positioner i of the group goes back to it. Nothing but ticks may
+    // read or change its firmware before.
+    void release(size_t i, uint64_t tick);
     void tick(uint64_t tick);
-    // After a slice: positioners that have come to rest fall asleep.
-    void rest(uint64_t tick, bool may_sleep);
+    // After a slice: positioners that have come to rest fall asleep; a bit for each of them.
+    uint32_t rest(uint64_t tick, bool may_sleep);
 
     const Positioner *begin() const { return positioners_; }
     const Positioner *end() const { return positioners_ + count_; }
@@ -41,7 +41,8 @@ class LaneGroup {
     // Back again: alpha and beta have done the ticks before `tick`, and that one too if `done` says so.
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
     void look(int axis, LawBatch &batch) const;
-    void drive(int axis, uint64_t tick, const LawBatch &batch);
+    void drive(int axis, uint64_t tick, LawBatch &batch);
+    void set_phases(int axis, uint32_t lanes, const LawBatch &batch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
     void advance(int axis, Tracker &t, LawBatch &batch);
     void conclude(int axis, const Tracker &t, const LawBatch &batch);
@@ -51,10 +52,11 @@ class LaneGroup {
     Positioner *positioners_ = nullptr;
     size_t count_ = 0;
     bool side_by_side_ = true;
-    std::array<bool, lane_group_size> awake_{}, runs_{};
-    // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks
+    uint32_t awake_ = 0, runs_ = 0; // positioners that are awake; and whose ticks their firmware does
+    // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks or
+    // settle
     uint32_t cruise_ = 0;
-    std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{};
+    std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{}, settles_{};
     std::array<uint64_t, lane_group_size> since_{}, until_{};
     uint64_t next_leave_ = UINT64_MAX;
     // axes whose configuration lies in the batch, by lane: until a release

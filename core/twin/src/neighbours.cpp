@@ -41,24 +41,22 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
 
 } // namespace
 
-bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
-    return std::any_of(contacts.begin(), contacts.end(),
-                       [other](const Contact &c) { return c.other == other; });
-}
-
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
       near_(arms_.size()), next_look_(arms_.size(), 0) {
+    find_speeds();
     find_neighbours();
 }
 
 double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_.to_mm + body_.radius_mm; }
 
 // Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
-double Neighbours::approach_speed_mm_s(size_t i) const {
-    const double *w = gives_[i].speed_limit_rad_s;
-    return 2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm);
+void Neighbours::find_speeds() {
+    for (size_t i = 0; i < arms_.size(); ++i) {
+        const double *w = gives_[i].speed_limit_rad_s;
+        speed_mm_s_.push_back(2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm));
+    }
 }
 
 void Neighbours::find_neighbours() {
@@ -78,24 +76,22 @@ void Neighbours::find_neighbours() {
 size_t Neighbours::bytes_per_positioner() const {
     size_t longest = 0;
     for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
-    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(uint64_t) + longest * sizeof(Near);
+    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(double) + sizeof(uint64_t) +
+           longest * sizeof(Near);
 }
 
-Segment Neighbours::segment(size_t i, const Pose &pose) const {
-    return beta_segment(arms_[i], body_.from_mm, body_.to_mm, pose.deflected);
-}
-
-// How far an arm springs at most when it is let go.
-double Neighbours::deflection_mm(size_t i, const Pose &pose) const {
-    return std::abs(pose.deflected.alpha_rad - pose.rigid.alpha_rad) * (arms_[i].l_alpha_mm + body_.to_mm) +
-           std::abs(pose.deflected.beta_rad - pose.rigid.beta_rad) * body_.to_mm;
+Pose Neighbours::pose(size_t i, Angles deflected, Angles rigid) const {
+    const double spring_mm =
+        std::abs(deflected.alpha_rad - rigid.alpha_rad) * (arms_[i].l_alpha_mm + body_.to_mm) +
+        std::abs(deflected.beta_rad - rigid.beta_rad) * body_.to_mm;
+    return {deflected, beta_segment(arms_[i], body_.from_mm, body_.to_mm, deflected), spring_mm};
 }
 
 // How far the arm gives way along the normal for one newton: levers squared times compliances, Eq. 5a.
 double Neighbours::softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const {
     const double lever_a_m = metres * cross(minus(m.point_mm, arms_[i].centre_mm), m.normal);
     const double lever_b_m =
-        metres * cross(minus(m.point_mm, elbow(arms_[i], pose.deflected.alpha_rad)), m.normal);
+        metres * cross(minus(m.point_mm, elbow(arms_[i], pose.angles.alpha_rad)), m.normal);
     const double *give = gives_[i].compliance_rad_per_Nm;
     return (lever_a_m * lever_a_m * give[0] + lever_b_m * lever_b_m * give[1]) / metres;
 }
@@ -122,7 +118,7 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
     if (aim_N == 0.0 && std::hypot(force_N.x, force_N.y) < let_go_N) return;
 
     look.now.push_back({body.number, at.number, force_N});
-    const Vec2 axis_b = elbow(arms_[look.i], pose.deflected.alpha_rad);
+    const Vec2 axis_b = elbow(arms_[look.i], pose.angles.alpha_rad);
     look.push.torque_Nm[0] += metres * cross(minus(c.on_first, arms_[look.i].centre_mm), force_N);
     look.push.torque_Nm[1] += metres * cross(minus(c.on_first, axis_b), force_N);
 }
@@ -130,16 +126,17 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
 // Capsules that do not cross touch at ends of their centre lines; side by side, at two of them. Returns
 // the seconds in which the two cannot touch.
 double Neighbours::touch(Look &look, const Touched &body) const {
-    const double distance_mm = segment_distance(look.mine, body.line);
+    const Segment &mine = look.poses[look.i].line;
+    const double distance_mm = segment_distance(mine, body.line);
     const double gap_mm = distance_mm - body.apart_mm;
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
-        const double still_mm = gap_mm - body.spring_mm - deflection_mm(look.i, look.poses[look.i]);
-        return std::max(still_mm, 0.0) / (approach_speed_mm_s(look.i) + body.speed_mm_s);
+        // the same bits from both sides
+        const double still_mm = gap_mm - (body.spring_mm + look.poses[look.i].spring_mm);
+        return std::max(still_mm, 0.0) / (speed_mm_s_[look.i] + body.speed_mm_s);
     }
-    const Closest places[] = {closest_point(look.mine.a, body.line), closest_point(look.mine.b, body.line),
-                              turned(closest_point(body.line.a, look.mine)),
-                              turned(closest_point(body.line.b, look.mine)),
-                              closest_points(look.mine, body.line)};
+    const Closest places[] = {closest_point(mine.a, body.line), closest_point(mine.b, body.line),
+                              turned(closest_point(body.line.a, mine)),
+                              turned(closest_point(body.line.b, mine)), closest_points(mine, body.line)};
     const int ends = 4, count = distance_mm == 0.0 ? 5 : ends;
     const auto deep = [&](const Closest &c) { return c.distance_mm < body.apart_mm; };
     const auto touching = std::count_if(places, places + count, deep);
@@ -151,12 +148,7 @@ double Neighbours::touch(Look &look, const Touched &body) const {
 Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &poses) const {
     if (number < arms_.size()) {
         const Pose &pose = poses[number];
-        return {number,
-                segment(number, pose),
-                2.0 * body_.radius_mm,
-                deflection_mm(number, pose),
-                approach_speed_mm_s(number),
-                &pose};
+        return {number, pose.line, 2.0 * body_.radius_mm, pose.spring_mm, speed_mm_s_[number], &pose};
     }
     const Obstacle &o = obstacles_[number - arms_.size()];
     return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};
@@ -165,7 +157,7 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
 Push Neighbours::push(size_t i, const std::vector<Pose> &poses, uint64_t tick,
                       std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};
-    Look look{i, poses, segment(i, poses[i]), contacts, {}, {}};
+    Look look{i, poses, contacts, {}, {}};
     uint64_t next = UINT64_MAX;
     for (Near &near : near_[i]) {
         if (tick >= near.next_look) {

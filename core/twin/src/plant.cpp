@@ -108,10 +108,19 @@ void Plant::step(size_t group) {
     AxisGroup &g = groups_[group];
     kernel_->drive(g);
     TickEvents events = kernel_->step(g, substeps_);
-    for (uint32_t left = events.left_cell; left != 0; left &= left - 1)
-        follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctz(left))));
-    for (uint32_t left = slipping_[group]; left != 0; left &= left - 1)
-        slip(axis_at(group, static_cast<size_t>(__builtin_ctz(left))));
+    for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
+        fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
+        follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    for (uint64_t left = slipping_[group]; left != 0; left &= left - 1)
+        slip(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+}
+
+// It may lie far from the processor: all of it is asked for at once.
+void Plant::fetch(size_t axis) const {
+    constexpr size_t line = 64;
+    const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
+    for (size_t at = 0; at < sizeof(Axis); at += line) __builtin_prefetch(begin + at, 1);
 }
 
 double Plant::geared_rad(size_t axis) const {
@@ -185,8 +194,8 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
     a.faults = faults;
     if (caught) a.slip_rad += a.held_rad - output_at_rest_rad(axis);
     a.geared_rad = geared_rad(axis);
-    const uint32_t bit = 1u << place(axis).lane;
-    uint32_t &slipping = slipping_[place(axis).group];
+    const uint64_t bit = uint64_t{1} << place(axis).lane;
+    uint64_t &slipping = slipping_[place(axis).group];
     slipping = faults.slips() ? slipping | bit : slipping & ~bit;
     configure(axis);
 }

@@ -1,6 +1,7 @@
 #include "positioner.hpp"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 #include <numbers>
 #include <utility>
@@ -15,12 +16,14 @@ namespace {
 constexpr uint8_t start_command = 14; // START_TRAJECTORY
 }
 
-void Positioner::attach(Plant &plant, size_t index, Outbox &outbox) {
+void Positioner::attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake) {
     plant_ = &plant;
     group_ = &plant.group(Plant::place(2 * index).group);
     lane_ = Plant::place(2 * index).lane;
     index_ = index;
     outbox_ = &outbox;
+    awake_ = &awake;
+    *awake_ |= 1U << index_ % lane_group_size;
 }
 
 fl_port_t Positioner::port() {
@@ -100,17 +103,24 @@ bool Positioner::changed(const Plant &plant) {
 
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
-    if (changed(plant) || scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) return;
-    asleep_ = true;
+    if (changed(plant) || scoped()) return;
+    *awake_ &= ~(1U << index_ % lane_group_size);
     asleep_since_ = tick;
 }
 
 void Positioner::wake(uint64_t tick) {
-    if (!asleep_) return;
-    asleep_ = false;
+    if (!asleep()) return;
+    *awake_ |= 1U << index_ % lane_group_size;
     const uint64_t ticks = tick - asleep_since_;
     skipped_ += ticks;
     if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));
+}
+
+void Positioner::fetch() const {
+    constexpr size_t line = 64;
+    for (const fl_axis_t &a : firmware_.axis)
+        for (size_t at = 0; at < offsetof(fl_axis_t, fit); at += line)
+            __builtin_prefetch(reinterpret_cast<const char *>(&a) + at, 1);
 }
 
 void Positioner::start_scope(int axis, bool on) {
@@ -123,7 +133,7 @@ std::vector<ScopeSample> Positioner::take_scope(int axis) {
     return std::exchange((*scope_)[static_cast<size_t>(axis)], {});
 }
 
-void Positioner::record_axes(const Plant &plant, uint64_t tick) {
+void Positioner::record(const Plant &plant, uint64_t tick) {
     for (int axis = 0; axis < FL_AXES; ++axis)
         if (scope_on_[axis]) (*scope_)[static_cast<size_t>(axis)].push_back(sample(plant, axis, tick));
 }
@@ -193,18 +203,17 @@ uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint3
     const auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
-    if (p.storage_.empty())
-        std::memset(bytes, 0xff, held); // erased flash
-    else
-        std::memcpy(bytes, p.storage_.data() + offset, held);
+    std::memset(bytes, 0xff, held); // erased flash
+    if (offset < p.storage_.size())
+        std::memcpy(bytes, p.storage_.data() + offset, std::min<size_t>(held, p.storage_.size() - offset));
     return held;
 }
 
 uint32_t Positioner::storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len) {
     auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
-    if (p.storage_.empty()) p.storage_.assign(storage_bytes, 0xff);
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
+    if (p.storage_.size() < offset + held) p.storage_.resize(offset + held, 0xff);
     std::memcpy(p.storage_.data() + offset, bytes, held);
     return held;
 }

@@ -34,7 +34,8 @@ class Positioner {
     Positioner &operator=(const Positioner &) = delete;
 
     // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
-    void attach(Plant &plant, size_t index, Outbox &outbox);
+    // awake: a bit for each positioner of its group, of those that are not asleep.
+    void attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake);
     // params: flashed at the factory; what the storage holds goes before them.
     void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
     // Back to what is flashed or stored: what was only set is gone.
@@ -56,8 +57,7 @@ class Positioner {
     void hall(int axis, uint16_t adc_cnt[2]);
     // Whether a host may do the ticks of its axes without asking it.
     bool may_cruise() const {
-        return !scope_on_[FL_ALPHA] && !scope_on_[FL_BETA] && !faults.stuck_hall[FL_ALPHA] &&
-               !faults.stuck_hall[FL_BETA];
+        return !scoped() && !faults.stuck_hall[FL_ALPHA] && !faults.stuck_hall[FL_BETA];
     }
     // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
     void count_ticks(uint32_t ticks, uint64_t tick) {
@@ -72,9 +72,14 @@ class Positioner {
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
-    bool asleep() const { return asleep_; }
+    bool asleep() const { return (*awake_ >> index_ % lane_group_size & 1U) == 0; }
+    const uint32_t *awake_mask() const { return awake_; }
     uint64_t skipped() const { return skipped_; }
     uint64_t run() const { return run_; }
+
+    // Others have had their turn meanwhile: what its firmware touches is asked for at once, not piece by
+    // piece.
+    void fetch() const;
 
     const fl_positioner_t &firmware() const { return firmware_; }
     fl_positioner_t &firmware() { return firmware_; }
@@ -86,9 +91,11 @@ class Positioner {
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
-    void record(const Plant &plant, uint64_t tick) {
-        if (scope_on_[FL_ALPHA] || scope_on_[FL_BETA]) record_axes(plant, tick);
-    }
+    // Memory of its own, without the firmware's state.
+    size_t bytes() const { return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.capacity(); }
+    bool scoped() const { return scope_on_[FL_ALPHA] || scope_on_[FL_BETA]; }
+    // A sample of each axis that a scope is on.
+    void record(const Plant &plant, uint64_t tick);
 
     // torque of neighbours as last applied, and torque asked for from outside
     Push push, user_push;
@@ -109,7 +116,6 @@ class Positioner {
     fl_port_t port();
     void start(uint16_t id);
     bool changed(const Plant &plant);
-    void record_axes(const Plant &plant, uint64_t tick);
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};
@@ -119,9 +125,9 @@ class Positioner {
     int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;
     Outbox *outbox_ = nullptr;
-    std::vector<uint8_t> storage_;
-    uint64_t now_ = 0; // tick of the call into the firmware
-    bool asleep_ = false;
+    std::vector<uint8_t> storage_; // as far as it was ever written
+    uint64_t now_ = 0;             // tick of the call into the firmware
+    uint32_t *awake_ = nullptr;
     uint64_t asleep_since_ = 0, skipped_ = 0, run_ = 0;
     Plant::Rotor last_rotor_[FL_AXES] = {};
     uint16_t last_hall_[FL_AXES][2] = {};

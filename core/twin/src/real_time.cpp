@@ -5,6 +5,10 @@
 #include <pthread.h>
 #include <sched.h>
 #include <unistd.h>
+#ifdef __linux__
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#endif
 #include <utility>
 
 namespace fl::twin {
@@ -13,6 +17,27 @@ namespace {
 constexpr double patience_s = 1.0;                // further behind than this, time is given up
 constexpr std::chrono::milliseconds nap_time{50}; // while every positioner rests
 constexpr uint64_t most_ticks = std::max<uint64_t>(4, sync_ticks); // of one go, when behind
+
+// Of this thread, as far as the system goes along: short turns, so that it is let in when it wakes up and
+// need not wait for the turns of others to end (Linux 6.12, which keeps policy and nice), and timers that
+// ring in time.
+void ask_for_short_turns() {
+#ifdef SYS_sched_setattr
+    struct {
+        uint32_t size, policy;
+        uint64_t flags;
+        int32_t nice;
+        uint32_t priority;
+        uint64_t runtime_ns, deadline_ns, period_ns;
+    } turns{};
+    if (syscall(SYS_sched_getattr, 0, &turns, sizeof turns, 0) == 0 && turns.policy == SCHED_OTHER) {
+        turns.size = sizeof turns;
+        turns.runtime_ns = 100000; // the shortest there are
+        syscall(SYS_sched_setattr, 0, &turns, 0);
+    }
+    prctl(PR_SET_TIMERSLACK, 1UL);
+#endif
+}
 
 } // namespace
 
@@ -176,6 +201,7 @@ void RealTime::park() {
 }
 
 void RealTime::loop() {
+    ask_for_short_turns();
     while (!stop_) {
         if (holders_ > 0) park();
         exchange(std::unique_lock(mutex_, std::try_to_lock));

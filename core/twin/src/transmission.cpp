@@ -28,14 +28,17 @@ struct Sums {
     double delta_rad = 0.0, backlash_rad = 0.0;
 };
 
+// Both sums at once, in one vector.
 Sums series(const Transmission &t, int32_t index) {
-    Sums sums;
+    typedef double Both __attribute__((vector_size(16)));
+    Both sums = {};
     for (size_t i = 0; i < harmonic_count; ++i) {
         const Harmonic &wave = circle.at(harmonic_orders[i] * index);
-        sums.delta_rad += t.delta_rad[i].cos * wave.cos + t.delta_rad[i].sin * wave.sin;
-        sums.backlash_rad += t.backlash_rad[i].cos * wave.cos + t.backlash_rad[i].sin * wave.sin;
+        const Both cosines = {t.delta_rad[i].cos, t.backlash_rad[i].cos};
+        const Both sines = {t.delta_rad[i].sin, t.backlash_rad[i].sin};
+        sums += cosines * wave.cos + sines * wave.sin;
     }
-    return sums;
+    return {sums[0], sums[1]};
 }
 
 double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {

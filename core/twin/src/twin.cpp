@@ -1,7 +1,7 @@
 #include "fiberloom/twin/twin.hpp"
 
 #include <algorithm>
-
+#include <bit>
 #include <cmath>
 #include <numbers>
 #include <numeric>
@@ -67,8 +67,9 @@ struct Twin::State {
     void run_group(size_t group, uint64_t ticks);
 
     void feel_group(size_t group);
+    bool touches(size_t i) const { return felt[i] != 0 && !positioners[i].contacts.empty(); }
     bool in_contact(size_t group) const;
-    bool pushes(size_t group) const;
+    bool pushes(size_t group);
 
     void feel_neighbours(size_t i, Outbox &outbox);
     void note_touches(size_t i, Outbox &outbox);
@@ -77,7 +78,7 @@ struct Twin::State {
     void follow_loads(size_t i);
     Angles at_rest(size_t i) const;
     void publish(size_t i);
-    void hear(Positioner &p, const fl_can_frame_t &frame, int bus) const;
+    void hear(size_t i, const fl_can_frame_t &frame, int bus);
     bool any_awake() const;
     // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
     bool at_sync() const { return now % sync_ticks == 0; }
@@ -89,10 +90,16 @@ struct Twin::State {
         return {group * lane_group_size, std::min((group + 1) * lane_group_size, count)};
     }
     std::vector<Reply> collect();
-    Positioner &at(size_t i) {
+    void check(size_t i) const {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
+    }
+    // For whom it may be read or changed: its firmware is up to date.
+    Positioner &at(size_t i) {
+        check(i);
+        release(i);
         return positioners[i];
     }
+    void release(size_t i) { lane_groups[i / lane_group_size].release(i % lane_group_size, now); }
 
     Plant plant;
     size_t count;
@@ -105,11 +112,15 @@ struct Twin::State {
     bool skip_resting;
     bool loaded = false; // something pulls at the arms: it follows them at sync points
     uint64_t now = 0;
-    uint64_t begun = 0;         // the slice that runs, in which all have felt their neighbours
-    uint64_t slice = 0;         // its ticks
-    std::vector<size_t> turns;  // groups of the batch that runs
-    std::vector<uint8_t> close; // by group: its arms touch, so that it waits for its turn tick by tick
-    bool quiet = false;         // a sync point has passed with every positioner asleep: time alone goes on
+    uint64_t begun = 0;           // the slice that runs, in which all have felt their neighbours
+    uint64_t slice = 0;           // its ticks
+    std::vector<size_t> turns;    // groups of the batch that runs
+    std::vector<uint32_t> awake;  // by group: a bit for each that is not asleep
+    std::vector<uint8_t> felt;    // by positioner: it touches something, or has just done so
+    std::vector<uint8_t> pushed;  // by positioner: the force on it may change from tick to tick in this slice
+    std::vector<uint32_t> scoped; // by group: who has a scope on, a bit each
+    std::vector<uint8_t> close;   // by group: its arms touch, so that it waits for its turn tick by tick
+    bool quiet = false;           // a sync point has passed with every positioner asleep: time alone goes on
     // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
     std::vector<Angles> zeros; // of the arms
@@ -122,7 +133,8 @@ Twin::State::State(const TwinSetup &s)
       count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)),
       lane_groups(plant.group_count()), outboxes(plant.group_count()),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
-      skip_resting(s.skip_resting), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
+      skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()), pushed(s.ids.size()),
+      scoped(plant.group_count()), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
       workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
     for (size_t i = 0; i < count; ++i) publish(i);
@@ -135,7 +147,7 @@ void Twin::State::boot(const TwinSetup &s) {
         if (!index_of_id.emplace(s.ids[i], i).second)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
         Positioner &p = positioners[i];
-        p.attach(plant, i, outboxes[i / lane_group_size]);
+        p.attach(plant, i, outboxes[i / lane_group_size], awake[i / lane_group_size]);
         p.boot(s.ids[i], &s.params[2 * i]);
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
@@ -159,23 +171,30 @@ void Twin::State::boot(const TwinSetup &s) {
 void Twin::State::feel_group(size_t group) {
     const Rows rows = rows_of(group);
     for (size_t i = rows.begin; i < rows.end; ++i)
-        if (at_sync() || !positioners[i].contacts.empty()) feel_neighbours(i, outboxes[group]);
+        if (at_sync() ? felt[i] != 0 || neighbours.due(i, now) : pushed[i] != 0)
+            feel_neighbours(i, outboxes[group]);
 }
 
 bool Twin::State::in_contact(size_t group) const {
     const Rows rows = rows_of(group);
-    return std::any_of(&positioners[rows.begin], &positioners[0] + rows.end,
-                       [](const Positioner &p) { return !p.contacts.empty(); });
+    for (size_t i = rows.begin; i < rows.end; ++i)
+        if (touches(i)) return true;
+    return false;
 }
 
-// Whether a force on an arm of the group may change: it or what it touches is awake.
-bool Twin::State::pushes(size_t group) const {
-    const auto awake = [this](const Contact &c) { return c.other < count && !positioners[c.other].asleep(); };
+// Whether forces on arms of the group may change before the next sync point; notes on which: those that touch
+// something, and either of the two is awake. No other contact has a say in it.
+bool Twin::State::pushes(size_t group) {
+    const auto moves = [this](const Contact &c) { return c.other < count && !positioners[c.other].asleep(); };
     const Rows rows = rows_of(group);
-    return std::any_of(&positioners[rows.begin], &positioners[0] + rows.end, [&](const Positioner &p) {
-        const bool any = std::any_of(p.contacts.begin(), p.contacts.end(), awake);
-        return any || (!p.contacts.empty() && !p.asleep());
-    });
+    bool any = false;
+    for (size_t i = rows.begin; i < rows.end; ++i) {
+        const Positioner &p = positioners[i];
+        const auto &contacts = p.contacts;
+        pushed[i] = touches(i) && (!p.asleep() || std::any_of(contacts.begin(), contacts.end(), moves));
+        any |= pushed[i] != 0;
+    }
+    return any;
 }
 
 // One task of a slice: this group's neighbours, then its ticks, unless its arms touch. Reads `seen`.
@@ -188,7 +207,7 @@ void Twin::State::take_turn(size_t group) {
         run_group(group, slice);
 }
 
-// Writes `next`.
+// Writes `next`, for those whom somebody looks at next.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
     const Rows rows = rows_of(group);
     LaneGroup &lane_group = lane_groups[group];
@@ -197,22 +216,21 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
         plant.sense(group, static_cast<uint32_t>(tick));
         lane_group.tick(tick);
         plant.step(group);
-        for (size_t i = rows.begin; i < rows.end; ++i) positioners[i].record(plant, tick);
+        for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
+            positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
     }
     if (loaded && (now + ticks) % sync_ticks == 0)
         for (size_t i = rows.begin; i < rows.end; ++i) follow_loads(i);
-    lane_group.rest(now + ticks, skip_resting);
-    for (size_t i = rows.begin; feel && i < rows.end; ++i) publish(i);
+    const uint32_t fell = lane_group.rest(now + ticks, skip_resting);
+    for (size_t i = rows.begin; feel && i < rows.end; ++i)
+        if ((fell >> (i - rows.begin) & 1U) != 0 || neighbours.due(i, now + ticks)) publish(i);
 }
 
 void Twin::State::publish(size_t i) {
-    Pose &pose = next[i];
-    double *deflected[] = {&pose.deflected.alpha_rad, &pose.deflected.beta_rad};
-    double *rigid[] = {&pose.rigid.alpha_rad, &pose.rigid.beta_rad};
-    for (size_t axis = 0; axis < FL_AXES; ++axis) {
-        *rigid[axis] = plant.output_at_rest_rad(2 * i + axis);
-        *deflected[axis] = *rigid[axis] + plant.deflection_rad(2 * i + axis);
-    }
+    const Angles rigid = at_rest(i);
+    next[i] = neighbours.pose(
+        i, {rigid.alpha_rad + plant.deflection_rad(2 * i), rigid.beta_rad + plant.deflection_rad(2 * i + 1)},
+        rigid);
 }
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
@@ -220,6 +238,7 @@ void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     const Push push = neighbours.push(i, seen, now, p.contacts);
     note_touches(i, outbox);
     if (push != p.push) apply_torque(i, push);
+    felt[i] = !p.contacts.empty() || !p.touched.empty() || p.push != Push{};
 }
 
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
@@ -270,8 +289,7 @@ void Twin::State::follow_loads(size_t i) {
 }
 
 bool Twin::State::any_awake() const {
-    return std::any_of(&positioners[0], &positioners[0] + count,
-                       [](const Positioner &p) { return !p.asleep(); });
+    return std::any_of(awake.begin(), awake.end(), [](uint32_t group) { return group != 0; });
 }
 
 void Twin::State::run_slice(uint64_t ticks) {
@@ -330,16 +348,21 @@ Plant &Twin::plant() { return s_->plant; }
 const Neighbours &Twin::neighbours() const { return s_->neighbours; }
 const char *Twin::kernel_name() const { return s_->plant.kernel_name(); }
 
-void Twin::State::hear(Positioner &p, const fl_can_frame_t &frame, int bus) const {
-    if (bus == every_bus || p.bus == bus) p.receive(frame, now);
+void Twin::State::hear(size_t i, const fl_can_frame_t &frame, int bus) {
+    if (bus != every_bus && positioners[i].bus != bus) return;
+    release(i);
+    positioners[i].receive(frame, now);
 }
 
 void Twin::send(const fl_can_frame_t &frame, int bus) {
     const uint32_t id = frame.id >> 18 & 0x7ff;
     if (id == 0) {
-        for (size_t i = 0; i < s_->count; ++i) s_->hear(s_->positioners[i], frame, bus);
+        for (size_t i = 0; i < s_->count; ++i) {
+            if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
+            s_->hear(i, frame, bus);
+        }
     } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
-        s_->hear(s_->positioners[found->second], frame, bus);
+        s_->hear(found->second, frame, bus);
     }
 }
 
@@ -356,17 +379,19 @@ std::vector<Reply> Twin::run(uint64_t ticks) {
         s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
         s_->quiet = resting && at_sync && !s_->any_awake();
     }
-    for (LaneGroup &g : s_->lane_groups) g.release(s_->now);
     return s_->collect();
 }
 
 Angles Twin::output(size_t i) const {
-    s_->at(i);
+    s_->check(i);
     return {s_->plant.output_rad(2 * i), s_->plant.output_rad(2 * i + 1)};
 }
 
 const fl_positioner_t &Twin::firmware(size_t i) const { return s_->at(i).firmware(); }
-bool Twin::asleep(size_t i) const { return s_->at(i).asleep(); }
+bool Twin::asleep(size_t i) const {
+    s_->check(i);
+    return s_->positioners[i].asleep();
+}
 bool Twin::resting() const { return s_->quiet && !s_->any_awake(); }
 
 uint64_t Twin::ticks_skipped() const {
@@ -377,15 +402,16 @@ uint64_t Twin::ticks_skipped() const {
 
 uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
-    for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].run();
+    for (size_t i = 0; i < s_->count; ++i) sum += s_->at(i).run();
     return sum;
 }
 
-// The firmware's own state is a board's business; neighbour lists are counted by their longest.
+// The firmware's own state is a board's business; neighbour lists and storage are counted by their longest.
 size_t Twin::bytes_per_positioner() const {
-    return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_bytes +
-           FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() + 2 * sizeof(Pose) +
-           sizeof(LaneGroup) / lane_group_size;
+    size_t own = 0;
+    for (size_t i = 0; i < s_->count; ++i) own = std::max(own, s_->positioners[i].bytes());
+    return own + FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() +
+           2 * sizeof(Pose) + sizeof(LaneGroup) / lane_group_size;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
@@ -445,6 +471,9 @@ void Twin::scope(size_t i, int axis, bool on) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);
     p.start_scope(axis, on);
+    const uint32_t bit = 1U << i % lane_group_size;
+    uint32_t &scoped = s_->scoped[i / lane_group_size];
+    scoped = p.scoped() ? scoped | bit : scoped & ~bit;
 }
 
 std::vector<ScopeSample> Twin::take_scope(size_t i, int axis) { return s_->at(i).take_scope(axis); }

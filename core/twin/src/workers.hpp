@@ -1,22 +1,27 @@
 // Threads that wait for a batch of tasks, so that a batch of microseconds is worth sharing out.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <thread>
 #include <vector>
 
 namespace fl::twin {
 
-// A batch has tasks 0 to count - 1. A helper that sleeps through a batch delays none: the threads that are
-// awake take the tasks, and the batch ends with the last task.
+// A batch has tasks 0 to count - 1. Every thread has a share of them, the same in every batch of that size,
+// so that what a task needs stays in the cache of its core; it helps with other shares when its own is done.
+// A helper that sleeps through a batch delays none: the others take its tasks.
 class Workers {
   public:
     // threads: in all, the calling one included.
-    Workers(int threads, std::function<void(size_t)> task) : task_(std::move(task)) {
-        for (int i = 1; i < threads; ++i) helpers_.emplace_back([this] { help(); });
+    Workers(int threads, std::function<void(size_t)> task)
+        : task_(std::move(task)), share_count_(static_cast<size_t>(threads)),
+          shares_(std::make_unique<Share[]>(share_count_)) {
+        for (size_t i = 1; i < share_count_; ++i) helpers_.emplace_back([this, i] { help(i); });
     }
     ~Workers() {
         closing_ = true;
@@ -29,40 +34,65 @@ class Workers {
     // Does every one of `count` tasks once, in any order, and returns when all are done.
     // @pre count < 2^32
     void run(size_t count) {
-        done_ = 0;
-        tickets_ = Tickets{count} << 32; // from here on tasks may be taken
-        if (!helpers_.empty() && count > 1) call();
-        take_tasks();
-        for (size_t done = done_; done != count; done = done_) done_.wait(done);
+        if (helpers_.empty() || count < 2) {
+            for (size_t i = 0; i < count; ++i) task_(i);
+            return;
+        }
+        left_ = count; // before any of them may be taken
+        for (size_t i = 0; i < share_count_; ++i)
+            shares_[i].tickets = Tickets{(i + 1) * count / share_count_} << 32 | i * count / share_count_;
+        call();
+        take_tasks(0);
+        for (size_t left = await(left_, 0); left != 0; left = left_) left_.wait(left);
     }
 
   private:
-    // The number of tasks above, the next of them below: one that is late sees that its batch is over.
+    // The end of a share above, the next of its tasks below: one that is late sees that its batch is over.
     using Tickets = uint64_t;
+    struct alignas(64) Share {
+        std::atomic<Tickets> tickets{0};
+    };
+    // Some ten microseconds: slices follow each other sooner, and waking a thread takes longer.
+    static constexpr int spins = 1000;
+
+    static void pause() {
+#if defined(__x86_64__) || defined(__i386__)
+        __builtin_ia32_pause();
+#endif
+    }
+    // Looks for a while whether a number becomes `wanted`; returns it as last seen.
+    static size_t await(const std::atomic<size_t> &number, size_t wanted) {
+        size_t seen = number;
+        for (int i = 0; i < spins && seen != wanted; ++i, seen = number) pause();
+        return seen;
+    }
 
     void call() {
         batch_.fetch_add(1);
         batch_.notify_all();
     }
-    void take_tasks() {
-        for (Tickets t = tickets_.fetch_add(1); static_cast<uint32_t>(t) < t >> 32;
-             t = tickets_.fetch_add(1)) {
+    void take_tasks(size_t first) {
+        for (size_t i = 0; i < share_count_; ++i) take_share(shares_[(first + i) % share_count_].tickets);
+    }
+    void take_share(std::atomic<Tickets> &tickets) {
+        for (Tickets t = tickets.fetch_add(1); static_cast<uint32_t>(t) < t >> 32; t = tickets.fetch_add(1)) {
             task_(static_cast<uint32_t>(t));
-            if (done_.fetch_add(1) + 1 == t >> 32) done_.notify_all();
+            if (left_.fetch_sub(1) == 1) left_.notify_all();
         }
     }
-    void help() {
-        for (unsigned seen = 0; !closing_; seen = batch_) {
-            take_tasks();
-            batch_.wait(seen);
+    void help(size_t share) {
+        for (size_t seen = 0; !closing_; seen = batch_) {
+            take_tasks(share);
+            if (await(batch_, seen + 1) == seen) batch_.wait(seen);
         }
     }
 
     const std::function<void(size_t)> task_;
+    const size_t share_count_;
+    const std::unique_ptr<Share[]> shares_;
     std::vector<std::thread> helpers_;
-    std::atomic<Tickets> tickets_{0};
-    std::atomic<size_t> done_{0};
-    std::atomic<unsigned> batch_{0};
+    std::atomic<size_t> left_{0};  // tasks of this batch that are not done
+    std::atomic<size_t> batch_{0}; // number of it
     std::atomic<bool> closing_{false};
 };
 

@@ -3,10 +3,8 @@
 /* Field speed of the hall calibration: 240 rpm */
 enum { SPIN_STEP_CNT = 2097 };
 
-/* Slower and slower: 64 ms times the remaining way, and the landing speed. */
 static int32_t landing_step(const fl_axis_t *a, int32_t target_cnt) {
-    const int32_t way = fl_abs_i32(fl_sub_i32(target_cnt, a->raw_cnt));
-    return a->law.landing_step_cnt + (way >> 7);
+    return fl_landing_step(fl_sub_i32(target_cnt, a->raw_cnt), a->law.landing_step_cnt);
 }
 
 /* One step of at most step_cnt towards the target; true when there. */
@@ -117,10 +115,10 @@ static fl_axis_event_t finish(fl_axis_t *a, const fl_port_t *port, int index) {
 static bool is_still(fl_axis_t *a) {
     const int32_t moved = fl_abs_i32(fl_sub_i32(a->hall.angle_cnt, a->calm_cnt));
     if (moved > (int32_t)FL_CNT_PER_MOTOR_DEG) {
-        a->calm_ticks = 0;
+        a->wait.calm_ticks = 0;
         a->calm_cnt = a->hall.angle_cnt;
     }
-    return ++a->calm_ticks > a->law.settle_ticks;
+    return ++a->wait.calm_ticks > a->law.settle_ticks;
 }
 
 static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index, fl_leg_traits_t leg) {
@@ -134,16 +132,12 @@ static fl_axis_event_t coast(fl_axis_t *a, const fl_port_t *port, int index, fl_
     return FL_AXIS_NONE;
 }
 
-/* The command is constant and the rotor does not lag, for the settle time; or the time is over. The error
- * is averaged over some 4 ms against the noise of the sensors. Beyond the target counts as arrived:
- * the backlash lies between the rotor and any way back. */
+/* In open loop the rotor is where the field is, or lost. */
 static bool settled(fl_axis_t *a) {
-    if (++a->leg_ticks <= FL_SMOOTH_TICKS) return false;
+    const fl_settle_config_t cfg = {a->closed_loop ? a->law.tolerance_cnt : INT32_MAX, a->law.settle_ticks,
+                                    a->law.timeout_ticks};
     const int32_t error = fl_sub_i32(a->command.position_cnt, a->position_cnt);
-    a->lag_cnt += ((a->drive.servo.direction < 0.0f ? -error : error) - a->lag_cnt) >> 3;
-    const bool calm = a->lag_cnt <= a->law.tolerance_cnt || !a->closed_loop;
-    a->calm_ticks = calm ? a->calm_ticks + 1 : 0;
-    return a->calm_ticks > a->law.settle_ticks || a->leg_ticks > a->law.timeout_ticks + FL_SMOOTH_TICKS;
+    return fl_settle_step(&cfg, &a->wait, a->drive.servo.direction < 0.0f ? -error : error);
 }
 
 /* Something blocks: the end of a search, a collision else. */
@@ -177,7 +171,8 @@ static inline void advance(fl_axis_t *a, const fl_path_t *path, fl_leg_traits_t 
 static inline fl_axis_event_t end_tick(fl_axis_t *a, const fl_port_t *port, int index, fl_leg_traits_t leg,
                                        bool way_ended) {
     if ((leg.traits & FL_LEG_SETTLES) && settled(a)) return finish(a, port, index);
-    if ((leg.traits & FL_LEG_SEEKS) && ++a->leg_ticks > a->law.search_ticks) return finish(a, port, index);
+    if ((leg.traits & FL_LEG_SEEKS) && ++a->wait.leg_ticks > a->law.search_ticks)
+        return finish(a, port, index);
     if (way_ended) fl_axis_next_leg(a);
     return FL_AXIS_NONE;
 }

@@ -13,6 +13,7 @@
 #include "fl_friction_fit.h"
 #include "fl_hall.h"
 #include "fl_hall_fit.h"
+#include "fl_landing.h"
 #include "fl_leg.h"
 #include "fl_params.h"
 #include "fl_path.h"
@@ -98,8 +99,7 @@ typedef struct fl_axis {
     fl_profile_state_t profile;
     fl_slow_t slow;
 
-    uint32_t leg_ticks, calm_ticks;
-    int32_t lag_cnt;         /* behind the command while settling, averaged */
+    fl_settle_state_t wait;  /* in this leg: its ticks, those in which the rotor was calm, and its lag */
     int32_t calm_cnt;        /* rotor angle at which it was last calm; in a sweep or push a tick ago */
     int32_t datum_ref_cnt;   /* rotor angle of the datum within its turn */
     int32_t start_cnt;       /* where the plan began */

@@ -186,7 +186,7 @@ void fl_axis_init(fl_axis_t *a, const fl_axis_params_t *p) {
     a->closed_loop = a->detect = true;
     a->precise = a->datum_calibrated = a->datum_found = a->datum_calibrate = false;
     a->zero_cnt = a->datum_ref_cnt = a->offset_cnt = a->position_cnt = a->raw_cnt = a->start_cnt =
-        a->lag_cnt = a->calm_cnt = 0;
+        a->wait.lag_cnt = a->calm_cnt = 0;
     a->speed_rpm = (uint32_t)p->speed_default;
     a->command = (fl_command_t){0, 0.0f, 0.0f};
     a->torque = (fl_servo_out_t){0.0f, 0.0f, 0.0f};

@@ -10,7 +10,7 @@ const fl_leg_traits_t fl_leg_traits[FL_LEG_KINDS] = {
 
 void fl_axis_clear_plan(fl_axis_t *a) {
     a->leg = a->legs = 0;
-    a->leg_ticks = a->calm_ticks = 0;
+    a->wait.leg_ticks = a->wait.calm_ticks = 0;
     a->fresh = true;
     a->slowing = false;
 }
@@ -20,8 +20,8 @@ void fl_axis_add_leg(fl_axis_t *a, fl_leg_kind_t kind, int32_t target_cnt) {
 }
 
 __attribute__((noinline)) static void enter(fl_axis_t *a) {
-    a->leg_ticks = a->calm_ticks = 0;
-    a->lag_cnt = 0;
+    a->wait.leg_ticks = a->wait.calm_ticks = 0;
+    a->wait.lag_cnt = 0;
     a->calm_cnt = a->hall.angle_cnt;
     if (fl_axis_rests(a)) return;
     const uint8_t step = fl_axis_leg(a).step;

@@ -23,12 +23,12 @@ static void coast_open(fl_axis_t *a, const fl_port_t *port, int index) {
 
 /* Eq. 20 without a loop. The field leads by what the rotor turned in the last tick, halved. */
 FL_COLD void fl_axis_push_tick(fl_axis_t *a, const fl_port_t *port, int index) {
-    const int second = a->leg_ticks >= a->push.ticks[0];
-    const bool over = a->leg_ticks >= (uint32_t)a->push.ticks[0] + a->push.ticks[1];
+    const int second = a->wait.leg_ticks >= a->push.ticks[0];
+    const bool over = a->wait.leg_ticks >= (uint32_t)a->push.ticks[0] + a->push.ticks[1];
     const float lead_rad = 0.5f * FL_RAD_PER_CNT * (float)fl_sub_i32(a->hall.angle_cnt, a->calm_cnt);
     a->calm_cnt = a->hall.angle_cnt;
     a->command.position_cnt = a->raw_cnt = a->position_cnt;
-    ++a->leg_ticks;
+    ++a->wait.leg_ticks;
     if (over || !fl_axis_in_range(a, a->position_cnt)) {
         fl_axis_phases_off(a, port, index);
         fl_axis_next_leg(a);

@@ -18,6 +18,7 @@ from fiberloom.assignment.ways import Preference, checked_start
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
+from fiberloom.timing import part
 from fiberloom.typing import Floats, Ints
 
 STRICT_WORTH = 100.0
@@ -82,6 +83,7 @@ class Assignment:
         return kinds(self.unassigned.values())
 
 
+@part("assignment")
 def assign(
     plane: FocalPlane,
     targets: TargetList,

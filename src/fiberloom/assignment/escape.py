@@ -45,7 +45,7 @@ class Escape:
     def folds_straight(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """Is the way free on which beta folds the arm, then alpha turns it? Nearly always."""
         folded = self._folded_deg[positioner, 1:]
-        span = np.abs(folded - goal_deg[:, 1]).max(initial=0.0)
+        span = np.abs(folded - goal_deg[:, 1:]).max(initial=0.0)
         steps = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(span / STEP_DEG))))
         # the goal itself was tested before, with its own margin
         beta = goal_deg[:, 1:] + (folded - goal_deg[:, 1:]) * steps[1:]

@@ -17,6 +17,7 @@ from fiberloom.cli.options import (
     PlaneOptions,
     PointingOptions,
     RequireOptions,
+    TimingsOptions,
     naming,
     require_file,
     require_folder,
@@ -79,6 +80,7 @@ class ObservationOptions(
     RequireOptions,
     ErrorsOptions,
     PlaneOptions,
+    TimingsOptions,
     JsonOptions,
 ):
     """Of `fiberloom observe`."""
@@ -175,7 +177,7 @@ def observe(options: ObservationOptions) -> int:
         summary.update(seen.summary() | {"folder": str(field.folder)})
 
     field.keep = keep
-    with waiting(options.as_json) as field.watcher:
+    with waiting(options.as_json, options.timings) as field.watcher:
         field.run.observe(
             targets,
             None if options.moves is None else options.moves - 1,

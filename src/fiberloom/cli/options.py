@@ -77,6 +77,18 @@ class JsonOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TimingsOptions:
+    """Of a command that takes long."""
+
+    timings: Annotated[
+        bool,
+        typer.Option(
+            "--timings", help="Tell on stderr where the seconds went: by stage, and by kind of work."
+        ),
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class ErrorsOptions:
     """What a real array has wrong, in the twin."""
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
+from fiberloom import timing
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -79,9 +81,40 @@ class Bar:
         self._progress.update(self._task, completed=done, total=total, of=f"{done} of {total}")
 
 
+class TimedWaiting:
+    """Progress whose stages are timed as well."""
+
+    def __init__(self, shown: Waiting, timings: timing.Timings) -> None:
+        self._shown, self._timings = shown, timings
+
+    def say(self, text: str) -> None:
+        """The next stage begins."""
+        self._timings.stage(text)
+        self._shown.say(text)
+
+    def count(self, done: int, total: int) -> None:
+        """As it is."""
+        self._shown.count(done, total)
+
+
 @contextmanager
-def waiting(quiet: bool = False) -> Iterator[Waiting]:
-    """Shows progress while the block runs."""
+def waiting(quiet: bool = False, timings: bool = False) -> Iterator[Waiting]:
+    """Shows progress while the block runs; with `timings` where the time went, on stderr at its end."""
+    if not timings:
+        with _shown(quiet) as shown:
+            yield shown
+        return
+    table = timing.begin()
+    try:
+        with _shown(quiet) as shown:
+            yield TimedWaiting(shown, table)
+    finally:
+        timing.end()
+        print("\n".join(table.lines()), file=sys.stderr)
+
+
+@contextmanager
+def _shown(quiet: bool) -> Iterator[Waiting]:
     if quiet:
         yield Quiet()
     elif not sys.stderr.isatty():

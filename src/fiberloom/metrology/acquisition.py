@@ -30,6 +30,7 @@ from fiberloom.metrology.transform import (
     fit_similarity,
     fit_transform,
 )
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 
 _PAIRS = 16
@@ -117,6 +118,7 @@ class AcquisitionSettings:
     """Of the field: it scales the terms; the outermost fiducial when left out."""
 
 
+@part("transform")
 def acquire(
     xy_px: ArrayLike,
     fiducials_mm: ArrayLike,
@@ -141,6 +143,7 @@ def acquire(
     return hunt.best(hunt.proposals())
 
 
+@part("transform")
 def refine(
     xy_px: ArrayLike,
     fiducials_mm: ArrayLike,

@@ -32,6 +32,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fiberloom.errors import InputError
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 
 _NEVER = 1e6
@@ -90,6 +91,7 @@ class Match:
         return matched
 
 
+@part("matching")
 def match_spots(
     spots_mm: ArrayLike,
     expected_mm: ArrayLike,

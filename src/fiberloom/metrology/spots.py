@@ -17,6 +17,7 @@ from fiberloom._core import metrology as _core
 from fiberloom.errors import InputError
 from fiberloom.richtext import html_rows
 from fiberloom.tables import read_table
+from fiberloom.timing import part
 from fiberloom.typing import Array, Flags, Floats
 from fiberloom.wholefile import whole
 
@@ -215,6 +216,7 @@ class Found:
     noise_adu: float
 
 
+@part("centroids")
 def find_spots(
     image: Array,
     settings: SpotSettings | None = None,
@@ -233,6 +235,7 @@ def find_spots(
     return _found(result, s)
 
 
+@part("centroids")
 def find_expected(
     image: Array,
     expected_xy_px: ArrayLike,

@@ -27,6 +27,7 @@ from fiberloom.planning.late import require_late
 from fiberloom.planning.obstacles import obstacle_name
 from fiberloom.planning.trajectories import Approach, Plan, Trajectory
 from fiberloom.planning.verification import MotionLimits, Verification, verify
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -183,6 +184,7 @@ class _Task:
         )
 
 
+@part("planning")
 def plan(
     plane: FocalPlane,
     start_deg: ArrayLike,
@@ -347,6 +349,7 @@ def _none_moves(task: _Task) -> Plan:
     return _assembled(task, motions, refused, {})
 
 
+@part("planning")
 def plan_corrections(
     plane: FocalPlane,
     start_deg: ArrayLike,

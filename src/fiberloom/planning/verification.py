@@ -23,6 +23,7 @@ from fiberloom.planning.bodies import (
 )
 from fiberloom.planning.obstacles import obstacle_name
 from fiberloom.planning.trajectories import KEYS, MOST_DEG, Approach, Plan, Trajectory
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
@@ -122,6 +123,7 @@ class MotionLimits:
     """To which height the approaches of single positioners may be shortened, if the plan tells it."""
 
 
+@part("verification")
 def verify(
     plane: FocalPlane,
     plan: Plan,

@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fiberloom.timing import part
 from fiberloom.wholefile import whole
 
 
@@ -23,6 +24,7 @@ def figure_with(
     return figure, figure.subplots(rows, columns, **how)
 
 
+@part("figures")
 def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
     """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`."""
     with whole(path) as part:

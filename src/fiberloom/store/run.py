@@ -18,6 +18,7 @@ from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, PartRow, RunRow
 from fiberloom.store.sums import SUM, DamagedError, change, put, put_one
+from fiberloom.timing import part
 from fiberloom.version import __version__
 
 RUNNING, FINISHED, FAILED, INTERRUPTED = "running", "finished", "failed", "interrupted"
@@ -138,6 +139,7 @@ class Run:
         with self._transaction() as connection:
             change(connection, RunRow, RunRow.id == self.id, values)
 
+    @part("store")
     def record_move(
         self,
         number: int,
@@ -173,6 +175,7 @@ class Run:
                 put(connection, PartRow, [values])
         return move_id
 
+    @part("store")
     def record_part(self, name: str, data: bytes) -> None:
         """Something of the whole run that its result files need, as of `store.parts.pack`; of two with one
         `name` the later counts.
@@ -180,6 +183,7 @@ class Run:
         with self._transaction() as connection:
             put(connection, PartRow, [{"run_id": self.id, "name": name, "data": data}])
 
+    @part("store")
     def record_event(
         self,
         kind: str,
@@ -202,6 +206,7 @@ class Run:
         with self._transaction() as connection:
             put(connection, EventRow, [values])
 
+    @part("store")
     def record_calibration(
         self, positioner_id: Iterable[int], axis: str, kind: str, file: str, hash: str
     ) -> None:

@@ -22,6 +22,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.model import AXES, METROLOGY
+from fiberloom.timing import part
 from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.gears import (
@@ -116,6 +117,7 @@ Knowledge = Literal["identified", "nominal", "true"]
 to all units (as from the factory), or the truth."""
 
 
+@part("drawing of units")
 def draw_units(
     plane: FocalPlane,
     seed: int,

@@ -134,7 +134,7 @@ def other_gears(numbers: Ints, seed: int, spectrum: GearSpectrum) -> Records:
 
 def held(rng: Rng) -> float:
     """A standard normal, a ratio of deviation to sd, cut at three: acceptance refuses units beyond."""
-    return float(np.clip(rng.standard_normal(), -3.0, 3.0))
+    return min(max(float(rng.standard_normal()), -3.0), 3.0)
 
 
 def _sizes(axis: int, rng: Rng, spectrum: GearSpectrum) -> dict[int, float]:

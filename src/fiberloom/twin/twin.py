@@ -15,6 +15,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES, BODY_SHARE, METROLOGY
 from fiberloom.instruments.pointing import Pointing
+from fiberloom.timing import part
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
@@ -120,6 +121,7 @@ class Twin:
         for frame in frames:
             self._core.send(frame[0], bytes(frame[1]))
 
+    @part("twin")
     def run(self, duration_s: float) -> list[Reply]:
         """Lets time pass, to the nearest tick of 0.5 ms; what was sent since the last call."""
         if not 0.0 <= duration_s < 1e6:

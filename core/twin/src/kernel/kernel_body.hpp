@@ -162,15 +162,15 @@ inline uint32_t end_ways(AxisGroup &g, int chunk) {
     return changed;
 }
 
-inline uint32_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
+inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
     uint32_t any = 0;
     for (int i = chunk; i < chunk + chunk_size; ++i)
         any |= static_cast<uint32_t>(g.gear_rad[i] < g.cell_lo_rad[i]) |
                static_cast<uint32_t>(g.gear_rad[i] >= g.cell_hi_rad[i]);
     if (any == 0) return 0;
-    uint32_t out = 0;
+    uint64_t out = 0;
     for (int i = chunk; i < chunk + chunk_size; ++i)
-        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= 1U << i;
+        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= uint64_t{1} << i;
     return out;
 }
 
@@ -256,36 +256,42 @@ inline V drift_now(const AxisGroup &g, int i, const Motion &m) {
     return m.p * step_per_p(g, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
 }
 
-inline void begin_chunk(AxisGroup &g, int chunk) {
-    load_gear(g, chunk);
-    begin_ways(g, chunk);
-    for (int i = chunk; i < chunk + chunk_size; i += width) {
-        Motion m = load_motion(g, i);
+// Half drift, kick, half drift; two half drifts between kicks are one. All chunks stay in registers over
+// the substeps, and take turns inside each, so that the processor has independent ones to work on.
+template <int count> inline void move(AxisGroup &g, const int *chunks, int substeps) {
+    constexpr int vectors = chunk_size / width;
+    Motion motion[count][vectors];
+    const auto each = [&](auto &&what) {
+        for (int k = 0; k < count; ++k)
+            for (int v = 0; v < vectors; ++v) what(motion[k][v], chunks[k] + v * width);
+    };
+    each([&](Motion &m, int i) {
+        m = load_motion(g, i);
         drift(m, 0.5f * drift_now(g, i, m));
+    });
+    for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) { drift(m, kick(g, i, m)); });
+    each([&](Motion &m, int i) {
+        drift(m, 0.5f * kick(g, i, m));
         store_motion(g, i, m);
-    }
+    });
 }
 
-inline void substep_chunk(AxisGroup &g, int chunk, float share) {
-    for (int i = chunk; i < chunk + chunk_size; i += width) {
-        Motion m = load_motion(g, i);
-        drift(m, share * kick(g, i, m));
-        store_motion(g, i, m);
-    }
+template <int most> inline void move_all(AxisGroup &g, const int *chunks, int count, int substeps) {
+    if (count == most) return move<most>(g, chunks, substeps);
+    if constexpr (most > 1) move_all<most - 1>(g, chunks, count, substeps);
 }
 
-// Half drift, kick, half drift; two half drifts between kicks are one. Chunks in turn inside a substep,
-// so that the processor always has several independent ones to work on.
 TickEvents step(AxisGroup &g, int substeps) {
     int chunks[lane_count / chunk_size], count = 0;
     for (int c = 0; c < lane_count; c += chunk_size)
         if ((g.still >> (c / chunk_size) & 1U) == 0) chunks[count++] = c;
-    for (int k = 0; k < count; ++k) begin_chunk(g, chunks[k]);
-    for (int n = 1; n < substeps; ++n)
-        for (int k = 0; k < count; ++k) substep_chunk(g, chunks[k], 1.0f);
+    for (int k = 0; k < count; ++k) {
+        load_gear(g, chunks[k]);
+        begin_ways(g, chunks[k]);
+    }
+    move_all<lane_count / chunk_size>(g, chunks, count, substeps);
     TickEvents events;
     for (int k = 0; k < count; ++k) {
-        substep_chunk(g, chunks[k], 0.5f);
         // at rest now, and where it was: then at rest all the time, for the field does not turn in a tick
         if (end_ways(g, chunks[k]) == 0) g.still |= 1U << (chunks[k] / chunk_size);
         events.left_cell |= lanes_out_of_cell(g, chunks[k]);
@@ -296,6 +302,7 @@ TickEvents step(AxisGroup &g, int substeps) {
 } // namespace
 
 extern const Kernel FL_KERNEL_SYMBOL;
-const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense, drive, step, hall_law, advance_law, drive_law};
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense,       drive,     step,
+                                 hall_law,       advance_law, drive_law, settle_law};
 
 } // namespace fl::twin

@@ -5,6 +5,7 @@
 #pragma GCC diagnostic ignored "-Wshadow"
 #include "fl_drive.h"
 #include "fl_hall.h"
+#include "fl_landing.h"
 #include "fl_path.h"
 #include "fl_profile.h"
 #include "fl_smooth.h"
@@ -33,6 +34,8 @@ static_assert(sizeof(fl_regulator_state_t) == sizeof(fl_observer_state_t) + 4, "
 static_assert(4 * (0 FL_LAW_STATE(X)) == sizeof(fl_servo_state_t), "FL_LAW_STATE lists its fields");
 static_assert(4 * (0 FL_LAW_INPUT(X)) == sizeof(fl_servo_in_t), "FL_LAW_INPUT lists its fields");
 static_assert(4 * (0 FL_LAW_TORQUE(X)) == sizeof(fl_servo_out_t), "FL_LAW_TORQUE lists its fields");
+static_assert(4 * (0 FL_LAW_SETTLE(X)) == sizeof(fl_settle_config_t), "FL_LAW_SETTLE lists its fields");
+static_assert(4 * (0 FL_LAW_WAIT(X)) == sizeof(fl_settle_state_t), "FL_LAW_WAIT lists its fields");
 #undef X
 
 // Not first samples: an axis that tracks has looked before.
@@ -71,6 +74,12 @@ void go_along(LawBatch &b) {
         b.way.path_cnt[i] = cursor.position_cnt;
         b.way.rest_sum[i] = cursor.rest_sum;
     }
+    for (int i = 0; i < lane_group_size; ++i) {
+        const int32_t way_cnt = fl_sub_i32(b.way.target_cnt[i], b.way.path_cnt[i]);
+        const int32_t step_cnt = fl_landing_step(way_cnt, b.way.slowest_cnt[i]);
+        b.way.path_cnt[i] =
+            fl_add_i32(b.way.path_cnt[i], (way_cnt > 0 ? step_cnt : -step_cnt) & b.way.lands[i]);
+    }
 }
 
 // fl_smooth_step and what the servo is asked, of the same tick for all lanes.
@@ -91,7 +100,7 @@ void smooth(LawBatch &b, int32_t *ring_cnt) {
         b.input.rotor_cnt[i] = fl_sub_i32(command.position_cnt, b.way.zero_cnt[i]);
         b.input.speed_rad_s[i] = command.speed_rad_s;
         b.input.acceleration_rad_s2[i] = command.acceleration_rad_s2;
-        b.input.settling[i] = 0;
+        b.input.settling[i] = b.way.creeps[i];
     }
     for (int i = 0; i < lane_group_size; ++i) b.way.sum_cnt[i] += b.way.change_cnt[i];
     for (int i = 0; i < lane_group_size; ++i) b.way.value_cnt[i] = fl_smooth_mean(b.way.sum_cnt[i]);
@@ -100,6 +109,23 @@ void smooth(LawBatch &b, int32_t *ring_cnt) {
 void advance_law(LawBatch &b, uint64_t tick) {
     go_along(b);
     smooth(b, b.way.ring_cnt[tick % smooth_ticks]);
+}
+
+// After the drive's law.
+void settle_law(LawBatch &b) {
+    for (int i = 0; i < lane_group_size; ++i) {
+#define X(type, name) b.settle.name[i],
+        const fl_settle_config_t config = {FL_LAW_SETTLE(X)};
+        fl_settle_state_t state = {FL_LAW_WAIT(X)};
+#undef X
+        const int32_t error_cnt = b.input.error_cnt[i];
+        const bool over =
+            fl_settle_step(&config, &state, b.state.direction[i] < 0.0f ? -error_cnt : error_cnt);
+        b.settle.over[i] = int32_t{over};
+#define X(type, name) b.settle.name[i] = over ? b.settle.name[i] : state.name;
+        FL_LAW_WAIT(X)
+#undef X
+    }
 }
 
 // The configuration of a lane's drive.

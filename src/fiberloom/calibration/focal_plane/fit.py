@@ -20,6 +20,7 @@ import numpy as np
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, CENTRE, L_ALPHA
 from fiberloom.metrology.noise import WORKSPACE_UM
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, deg_to_rad
 
@@ -170,6 +171,7 @@ def measurement_covariance(slopes: Floats, camera_um: float, angles_deg: tuple[f
     return camera + swing @ swing.swapaxes(-1, -2)
 
 
+@part("fit")
 def fit_focal_plane(
     plane: FocalPlane, theta_deg: Floats, xy_mm: Floats, settings: FitSettings | None = None
 ) -> FocalPlaneFit:

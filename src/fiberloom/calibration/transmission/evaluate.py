@@ -19,6 +19,7 @@ from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.calibration.transmission.sweep_data import SweepData
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM, rad_to_deg, wrap_deg
 
@@ -55,6 +56,7 @@ class CalibrationReport:
         return np.array([not reason for reason in self.reason])
 
 
+@part("maps")
 def evaluate(
     plane: FocalPlane, data: SweepData, seen_at_least: float, provenance: Provenance
 ) -> tuple[TransmissionMaps, CalibrationReport]:

@@ -12,7 +12,14 @@ import typer
 
 from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions
 from fiberloom.cli.observe import TWIN, FaultsOption, MapsOption, check, field_of
-from fiberloom.cli.options import JsonOptions, PlaneOptions, RequireOptions, require_file, require_folder
+from fiberloom.cli.options import (
+    JsonOptions,
+    PlaneOptions,
+    RequireOptions,
+    TimingsOptions,
+    require_file,
+    require_folder,
+)
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
@@ -25,7 +32,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FibreOptions(ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneOptions, JsonOptions):
+class FibreOptions(
+    ExcludeOptions, ArmsFileOptions, RequireOptions, PlaneOptions, TimingsOptions, JsonOptions
+):
     """Of `calibrate fibres`."""
 
     exposures: Annotated[
@@ -123,7 +132,7 @@ def _on_twin(options: FibreOptions, plane: FocalPlane) -> Result:
         )
 
     asked = StarFields(options.fields, options.dithers, options.step_um, options.seed, _settings(options))
-    with waiting(options.as_json) as field_.watcher:
+    with waiting(options.as_json, options.timings) as field_.watcher:
         made = calibrate_on_stars(plane, names, observe, asked)
     stamp = marks(plane, options.seed)
     for number, one in enumerate(made.recorded, 1):

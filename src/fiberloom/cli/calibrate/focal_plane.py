@@ -14,7 +14,14 @@ import typer
 
 from fiberloom.cli.array.options import ExcludeOptions
 from fiberloom.cli.observe import FaultsOption, MapsOption, check, field_of
-from fiberloom.cli.options import ErrorsOptions, JsonOptions, PlaneOptions, RequireOptions, require_folder
+from fiberloom.cli.options import (
+    ErrorsOptions,
+    JsonOptions,
+    PlaneOptions,
+    RequireOptions,
+    TimingsOptions,
+    require_folder,
+)
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError, one_line
 
@@ -32,7 +39,9 @@ MOUNTED_DEG = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class FocalPlaneOptions(ExcludeOptions, ErrorsOptions, RequireOptions, PlaneOptions, JsonOptions):
+class FocalPlaneOptions(
+    ExcludeOptions, ErrorsOptions, RequireOptions, PlaneOptions, TimingsOptions, JsonOptions
+):
     """Of `calibrate focal-plane`."""
 
     configurations: Annotated[int, typer.Option(min=4, help="Configurations of all positioners.")] = 40
@@ -106,7 +115,7 @@ def focal_plane(options: FocalPlaneOptions) -> int:
     field.command_line = " ".join(sys.argv)
     # a real array is where its layout says, as well as that is known
     guess = plane if options.bus else misplaced(plane, options.mounted_um, MOUNTED_DEG, options.seed)
-    with waiting(options.as_json) as field.watcher:
+    with waiting(options.as_json, options.timings) as field.watcher:
         found = field.run.survey(settings, guess=guess, measured=options.measured, out=out)
     found.save(out)
     made, same_run, arms = found.fit.positioner_id[found.fit.ok], options.measured is None, out / "arms.ecsv"

@@ -18,6 +18,7 @@ from fiberloom.cli.options import (
     JsonOptions,
     PlaneOptions,
     RequireOptions,
+    TimingsOptions,
     require_file,
     require_folder,
 )
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class GravityOptions(
-    ExcludeOptions, ArmsFileOptions, RequireOptions, ErrorsOptions, PlaneOptions, JsonOptions
+    ExcludeOptions, ArmsFileOptions, RequireOptions, ErrorsOptions, PlaneOptions, TimingsOptions, JsonOptions
 ):
     """Of `calibrate gravity`."""
 
@@ -93,7 +94,7 @@ def _on_twin(options: GravityOptions, plane: FocalPlane) -> tuple[TiltImages, di
     settings = TiltSettings(options.configurations, options.rotators, options.zenith, options.seed)
     stamp = marks(options.plane(), options.seed)
     run = TiltRun(" ".join(sys.argv), prepare_folder(options.out), stamp)
-    with waiting(options.as_json) as watcher:
+    with waiting(options.as_json, options.timings) as watcher:
         field.watcher = watcher
         known = plane, field.run.calibrate()
         watcher.say("tilting and looking")

@@ -12,7 +12,7 @@ import typer
 
 from fiberloom.cli.array.options import CameraOption, ExcludeOptions, array_book, excluded
 from fiberloom.cli.observe import TWIN
-from fiberloom.cli.options import JsonOptions, PlaneOptions, require_folder
+from fiberloom.cli.options import JsonOptions, PlaneOptions, TimingsOptions, require_folder
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 from fiberloom.wholefile import write_whole
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransmissionOptions(ExcludeOptions, PlaneOptions, JsonOptions):
+class TransmissionOptions(ExcludeOptions, PlaneOptions, TimingsOptions, JsonOptions):
     """Of `calibrate transmission`."""
 
     camera: CameraOption = None
@@ -71,7 +71,7 @@ def transmission(options: TransmissionOptions) -> int:
 
     out, field = options.out, options.field()
     field.command_line = " ".join(sys.argv)
-    with waiting(options.as_json) as field.watcher:
+    with waiting(options.as_json, options.timings) as field.watcher:
         calibration = field.run.sweep(
             options.points, out=out, keep=lambda found: found.maps.save(out / "transmission.npz")
         )

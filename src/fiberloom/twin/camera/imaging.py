@@ -25,6 +25,7 @@ from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import CameraImage
+from fiberloom.timing import part
 from fiberloom.twin.camera.air import air_shift_mm
 from fiberloom.twin.twin import Twin
 from fiberloom.typing import Floats, Ints
@@ -270,6 +271,7 @@ class ImagingCamera:
         if (light := getattr(self.scene, "light", None)) is not None:
             light(fibre)
 
+    @part("images")
     def expose(self) -> CameraImage:
         """The next image."""
         frames = [self._one() for _ in range(self.model.average)]

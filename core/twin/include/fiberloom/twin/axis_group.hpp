@@ -1,5 +1,6 @@
-// Thirty-two axes (16 positioners, first all alpha, then all beta) side by side: what one tick of the plant
-// touches, about 8 KB, so a group stays in the first-level cache while it is stepped.
+// Sixty-four axes (32 positioners, first all alpha, then all beta) side by side: what one tick of the plant
+// touches, about 15 KB, so a group stays in the first-level cache while it is stepped. Four vectors of a
+// substep are under way at once; with two the processor waits for results half of the time.
 //
 // Angles are kept in double: 1024 turns of the motor leave single precision a hundredth of a degree. What
 // happens inside a tick is told in single precision, as way since its start, which loses nothing
@@ -13,9 +14,10 @@
 namespace fl::twin {
 
 #ifndef FL_LANE_GROUP_SIZE
-#define FL_LANE_GROUP_SIZE 16
+#define FL_LANE_GROUP_SIZE 32
 #endif
-inline constexpr int lane_group_size = FL_LANE_GROUP_SIZE; // positioners of a group
+inline constexpr int lane_group_size =
+    FL_LANE_GROUP_SIZE; // positioners of a group, at most 32: bits of masks
 inline constexpr int lane_count = 2 * lane_group_size;
 // lanes that are left out together when nothing moves in them
 inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
@@ -71,7 +73,7 @@ struct alignas(64) AxisGroup {
 
 // What happened in a tick, one bit per lane.
 struct TickEvents {
-    uint32_t left_cell = 0;
+    uint64_t left_cell = 0;
 };
 
 struct LawBatch;
@@ -86,6 +88,7 @@ struct Kernel {
     void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
     void (*advance_law)(LawBatch &batch, uint64_t tick); // the commands of those that cruise
     void (*drive_law)(LawBatch &batch, unsigned laws);   // a bit of 1 << law for each that a lane wants
+    void (*settle_law)(LawBatch &batch);                 // whether those that settle have done so
 };
 
 // The kernels this machine runs, slowest first; ends with a nullptr.

@@ -1,4 +1,4 @@
-// The firmware's laws for the same axis of sixteen positioners side by side: the very functions of
+// The firmware's laws for the same axis of 32 positioners side by side: the very functions of
 // firmware/law, inlined into loops that the compiler turns into vector code. Same operations in the
 // same order, so the same bits as the firmware's own tick (tests/twin/test_laws_side_by_side.py).
 //
@@ -44,6 +44,8 @@
 #define FL_LAW_INPUT(X) \
     X(int32_t, error_cnt) X(int32_t, command_cnt) X(int32_t, rotor_cnt) X(float, speed_rad_s) \
     X(float, acceleration_rad_s2) X(int32_t, settling)
+#define FL_LAW_SETTLE(X) X(int32_t, tolerance_cnt) X(uint32_t, settle_ticks) X(uint32_t, timeout_ticks)
+#define FL_LAW_WAIT(X) X(uint32_t, leg_ticks) X(uint32_t, calm_ticks) X(int32_t, lag_cnt)
 #define FL_LAW_TORQUE(X) \
     X(float, torque_Nm) X(float, feedforward_Nm) X(float, watched_Nm)
 // clang-format on
@@ -115,13 +117,25 @@ struct alignas(64) LawBatch {
         Ints follows; // all bits: a path, none: a go-to
         Ints zero_cnt, measured_cnt;
         Ints path_cnt, step_cnt, rest, rest_sum, ticks; // of its segment
-        Longs goto_q30, speed_q30, change_q30;          // change: of the speed, per tick
+        Ints lands, target_cnt, slowest_cnt;   // all bits: it creeps to the target; none: it does not
+        Ints creeps;                           // what the servo is told
+        Longs goto_q30, speed_q30, change_q30; // change: of the speed, per tick
         Ints goto_cnt;
         Longs sum_cnt;
         Ints value_cnt, change_cnt;
         Floats speed_rad_s;
         int32_t ring_cnt[smooth_ticks][lane_group_size]; // all lanes in the row of the tick
     } way;
+
+#define X(type, name) type name[lane_group_size];
+    // An axis that settles: what it waits for, how far it is, and whether the wait is over with this tick.
+    // Then the rest is as it was before.
+    struct {
+        FL_LAW_SETTLE(X)
+        FL_LAW_WAIT(X)
+        Ints over;
+    } settle;
+#undef X
 };
 
 } // namespace fl::twin

@@ -45,9 +45,11 @@ struct Push {
     bool operator==(const Push &) const = default;
 };
 
-// Where an arm is: deflected by what pushes it, and where it would spring to.
+// Where an arm is.
 struct Pose {
-    Angles deflected, rigid;
+    Angles angles;    // deflected by what pushes it
+    Segment line;     // of its capsule
+    double spring_mm; // how far it springs at most when it is let go
 };
 
 // A contact as one of the two feels it; kept from one sync point to the next.
@@ -58,7 +60,11 @@ struct Contact {
 };
 
 // Whether one of the contacts is with the other body.
-bool in_touch(const std::vector<Contact> &contacts, uint32_t other);
+inline bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
+    for (const Contact &c : contacts)
+        if (c.other == other) return true;
+    return false;
+}
 
 // Contact forces of all arms of a focal plane.
 class Neighbours {
@@ -67,10 +73,17 @@ class Neighbours {
     // One row of `gives` for each arm. @pre arms and gives have the same size.
     Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body, std::vector<Give> gives);
 
+    // Positioner i at these angles; rigid: where it would spring to.
+    Pose pose(size_t i, Angles deflected, Angles rigid) const;
+
     // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
     // come near: the answer does not depend on it. `contacts` are those of the last sync point, and
     // then those of this. Any thread, one call per positioner at a time.
     Push push(size_t i, const std::vector<Pose> &poses, uint64_t tick, std::vector<Contact> &contacts);
+
+    // Whether something could touch positioner i at this tick. Until then nobody asks where it is: two look
+    // at each other at the same ticks.
+    bool due(size_t i, uint64_t tick) const { return tick >= next_look_[i]; }
 
     // Memory of one positioner, with the longest list of neighbours.
     size_t bytes_per_positioner() const;
@@ -85,7 +98,6 @@ class Neighbours {
     struct Look { // one positioner at one sync point
         size_t i;
         const std::vector<Pose> &poses;
-        Segment mine;
         const std::vector<Contact> &before;
         std::vector<Contact> now;
         Push push;
@@ -108,10 +120,8 @@ class Neighbours {
         Closest closest;
     };
     double reach_mm(size_t i) const;
-    double approach_speed_mm_s(size_t i) const;
+    void find_speeds();
     void find_neighbours();
-    Segment segment(size_t i, const Pose &pose) const;
-    double deflection_mm(size_t i, const Pose &pose) const;
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
     double touch(Look &look, const Touched &body) const;
@@ -121,6 +131,7 @@ class Neighbours {
     std::vector<Obstacle> obstacles_;
     Body body_;
     std::vector<Give> gives_;
+    std::vector<double> speed_mm_s_; // at which a point of an arm moves at most
     std::vector<std::vector<Near>> near_;
     std::vector<uint64_t> next_look_; // tick before which nothing can touch positioner i
 };

@@ -171,6 +171,7 @@ class Plant {
     void configure_stops(size_t axis);
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
+    void fetch(size_t axis) const;
     void follow_cell(size_t axis);
     double next_seat(size_t axis, double from_rad);
     void follow_seat(size_t axis, int32_t nodes);
@@ -183,7 +184,7 @@ class Plant {
     double h_s_;
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
-    std::vector<uint32_t> slipping_; // lanes of each group whose couplings slip
+    std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip
 };
 
 } // namespace fl::twin
