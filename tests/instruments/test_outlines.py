@@ -83,7 +83,7 @@ def test_a_keep_out_may_be_a_polygon_that_is_not_convex():
     edges = corner.capsules_mm
     assert len(edges) == 10
     assert edges[4].tolist() == [10, 1, 10, -1, 0.1]
-    np.testing.assert_allclose(edges[5:, :4], -edges[:5, :4])
+    np.testing.assert_allclose(edges[5:, :4], -edges[:5, :4], atol=1e-12)
     places = np.array([[11.0, 0.0], [-11.0, 0.2], [9.0, 0.0], [-14.0, -3.0], [12.0, 0.8]])
     # the last one is in the notch, beside two edges that fall by 1 in 2
     assert corner.distance_mm(places) == pytest.approx([0.0, 0.0, 0.9, 1.9, 0.8 * 2 / np.sqrt(5) - 0.1])
