@@ -137,31 +137,12 @@ def spread_table(summary: Mapping[str, Any]) -> Table:
 
 def _spread_cells(spread: Mapping[str, Any]) -> list[str]:
     errors = [_um(spread[key]) for key in ("rms_um", "p95_um", "p99_um")]
-    return [str(spread["n"]), *errors, f"{100.0 * spread['share_within_requirement']:.1f} %"]
+    # rounded down: what is below a share that is required does not read as that share
+    return [str(spread["n"]), *errors, f"{int(1000.0 * spread['share_within_requirement']) / 10:.1f} %"]
 
 
 def _by_truth(summary: Mapping[str, Any]) -> str:
     return "true" if any(move["true_rms_um"] is not None for move in summary["moves"]) else "as measured"
-
-
-def spread_table(summary: Mapping[str, Any]) -> Table:
-    """Return the table of how errors are spread after each move: healthy fibres apart from all assigned."""
-    true = any(move["true_rms_um"] is not None for move in summary["moves"])
-    title = f"Errors of science fibres [µm], {'true' if true else 'as measured'}: healthy ones | all assigned"
-    table = Table(box=box.SIMPLE, title=title, title_justify="left", collapse_padding=True)
-    heads = ("fibres", "rms", "95 %", "99 %", f"≤ {summary['requirement_um']:g} µm")
-    for name in ("move", *heads, *heads):
-        table.add_column(name, justify="left" if name == "move" else "right", no_wrap=name != "move")
-    for move in summary["moves"]:
-        if not move["interrupted"]:
-            table.add_row(move["label"], *_spread_cells(move["healthy"]), *_spread_cells(move["assigned"]))
-    return table
-
-
-def _spread_cells(spread: Mapping[str, Any]) -> list[str]:
-    figures = [_um(spread[key]) for key in ("rms_um", "p95_um", "p99_um")]
-    # rounded down: what is below a share that is required does not read as that share
-    return [str(spread["n_fibres"]), *figures, f"{int(1000 * spread['share_within_requirement']) / 10:.1f} %"]
 
 
 def budget_line(budget: Mapping[str, Any]) -> str:
