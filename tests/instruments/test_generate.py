@@ -159,10 +159,24 @@ def test_petals_are_one_wedge_turned():
     angle = np.arctan2(*desi.centres_mm.T[::-1])
     off = (angle + np.pi / 10) % (np.pi / 5)
     to_edge = np.hypot(*desi.centres_mm.T) * np.sin(np.minimum(off, np.pi / 5 - off))
-    assert to_edge.min() > 6.0 - 0.3
-    assert np.hypot(*desi.centres_mm.T).max() < 411.3
+    assert to_edge.min() > 5.2 - 0.3
+    assert np.hypot(*desi.centres_mm.T).max() < 412.3
     gap, _ = cKDTree(desi.centres_mm).query(desi.centres_mm, k=2)
     assert gap[:, 1].min() > 10.4 - 0.4
+
+
+def test_no_hole_is_beside_a_guide_camera():
+    """Where a folded arm would reach it. The tables of the instrument have none nearer than 6.4 mm."""
+    desi = load_instrument("desi")
+    cameras = [part for part in desi.bodies.keep_outs if part.polygon_mm]
+    assert len(cameras) == 1
+    centres = generate(desi, 0).centres_mm
+    nearest = np.min([part.distance_mm(centres) for part in cameras], axis=0)
+    assert nearest.min() > desi.layout.keep_out_gap_mm - 0.3  # a base is shifted by some 0.05 mm
+    anywhere = desi.model_copy(update={"layout": desi.layout.model_copy(update={"keep_out_gap_mm": 0.0})})
+    centres = generate(anywhere, 0).centres_mm
+    inside = np.min([part.distance_mm(centres) for part in cameras], axis=0) == 0.0
+    assert 40 < inside.sum() < 100
 
 
 def test_the_presets_of_table_1():

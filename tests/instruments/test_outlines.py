@@ -78,6 +78,33 @@ def test_keep_outs_are_repeated_around_the_field():
     assert bent.tolist() == [[0, 1, 1, 1, 0.5], [1, 1, 1, 2, 0.5]]
 
 
+def test_a_keep_out_may_be_a_polygon_that_is_not_convex():
+    corner = KeepOut(polygon_mm=((10, -1), (14, -1), (14, 1), (12, 0), (10, 1)), radius_mm=0.1, copies=2)
+    edges = corner.capsules_mm
+    assert len(edges) == 10
+    assert edges[4].tolist() == [10, 1, 10, -1, 0.1]
+    np.testing.assert_allclose(edges[5:, :4], -edges[:5, :4], atol=1e-12)
+    places = np.array([[11.0, 0.0], [-11.0, 0.2], [9.0, 0.0], [-14.0, -3.0], [12.0, 0.8]])
+    # the last one is in the notch, beside two edges that fall by 1 in 2
+    assert corner.distance_mm(places) == pytest.approx([0.0, 0.0, 0.9, 1.9, 0.8 * 2 / np.sqrt(5) - 0.1])
+    np.testing.assert_allclose(corner.turned(np.pi).capsules_mm[:5, :4], edges[5:, :4], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ({"radius_mm": 1.0}, "line_mm or polygon_mm"),
+        ({"line_mm": [[0, 0]]}, "radius_mm"),
+        ({"polygon_mm": [[0, 0], [1, 1]], "radius_mm": 1.0}, "at least 3"),
+    ],
+)
+def test_keep_outs_that_make_no_sense_are_refused(shape, words):
+    data = DESI.model_dump(mode="json")
+    data["bodies"]["keep_outs"] = [shape]
+    with pytest.raises(InputError, match=words):
+        parse_instrument(data, "test")
+
+
 @pytest.mark.parametrize(
     ("part", "words"),
     [

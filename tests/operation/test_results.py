@@ -51,8 +51,28 @@ def test_the_figures_of_a_move(seen):
     # of 0 0 3 4 4.9 6 10: the 95th percentile lies 0.7 of the way from the sixth to the seventh
     assert last["p95_um"] == pytest.approx(6.0 + 0.7 * 4.0)
     assert last["max_um"] == pytest.approx(10.0)
+    assert last["healthy"] == last["assigned"]
+    assert last["healthy"]["p99_um"] == pytest.approx(6.0 + 0.94 * 4.0)
+    assert last["healthy"]["share_within_requirement"] == pytest.approx(5 / 7)
+    healthy = last["healthy"]
+    assert (healthy["n"], healthy["share_within_requirement"]) == (N, pytest.approx(5.0 / 7.0))
+    assert (healthy["rms_um"], healthy["p95_um"]) == (last["true_rms_um"], last["p95_um"])
+    assert healthy["p99_um"] == pytest.approx(6.0 + 0.94 * 4.0)
+    assert last["not_healthy"]["n"] == 0
     assert [move["move"] for move in summary["moves"]] == [1, 2]
     assert summary["motion_s"] == pytest.approx(sum(move.motion_s for move in seen.moves))
+
+
+def test_units_with_a_fault_are_told_apart(seen):
+    status = [FibreStatus.ON_TARGET] * (N - 2) + [FibreStatus.DEAD, FibreStatus.ASTRAY]
+    errors_um = np.array([3.0, 4.0, 0.0, 0.0, 5.1, 300.0, 400.0])
+    last = with_errors(seen, errors_um, status).summary()["moves"][-1]
+    assert last["healthy"]["n"] == 5
+    assert last["healthy"]["rms_um"] == pytest.approx(np.sqrt((9.0 + 16.0 + 5.1**2) / 5.0))
+    assert last["healthy"]["share_within_requirement"] == pytest.approx(0.8)
+    others = last["not_healthy"]
+    assert (others["n"], others["share_within_requirement"]) == (2, 0.0)
+    assert others["rms_um"] == pytest.approx(np.sqrt(125000.0))
 
 
 def test_the_science_fibre_is_not_where_the_camera_s_fibre_says():
@@ -98,6 +118,11 @@ def test_what_is_faulty_or_parked_does_not_count(seen):
     # the last one is on target as measured, and 7 um off in truth
     assert summary["not_on_target"] == {"dead": 1, "parked": 1, "blocked": 1, "truly_off_target": 1}
     assert summary["share_within_requirement"] == pytest.approx(3 / 7)
+    last = summary["moves"][-1]
+    assert (last["healthy"]["n_fibres"], last["assigned"]["n_fibres"]) == (4, 7)
+    assert last["healthy"]["rms_um"] == pytest.approx(np.sqrt((3 * 1.0 + 49.0) / 4))
+    assert last["assigned"]["rms_um"] == pytest.approx(np.sqrt((3 * 1.0 + 49.0 + 3 * 99.0**2) / 7))
+    assert last["healthy"]["share_within_requirement"] == pytest.approx(3 / 4)
     assert repr(observed).endswith("2 moves, 3 within 5 um)")
     title = observed.plot().get_title()
     assert title == "3 of 7 assigned fibres within 5 µm after move 2; 2 positioners flagged"

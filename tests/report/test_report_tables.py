@@ -10,7 +10,14 @@ from fiberloom.instruments import load_instrument
 from fiberloom.report.estimates import estimate_records, estimate_rows
 from fiberloom.report.folder import prepare_file, prepare_folder
 from fiberloom.report.outputs import marks
-from fiberloom.report.tables import observation_table, overview, print_estimates, print_report, shortfall
+from fiberloom.report.tables import (
+    observation_table,
+    overview,
+    print_estimates,
+    print_report,
+    shortfall,
+    spread_table,
+)
 
 MOVE = {
     "label": "blind",
@@ -58,6 +65,21 @@ def test_an_observation_ends_in_one_row_a_move_with_units_in_the_heads():
     ]
     assert table.title == "36 of 37 assigned fibres within 5 µm of their targets"
     assert "41.24" in printed(table)
+
+
+def test_healthy_units_and_others_have_rows_of_their_own():
+    good = {"n": 30, "rms_um": 2.5, "p95_um": 4.4, "p99_um": 5.6, "share_within_requirement": 0.9499}
+    lost = {"n": 2, "rms_um": None, "p95_um": None, "p99_um": None, "share_within_requirement": 0.0}
+    move = MOVE | {"healthy": good, "not_healthy": lost}
+    table = spread_table(SUMMARY | {"moves": [move, move | {"not_healthy": lost | {"n": 0}}]})
+    # no share is rounded up to what is required
+    assert cells(table) == [
+        ("blind", "healthy", "30", "2.50", "4.40", "5.60", "94.9 %"),
+        ("blind", "others", "2", "-", "-", "-", "0.0 %"),
+        ("blind", "healthy", "30", "2.50", "4.40", "5.60", "94.9 %"),
+    ]
+    assert "as measured" in printed(table, 80)
+    assert "…" not in printed(table, 80)
 
 
 def test_no_figure_is_cut_at_80_columns():

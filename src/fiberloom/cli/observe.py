@@ -278,11 +278,13 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         observation_table,
         series_lines,
         shortfall,
+        spread_table,
         temperature_line,
     )
 
     console = Console()
     console.print(observation_table(summary))
+    console.print(spread_table(summary))
     say(console, budget_line(summary["budget"]))
     images = sum(move["images"] for move in summary["moves"] if not move["comparison"])
     console.print(

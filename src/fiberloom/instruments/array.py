@@ -106,6 +106,8 @@ class Layout(Table):
     """Wedges of the field, each with the same holes, turned."""
     petal_gap_mm: NotNegative = 0.0
     """No hole is nearer to the edge of its petal than half of this."""
+    keep_out_gap_mm: NotNegative = 0.0
+    """No hole is nearer to a polygon among the keep-outs of the bodies; 0: holes do not heed them."""
     fiducial_pinholes_mm: tuple[Range, ...] = ((0.0, 0.0),)
     """Lights of one fiducial about its place, in the frame of its petal."""
 

@@ -19,6 +19,7 @@ from fiberloom.instruments.model import (
     Modules,
     Scatter,
 )
+from fiberloom.instruments.outlines import KeepOut
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
@@ -63,8 +64,9 @@ def generate(instrument: Instrument, seed: int, n_positioners: int | None = None
     """
     if n_positioners is not None and n_positioners > MOST_POSITIONERS:
         raise InputError(f"n_positioners = {n_positioners}: must be at most {MOST_POSITIONERS}")
-    layout = _grown(instrument.layout, n_positioners)
-    sites = _sites(layout)
+    layout = _grown(instrument, n_positioners)
+    keep_outs = instrument.bodies.keep_outs
+    sites = _sites(layout, keep_outs)
     xy, free = sites.xy_mm, np.flatnonzero(~sites.fiducial)
     if len(free) < layout.n_positioners:
         raise InputError(
@@ -105,8 +107,9 @@ def guide_camera_capsules(instrument: Instrument, layout: Layout) -> Floats:
     return np.hstack([edge - along, edge + along, radius])
 
 
-def _grown(layout: Layout, n_positioners: int | None) -> Layout:
+def _grown(instrument: Instrument, n_positioners: int | None) -> Layout:
     """The layout with as many rings as the positioners need, and all around it moved out."""
+    layout, keep_outs = instrument.layout, instrument.bodies.keep_outs
     if n_positioners is None or n_positioners <= layout.n_positioners:
         if n_positioners is not None and n_positioners < 1:
             raise InputError(f"n_positioners = {n_positioners}: must be at least 1")
@@ -114,7 +117,7 @@ def _grown(layout: Layout, n_positioners: int | None) -> Layout:
     if layout.modules is not None:
         raise InputError(f"n_positioners = {n_positioners}: the modules have {layout.n_positioners}")
     wider = layout
-    while np.count_nonzero(~_sites(wider).fiducial) < n_positioners:
+    while np.count_nonzero(~_sites(wider, keep_outs).fiducial) < n_positioners:
         wider = _wider(wider)
     step = (wider.rings - layout.rings) * layout.pitch_mm
     update: dict[str, object] = {"n_positioners": n_positioners}
@@ -161,7 +164,17 @@ class _Sites:
     """(n,) of the petal that the hole is in."""
 
 
-def _sites(layout: Layout) -> _Sites:
+def _sites(layout: Layout, keep_outs: tuple[KeepOut, ...] = ()) -> _Sites:
+    """The holes inside the field, away from polygons among the keep-outs."""
+    sites = _all_sites(layout)
+    free = np.ones(len(sites.xy_mm), dtype=bool)
+    for part in keep_outs if layout.keep_out_gap_mm else ():
+        if part.polygon_mm:
+            free &= part.distance_mm(sites.xy_mm) >= layout.keep_out_gap_mm
+    return _Sites(sites.xy_mm[free], sites.name[free], sites.fiducial[free], sites.turn_rad[free])
+
+
+def _all_sites(layout: Layout) -> _Sites:
     """The holes inside the field; with petals those of one wedge, about +x, turned round the field."""
     if layout.modules is not None:
         xy, names = module_sites(layout.modules, layout.pitch_mm)

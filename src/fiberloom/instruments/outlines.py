@@ -1,6 +1,7 @@
 """Bodies of several parts: capsules and convex polygons on layers, and keep-outs that do not move."""
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Annotated, Literal, Self
 
@@ -9,7 +10,7 @@ from pydantic import Field, model_validator
 from scipy.spatial import ConvexHull
 
 from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
-from fiberloom.typing import Floats
+from fiberloom.typing import Array, Floats
 
 _TURNS = np.linspace(0.0, math.pi, 12, endpoint=False)
 """Directions of capsules and cuts that are tried, rad."""
@@ -75,27 +76,62 @@ class Outline(Table):
 
 
 class KeepOut(Table):
-    """Where no arm may be: a line through points, as wide as a radius, and its copies around the field."""
+    """Where no arm may be: a line or a polygon's edge, as wide as a radius, and copies around the field."""
 
-    line_mm: Annotated[tuple[Corner, ...], Field(min_length=1)]
+    line_mm: Annotated[tuple[Corner, ...], Field(min_length=1)] | None = None
     """x and y in the focal plane; one point: a disc."""
+    polygon_mm: Annotated[tuple[Corner, ...], Field(min_length=3)] | None = None
+    """x and y of its corners, one after the other; it need not be convex. What collides is its edge: an arm
+    that begins outside cannot come in without it."""
     radius_mm: Positive
     copies: Annotated[int, Field(ge=1, le=1000)] = 1
     """By equal turns around the centre of the field, this one included."""
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)] = tuple(range(1, 33))
 
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.line_mm is None) == (self.polygon_mm is None):
+            raise ValueError("a keep-out needs line_mm or polygon_mm, one of the two")
+        return self
+
+    @property
+    def _points_mm(self) -> Array:
+        return np.array([complex(*xy) for xy in self.line_mm or self.polygon_mm or ()])
+
     def turned(self, turn_rad: float) -> "KeepOut":
-        """The same, turned about the centre of the field."""
-        points = np.array([complex(*xy) for xy in self.line_mm]) * np.exp(1j * turn_rad)
-        return self.model_copy(update={"line_mm": tuple((float(p.real), float(p.imag)) for p in points)})
+        """The same, turned about the centre of the field by `turn_rad`."""
+        return self.moved(lambda points: points * np.exp(1j * turn_rad))
+
+    def moved(self, to: Callable[[Array], Array]) -> "KeepOut":
+        """The same with its points elsewhere: `to` takes them as complex numbers (n,) in mm."""
+        name = "line_mm" if self.line_mm is not None else "polygon_mm"
+        return self.model_copy(update={name: tuple((p.real, p.imag) for p in to(self._points_mm).tolist())})
+
+    def _ends_mm(self) -> tuple[Array, Array]:
+        """(k,) first and second ends of the lines of all copies, complex."""
+        points = self._points_mm
+        second = np.roll(points, -1) if self.polygon_mm is not None or len(points) == 1 else points[1:]
+        turns = np.exp(2j * math.pi * np.arange(self.copies) / self.copies)[:, None]
+        return (turns * points[: len(second)]).ravel(), (turns * second).ravel()
+
+    def distance_mm(self, xy_mm: Floats) -> Floats:
+        """(n,) mm from places (n, 2) in mm to the nearest copy; of a polygon 0 inside of it."""
+        first, second = self._ends_mm()
+        places = (xy_mm @ [1.0, 1.0j])[:, None]
+        step, off = second - first, places - first
+        length2 = np.maximum(np.abs(step) ** 2, 1e-12)
+        along = np.clip(np.real(off * np.conj(step)) / length2, 0.0, 1.0)
+        apart = np.abs(off - along * step).min(axis=1) - self.radius_mm
+        if self.polygon_mm is None:
+            return np.asarray(np.maximum(apart, 0.0))
+        turns = np.angle((second - places) / np.where(off == 0.0, 1.0, -off))
+        inside = np.abs(turns.reshape(len(places), self.copies, -1).sum(axis=2)).max(axis=1) > math.pi
+        return np.asarray(np.where(inside, 0.0, np.maximum(apart, 0.0)))
 
     @property
     def capsules_mm(self) -> Floats:
         """(k, 5) x0, y0, x1, y1, radius of all copies."""
-        points = np.array([complex(*xy) for xy in self.line_mm])
-        ends = np.array([points[:-1], points[1:]]) if len(points) > 1 else np.array([points, points])
-        turned = [ends * np.exp(2j * math.pi * k / self.copies) for k in range(self.copies)]
-        first, second = np.concatenate(turned, axis=1)
+        first, second = self._ends_mm()
         radius = np.full(len(first), self.radius_mm)
         return np.column_stack([first.real, first.imag, second.real, second.imag, radius])
 

@@ -114,6 +114,37 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
+def spread_table(summary: Mapping[str, Any]) -> Table:
+    """Return how the errors of each move are spread, of healthy units and of the others with a target."""
+    title = f"errors of the science fibre, {_by_truth(summary)}"
+    table = Table(box=box.SIMPLE, title=title, title_justify="left", collapse_padding=True)
+    table.add_column("move")
+    for name in (
+        "units",
+        "n",
+        "rms\n[µm]",
+        "95 %\n[µm]",
+        "99 %\n[µm]",
+        f"within\n{summary['requirement_um']:g} µm",
+    ):
+        table.add_column(name, justify="left" if name == "units" else "right", no_wrap=True)
+    for move in summary["moves"]:
+        for key, units in (("healthy", "healthy"), ("not_healthy", "others")):
+            if move[key]["n"] and not move["interrupted"]:
+                table.add_row(move["label"], units, *_spread_cells(move[key]))
+    return table
+
+
+def _spread_cells(spread: Mapping[str, Any]) -> list[str]:
+    errors = [_um(spread[key]) for key in ("rms_um", "p95_um", "p99_um")]
+    # rounded down: what is below a share that is required does not read as that share
+    return [str(spread["n"]), *errors, f"{int(1000.0 * spread['share_within_requirement']) / 10:.1f} %"]
+
+
+def _by_truth(summary: Mapping[str, Any]) -> str:
+    return "true" if any(move["true_rms_um"] is not None for move in summary["moves"]) else "as measured"
+
+
 def budget_line(budget: Mapping[str, Any]) -> str:
     """Of what the errors of the last move are made, in words; um rms."""
     names = {"loop_um": "loop", "camera_um": "camera", "fibre_um": "fibre on its arm"}
@@ -196,8 +227,7 @@ def _headline(summary: Mapping[str, Any]) -> str:
 
 
 def _caption(summary: Mapping[str, Any]) -> str:
-    known = any(move["true_rms_um"] is not None for move in summary["moves"])
-    if not known:
+    if _by_truth(summary) != "true":
         return "Errors: rms; 95 %, worst and within as measured."
     return (
         "Errors: rms; measured, then true: of the metrology fibre, of the science fibre, and guided: less "

@@ -54,12 +54,42 @@ def test_desi_s_units_are_those_of_the_published_statistics(desi):
 
 def test_the_edges_of_petals_lie_between_petals(desi):
     """No centre is nearer than 5 mm to an edge: the arms' own discs fit in."""
-    edges = np.vstack([part.capsules_mm for part in desi.instrument.bodies.keep_outs])
+    edges = np.vstack([part.capsules_mm for part in desi.instrument.bodies.keep_outs if part.line_mm])
     assert len(edges) == 10
     along = edges[:, 2:4] / np.hypot(*edges[:, 2:4].T)[:, None]
     off = np.abs(desi.centres_mm @ np.column_stack([-along[:, 1], along[:, 0]]).T)
     ahead = desi.centres_mm @ along.T > 0.0
     assert off[ahead].min() == pytest.approx(5.13, abs=0.15)
+
+
+def _corners_of_arms(desi, angles_deg):
+    """(n, 7) complex places in mm of the corners of each phi arm, as wide as the unit's own is."""
+    phi = np.array(next(part.polygon_mm for part in desi.instrument.bodies.parts if part.arm == "beta"))
+    alpha = np.deg2rad(angles_deg[:, 0]) + desi.alpha_off_rad
+    turn = alpha + np.deg2rad(angles_deg[:, 1]) + desi.beta_off_rad
+    elbow = desi.centres_mm @ [1.0, 1.0j] + desi.l_alpha_mm * np.exp(1j * alpha)
+    return elbow[:, None] + (phi @ [1.0, 1.0j]) * np.exp(1j * turn)[:, None]
+
+
+def _to_cameras_mm(desi, places):
+    cameras = [part for part in desi.instrument.bodies.keep_outs if part.polygon_mm]
+    assert len(cameras) == 10
+    xy = np.column_stack([places.real.ravel(), places.imag.ravel()])
+    return np.min([part.distance_mm(xy) for part in cameras], axis=0).reshape(places.shape).min(axis=1)
+
+
+def test_guide_cameras_are_beside_all_folded_arms_and_in_the_way_of_some(desi):
+    """Each petal has one, and it is nearest to the same places of each."""
+    apart = _to_cameras_mm(desi, _corners_of_arms(desi, desi.park_deg)) - desi.handicaps.wider_mm
+    assert apart.min() > 1.0
+    stretched = np.zeros((desi.n, 2))
+    met = np.zeros(desi.n, dtype=bool)
+    for alpha in np.arange(0.0, 360.0, 5.0):
+        stretched[:, 0] = alpha
+        met |= _to_cameras_mm(desi, _corners_of_arms(desi, stretched)) < desi.handicaps.wider_mm
+    of_petals = np.bincount(desi.positioner_id[met] // 1000, minlength=10)
+    assert of_petals.tolist() == [2, 2, 2, 2, 2, 2, 2, 1, 2, 2]
+    assert {place % 1000 for place in desi.positioner_id[met].tolist()} == {459, 526}
 
 
 def test_desi_s_fibres_come_back(desi):

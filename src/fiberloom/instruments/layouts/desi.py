@@ -5,6 +5,7 @@ from the axis is the length of the arc along the focal surface. A petal's frame 
 instead; turned and shifted by its alignment it is the focal plane (CS5).
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from fiberloom.instruments.layouts.folder import (
     truths,
 )
 from fiberloom.instruments.model import Instrument
+from fiberloom.instruments.outlines import KeepOut
 from fiberloom.tables import TableFile
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import deg_to_rad
@@ -56,12 +58,13 @@ def read_desi(folder: Path, instrument: Instrument) -> FocalPlane:
     own = _desimeter(folder)
     l_alpha, l_beta = (lengths(table, f"length_r{k}")[rows] for k in (1, 2))
     check_arms(table.path, instrument, l_alpha, "DESI")
-    xy, turn = _centres(table, rows, _surface(own), _alignments(own / "petal-alignments.yaml")[petal])
+    surface, aligned = _surface(own), _alignments(own / "petal-alignments.yaml")
+    xy, turn = _centres(table, rows, surface, aligned[petal])
     location = table.integers("location")[rows]
     alpha_off, beta_off = (deg_to_rad(table.numbers(f"offset_{c}")[rows]) for c in "tp")
     n = len(rows)
     return FocalPlane(
-        instrument=_with_edges_turned(instrument),
+        instrument=_with_keep_outs(instrument, surface, aligned),
         positioner_id=location,
         hole=np.array([f"P{where // 1000}D{where % 1000:03d}" for where in location.tolist()]),
         arms=np.column_stack([xy, l_alpha, alpha_off + turn, beta_off]),
@@ -85,11 +88,30 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def _with_edges_turned(instrument: Instrument) -> Instrument:
-    """The instrument with its keep-outs, which are edges of petals, where the real petals have them."""
-    turned = tuple(part.turned(float(deg_to_rad(PETAL_MIDDLE_DEG))) for part in instrument.bodies.keep_outs)
-    bodies = instrument.bodies.model_copy(update={"keep_outs": turned})
+def _with_keep_outs(instrument: Instrument, surface: TableFile, aligned: Floats) -> Instrument:
+    """The instrument with edges of petals where real petals have them, and guide cameras on each petal.
+
+    Corners of a guide camera are given in a petal's flat frame, as centres are; `aligned`: (10, 3).
+    """
+    kept: list[KeepOut] = []
+    for part in instrument.bodies.keep_outs:
+        turned = part.turned(float(deg_to_rad(PETAL_MIDDLE_DEG)))
+        kept += [turned] if part.polygon_mm is None else _on_petals(turned, surface, aligned)
+    bodies = instrument.bodies.model_copy(update={"keep_outs": tuple(kept)})
     return instrument.model_copy(update={"bodies": bodies})
+
+
+def _on_petals(part: KeepOut, surface: TableFile, aligned: Floats) -> list[KeepOut]:
+    """One of each petal, of a part in the flat frame of a petal."""
+    arc, radius = surface.numbers("S"), surface.numbers("R")
+
+    def placed(flat: Array, petal: Floats) -> Array:
+        along = np.abs(flat)
+        shift = complex(petal[0], petal[1])
+        return np.asarray(flat * np.interp(along, arc, radius) / along * np.exp(1j * petal[2]) + shift)
+
+    single = part.model_copy(update={"copies": 1})
+    return [single.moved(partial(placed, petal=petal)) for petal in aligned]
 
 
 def _desimeter(folder: Path) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.operation.move import Move
 from fiberloom.operation.results.budget import budget
-from fiberloom.typing import Floats
+from fiberloom.typing import Flags, Floats
 
 if TYPE_CHECKING:
     from fiberloom.operation.results.observed import ObservedField
@@ -55,7 +55,8 @@ def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
     counted = observed.counted(move)
     measured = move.measured_error_um[counted]
     true, metrology = observed.true_error_um(move), observed.true_metrology_error_um(move)
-    guided, error = observed.guided_error_um(move), observed.error_um(move)[counted]
+    guided, all_um = observed.guided_error_um(move), observed.error_um(move)
+    error, left_out = all_um[counted], (observed.assignment.target >= 0) & ~counted
     worst = observed.worst_error_um(move)
     return {
         "move": move.number,
@@ -73,6 +74,20 @@ def _summarise_move(observed: ObservedField, move: Move) -> dict[str, Any]:
         **({} if worst is None else {"worst_in_exposure_rms_um": _rms(worst[counted])}),
         "p95_um": _percentile(error, 95),
         "max_um": _percentile(error, 100),
+        "healthy": _spread(error, observed.requirement_um),
+        "not_healthy": _spread(all_um[left_out], observed.requirement_um),
+    }
+
+
+def _spread(error_um: Floats, requirement_um: float) -> dict[str, Any]:
+    """How errors (n,) in um are spread; one that is not known is not within the requirement."""
+    n = len(error_um)
+    return {
+        "n": n,
+        "rms_um": _rms(error_um),
+        "p95_um": _percentile(error_um, 95),
+        "p99_um": _percentile(error_um, 99),
+        "share_within_requirement": float((error_um <= requirement_um).mean()) if n else None,
     }
 
 
