@@ -6,7 +6,7 @@
 namespace fl::planning {
 namespace {
 
-constexpr int most_buckets = 1 << 17; // costs above this are all the same: a hundred encounters
+constexpr int beyond = 1 << 20; // steps; more than there are
 
 VelocityChange reversed(VelocityChange c) { return {c.to, c.from}; }
 
@@ -28,24 +28,23 @@ Search::NodeId Search::id(Place at) const {
     return NodeId(at.step * ask_.robot->cells() + ask_.robot->index(at.cell));
 }
 
-Search::Place Search::place(NodeId id) const {
-    const int cells = ask_.robot->cells(), width = ask_.robot->alpha().size();
-    const int step = id.value() / cells, cell = id.value() % cells;
-    return {{cell % width, cell / width}, step};
-}
-
-int Search::changes_to_go(Cell c, int move) const {
-    return axis_changes(c.alpha, last_cell_.alpha, alpha_of(move)) +
-           axis_changes(c.beta, last_cell_.beta, beta_of(move));
+// At a line of one axis, with a speed.
+Search::Line Search::line_at(int line, int last, int lines, int speed) {
+    if (line < 0 || line >= lines) return {beyond, 0};
+    return {std::abs(line - last), axis_changes(line, last, speed)};
 }
 
 // From a place that was reached by a move.
 int Search::least_to_come(Place at, int move) const {
-    const Cell c = at.cell;
-    const int changes = ask_.costs->velocity_change * changes_to_go(c, move);
-    if (ask_.guide != nullptr) return changes + ask_.guide->from(c, at.step);
-    const int lines = std::abs(c.alpha - last_cell_.alpha) + std::abs(c.beta - last_cell_.beta);
-    return changes + ask_.costs->move * lines;
+    const Robot &robot = *ask_.robot;
+    return least_to_come(at, line_at(at.cell.alpha, last_cell_.alpha, robot.alpha().size(), alpha_of(move)),
+                         line_at(at.cell.beta, last_cell_.beta, robot.beta().size(), beta_of(move)));
+}
+
+int Search::least_to_come(Place at, const Line &alpha, const Line &beta) const {
+    const int changes = ask_.costs->velocity_change * (alpha.changes + beta.changes);
+    if (ask_.guide != nullptr) return changes + ask_.guide->from(at.cell, at.step);
+    return changes + ask_.costs->move * (alpha.left + beta.left);
 }
 
 int Search::total(int cost, int to_come) const {
@@ -54,32 +53,8 @@ int Search::total(int cost, int to_come) const {
 
 int Search::beta_cost(Cell c) const { return ask_.costs->beta.empty() ? 0 : ask_.costs->beta[c.beta]; }
 
-void Search::push(const Open &open, int total) {
-    const int bucket = std::min(total, most_buckets - 1);
-    if (bucket >= buckets_.size()) buckets_.resize(bucket + 1);
-    buckets_[bucket].push_back(open);
-    lowest_ = std::min(lowest_, bucket);
-    highest_ = std::max(highest_, bucket);
-    ++open_;
-}
-
-// The one of lowest total cost; false if there is none below that of the path found.
-bool Search::pop(Open &open) {
-    if (open_ == 0) return false;
-    while (buckets_[lowest_].empty()) ++lowest_;
-    if (best_ < ask_.give_up && lowest_ >= best_) return false;
-    open = buckets_[lowest_].back();
-    buckets_[lowest_].pop_back();
-    --open_;
-    return true;
-}
-
-void Search::begin_queue() {
-    for (int k = 0; k < std::min(highest_ + 1, buckets_.size()); ++k) buckets_[k].clear();
-    lowest_ = most_buckets;
-    highest_ = 0;
-    open_ = 0;
-}
+// Whether the next one may lead to a path better than that found.
+bool Search::may_help() { return !queue_.empty() && (best_ >= ask_.give_up || queue_.lowest() < best_); }
 
 void Search::begin() {
     // backward, the time after the deadline comes first: it is spent at the goal
@@ -95,7 +70,7 @@ void Search::begin() {
         std::fill(always_.begin(), always_.end(), Always{});
         round_ = 1;
     }
-    begin_queue();
+    queue_.clear();
     path_.clear();
     best_ = ask_.give_up;
     list_turnings();
@@ -238,32 +213,33 @@ int Search::doubtful_encounters(const SweptArm &step) const {
 }
 
 // To rest at the last cell from here to the end.
-void Search::finish(const Open &here, Place at) {
+void Search::finish(const Open &here) {
+    const Place at = here.place();
     const Turning &turn = turnings_[here.move][stay];
     if (!ask_.robot->clear(at.cell, turn.changes)) return;
     const int cost = here.cost + turn.cost + encounters(at, turn.changes) + end_cost_[at.step + 1];
     if (cost >= best_) return;
     best_ = cost;
-    last_ = here.node;
+    last_ = at;
 }
 
-void Search::relax(Place at, const Open &here, int move) {
+// To a cell on two lines.
+void Search::relax(const Open &here, int move, const Line &alpha, const Line &beta) {
     const Turning &turn = turnings_[here.move][move];
-    if (!turn.possible) return;
-    const Place next{moved(at.cell, move), at.step + 1};
-    if (!ask_.robot->inside(next.cell) || next.step + steps_to_go(next.cell) > last_step_) return;
-    const NodeId to = id(next);
-    const int to_come = least_to_come(next, move);
+    const Place at = here.place(), next{moved(at.cell, move), at.step + 1};
+    if (!turn.possible || next.step + std::max(alpha.left, beta.left) > last_step_) return;
+    if (closed(id(next))) return;
+    const int to_come = least_to_come(next, alpha, beta);
     int cost = here.cost + turn.cost + beta_cost(at.cell);
     if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
-    if (cost + to_come < best_) push({to, cost, static_cast<Move>(move)}, total(cost, to_come));
+    if (cost + to_come < best_) queue_.push(Open(next, cost, move), total(cost, to_come));
 }
 
 // Whether the last step of a way, to here, keeps it the best one. If it meets others the way goes back into
 // the queue.
-bool Search::look(Open &open, Place at) {
+bool Search::look(Open open) {
     if (open.looked_at) return true;
-    const Place before{moved(at.cell, 8 - open.move), at.step - 1};
+    const Place at = open.place(), before{moved(at.cell, 8 - open.move), at.step - 1};
     const VelocityChanges turn = turnings_[nodes_[id(before)].move()][open.move].changes;
     if (!ask_.robot->clear(before.cell, turn)) return false;
     const int met = encounters(before, turn);
@@ -271,23 +247,30 @@ bool Search::look(Open &open, Place at) {
     open.cost += met;
     open.looked_at = true;
     const int to_come = least_to_come(at, open.move);
-    if (open.cost + to_come < best_) push(open, total(open.cost, to_come));
+    if (open.cost + to_come < best_) queue_.push(open, total(open.cost, to_come));
     return false;
 }
 
-void Search::expand(const Open &here, Place at) {
+void Search::expand(const Open &here) {
+    const Robot &robot = *ask_.robot;
+    const Place at = here.place();
     ++expansions_;
-    nodes_[here.node] = {round_, here.move};
-    if (at.cell == last_cell_) finish(here, at);
+    nodes_[id(at)] = {round_, here.move};
+    if (at.cell == last_cell_) finish(here);
     if (at.step == last_step_) return;
+    Line alpha[3], beta[3];
+    for (int way = -1; way <= 1; ++way) {
+        alpha[way + 1] = line_at(at.cell.alpha + way, last_cell_.alpha, robot.alpha().size(), way);
+        beta[way + 1] = line_at(at.cell.beta + way, last_cell_.beta, robot.beta().size(), way);
+    }
     // Of equals, the last is looked at first. So an arm unfolds as late as it can (beta stays or goes up),
     // and is out of the way of others until then.
-    for (int move = 0; move < 9; ++move) relax(at, here, move);
+    for (int move = 0; move < 9; ++move) relax(here, move, alpha[move % 3], beta[move / 3]);
 }
 
 void Search::trace() {
     path_.assign(ask_.steps + 1, last_cell_);
-    Place at = place(last_);
+    Place at = last_;
     while (true) {
         path_[at.step] = at.cell;
         if (at.step == ask_.hold) break;
@@ -303,14 +286,13 @@ const List<Cell> &Search::run(const Request &request) {
     begin();
     const Place first{first_cell(), ask_.hold};
     const int cost = hold_cost();
-    push({id(first), cost, stay, true}, total(cost, least_to_come(first, stay)));
+    queue_.push(Open(first, cost, stay, true), total(cost, least_to_come(first, stay)));
     const std::int64_t last = ask_.most_expansions > 0 ? expansions_ + ask_.most_expansions : -1;
     undecided_ = false;
-    for (Open open; pop(open);) {
-        if (closed(open.node)) continue;
-        const Place at = place(open.node);
-        if (!look(open, at)) continue;
-        expand(open, at);
+    while (may_help()) {
+        const Open open = queue_.pop();
+        if (closed(id(open.place())) || !look(open)) continue;
+        expand(open);
         if (expansions_ == last) {
             undecided_ = true;
             return path_;

@@ -8,6 +8,8 @@
 #include "search/cost_to_go.hpp"
 #include "search/moving_obstacles.hpp"
 
+#include <algorithm>
+#include <bit>
 #include <cstdint>
 
 namespace fl::planning {
@@ -53,6 +55,60 @@ struct Request {
     const CostToGo *guide = nullptr;
 };
 
+// What a search has still to look at, by total cost: the lowest first, and of equals the one added last.
+template <class Item> class OpenQueue {
+  public:
+    static constexpr int most = 1 << 17; // costs from here on are all the same
+
+    OpenQueue() : first_(most, none), used_(most / bits, 0) {}
+
+    bool empty() const { return size_ == 0; }
+    void clear() {
+        for (int word = lowest_; word <= highest_; ++word)
+            for (; used_[word] != 0; used_[word] &= used_[word] - 1) first_[first_used(word)] = none;
+        entries_.clear();
+        lowest_ = most / bits;
+        highest_ = -1;
+        size_ = 0;
+    }
+    void push(const Item &item, int cost) {
+        const int bucket = std::min(cost, most - 1), word = bucket / bits;
+        entries_.push_back({item, first_[bucket]});
+        first_[bucket] = entries_.size() - 1;
+        used_[word] |= std::uint64_t{1} << bucket % bits;
+        lowest_ = std::min(lowest_, word);
+        highest_ = std::max(highest_, word);
+        ++size_;
+    }
+    // @pre not empty
+    int lowest() {
+        while (used_[lowest_] == 0) ++lowest_;
+        return first_used(lowest_);
+    }
+    // One of the lowest cost. @pre not empty
+    Item pop() {
+        const int bucket = lowest();
+        const Entry &entry = entries_[first_[bucket]];
+        first_[bucket] = entry.next;
+        if (entry.next == none) used_[lowest_] &= used_[lowest_] - 1;
+        --size_;
+        return entry.item;
+    }
+
+  private:
+    static constexpr int none = -1, bits = 64;
+    struct Entry {
+        Item item;
+        int next; // the one added to the same bucket before
+    };
+    int first_used(int word) const { return word * bits + std::countr_zero(used_[word]); }
+
+    List<int> first_;          // of each bucket, its last entry
+    List<std::uint64_t> used_; // a bit for each bucket that has any
+    List<Entry> entries_;
+    int lowest_ = most / bits, highest_ = -1, size_ = 0; // words
+};
+
 class Search {
   public:
     // The cells at steps 0 .. steps of a path below `give_up`; empty if there is none. The cheapest; with a
@@ -77,17 +133,27 @@ class Search {
       private:
         std::uint32_t code_ = 0;
     };
-    // A way to a node that may be the best one. What the last step meets is looked at only when its turn
-    // comes: of most it never does.
-    struct Open {
-        NodeId node;
-        int cost = 0;
-        Move move = stay; // the last one
-        bool looked_at = false;
-    };
     struct Place {
         Cell cell;
         int step; // counted in the direction of the search
+    };
+    // A way to a cell at a step that may be the best one. What the last step meets is looked at only when
+    // its turn comes: of most it never does.
+    struct Open {
+        Open(Place at, int c, int m, bool looked = false)
+            : step(at.step), cost(c), alpha(static_cast<std::int16_t>(at.cell.alpha)),
+              beta(static_cast<std::int16_t>(at.cell.beta)), move(static_cast<Move>(m)), looked_at(looked) {}
+        Place place() const { return {{alpha, beta}, step}; }
+
+        int step, cost;
+        std::int16_t alpha, beta;
+        Move move; // the last one
+        bool looked_at;
+    };
+    // A line of an axis to which a step may lead.
+    struct Line {
+        int left = 0;    // lines from there to the last one; beyond the grid more than any step allows
+        int changes = 0; // of speed that are still needed, at least
     };
     // What it means to arrive at a cell by one move and to leave it by another.
     struct Turning {
@@ -101,16 +167,15 @@ class Search {
     void prepare_end();
     int hold_cost();
     Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
-    int steps_to_go(Cell c) const { return steps_between(c, last_cell_); }
     int least_to_come(Place at, int move) const;
+    int least_to_come(Place at, const Line &alpha, const Line &beta) const;
     int total(int cost, int to_come) const;
-    int changes_to_go(Cell c, int move) const;
+    static Line line_at(int line, int last, int lines, int speed);
     int beta_cost(Cell c) const;
-    void begin_queue();
-    bool look(Open &open, Place at);
-    void expand(const Open &here, Place at);
-    void finish(const Open &here, Place at);
-    void relax(Place at, const Open &here, int move);
+    bool look(Open open);
+    void expand(const Open &here);
+    void finish(const Open &here);
+    void relax(const Open &here, int move, const Line &alpha, const Line &beta);
     bool shaped(const MovingObstacles::Visit &e) const;
     MovingObstacles::View visits_at(int step) const {
         return ask_.moving->at(ask_.backward ? ask_.steps - step : step);
@@ -122,10 +187,8 @@ class Search {
     int encounters(Place at, VelocityChanges turn);
     int near_encounters(Place at, VelocityChanges turn);
     int doubtful_encounters(const SweptArm &step) const;
-    void push(const Open &open, int total);
-    bool pop(Open &open);
+    bool may_help();
     NodeId id(Place at) const;
-    Place place(NodeId id) const;
     bool closed(NodeId id) const { return nodes_[id].round() == round_; }
     void trace();
 
@@ -134,9 +197,7 @@ class Search {
     int last_step_ = 0; // by which the path must be done, in the direction of the search
     Turning turnings_[9][9];
     List<Node, NodeId> nodes_;
-    List<List<Open>> buckets_; // by total cost; the last come first
-    int lowest_ = 0, highest_ = 0;
-    int open_ = 0;
+    OpenQueue<Open> queue_;
     List<const MovingObstacles::Visit *> doubtful_;
     // Encounters at any step, for each cell and turning: of which search they are, and what they cost.
     struct Always {
@@ -148,7 +209,7 @@ class Search {
     List<int> end_cost_;             // of resting at the last cell from a step to the end
     List<Cell> path_;
     std::uint32_t round_ = 0;
-    NodeId last_;
+    Place last_{}; // of the best path: where it comes to rest
     int best_ = 0;
     std::int64_t expansions_ = 0;
     bool undecided_ = false;
