@@ -154,10 +154,28 @@ def assign(
     block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng, by)
     settings.progress(f"choosing for {plane.n} positioners")
     block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by)
-    settings.progress("placing positioners without a target")
+    return finished(placement, targets, found, block, rules, by, settings.progress)
+
+
+def finished(
+    placement: Placement,
+    targets: TargetList,
+    found: Candidates,
+    block: Ints,
+    rules: Rules,
+    by: Preference,
+    progress: Say = silent,
+) -> Assignment:
+    """The assignment once targets are chosen: the others are parked, and it is told why targets are left out.
+
+    `placement` of N positioners is changed; `targets`: the whole list; `found`: all C candidates; `block`
+    (C,): what blocks each (`Block`); `rules`: distances in mm; `by`: what is preferred; `progress`: called
+    with the name of each step.
+    """
+    progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
     given_up = park(placement, rest, rules, _worth(placement, targets, by))
-    settings.progress("telling why targets were left out")
+    progress("telling why targets were left out")
     unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
     _note_bands(placement, targets, by)
     return _result(placement, unassigned, targets, given_up, rules)
@@ -172,19 +190,13 @@ def _place_free(
     by: Preference,
 ) -> Ints:
     """Place targets that any positioner may take; (C,) what blocks each candidate."""
-    plane = placement.plane
-    segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
-    block = screen(plane, found, segments, rules.approach_deg, rules)
-    screen_placed(placement, found, segments, block, rules.pair_mm)
-    if by.ways is not None:
-        free = np.flatnonzero(block == Block.NONE)
-        block[free[by.ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
+    segments, block = screened(placement, found, rules, by)
     open_ = np.flatnonzero(block == Block.NONE)
     level, wish = by.levels(targets.priority)[found.target], by.wish(found, rules.approach_deg)
     few = shortlist(found.positioner[open_], level[open_], rng, wish.select(open_))
     ok = open_[few]
     some = found.select(ok)
-    pairs = conflicts(plane, some, segments[ok], rules.pair_mm, by.ways)
+    pairs = conflicts(placement.plane, some, segments[ok], rules.pair_mm, by.ways)
     chosen, proven = pack(some.positioner, some.target, level[ok], pairs, rng, wish.select(ok))
     if not proven or len(ok) < len(open_):
         placement.notes.append("the choice of targets is good, but not proven to be the best")
@@ -198,6 +210,22 @@ def _place_free(
         found.fibre[rows],
     )
     return block
+
+
+def screened(placement: Placement, found: Candidates, rules: Rules, by: Preference) -> tuple[Floats, Ints]:
+    """Centre lines of each candidate, (C, POSES, P, 4) mm, and (C,) what blocks it whatever others do.
+
+    `placement`: what is placed already; `found`: C candidates; `rules`: distances in mm; `by`: with the rule
+    of ways.
+    """
+    plane = placement.plane
+    segments = sweep(plane, found.positioner, found.goal_deg, rules.approach_deg)
+    block = screen(plane, found, segments, rules.approach_deg, rules)
+    screen_placed(placement, found, segments, block, rules.pair_mm)
+    if by.ways is not None:
+        free = np.flatnonzero(block == Block.NONE)
+        block[free[by.ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
+    return segments, block
 
 
 def _worth(placement: Placement, targets: TargetList, by: Preference) -> Floats:

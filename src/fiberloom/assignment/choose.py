@@ -159,7 +159,7 @@ def pack(
     if not len(positioner):
         return np.zeros(0, dtype=bool), True
     order = rng.permutation(len(positioner))
-    rules = _exclusions(positioner, target, pairs)[:, order]
+    rules = exclusions(positioner, target, pairs)[:, order]
     kind = _StrictPacking if wish.strict else _Packing
     room = len(np.unique(positioner))
     packing = kind(rules, target[order], level[order], _tie(wish, room, len(order))[order], room)
@@ -180,7 +180,7 @@ def exchange(
     """
     same = csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), shape=(len(numbers), len(kind)))
     rules = [
-        LinearConstraint(_exclusions(positioner, target, pairs), -np.inf, 1.0),
+        LinearConstraint(exclusions(positioner, target, pairs), -np.inf, 1.0),
         LinearConstraint(same, numbers, numbers),
     ]
     result = _solve(-cost, rules)
@@ -318,8 +318,12 @@ def _solve(value: Floats, rules: list[LinearConstraint]) -> OptimizeResult:
     )
 
 
-def _exclusions(positioner: Ints, target: Ints, pairs: tuple[Ints, Ints]) -> csc_array:
-    """One row per set of candidates of which at most one may be taken."""
+def exclusions(positioner: Ints, target: Ints, pairs: tuple[Ints, Ints]) -> csc_array:
+    """(R, C) one row per set of candidates of which at most one may be taken.
+
+    `positioner`, `target` (C,): rows of the plane and of the target list; `pairs`: two arrays of candidates
+    that exclude each other.
+    """
     n = len(positioner)
     a, b = np.concatenate(pairs), np.concatenate(pairs[::-1])
     wide = int(positioner.max()) + 1

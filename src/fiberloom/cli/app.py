@@ -36,6 +36,7 @@ from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.sky.drift import drift
 from fiberloom.cli.sky.guide import guide
 from fiberloom.cli.sky.place import place, where
+from fiberloom.cli.sky.survey import survey
 from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
 
@@ -91,6 +92,7 @@ add(sky, place)
 add(sky, where)
 add(sky, drift)
 add(sky, guide)
+add(sky, survey)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

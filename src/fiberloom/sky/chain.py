@@ -218,7 +218,7 @@ class Chain:
         scale = self.pointing.scale
         telescope: TelescopeSite = self.site.telescope
         zenith, pole = self._without_air
-        return View(
+        true_north = View(
             pa_deg=self.pointing.pa_deg,
             scale=telescope.scale if scale is None else scale,
             parallactic_deg=float(erfa.hd2pa(ha, dec, self.site.latitude_rad)) / RAD_PER_DEG,
@@ -229,6 +229,17 @@ class Chain:
             latitude_deg=self.site.latitude_deg,
             flipped=sky_of(self.instrument).flipped,
         )
+        return replace(true_north, pa_deg=true_north.pa_deg + self._mount_deg(true_north))
+
+    def _mount_deg(self, view: View) -> float:
+        """Position angle of the mount's pole at the centre, deg: the field follows that pole."""
+        site = self.site.telescope
+        low, east = (ARCSEC_RAD * x for x in (site.mount_pole_low_arcsec, site.mount_pole_east_arcsec))
+        if low == east == 0.0:
+            return 0.0
+        e, u, _ = _about(east, self.site.latitude_rad - low, *self._centre[:2])
+        x, y = view.equatorial(np.array([[float(e), float(u)]]))[0]
+        return float(np.arctan2(x, y)) / RAD_PER_DEG
 
     @cached_property
     def _without_air(self) -> tuple[float, float]:

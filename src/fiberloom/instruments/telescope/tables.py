@@ -8,6 +8,7 @@ from fiberloom.instruments.table import Finite, NotNegative, Positive, Table
 
 Latitude = Annotated[float, Field(ge=-90, le=90)]
 Longitude = Annotated[float, Field(ge=-360, le=360)]
+Arcsec = Annotated[float, Field(ge=-3600, le=3600)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -84,6 +85,10 @@ class TelescopeSite(Table):
     height_m: Annotated[float, Field(ge=-500, le=10000)]
     scale: Positive = 1.0
     """Places in the focal plane are divided by it."""
+    mount_pole_low_arcsec: Arcsec = 0.0
+    """By how much the polar axis of the mount is below the celestial pole."""
+    mount_pole_east_arcsec: Arcsec = 0.0
+    """By how much it is to the east of north, in azimuth."""
     weather: WeatherTable | None = None
     """None: 10 deg C, half saturated, pressure by the height."""
     optics: Annotated[tuple[OpticsTable, ...], Field(min_length=1)]

@@ -1,0 +1,1 @@
+"""Assignment over many exposures: targets that want several visits, minimum numbers in every sector."""
