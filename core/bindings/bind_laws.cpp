@@ -1,8 +1,8 @@
 // The firmware's laws, each alone, over arrays: for tests, notebooks and replay of logs.
 #include "bind_laws.hpp"
 
-#include "bind_rows.hpp"
-#include "bind_steps.hpp"
+#include "open_loop/bind_rows.hpp"
+#include "open_loop/bind_steps.hpp"
 
 #include <algorithm>
 #include <memory>

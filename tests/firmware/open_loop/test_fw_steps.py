@@ -1,5 +1,6 @@
-"""The law of steppers against a ramp that is written down from its rules alone, and the search of the datum."""
+"""The law of steppers against a ramp written down from its rules alone, and the search of the datum."""
 
+import itertools
 from functools import cache
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_a_stop_brakes_by_the_same_rules(config, goal, tick):
     assert trace[-1, DONE] == 1
     assert trace[-1, POSITION] <= goal
     assert not n or n[-1] <= start
-    assert all(a - b <= change for a, b in zip(n[:-1], n[1:], strict=True) if a > start)
+    assert all(a - b <= change for a, b in itertools.pairwise(n) if a > start)
     at = trace[tick, SEGMENT]
     assert trace[-1, POSITION] - trace[tick, POSITION] <= at * (2 + at // change)
 

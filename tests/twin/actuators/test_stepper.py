@@ -53,7 +53,7 @@ def test_a_rotor_that_is_not_pulled_out_counts_right_and_one_that_is_loses_whole
     field, rotor = driven(drive, rates, 20000.0, 400)
     turns = (field - drive.motor.pole_pairs * rotor) / (2 * np.pi)
     lost = np.rint(turns)
-    # those that kept up lost nothing; the others are turns behind, and rest where friction and detent hold them
+    # those that kept up lost nothing; the others are turns behind, and rest where friction holds them
     assert lost[:2].tolist() == [0.0, 0.0]
     assert (lost[2:] > 10).all()
     assert np.abs(np.sin(2 * np.pi * turns)).max() < 0.3

@@ -1,7 +1,7 @@
 """Two-phase steppers of MEGARA, MOONS and LAMOST: where the arm is behind a count of microsteps.
 
-The field stands at (pi / 2) k / mu after k microsteps; the rotor follows as in `field_open`. A way that asks for
-more torque than the field has pulls the rotor out: it loses whole electrical turns, four full steps each,
+The field stands at (pi / 2) k / mu after k microsteps; the rotor follows as in `field_open`. A way that asks
+for more torque than the field has pulls the rotor out: it loses whole electrical turns, four full steps each,
 and the count does not know. The next search of the datum does. Torques of all three motors are [A].
 """
 

@@ -1,7 +1,7 @@
 // The law of steppers (fl_steps.h) over arrays: for tests and replay.
 #pragma once
 
-#include "bind.hpp"
+#include "../bind.hpp"
 
 #include <algorithm>
 #include <cstdlib>
