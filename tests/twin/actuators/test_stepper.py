@@ -1,4 +1,4 @@
-"""Steppers: closed forms against the integrated rotor, whole electrical turns lost, and the datum that tells."""
+"""Steppers: closed forms against the integrated rotor, electrical turns lost, and the datum that tells."""
 
 import numpy as np
 import pytest
