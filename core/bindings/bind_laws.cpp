@@ -1,7 +1,8 @@
 // The firmware's laws, each alone, over arrays: for tests, notebooks and replay of logs.
 #include "bind_laws.hpp"
 
-#include "bind_rows.hpp"
+#include "open_loop/bind_rows.hpp"
+#include "open_loop/bind_steps.hpp"
 
 #include <algorithm>
 #include <memory>
@@ -312,6 +313,7 @@ void bind_laws(nb::module_ &m) {
     m.def("profile", &profile, nb::arg("from_cnt"), nb::arg("to_cnt"), nb::arg("speed_rpm"),
           nb::arg("acceleration_rad_s2"));
     rows_law::bind(m);
+    steps_law::bind(m);
     m.def("path", &path, nb::arg("points"), nb::arg("here_cnt"), nb::arg("ticks"),
           nb::arg("landing_cnt") = 0);
     m.def("supervisor", &supervisor, nb::arg("state"), nb::arg("input"), nb::arg("conditions"),

@@ -28,6 +28,12 @@ typedef struct fl_sincos {
 /* |x|.
  * @pre x != INT32_MIN */
 static inline int32_t fl_abs_i32(int32_t x) { return x < 0 ? -x : x; }
+
+/* The smaller of two. */
+static inline int32_t fl_min_i32(int32_t a, int32_t b) { return a < b ? a : b; }
+
+/* The larger of two. */
+static inline int32_t fl_max_i32(int32_t a, int32_t b) { return a > b ? a : b; }
 /* The larger; b where one is NaN. */
 static inline float fl_max(float a, float b) { return a > b ? a : b; }
 /* The smaller; b where one is NaN. */

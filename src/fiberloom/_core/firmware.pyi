@@ -72,6 +72,16 @@ def rows_ends(config: Annotated[NDArray[numpy.uint32], dict(shape=(4), order='C'
     (n, R, 3) fields of both motors in tenths of a motor deg, and the tick, at the end of each row.
     """
 
+def steps_trace(config: Annotated[NDArray[numpy.int32], dict(shape=(5), order='C', device='cpu', writable=False)], position: int, goal: int, ticks: int, stop_tick: int = -1) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 4))]:
+    """
+    (ticks, 4) position, segment, field in microsteps and whether it is at rest, at the end of each tick of a way; braked from stop_tick on. config: segment_ticks, start, most, change, field_steps.
+    """
+
+def steps_seek(config: Annotated[NDArray[numpy.int32], dict(shape=(5), order='C', device='cpu', writable=False)], position: int, lost: int, most: int) -> tuple[bool, int, int]:
+    """
+    (found, slip, position) of a search of the datum by a rotor `lost` microsteps behind its count; the switch closes at 0 of the rotor.
+    """
+
 def path(points: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], here_cnt: int, ticks: int, landing_cnt: int = 0) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,))], int, bool]: ...
 
 def supervisor(state: int, input: int, conditions: int) -> tuple[int, int]:

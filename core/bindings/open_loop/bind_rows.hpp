@@ -1,7 +1,7 @@
 // The law of move tables (fl_rows.h) over arrays: for tests and replay.
 #pragma once
 
-#include "bind.hpp"
+#include "../bind.hpp"
 
 #include <algorithm>
 #include <cstdlib>
