@@ -51,9 +51,6 @@ def test_the_figures_of_a_move(seen):
     # of 0 0 3 4 4.9 6 10: the 95th percentile lies 0.7 of the way from the sixth to the seventh
     assert last["p95_um"] == pytest.approx(6.0 + 0.7 * 4.0)
     assert last["max_um"] == pytest.approx(10.0)
-    assert last["healthy"] == last["assigned"]
-    assert last["healthy"]["p99_um"] == pytest.approx(6.0 + 0.94 * 4.0)
-    assert last["healthy"]["share_within_requirement"] == pytest.approx(5 / 7)
     healthy = last["healthy"]
     assert (healthy["n"], healthy["share_within_requirement"]) == (N, pytest.approx(5.0 / 7.0))
     assert (healthy["rms_um"], healthy["p95_um"]) == (last["true_rms_um"], last["p95_um"])
@@ -119,9 +116,9 @@ def test_what_is_faulty_or_parked_does_not_count(seen):
     assert summary["not_on_target"] == {"dead": 1, "parked": 1, "blocked": 1, "truly_off_target": 1}
     assert summary["share_within_requirement"] == pytest.approx(3 / 7)
     last = summary["moves"][-1]
-    assert (last["healthy"]["n_fibres"], last["assigned"]["n_fibres"]) == (4, 7)
+    assert (last["healthy"]["n"], last["not_healthy"]["n"]) == (4, 3)
     assert last["healthy"]["rms_um"] == pytest.approx(np.sqrt((3 * 1.0 + 49.0) / 4))
-    assert last["assigned"]["rms_um"] == pytest.approx(np.sqrt((3 * 1.0 + 49.0 + 3 * 99.0**2) / 7))
+    assert last["not_healthy"]["rms_um"] == pytest.approx(99.0)
     assert last["healthy"]["share_within_requirement"] == pytest.approx(3 / 4)
     assert repr(observed).endswith("2 moves, 3 within 5 um)")
     title = observed.plot().get_title()

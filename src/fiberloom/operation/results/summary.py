@@ -10,7 +10,7 @@ import numpy as np
 from fiberloom.health.status import FAULTS, FibreStatus
 from fiberloom.operation.move import Move
 from fiberloom.operation.results.budget import budget
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Floats
 
 if TYPE_CHECKING:
     from fiberloom.operation.results.observed import ObservedField
