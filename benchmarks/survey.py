@@ -27,7 +27,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 
-SIZES = {"3 exposures": ((0.0,) * 3, 1500), "2 x 2, overlapping": ((0.0, 0.0, 200.0, 200.0), 2000)}  # fmt: skip
+SIZES = {"3 exposures": ((0.0,) * 3, 1500), "2 x 2": ((0.0, 0.0, 200.0, 200.0), 2000)}
 """Shift of the field in x in mm for each exposure, and targets."""
 RADIUS_MM = 310.0
 
