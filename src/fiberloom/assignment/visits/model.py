@@ -144,7 +144,7 @@ def build(
 
 
 def stacked(model: VisitModel) -> tuple[csr_array, Floats, Floats]:
-    """(K, C) rules of the model, with the least and the most of each, (K,); numbers of fibres."""
+    """(K, C) rules, with the least and the most of each, (K,); all dimensionless."""
     many, most = model.repeated
     few, least = model.least
     low = np.concatenate([np.full(model.alone.shape[0] + len(most), -np.inf), least])
