@@ -125,7 +125,7 @@ def build(
 ) -> VisitModel:
     """The programme of all exposures.
 
-    `value` (dimensionless), `visits`, `role` (n,) of each target; `minimum`: by role, in each of the
+    `exposures`: candidates of each; `value` (dimensionless), `visits`, `role` (n,) of each target; `minimum`: by role, in each of the
     `sectors` of each exposure.
     """
     target = np.concatenate([c.target for c in exposures])
