@@ -125,8 +125,8 @@ def build(
 ) -> VisitModel:
     """The programme of all exposures.
 
-    `exposures`: candidates of each; `value` (dimensionless), `visits`, `role` (n,) of each target; `minimum`: by role, in each of the
-    `sectors` of each exposure.
+    `exposures`: candidates of each; `value` (dimensionless), `visits`, `role` (n,) of each target;
+    `minimum`: by role, in each of the `sectors` of each exposure.
     """
     target = np.concatenate([c.target for c in exposures])
     number = np.repeat(np.arange(len(exposures)), [len(c.target) for c in exposures])
