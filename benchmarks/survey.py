@@ -2,8 +2,8 @@
 
     python -m benchmarks.survey [--out FILE.json]
 
-Three surveys on 500 positioners of SDSS-V: 3 exposures of one field, two fields that overlap, of 2 exposures
-each, 6 exposures of one. Every tenth target is a place of sky, every tenth a standard. The others have
+Two surveys on 500 positioners of SDSS-V: 3 exposures of one field, and two fields that overlap, of 2
+exposures each. Every tenth target is a place of sky, every tenth a standard. The others have
 priority 0, 1 and 2 in turn and want 1, 2 and 3 visits. Minimums in each of six sectors: 3 sky, 1 standard.
 """
 
@@ -27,8 +27,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
 
-SIZES = {"3 exposures": ((0.0,) * 3, 1500), "2 x 2, overlapping": ((0.0, 0.0, 200.0, 200.0), 2000),
-         "6 exposures": ((0.0,) * 6, 3000)}  # fmt: skip
+SIZES = {"3 exposures": ((0.0,) * 3, 1500), "2 x 2": ((0.0, 0.0, 200.0, 200.0), 2000)}
 """Shift of the field in x in mm for each exposure, and targets."""
 RADIUS_MM = 310.0
 

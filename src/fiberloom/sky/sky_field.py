@@ -101,6 +101,8 @@ class SkyField(_FieldTable):
     @classmethod
     def parse(cls, told: Mapping[str, Any], where: str) -> SkyField:
         """The field of keys and values; `where` names their file in errors."""
+        if "time_scale" not in told:
+            raise InputError(f"{where}: time_scale: is missing; it is utc, tai or tt, and has no default")
         try:
             return cls.model_validate(told)
         except ValidationError as error:

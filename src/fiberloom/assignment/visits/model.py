@@ -125,8 +125,8 @@ def build(
 ) -> VisitModel:
     """The programme of all exposures.
 
-    `value`, `visits`, `role` (n,) of each target; `minimum`: by role, in each of the
-    `sectors` of each exposure.
+    `exposures`: candidates of each; `value` (dimensionless), `visits`, `role` (n,) of each target;
+    `minimum`: by role, in each of the `sectors` of each exposure.
     """
     target = np.concatenate([c.target for c in exposures])
     number = np.repeat(np.arange(len(exposures)), [len(c.target) for c in exposures])
@@ -144,7 +144,7 @@ def build(
 
 
 def stacked(model: VisitModel) -> tuple[csr_array, Floats, Floats]:
-    """(K, C) rules of the model, with the least and the most of each, (K,)."""
+    """(K, C) rules, with the least and the most of each, (K,); all dimensionless."""
     many, most = model.repeated
     few, least = model.least
     low = np.concatenate([np.full(model.alone.shape[0] + len(most), -np.inf), least])

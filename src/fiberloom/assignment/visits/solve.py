@@ -86,6 +86,15 @@ def solve(model: VisitModel, solver: str = "highs", seed: int = 0) -> Chosen:
     return found
 
 
+def require_solver(solver: str) -> None:
+    """Raises InputError for a `solver` that is not installed, before anything long is started."""
+    if solver == "ortools":
+        try:
+            import ortools.sat.python.cp_model  # noqa: F401
+        except ImportError:
+            raise InputError(INSTALL) from None
+
+
 def one_by_one(model: VisitModel, seed: int = 0) -> Chosen:
     """One exposure after the other, each the best for itself; of the `model` of E exposures."""
     began_s = time.process_time()
@@ -149,10 +158,9 @@ def shortage(model: VisitModel) -> Ints:
 
 
 def _ortools(model: VisitModel, seed: int) -> tuple[Flags, float]:
-    try:
-        from ortools.sat.python import cp_model
-    except ImportError:
-        raise InputError(INSTALL) from None
+    require_solver("ortools")
+    from ortools.sat.python import cp_model
+
     programme = cp_model.CpModel()
     x = [programme.new_bool_var("") for _ in range(len(model))]
     rules, low, high = stacked(model)

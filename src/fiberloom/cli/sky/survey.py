@@ -47,8 +47,11 @@ def survey(options: SurveyOptions) -> int:
     Writes for each exposure the list and the field that `observe` and `assign` take. Exit code 1
     where a minimum is missed once the other positioners are parked.
     """
+    from fiberloom.assignment.visits.solve import require_solver
+
     require_file(options.survey)
     options.check_plane()
+    require_solver(options.solver.value)
     from fiberloom.assignment.visits.survey import SurveyList, SurveySettings, plan_survey
     from fiberloom.drive.way_rules import way_rule
     from fiberloom.targets.survey_file import SurveyFile, SurveyTargets, exposures_of
