@@ -55,7 +55,7 @@ def test_any_text_is_read_or_refused(text):
         ("group_2", "group_3", "line 6: .*'group_2 {' is wanted"),
         ("rp1 r2 -1159", "rp1 r1 3", "line 8: rp1 r1 has a goal"),
         ("rp1 r2 -1159\n", "\n", "line 9: rp1 needs goals of r1 and r2"),
-        ("-1159", "1159", "group_2: rp1: .*r2 0 or below"),
+        ("-1159", "1159", "group_2: rp1: .*r2 <= 0"),
         ("-1159\n\t}", "-1159", "not closed"),
         ("rp1 r1 44346", "rp1 r3 44346", "line 7: 'rp1 r3 44346'"),
     ],

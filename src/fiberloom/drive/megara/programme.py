@@ -41,7 +41,7 @@ class MoveProgramme:
             for robot, (r1, r2) in group.items():
                 if not (0 <= r1 <= MOST_STEPS and -MOST_STEPS <= r2 <= 0):
                     raise InputError(
-                        f"group_{k}: rp{robot}: r1 {r1}, r2 {r2}; r1 must be 0 or above, r2 0 or below, in 31 bits"
+                        f"group_{k}: rp{robot}: r1 {r1}, r2 {r2}; r1 >= 0 and r2 <= 0 of 31 bits fit"
                     )
 
     @property
