@@ -51,7 +51,11 @@ class MegaraFrame(NamedTuple):
 
     @classmethod
     def of(cls, robot: int, rotor: int, command: MegaraCommand, data: bytes = b"") -> MegaraFrame:
-        """To or from a rotor (1 or 2; 0: both) of a robot (0: all); InputError for one that does not fit."""
+        """A frame to or from a rotor.
+
+        `robot`: its number, 0: all; `rotor`: 1 or 2, 0: both; `command`, and up to 7 bytes of `data` after it.
+        InputError for one that does not fit.
+        """
         if not 0 <= robot <= MOST_ROBOT or rotor not in (0, 1, 2):
             raise InputError(f"megara: robot {robot}, rotor {rotor}; 0 to {MOST_ROBOT} and 0 to 2 fit")
         if len(data) > 7:
