@@ -53,7 +53,7 @@ class MegaraFrame(NamedTuple):
     def of(cls, robot: int, rotor: int, command: MegaraCommand, data: bytes = b"") -> MegaraFrame:
         """A frame to or from a rotor.
 
-        `robot`: its number, 0: all; `rotor`: 1 or 2, 0: both; `command`, and up to 7 bytes of `data` after it.
+        `robot`: its number, 0: all; `rotor`: 1 or 2, 0: both; `command`, and at most 7 bytes of `data`.
         InputError for one that does not fit.
         """
         if not 0 <= robot <= MOST_ROBOT or rotor not in (0, 1, 2):
