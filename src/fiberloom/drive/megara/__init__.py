@@ -1,0 +1,16 @@
+"""MEGARA's blind steppers: steps and angles, programmes of moves, and our own frames that carry them."""
+
+from fiberloom.drive.megara.frames import MegaraCommand, MegaraFrame, decode_goal, decode_state, goal_frames
+from fiberloom.drive.megara.programme import MoveProgramme, read_programme
+from fiberloom.drive.megara.steps import RotorSteps
+
+__all__ = [
+    "MegaraCommand",
+    "MegaraFrame",
+    "MoveProgramme",
+    "RotorSteps",
+    "decode_goal",
+    "decode_state",
+    "goal_frames",
+    "read_programme",
+]
