@@ -23,6 +23,7 @@ from fiberloom.cli.calibrate.identification import arms, coast, friction, inerti
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
+from fiberloom.cli.design.coverage import coverage
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
@@ -58,6 +59,9 @@ exclude = typer.Typer(
 sky = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
 )
+design = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="What a design promises, before anything is built."
+)
 
 add(app, observe)
 add(app, assign)
@@ -91,6 +95,9 @@ add(sky, place)
 add(sky, where)
 add(sky, drift)
 add(sky, guide)
+
+app.add_typer(design, name="design")
+add(design, coverage)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)
