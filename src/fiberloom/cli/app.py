@@ -24,6 +24,8 @@ from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
 from fiberloom.cli.design.coverage import coverage
+from fiberloom.cli.design.gear import gear, spring
+from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
@@ -98,6 +100,9 @@ add(sky, guide)
 
 app.add_typer(design, name="design")
 add(design, coverage)
+add(design, gear)
+add(design, spring)
+add(design, throughput)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ from matplotlib.axes import Axes
 
 from fiberloom.design.array_coverage import ArrayCoverage
 from fiberloom.design.coverage import Coverage
+from fiberloom.design.gear import GearWindow
 from fiberloom.design.lattice import Lattice, Pattern
+from fiberloom.design.spring import SpringWindow
 from fiberloom.report.figures import figure_with, save
 
 GRID = 400
@@ -70,3 +73,36 @@ def _draw_array(axes: Axes, array: ArrayCoverage, most: int) -> None:
     image[row, column] = array.number
     axes.imshow(image, origin="lower", extent=(low[0], high[0], low[1], high[1]), **_colours(most))
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
+
+
+def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
+    """The window of the ratio of both axes, with the ratio that each has, as an image file."""
+    figure, axes = figure_with((8.0, 3.4))
+    for k, one in enumerate(windows):
+        most = min(one.most, 30.0 * max(one.ratio, one.least))
+        axes.barh(k, max(most - one.least, 0.0), left=one.least, height=0.5, color="tab:green", alpha=0.4)
+        axes.plot(one.ratio, k, "o", color="black" if one.fits else "crimson")
+        axes.annotate(f"{one.ratio:g}", (one.ratio, k), (0, 9), textcoords="offset points", ha="center")
+    outside = [one.axis for one in windows if not one.fits]
+    said = f"{', '.join(outside)} outside the window" if outside else "both ratios are in their windows"
+    axes.set(xscale="log", xlabel="motor turns per output turn", title=f"{name}: {said}")
+    axes.set_yticks(range(len(windows)), [one.axis for one in windows])
+    axes.set_ylim(-0.6, len(windows) - 0.3)
+    save(figure, path)
+
+
+def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
+    """Torque of the springs of all units over the range, between what bounds it, as an image file."""
+    figure, panels = figure_with((11.0, 4.6), 1, len(windows), squeeze=False)
+    for axes, one in zip(panels[0], windows, strict=True):
+        axes.fill_between(
+            one.range_deg, one.ends_mNm.min(axis=0), one.ends_mNm.max(axis=0), alpha=0.4, label="all units"
+        )
+        axes.plot(one.range_deg, np.median(one.ends_mNm, axis=0), label="median")
+        axes.axhline(one.low_mNm, color="crimson", ls="--", label="play opens below")
+        axes.axhline(one.high_mNm, color="crimson", label="gear slips above")
+        word = "fits" if one.advice() == "fits" else "outside"
+        axes.set_title(f"{name} {one.axis}: {word}, {one.good_share:.0%} of units by {one.factor:g}")
+        axes.set(xlabel=f"{one.axis} [deg]", ylabel="torque at the output [mNm]", ylim=(0.0, None))
+    panels[0, 0].legend()
+    save(figure, path)

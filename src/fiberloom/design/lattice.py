@@ -168,15 +168,17 @@ class Lattice:
     def face_points_mm(self) -> Floats:
         """(n, 2) points in every region between the edges of all annuli in one cell, however small.
 
-        The symmetric points come first. A region has a corner where two circles meet; a point is taken in each of the four directions there.
+        The symmetric points come first. A region has a corner where two circles meet; a point is taken in
+        each of the four directions there.
         """
         centres = self.centres_mm(*self.steps())
         radii = [x for x in (self.reach_mm, self.hole_mm) if x > 1e-9]
         circles = [(c, radius) for c in centres for radius in radii]
-        near = [(c, rad) for c, rad in circles if np.linalg.norm(c) <= rad + 2.0 * self.pitch_mm]
+        cell_mm = 0.6 * self.pitch_mm  # its farthest point is at 0.58
+        near = [(c, rad) for c, rad in circles if abs(np.hypot(*c) - rad) <= cell_mm]
         corners = [p for a, b in combinations(near, 2) for p in _corners(*a, *b)]
         beside = np.array(corners).reshape(-1, 2)
-        in_cell = np.linalg.norm(beside, axis=1) <= 0.6 * self.pitch_mm
+        in_cell = np.linalg.norm(beside, axis=1) <= cell_mm
         return np.concatenate([self.symmetric_points_mm(), beside[in_cell]])
 
     def changed(self, **lengths: float) -> Lattice:
