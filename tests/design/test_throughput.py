@@ -48,9 +48,7 @@ def test_a_fibre_far_off_has_the_light_of_the_profile_there():
     optics = FibreOptics(20.0, 60.0)
     a = optics.core_radius_um
     density = (MOFFAT_BETA - 1.0) / (np.pi * a**2) * (1.0 + (600.0 / a) ** 2) ** -MOFFAT_BETA
-    bend = (
-        1.0 + 49.0 / 8.0 * (10.0 / 600.0) ** 2
-    )  # mean of r^-7 over the disc; a^2/d^2 more of it is left out
+    bend = 1.0 + 49.0 / 8.0 * (10.0 / 600.0) ** 2  # mean of r^-7 over the disc
     assert optics.share(600.0)[0] == pytest.approx(density * np.pi * 100.0 * bend, rel=1e-4)
 
 

@@ -99,8 +99,8 @@ def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
             one.range_deg, one.ends_mNm.min(axis=0), one.ends_mNm.max(axis=0), alpha=0.4, label="all units"
         )
         axes.plot(one.range_deg, np.median(one.ends_mNm, axis=0), label="median")
-        axes.axhline(one.low_mNm, color="crimson", ls="--", label="play opens below")
-        axes.axhline(one.high_mNm, color="crimson", label="gear slips above")
+        axes.axhline(one.low_mNm, color="crimson", ls="--", label=f"{one.factor:g} x load: play closed above")
+        axes.axhline(one.high_mNm, color="crimson", label=f"friction / {one.factor:g} less load: held below")
         word = "fits" if one.advice() == "fits" else "outside"
         axes.set_title(f"{name} {one.axis}: {word}, {one.good_share:.0%} of units by {one.factor:g}")
         axes.set(xlabel=f"{one.axis} [deg]", ylabel="torque at the output [mNm]", ylim=(0.0, None))

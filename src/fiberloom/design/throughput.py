@@ -38,12 +38,13 @@ class FibreOptics:
     def core_radius_um(self) -> float:
         """Of the Moffat profile (1 + (r/a)^2)^-beta."""
         half = 0.5 * self.seeing_arcsec * self.scale_um_arcsec
-        return half / math.sqrt(2.0 ** (1.0 / MOFFAT_BETA) - 1.0)
+        return half / math.sqrt(math.pow(2.0, 1.0 / MOFFAT_BETA) - 1.0)
 
     @property
     def centred(self) -> float:
         """Share of the light in a centred fibre, 0 to 1."""
-        return 1.0 - (1.0 + (0.5 * self.core_um / self.core_radius_um) ** 2) ** (1.0 - MOFFAT_BETA)
+        edge = 0.5 * self.core_um / self.core_radius_um
+        return 1.0 - math.pow(1.0 + edge**2, 1.0 - MOFFAT_BETA)
 
     def share(self, decentre_um: ArrayLike) -> Floats:
         """Share of the light in a fibre at decentres (n,) in um."""
@@ -77,7 +78,7 @@ class FibreOptics:
         return float(((1.0 - self.loss(_rayleigh(rms_um))) ** 2).mean())
 
 
-_QUANTILES = 400
+_QUANTILES = 150
 
 
 def _rayleigh(rms_um: float) -> Floats:
