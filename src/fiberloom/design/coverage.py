@@ -39,9 +39,9 @@ class Coverage:
 
 
 def coverage(lattice: Lattice, pattern: Pattern = EVERY, n: int = POINTS, seed: int = 0) -> Coverage:
-    """Counts on `n` random points, and exactly on the corners of all annuli.
+    """Counts on `n` random points drawn by `seed`, and exactly on the corners of all annuli of the `lattice`.
 
-    A pattern of every unit has least and most by exact search; another one by the same points, in all cells
+    A `pattern` of every unit has least and most by exact search; another one by the same points, in all cells
     of its period.
     """
     cells = 2 * pattern.period
@@ -68,7 +68,7 @@ def _in_all_cells(lattice: Lattice, xy_mm: Floats, pattern: Pattern) -> Floats:
 
 
 def covers(lattice: Lattice) -> bool:
-    """Does a fibre reach every point, to the last micrometre, if all units have one?"""
+    """Does a fibre reach every point of the `lattice`, to the last micrometre, if all units have one?"""
     return bool(lattice.count(lattice.face_points_mm()).min() > 0)
 
 
@@ -83,7 +83,7 @@ class Filling:
 
 
 def fillings(lattice: Lattice) -> list[Filling]:
-    """What closes the holes: a smaller pitch, or a longer arm; the least change of each that does.
+    """What closes the holes of a `lattice`: a smaller pitch, or a longer arm; the least change of each that does.
 
     Empty where there is no hole. Changes of more than a quarter are not looked for.
     """
@@ -134,7 +134,10 @@ def patterns(carried: int, period: int) -> Iterator[Pattern]:
 
 
 def best_pattern(lattice: Lattice, carried: int, period: int, seed: int = 0) -> Pattern:
-    """The pattern that leaves the least of the plane without a fibre, then the least with only one."""
+    """The pattern that leaves the least of the plane without a fibre, then the least with only one.
+
+    `carried` of `period` units of the `lattice` have a fibre; `seed` of the points that are counted.
+    """
     all_patterns = list(patterns(carried, period))
     points = lattice.random_points_mm(TRIED, seed, 2 * period)
     counts = [lattice.count(points, pattern) for pattern in all_patterns]

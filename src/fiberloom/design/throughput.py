@@ -140,12 +140,15 @@ def speeds(optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_
 def best_corrections(
     optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_s: float = 60.0
 ) -> int:
-    """The number of corrections with the highest speed."""
+    """The number of corrections with the highest speed; parameters as of `speeds`."""
     return int(speeds(optics, moves, exposure_s, overhead_s).argmax())
 
 
 def needed_corrections(moves: Corrections, requirement_um: float, share: float = 0.99) -> int | None:
-    """Fewest corrections with so many fibres within the requirement in um; None: not with 8."""
+    """Fewest corrections with a `share`, 0 to 1, of the fibres within `requirement_um`; None: not with 8.
+
+    `moves`: how errors shrink.
+    """
     for k in range(MOST_CORRECTIONS + 1):
         if 1.0 - moves.beyond(k, requirement_um) >= share:
             return k
