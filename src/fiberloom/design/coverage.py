@@ -39,7 +39,7 @@ class Coverage:
 
 
 def coverage(lattice: Lattice, pattern: Pattern = EVERY, n: int = POINTS, seed: int = 0) -> Coverage:
-    """Counts on `n` random points drawn by `seed`, and exactly on the corners of all annuli of the `lattice`.
+    """Counts on `n` random points drawn by `seed`, and exactly on the corners of the `lattice`.
 
     A `pattern` of every unit has least and most by exact search; another one by the same points, in all cells
     of its period.

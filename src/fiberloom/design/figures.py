@@ -28,7 +28,11 @@ def draw_coverage(
     found: Coverage,
     array: ArrayCoverage | None,
 ) -> None:
-    """A map of the lattice, and of the whole array where there is one, as an image file."""
+    """A map of the lattice, and of the whole array where there is one, as an image file.
+
+    `path` to write; `name` of the instrument; `lattice` and `pattern` that were counted; what was `found`; the
+    `array`, or None.
+    """
     figure, panels = figure_with((13.0 if array else 7.0, 6.0), 1, 2 if array else 1, squeeze=False)
     most = max(found.most, int(array.number.max()) if array else 0)
     image = _draw_lattice(panels[0, 0], lattice, pattern, most)
@@ -76,7 +80,7 @@ def _draw_array(axes: Axes, array: ArrayCoverage, most: int) -> None:
 
 
 def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
-    """The window of the ratio of both axes, with the ratio that each has, as an image file."""
+    """The window of the ratio of both axes, with the ratio that each has: `windows` of `name`, into `path`."""
     figure, axes = figure_with((8.0, 3.4))
     for k, one in enumerate(windows):
         most = min(one.most, 30.0 * max(one.ratio, one.least))
@@ -92,7 +96,8 @@ def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
 
 
 def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
-    """Torque of the springs of all units over the range, between what bounds it, as an image file."""
+    """Torque of the springs of all units over the range, between what bounds it: `windows` of `name`, into
+    `path`."""
     figure, panels = figure_with((11.0, 4.6), 1, len(windows), squeeze=False)
     for axes, one in zip(panels[0], windows, strict=True):
         axes.fill_between(

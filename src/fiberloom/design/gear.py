@@ -79,7 +79,7 @@ def gear_window(
     motor_rpm: float | None = None,
     within_s: float | None = None,
 ) -> GearWindow:
-    """The window of an axis, 0 alpha or 1 beta.
+    """The window of an `axis` of an `instrument`, 0 alpha or 1 beta; `motor_error_deg` of a controlled motor.
 
     `motor_rpm`: what the motor can do, default what the axis' speed asks of it; `within_s`: time for the
     whole range.

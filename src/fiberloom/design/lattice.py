@@ -104,7 +104,7 @@ class Lattice:
 
     @property
     def mean(self) -> float:
-        """Mean number of fibres at a point, dimensionless, by the areas of annulus and cell; axes turn freely."""
+        """Mean number of fibres at a point, dimensionless, of areas alone; axes turn freely."""
         annulus_mm2 = math.pi * (self.reach_mm**2 - self.hole_mm**2)
         return annulus_mm2 / (SQRT_3_2 * self.pitch_mm**2)
 

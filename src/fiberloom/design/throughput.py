@@ -74,7 +74,8 @@ class FibreOptics:
         return float((self.loss(_rayleigh(rms_um))).mean())
 
     def speed(self, rms_um: float) -> float:
-        """Speed of a survey that the sky limits, against centred fibres: the mean of light squared."""
+        """Speed of a survey that the sky limits, against centred fibres, a ratio: the mean of light
+        squared."""
         return float(((1.0 - self.loss(_rayleigh(rms_um))) ** 2).mean())
 
 
@@ -120,7 +121,9 @@ class Corrections:
 
 
 def speeds(optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_s: float = 60.0) -> Floats:
-    """(9,) survey speed after 0 to 8 corrections, 1: no overhead and every fibre centred.
+    """(9,) survey speed after 0 to 8 corrections, a ratio; 1: no overhead and every fibre centred.
+
+    `optics`: the fibre on the sky; `moves`: how errors shrink; `exposure_s`, `overhead_s`.
 
     Raises
     ------
