@@ -83,7 +83,8 @@ class Filling:
 
 
 def fillings(lattice: Lattice) -> list[Filling]:
-    """What closes the holes of a `lattice`: a smaller pitch, or a longer arm; the least change of each that does.
+    """What closes the holes of a `lattice`: a smaller pitch, or a longer arm; the least change of each
+    that does.
 
     Empty where there is no hole. Changes of more than a quarter are not looked for.
     """

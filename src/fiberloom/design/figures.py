@@ -30,7 +30,8 @@ def draw_coverage(
 ) -> None:
     """A map of the lattice, and of the whole array where there is one, as an image file.
 
-    `path` to write; `name` of the instrument; `lattice` and `pattern` that were counted; what was `found`; the
+    `path` to write; `name` of the instrument; `lattice` and `pattern` that were counted; what was
+    `found`; the
     `array`, or None.
     """
     figure, panels = figure_with((13.0 if array else 7.0, 6.0), 1, 2 if array else 1, squeeze=False)
@@ -80,7 +81,8 @@ def _draw_array(axes: Axes, array: ArrayCoverage, most: int) -> None:
 
 
 def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
-    """The window of the ratio of both axes, with the ratio that each has: `windows` of `name`, into `path`."""
+    """The window of the ratio of both axes, with the ratio that each has: `windows` of `name`, into
+    `path`."""
     figure, axes = figure_with((8.0, 3.4))
     for k, one in enumerate(windows):
         most = min(one.most, 30.0 * max(one.ratio, one.least))

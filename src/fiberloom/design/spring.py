@@ -110,9 +110,11 @@ class SpringWindow:
 def spring_window(
     instrument: Instrument, axis: int, load_mNm: float | None = None, factor: float = FACTOR, seed: int = 0
 ) -> SpringWindow:
-    """The window of an `axis` of an `instrument`, 0 alpha or 1 beta, over 500 units of the twin drawn by `seed`.
+    """The window of an `axis` of an `instrument`, 0 alpha or 1 beta, over 500 units of the twin drawn by
+    `seed`.
 
-    `load_mNm`: largest outside torque, None: assumed; `factor`: margin asked for. Tables `[twin.alpha]` count.
+    `load_mNm`: largest outside torque, None: assumed; `factor`: margin asked for. Tables `[twin.alpha]`
+    count.
 
     Raises
     ------

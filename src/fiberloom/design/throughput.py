@@ -143,7 +143,10 @@ def speeds(optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_
 def best_corrections(
     optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_s: float = 60.0
 ) -> int:
-    """The number of corrections with the highest speed; parameters as of `speeds`."""
+    """The number of corrections with the highest speed.
+
+    `optics`: the fibre on the sky; `moves`: how errors shrink; `exposure_s`, `overhead_s`: of one exposure.
+    """
     return int(speeds(optics, moves, exposure_s, overhead_s).argmax())
 
 
