@@ -23,6 +23,9 @@ from fiberloom.cli.calibrate.identification import arms, coast, friction, inerti
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
+from fiberloom.cli.design.coverage import coverage
+from fiberloom.cli.design.gear import gear, spring
+from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
@@ -59,6 +62,9 @@ exclude = typer.Typer(
 sky = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
 )
+design = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="What a design promises, before anything is built."
+)
 
 add(app, observe)
 add(app, assign)
@@ -93,6 +99,12 @@ add(sky, where)
 add(sky, drift)
 add(sky, guide)
 add(sky, survey)
+
+app.add_typer(design, name="design")
+add(design, coverage)
+add(design, gear)
+add(design, spring)
+add(design, throughput)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from fiberloom.instruments import FocalPlane, Instrument, generate
+from fiberloom.design.lattice import EVERY, Lattice, Pattern
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.studies.paper.bench import paper_instrument
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
@@ -17,12 +17,13 @@ from fiberloom.typing import Floats
 
 Counts = NDArray[np.int64]
 
-RINGS = 5
+EVERY_SECOND = Pattern(2, 1, (0,), staggered=True)
+"""Along each row, rows shifted against each other so that gaps do not line up."""
 STEP_MM, FINE_MM = 0.5, 0.2
 
 
 @dataclass(frozen=True)
-class Coverage:
+class CoverageMap:
     """Fibres that reach the points of a grid around the centre of the field."""
 
     x_mm: Floats
@@ -41,70 +42,34 @@ class Coverage:
         return float(self.count.mean())
 
 
-def hexagonal(instrument: Instrument) -> FocalPlane:
-    """Perfect units in every hole: a coverage is a matter of the design."""
-    none = {"sd": 0.0, "min": 0.0, "max": 0.0, "mean": 0.0}
-    scatter = instrument.scatter
-    exact = {name: type(getattr(scatter, name))(**none) for name in type(scatter).model_fields}
-    exact["l_alpha_mm"] = scatter.l_alpha_mm.model_copy(
-        update={"mean": instrument.positioner.l_alpha_mm, "sd": 0.0, "min": None, "max": None}
-    )
-    n_holes = 3 * RINGS * (RINGS + 1) + 1
-    layout = instrument.layout.model_copy(
-        update={"rings": RINGS, "n_positioners": n_holes, "fiducial_lattice": None, "guide_cameras": None}
-    )
-    perfect = scatter.model_copy(update=exact)
-    return generate(instrument.model_copy(update={"layout": layout, "scatter": perfect}), seed=0)
-
-
-def cover(plane: FocalPlane, rows: NDArray[np.intp], step_mm: float) -> Coverage:
-    """Counts the fibres that reach each point of four pitches of the middle, by Eq. 2 and the ranges."""
-    half = 2.0 * plane.instrument.layout.pitch_mm
+def cover(lattice: Lattice, pattern: Pattern, step_mm: float) -> CoverageMap:
+    """Counts the fibres that reach each point of four pitches, by Eq. 2 and the ranges."""
+    half = 2.0 * lattice.pitch_mm
     x, y = (np.arange(-side, side, step_mm) + 0.5 * step_mm for side in (half, half * np.sqrt(0.75)))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    count = np.zeros(len(grid), dtype=np.int64)
-    for row in rows:
-        count += plane.inverse(grid, METROLOGY, index=np.full(len(grid), row)).reachable
-    return Coverage(x, y, count.reshape(len(y), len(x)))
-
-
-def every_second(plane: FocalPlane) -> NDArray[np.intp]:
-    """Every second one along each row, rows shifted against each other so that gaps do not line up."""
-    pitch = plane.instrument.layout.pitch_mm
-    x, y = plane.centres_mm.T
-    r = np.rint(y / (pitch * np.sqrt(0.75))).astype(int)
-    q = np.rint(x / pitch - 0.5 * r).astype(int)
-    return np.flatnonzero((q + r // 2) % 2 == 0)
+    return CoverageMap(x, y, lattice.count(grid, pattern, free=False).reshape(len(y), len(x)))
 
 
 def run(settings: Settings) -> FigureOutcome:
     """Ours beside the paper's two maps: full coverage, and almost full coverage."""
-    instrument = paper_instrument()
-    plane = hexagonal(instrument)
+    lattice = Lattice.of(paper_instrument(), METROLOGY)
     step_mm = FINE_MM if settings.full else STEP_MM
     settings.say("Figure 5: coverage")
-    one = cover(plane, np.arange(len(plane)), step_mm)
-    half = cover(plane, every_second(plane), step_mm)
+    one = cover(lattice, EVERY, step_mm)
+    half = cover(lattice, EVERY_SECOND, step_mm)
     return FigureOutcome(
-        quantities=_quantities(instrument, one, half),
-        drawings=[_draw(plane, one, half)],
+        quantities=_quantities(lattice, one, half),
+        drawings=[_draw(lattice, one, half)],
         how=(
-            f"A hexagon of {len(plane)} perfect units with the paper's arms (7.4 and 15 mm) and p = 22.4 "
+            "A lattice of perfect units with the paper's arms (7.4 and 15 mm) and p = 22.4 "
             f"mm; for every point of a grid of {step_mm:g} mm over four pitches of the middle, who reaches "
             "it by Eq. 2 and the ranges of the axes."
         ),
     )
 
 
-def area_ratio(instrument: Instrument) -> float:
-    """Mean number of fibres per point, a ratio: area of the annulus over the area per positioner."""
-    l_alpha, l_beta = instrument.positioner.l_alpha_mm, instrument.positioner.points[METROLOGY].x_mm
-    annulus = np.pi * ((l_alpha + l_beta) ** 2 - (l_alpha - l_beta) ** 2)
-    return float(annulus / (instrument.layout.pitch_mm**2 * np.sqrt(0.75)))
-
-
-def _quantities(instrument: Instrument, one: Coverage, half: Coverage) -> list[Quantity]:
-    mean = area_ratio(instrument)
+def _quantities(lattice: Lattice, one: CoverageMap, half: CoverageMap) -> list[Quantity]:
+    mean = lattice.mean
     return [
         ordering(
             "fig05.order.full_coverage",
@@ -149,12 +114,12 @@ def _quantities(instrument: Instrument, one: Coverage, half: Coverage) -> list[Q
     ]
 
 
-def _draw(plane: FocalPlane, one: Coverage, half: Coverage) -> Drawing:
+def _draw(lattice: Lattice, one: CoverageMap, half: CoverageMap) -> Drawing:
     canvas, panels = plt.subplots(1, 2, figsize=(11.5, 4.9), layout="constrained")
-    rows = (np.arange(len(plane)), every_second(plane))
+    q, r = (a.ravel() for a in np.meshgrid(np.arange(-5, 6), np.arange(-5, 6)))
     titles = ("every positioner has a fibre", "every second positioner has one")
     top = int(one.count.max())
-    for axes, found, with_fibre, title in zip(panels, (one, half), rows, titles, strict=True):
+    for axes, found, pattern, title in zip(panels, (one, half), (EVERY, EVERY_SECOND), titles, strict=True):
         extent = (found.x_mm[0], found.x_mm[-1], found.y_mm[0], found.y_mm[-1])
         image = axes.imshow(
             found.count,
@@ -164,7 +129,8 @@ def _draw(plane: FocalPlane, one: Coverage, half: Coverage) -> Drawing:
             vmin=-0.5,
             vmax=top + 0.5,
         )
-        axes.plot(*plane.centres_mm[with_fibre].T, "o", color="white", markersize=3, markeredgecolor="black")
+        centres = lattice.centres_mm(q, r)[pattern.carries(q, r)]
+        axes.plot(*centres.T, "o", color="white", markersize=3, markeredgecolor="black")
         axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
     canvas.colorbar(image, ax=panels, label="fibres that reach the point", ticks=range(top + 1))
     return drawing(

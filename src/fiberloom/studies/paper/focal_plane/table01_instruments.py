@@ -12,12 +12,13 @@ from fiberloom.assignment import assign
 from fiberloom.blocking import finish
 from fiberloom.bus import Client
 from fiberloom.calibration import TransmissionMaps, calibrate_transmission
+from fiberloom.design.lattice import EVERY, Lattice
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Move
-from fiberloom.studies.paper.focal_plane.fig05_coverage import cover, hexagonal
+from fiberloom.studies.paper.focal_plane.fig05_coverage import cover
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, quantity
@@ -195,8 +196,7 @@ def _stringent() -> Quantity:
 
 
 def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
-    plane = hexagonal(instrument_of(row))
-    coverage = cover(plane, np.arange(len(plane)), row.pitch_mm / 40.0)
+    coverage = cover(Lattice.of(instrument_of(row), "fibre"), EVERY, row.pitch_mm / 40.0)
     key = f"table1.{row.key}"
     word = "two corrections" if row.corrected else "the blind move"
     return [

@@ -1,0 +1,1 @@
+"""`fiberloom design`: what a choice of arms, pitch, gear, spring means before metal is cut."""

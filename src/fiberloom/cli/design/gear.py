@@ -1,0 +1,144 @@
+"""`fiberloom design gear` and `fiberloom design spring`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fiberloom.cli.design.coverage import FileArgument
+from fiberloom.cli.options import JsonOptions, require_instrument
+from fiberloom.errors import InputError
+from fiberloom.report.folder import prepare_file
+
+if TYPE_CHECKING:
+    from fiberloom.design.gear import GearWindow
+    from fiberloom.design.spring import SpringWindow
+
+OutOption = Annotated[Path | None, typer.Option(help="Diagram to draw, PNG.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearOptions(JsonOptions):
+    """Of `fiberloom design gear`."""
+
+    file: FileArgument
+    motor_error: Annotated[float, typer.Option(help="Of the controlled motor, deg.")] = 5.0
+    motor_rpm: Annotated[
+        float | None, typer.Option(help="What the motor can do, rpm; default: what it is asked for.")
+    ] = None
+    within: Annotated[float | None, typer.Option(help="Time for the whole range of an axis, s.")] = None
+    out: OutOption = None
+
+
+def gear(options: GearOptions) -> int:
+    """The window of the reduction ratio: accurate enough for the requirement, fast enough for a time.
+
+    Play and steps at the longest lever are told beside it. The exit code is 1 where a ratio is outside its
+    window.
+    """
+    require_instrument(options.file)
+    if options.out is not None:
+        prepare_file(options.out)
+    from fiberloom.design.gear import gear_window
+    from fiberloom.instruments import load_instrument
+
+    instrument = load_instrument(options.file)
+    found = [
+        gear_window(instrument, axis, options.motor_error, options.motor_rpm, options.within)
+        for axis in (0, 1)
+    ]
+    if options.out is not None:
+        from fiberloom.design.figures import draw_gear
+
+        draw_gear(options.out, instrument.name, found)
+    options.show([_gear_row(one) for one in found])
+    return int(not all(one.fits for one in found))
+
+
+def _gear_row(one: GearWindow) -> dict[str, Any]:
+    return {
+        "axis": one.axis,
+        "lever_mm": round(one.lever_mm, 3),
+        "output_deg": round(one.output_deg, 4),
+        "least_ratio": one.least,
+        "ratio": one.ratio,
+        "most_ratio": round(one.most, 1) if one.most < 1e12 else "any",
+        "fits": "yes" if one.fits else "no",
+        "motor_deg_um": round(one.motor_deg_um, 3),
+        "step_um": round(one.step_um, 3),
+        "play_um": round(one.play_um, 1),
+        "motor_rpm": round(one.motor_rpm),
+        "range_s": round(one.range_s, 2),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpringOptions(JsonOptions):
+    """Of `fiberloom design spring`."""
+
+    file: FileArgument
+    load: Annotated[
+        str | None,
+        typer.Option(help="Largest outside torque on alpha,beta, mNm; default 1.45,0.12 (assumed arms)."),
+    ] = None
+    factor: Annotated[float, typer.Option(help="Margin asked for, for scatter and cold grease.")] = 2.0
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
+    out: OutOption = None
+
+
+def spring(options: SpringOptions) -> int:
+    """The window of the spring against backlash, over 500 units: what closes the play, what holds still.
+
+    Torques are at the output; margins are of the median and of the worst unit. The exit code is 1 where the
+    median unit of an axis is outside its window.
+    """
+    require_instrument(options.file)
+    if options.out is not None:
+        prepare_file(options.out)
+    loads = _loads(options.load)
+    from fiberloom.design.spring import spring_window
+    from fiberloom.instruments import load_instrument
+
+    instrument = load_instrument(options.file)
+    found = [spring_window(instrument, axis, loads[axis], options.factor, options.seed) for axis in (0, 1)]
+    if options.out is not None:
+        from fiberloom.design.figures import draw_spring
+
+        draw_spring(options.out, instrument.name, found)
+    rows = [_spring_row(one) for one in found]
+    if options.as_json:
+        options.print_json(rows)
+    else:
+        for row in rows:
+            options.show(row)
+    return int(any(one.advice() != "fits" for one in found))
+
+
+def _loads(text: str | None) -> tuple[float | None, float | None]:
+    if text is None:
+        return None, None
+    try:
+        alpha, beta = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--load {text}: give two torques in mNm, alpha,beta, as in 1.45,0.12") from None
+    return alpha, beta
+
+
+def _spring_row(one: SpringWindow) -> dict[str, Any]:
+    import numpy as np
+
+    row: dict[str, Any] = {
+        "axis": one.axis,
+        "weakest_mNm": round(float(np.median(one.weakest_mNm)), 3),
+        "strongest_mNm": round(float(np.median(one.strongest_mNm)), 3),
+        "friction_mNm": round(float(np.median(one.friction_mNm)), 3),
+        "load_mNm": one.load_mNm,
+        "window_mNm": f"{one.low_mNm:.2f} to {one.high_mNm:.2f}",
+    }
+    for name in ("closes", "holds", "turns"):
+        margin = getattr(one, name)
+        row[f"{name}_by"] = f"{np.median(margin):.2f}, worst {margin.min():.2f}"
+    return row | {"share_within": round(one.good_share, 3), "advice": one.advice()}

@@ -1,0 +1,93 @@
+"""`fiberloom design throughput`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fiberloom.cli.design.coverage import FileArgument
+from fiberloom.cli.options import JsonOptions, require_instrument
+
+if TYPE_CHECKING:
+    from fiberloom.design.throughput import Corrections, FibreOptics
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThroughputOptions(JsonOptions):
+    """Of `fiberloom design throughput`."""
+
+    file: FileArgument
+    core: Annotated[float, typer.Option(help="Diameter of the fibre in the focal plane, um.")]
+    scale: Annotated[float, typer.Option(help="Of the focal plane, um per arcsec.")]
+    seeing: Annotated[float, typer.Option(help="Full width at half maximum, arcsec.")] = 1.0
+    blind: Annotated[
+        float | None, typer.Option(help="Error of the blind move, um rms; default: that of [drive].")
+    ] = None
+    remains: Annotated[float, typer.Option(help="Share of an error that a correction leaves.")] = 0.24
+    each: Annotated[float, typer.Option(help="Time of a correction, s; 0 if hidden behind a readout.")] = 9.5
+    exposure: Annotated[float, typer.Option(help="Length of an exposure, s.")] = 900.0
+    overhead: Annotated[float, typer.Option(help="Between exposures, without corrections, s.")] = 60.0
+
+
+def throughput(options: ThroughputOptions) -> None:
+    """What a micrometre costs in light, and how many corrections pay for their time.
+
+    A point source in Moffat seeing (beta 3.5), relative to a centred fibre; speed is that of a survey limited
+    by the sky. What is left after corrections is the noise of the instrument's camera.
+    """
+    require_instrument(options.file)
+    from fiberloom.design.throughput import Corrections, FibreOptics
+    from fiberloom.instruments import load_instrument
+
+    instrument = load_instrument(options.file)
+    optics = FibreOptics(options.core, options.scale, options.seeing)
+    blind_um = instrument.drive.blind_um if options.blind is None else options.blind
+    floor_um = instrument.metrology.noise_rms_um
+    moves = Corrections(blind_um, options.remains, floor_um, options.each)
+    requirement_um = instrument.operation.requirement_um
+    rows = _moves(options, optics, moves, requirement_um)
+    told = _summary(options, optics, moves, requirement_um)
+    if options.as_json:
+        options.print_json({"corrections": rows, "summary": told})
+        return
+    options.show(rows)
+    options.show(told)
+
+
+def _moves(
+    options: ThroughputOptions, optics: FibreOptics, moves: Corrections, requirement_um: float
+) -> list[dict[str, Any]]:
+    from fiberloom.design.throughput import speeds
+
+    speed = speeds(optics, moves, options.exposure, options.overhead)
+    return [
+        {
+            "corrections": k,
+            "rms_um": round(moves.rms_um(k), 3),
+            "light_lost_percent": round(100.0 * optics.mean_loss(moves.rms_um(k)), 3),
+            "beyond_requirement_percent": round(100.0 * moves.beyond(k, requirement_um), 3),
+            "speed": round(float(speed[k]), 5),
+        }
+        for k in range(5)
+    ]
+
+
+def _summary(
+    options: ThroughputOptions, optics: FibreOptics, moves: Corrections, requirement_um: float
+) -> dict[str, Any]:
+    from fiberloom.design.throughput import best_corrections, needed_corrections, speeds
+
+    speed = speeds(optics, moves, options.exposure, options.overhead)
+    best = best_corrections(optics, moves, options.exposure, options.overhead)
+    needed = needed_corrections(moves, requirement_um)
+    number = "not with 8" if needed is None else needed
+    cost = None if needed is None else round(100.0 * float(1.0 - speed[needed] / speed[best]), 3)
+    return {
+        "centred_share": round(optics.centred, 4),
+        "loss_per_um2": f"{optics.k_per_um2:.3e}",
+        "best_for_light": best,
+        "needed_for_99_percent_within": f"{requirement_um:g} um: {number}",
+        "requirement_costs_percent_of_speed": cost,
+    }

@@ -1,0 +1,115 @@
+"""Diagrams of the design tools; titles say the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+
+from fiberloom.design.array_coverage import ArrayCoverage
+from fiberloom.design.coverage import Coverage
+from fiberloom.design.gear import GearWindow
+from fiberloom.design.lattice import Lattice, Pattern
+from fiberloom.design.spring import SpringWindow
+from fiberloom.report.figures import figure_with, save
+
+GRID = 400
+
+
+def draw_coverage(
+    path: Path,
+    name: str,
+    lattice: Lattice,
+    pattern: Pattern,
+    found: Coverage,
+    array: ArrayCoverage | None,
+) -> None:
+    """A map of the lattice, and of the whole array where there is one, as an image file.
+
+    `path` to write; `name` of the instrument; `lattice` and `pattern` that were counted; what was
+    `found`; the
+    `array`, or None.
+    """
+    figure, panels = figure_with((13.0 if array else 7.0, 6.0), 1, 2 if array else 1, squeeze=False)
+    most = max(found.most, int(array.number.max()) if array else 0)
+    image = _draw_lattice(panels[0, 0], lattice, pattern, most)
+    panels[0, 0].set_title(f"{name}: {_reached(found)}, {found.mean:.2f} fibres at a point")
+    if array is not None:
+        _draw_array(panels[0, 1], array, most)
+        panels[0, 1].set_title(
+            f"whole array: {array.covered:.2%} reached, {array.blocked.mean():.2%} blocked"
+        )
+    figure.colorbar(image, ax=panels, label="fibres that reach the point", ticks=range(most + 1))
+    save(figure, path)
+
+
+def _reached(found: Coverage) -> str:
+    """In words: a hole may be too small for a share."""
+    if found.least > 0:
+        return f"every point reached by {found.least} or more"
+    return f"{found.at_least[1]:.2%} reached, with holes"
+
+
+def _colours(most: int) -> dict[str, Any]:
+    return {"cmap": colormaps["viridis"].resampled(most + 1), "vmin": -0.5, "vmax": most + 0.5}
+
+
+def _draw_lattice(axes: Axes, lattice: Lattice, pattern: Pattern, most: int) -> Any:
+    half = 2.0 * lattice.pitch_mm
+    side = np.linspace(-half, half, GRID)
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    number = lattice.count(points, pattern, free=False).reshape(GRID, GRID)
+    image = axes.imshow(number, origin="lower", extent=(-half, half, -half, half), **_colours(most))
+    q, r = (a.ravel() for a in np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)))
+    with_fibre = pattern.carries(q, r)
+    axes.plot(*lattice.centres_mm(q, r)[with_fibre].T, "o", color="white", markeredgecolor="black", ms=4)
+    axes.set(xlim=(-half, half), ylim=(-half, half), xlabel="x [mm]", ylabel="y [mm]")
+    return image
+
+
+def _draw_array(axes: Axes, array: ArrayCoverage, most: int) -> None:
+    low, high = array.xy_mm.min(axis=0), array.xy_mm.max(axis=0)
+    column, row = np.rint((array.xy_mm - low) / array.step_mm).astype(int).T
+    image = np.full((row.max() + 1, column.max() + 1), np.nan)
+    image[row, column] = array.number
+    axes.imshow(image, origin="lower", extent=(low[0], high[0], low[1], high[1]), **_colours(most))
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
+
+
+def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
+    """The window of the ratio of both axes, with the ratio that each has: `windows` of `name`, into
+    `path`."""
+    figure, axes = figure_with((8.0, 3.4))
+    for k, one in enumerate(windows):
+        most = min(one.most, 30.0 * max(one.ratio, one.least))
+        axes.barh(k, max(most - one.least, 0.0), left=one.least, height=0.5, color="tab:green", alpha=0.4)
+        axes.plot(one.ratio, k, "o", color="black" if one.fits else "crimson")
+        axes.annotate(f"{one.ratio:g}", (one.ratio, k), (0, 9), textcoords="offset points", ha="center")
+    outside = [one.axis for one in windows if not one.fits]
+    said = f"{', '.join(outside)} outside the window" if outside else "both ratios are in their windows"
+    axes.set(xscale="log", xlabel="motor turns per output turn", title=f"{name}: {said}")
+    axes.set_yticks(range(len(windows)), [one.axis for one in windows])
+    axes.set_ylim(-0.6, len(windows) - 0.3)
+    save(figure, path)
+
+
+def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
+    """Torque of the springs of all units over the range, between what bounds it: `windows` of `name`, into
+    `path`."""
+    figure, panels = figure_with((11.0, 4.6), 1, len(windows), squeeze=False)
+    for axes, one in zip(panels[0], windows, strict=True):
+        axes.fill_between(
+            one.range_deg, one.ends_mNm.min(axis=0), one.ends_mNm.max(axis=0), alpha=0.4, label="all units"
+        )
+        axes.plot(one.range_deg, np.median(one.ends_mNm, axis=0), label="median")
+        axes.axhline(one.low_mNm, color="crimson", ls="--", label=f"{one.factor:g} x load: play closed above")
+        axes.axhline(one.high_mNm, color="crimson", label=f"friction / {one.factor:g} less load: held below")
+        word = "fits" if one.advice() == "fits" else "outside"
+        axes.set_title(f"{name} {one.axis}: {word}, {one.good_share:.0%} of units by {one.factor:g}")
+        axes.set(xlabel=f"{one.axis} [deg]", ylabel="torque at the output [mNm]", ylim=(0.0, None))
+    panels[0, 0].legend()
+    save(figure, path)
