@@ -177,7 +177,7 @@ bench: setup
 	$(BIN)/python benchmarks/metrology.py --out build/bench/metrology.json
 	$(BIN)/python benchmarks/statistical.py --out build/bench/statistical.json
 	$(BIN)/python -m benchmarks.sky --out build/bench/sky.json
-	$(BIN)/python -m benchmarks.survey --out build/bench/survey.json
+	$(BIN)/python -m benchmarks.sky.survey --out build/bench/survey.json
 
 # A hundred cycles as in the paper, and what a hundred other units would have shown.
 campaign: setup

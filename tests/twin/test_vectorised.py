@@ -16,7 +16,7 @@ INCLUDES = [
     ROOT / "core/geometry/include",
     *(
         ROOT / "firmware" / part
-        for part in ("law", "law/drive", "port", "positioner", "positioner/axis", "can")
+        for part in ("law", "law/drive", "law/open_loop", "port", "positioner", "positioner/axis", "can")
     ),
 ]
 

@@ -154,7 +154,8 @@ def assign(
     block[mine] = place_demanded(placement, found.select(mine), targets, rules, rng, by)
     settings.progress(f"choosing for {plane.n} positioners")
     block[~mine] = _place_free(placement, found.select(~mine), targets, rules, rng, by)
-    return finished(placement, targets, found, block, rules, by, settings.progress)
+    settings.progress("placing positioners without a target")
+    return finished(placement, targets, found, block, rules, by)
 
 
 def finished(
@@ -164,18 +165,14 @@ def finished(
     block: Ints,
     rules: Rules,
     by: Preference,
-    progress: Say = silent,
 ) -> Assignment:
     """The assignment once targets are chosen: the others are parked, and it is told why targets are left out.
 
     `placement` of N positioners is changed; `targets`: the whole list; `found`: all C candidates; `block`
-    (C,): what blocks each (`Block`); `rules`: distances in mm; `by`: what is preferred; `progress`: called
-    with the name of each step.
+    (C,): what blocks each (`Block`); `rules`: distances in mm; `by`: what is preferred.
     """
-    progress("placing positioners without a target")
     rest = np.flatnonzero(~placement.placed)
     given_up = park(placement, rest, rules, _worth(placement, targets, by))
-    progress("telling why targets were left out")
     unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
     _note_bands(placement, targets, by)
     return _result(placement, unassigned, targets, given_up, rules)

@@ -76,7 +76,7 @@ def _grid(centres: Floats, step_mm: float) -> tuple[Floats, float]:
 
 def _count(plane: FocalPlane, fibre: str, xy_mm: Floats) -> Ints:
     tip = plane.points[fibre]
-    reach_mm = plane.arms[:, 2] + np.hypot(*tip.T)
+    reach_mm = plane.l_alpha_mm + np.hypot(*tip.T)
     working = np.flatnonzero(~plane.offline & np.isfinite(reach_mm))
     number = np.zeros(len(xy_mm), dtype=np.int64)
     near = cKDTree(xy_mm).query_ball_point(plane.centres_mm[working], reach_mm[working])
@@ -99,6 +99,6 @@ def _blocked(plane: FocalPlane, xy_mm: Floats) -> Flags:
 
 def _from_segment_mm(xy_mm: Floats, start: Floats, end: Floats) -> Floats:
     way = end - start
-    along = ((xy_mm - start) @ way / max(way @ way, 1e-12)).clip(0.0, 1.0)
+    along = ((xy_mm - start) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
     distance: Floats = np.linalg.norm(xy_mm - start - along[:, None] * way, axis=1)
     return distance

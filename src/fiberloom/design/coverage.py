@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -93,14 +94,15 @@ def fillings(lattice: Lattice) -> list[Filling]:
     found = []
     for length, sense in (("pitch_mm", -1.0), ("l_alpha_mm", 1.0), ("l_beta_mm", 1.0)):
         start = getattr(lattice, length)
-        change = _least_change(
-            lambda share, length=length, start=start, sense=sense: covers(
-                lattice.changed(**{length: start * (1.0 + sense * share)})
-            )
-        )
+        change = _least_change(partial(_closes, lattice, length, sense))
         if change is not None:
             found.append(Filling(length, start, start * (1.0 + sense * change)))
     return found
+
+
+def _closes(lattice: Lattice, length: str, sense: float, share: float) -> bool:
+    """Whether there is no hole when one length is changed by a share."""
+    return covers(lattice.changed(**{length: getattr(lattice, length) * (1.0 + sense * share)}))
 
 
 def _least_change(holds: Callable[[float], bool]) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -111,8 +112,8 @@ class Lattice:
     def steps(self, beyond_mm: float = 0.0) -> tuple[Ints, Ints]:
         """Lattice steps q and r of all units that may reach a point of the cell at the origin."""
         most = math.ceil((self.reach_mm + beyond_mm) / (SQRT_3_2 * self.pitch_mm)) + 2
-        q, r = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
-        q, r = q.ravel(), r.ravel()
+        around = np.arange(-most, most + 1)
+        q, r = np.repeat(around, len(around)), np.tile(around, len(around))
         far_mm = np.linalg.norm(self.centres_mm(q, r), axis=1)
         near = far_mm <= self.reach_mm + beyond_mm + 2.0 * self.pitch_mm
         return q[near], r[near]
@@ -183,7 +184,8 @@ class Lattice:
 
     def changed(self, **lengths: float) -> Lattice:
         """The same with other lengths."""
-        return replace(self, **lengths)
+        changes: dict[str, Any] = dict(lengths)
+        return replace(self, **changes)
 
 
 _BESIDE_MM = 1e-6

@@ -90,7 +90,7 @@ def _rayleigh(rms_um: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class Corrections:
+class CorrectionCosts:
     """How errors shrink: e_k^2 = (rho^k e_0)^2 + s^2 for k >= 1, and what time each costs."""
 
     blind_um: float
@@ -120,7 +120,9 @@ class Corrections:
         return math.exp(-((requirement_um / self.rms_um(k)) ** 2))
 
 
-def speeds(optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_s: float = 60.0) -> Floats:
+def speeds(
+    optics: FibreOptics, moves: CorrectionCosts, exposure_s: float, overhead_s: float = 60.0
+) -> Floats:
     """(9,) survey speed after 0 to 8 corrections, a ratio; 1: no overhead and every fibre centred.
 
     `optics`: the fibre on the sky; `moves`: how errors shrink; `exposure_s`, `overhead_s`.
@@ -141,7 +143,7 @@ def speeds(optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_
 
 
 def best_corrections(
-    optics: FibreOptics, moves: Corrections, exposure_s: float, overhead_s: float = 60.0
+    optics: FibreOptics, moves: CorrectionCosts, exposure_s: float, overhead_s: float = 60.0
 ) -> int:
     """The number of corrections with the highest speed.
 
@@ -150,7 +152,7 @@ def best_corrections(
     return int(speeds(optics, moves, exposure_s, overhead_s).argmax())
 
 
-def needed_corrections(moves: Corrections, requirement_um: float, share: float = 0.99) -> int | None:
+def needed_corrections(moves: CorrectionCosts, requirement_um: float, share: float = 0.99) -> int | None:
     """Fewest corrections with a `share`, 0 to 1, of the fibres within `requirement_um`; None: not with 8.
 
     `moves`: how errors shrink.

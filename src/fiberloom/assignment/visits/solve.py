@@ -25,7 +25,7 @@ INSTALL = "ortools is not installed: pip install 'fiberloom[survey]', or take th
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class ChosenVisits:
     """A choice of C candidates, and how good it is known to be."""
 
     columns: Flags
@@ -49,7 +49,7 @@ class Chosen:
         return self.bound - self.value < 1.0 - 1e-6
 
 
-def solve(model: VisitModel, solver: str = "highs", seed: int = 0) -> Chosen:
+def solve(model: VisitModel, solver: str = "highs", seed: int = 0) -> ChosenVisits:
     """The best choice, or the best that is found with its bound.
 
     Parameters
@@ -63,7 +63,7 @@ def solve(model: VisitModel, solver: str = "highs", seed: int = 0) -> Chosen:
 
     Returns
     -------
-    Chosen
+    ChosenVisits
         Keeps every rule of the model.
 
     Raises
@@ -80,7 +80,7 @@ def solve(model: VisitModel, solver: str = "highs", seed: int = 0) -> Chosen:
     chosen[order] = columns
     if math.isfinite(bound):
         bound = math.floor(bound + _ROUNDING)  # values are whole numbers
-    found = Chosen(chosen, model.worth(chosen), bound, time.process_time() - began_s)
+    found = ChosenVisits(chosen, model.worth(chosen), bound, time.process_time() - began_s)
     if not model.allowed(chosen):
         raise InputError(f"survey: the choice of the solver {solver} breaks a rule; take another solver")
     return found
@@ -95,7 +95,7 @@ def require_solver(solver: str) -> None:
             raise InputError(INSTALL) from None
 
 
-def one_by_one(model: VisitModel, seed: int = 0) -> Chosen:
+def one_by_one(model: VisitModel, seed: int = 0) -> ChosenVisits:
     """One exposure after the other, each the best for itself; of the `model` of E exposures."""
     began_s = time.process_time()
     chosen, left = np.zeros(len(model), dtype=bool), model.visits.copy()
@@ -104,7 +104,7 @@ def one_by_one(model: VisitModel, seed: int = 0) -> Chosen:
         mine = rows[solve(part, "highs", seed).columns]
         chosen[mine] = True
         left[model.target[mine]] -= 1
-    return Chosen(chosen, model.worth(chosen), math.inf, time.process_time() - began_s)
+    return ChosenVisits(chosen, model.worth(chosen), math.inf, time.process_time() - began_s)
 
 
 def _highs(model: VisitModel, seed: int) -> tuple[Flags, float]:
@@ -154,7 +154,8 @@ def shortage(model: VisitModel) -> Ints:
     result = _milp(cost, [LinearConstraint(hstack([rules, slack], format="csr"), low, high)], most)
     if result.x is None:
         return np.array([max(0, m.number - len(m.columns)) for m in model.minimums])
-    return np.rint(result.x[len(model) :]).astype(np.int64)
+    short: Ints = np.rint(result.x[len(model) :]).astype(np.int64)
+    return short
 
 
 def _ortools(model: VisitModel, seed: int) -> tuple[Flags, float]:

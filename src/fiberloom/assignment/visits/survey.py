@@ -14,7 +14,7 @@ from fiberloom.assignment.candidates import Block, Candidates, WayRule, check_ta
 from fiberloom.assignment.choose import LEVEL_WEIGHT, conflicts, levels_of
 from fiberloom.assignment.placement import Placement, Rules, Say, silent
 from fiberloom.assignment.visits.model import Choices, VisitModel, build
-from fiberloom.assignment.visits.solve import Chosen, one_by_one, solve
+from fiberloom.assignment.visits.solve import ChosenVisits, one_by_one, solve
 from fiberloom.assignment.ways import Preference
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -28,7 +28,7 @@ MOST_LEVELS = 5
 
 
 @dataclass(frozen=True)
-class SurveySettings:
+class VisitSettings:
     """How to choose over many exposures."""
 
     minimum: Mapping[str, int] = field(default_factory=dict)
@@ -65,8 +65,8 @@ class SurveyPlan:
     """Of each: rows of its targets in the list of the survey."""
     assignments: tuple[Assignment, ...]
     model: VisitModel
-    chosen: Chosen
-    settings: SurveySettings
+    chosen: ChosenVisits
+    settings: VisitSettings
     seed: int
 
     @property
@@ -90,7 +90,7 @@ class SurveyPlan:
             ]
         return told
 
-    def others(self) -> dict[str, Chosen | None]:
+    def others(self) -> dict[str, ChosenVisits | None]:
         """The same choice by greedy, and one exposure after the other; None: the minimums were missed."""
         return {
             "greedy": _or_none(lambda: solve(self.model, "greedy", self.seed)),
@@ -102,9 +102,9 @@ class SurveyPlan:
         return completeness(self.survey, self.visits_done)
 
 
-def _or_none(make: Any) -> Chosen | None:
+def _or_none(make: Any) -> ChosenVisits | None:
     try:
-        found: Chosen = make()
+        found: ChosenVisits = make()
     except InputError:
         return None
     return found
@@ -140,7 +140,7 @@ def plan_survey(
     exposures: Sequence[tuple[TargetList, Ints]],
     *,
     seed: int = 0,
-    settings: SurveySettings | None = None,
+    settings: VisitSettings | None = None,
 ) -> SurveyPlan:
     """Choose the targets of all exposures together.
 
@@ -157,7 +157,7 @@ def plan_survey(
         For each the targets that are in its field, in mm, and their rows in the survey.
     seed : int
         Decides between equally good choices; the same input and seed give the same one.
-    settings : SurveySettings, optional
+    settings : VisitSettings, optional
         Minimums per sector, solver, margin.
 
     Returns
@@ -171,9 +171,9 @@ def plan_survey(
         A minimum that cannot be had; a target that demands a positioner; ortools where it is asked for and
         not installed.
     """
-    settings = settings or SurveySettings()
+    settings = settings or VisitSettings()
     _check(survey, settings)
-    made = [_Exposure(plane, targets, rows, settings, k) for k, (targets, rows) in enumerate(exposures)]
+    made = [_ExposureChoice(plane, targets, rows, settings, k) for k, (targets, rows) in enumerate(exposures)]
     level = levels_of(survey.priority, MOST_LEVELS)
     science = survey.role == SCIENCE
     value = np.where(science, LEVEL_WEIGHT**level, 0.0)
@@ -184,12 +184,12 @@ def plan_survey(
     settings.progress(f"choosing among {len(model)} candidates in {len(made)} exposures")
     chosen = solve(model, settings.solver, seed)
     parts = np.split(chosen.columns, np.cumsum([len(c.target) for c in choices])[:-1])
-    assignments = tuple(one.settle(part, settings) for one, part in zip(made, parts, strict=True))
+    assignments = tuple(one.settle(part) for one, part in zip(made, parts, strict=True))
     lists, rows = (tuple(x) for x in zip(*exposures, strict=True))
     return SurveyPlan(survey, lists, rows, assignments, model, chosen, settings, seed)
 
 
-def _check(survey: SurveyList, settings: SurveySettings) -> None:
+def _check(survey: SurveyList, settings: VisitSettings) -> None:
     known = {SCIENCE, *settings.minimum}
     for row in np.flatnonzero(~np.isin(survey.role, list(known)))[:1].tolist():
         raise InputError(
@@ -200,11 +200,11 @@ def _check(survey: SurveyList, settings: SurveySettings) -> None:
         raise InputError(f"target {survey.target_id[row]}: visits = {survey.visits[row]}: must be 1 or more")
 
 
-class _Exposure:
+class _ExposureChoice:
     """Candidates of one exposure, and its assignment once they are chosen."""
 
     def __init__(
-        self, plane: FocalPlane, targets: TargetList, rows: Ints, settings: SurveySettings, number: int
+        self, plane: FocalPlane, targets: TargetList, rows: Ints, settings: VisitSettings, number: int
     ) -> None:
         check_targets(plane, targets)
         for row in np.flatnonzero(targets.positioner_id != FREE)[:1].tolist():
@@ -227,7 +227,7 @@ class _Exposure:
         pairs = conflicts(self.plane, some, self.segments[self.open], self.rules.pair_mm, self.by.ways)
         return Choices(some.positioner, self.rows[some.target], sector[some.positioner], pairs)
 
-    def settle(self, chosen: NDArray[np.bool_], settings: SurveySettings) -> Assignment:
+    def settle(self, chosen: NDArray[np.bool_]) -> Assignment:
         """Puts the chosen ones of the open candidates, and parks the others."""
         rows, found = self.open[chosen], self.found
         self.placement.put(
@@ -238,5 +238,4 @@ class _Exposure:
             found.target[rows],
             found.fibre[rows],
         )
-        progress = settings.progress
-        return finished(self.placement, self.targets, found, self.block, self.rules, self.by, progress)
+        return finished(self.placement, self.targets, found, self.block, self.rules, self.by)

@@ -36,7 +36,7 @@ class GearOptions(JsonOptions):
 def gear(options: GearOptions) -> int:
     """The window of the reduction ratio: accurate enough for the requirement, fast enough for a time.
 
-    Play and steps at the longest lever are told beside it. The exit code is 1 where a ratio is outside its
+    Play and steps at the longest lever are told beside it. Exit code 1 where a ratio is outside its
     window.
     """
     require_instrument(options.file)
@@ -92,7 +92,7 @@ class SpringOptions(JsonOptions):
 def spring(options: SpringOptions) -> int:
     """The window of the spring against backlash, over 500 units: what closes the play, what holds still.
 
-    Torques are at the output; margins are of the median and of the worst unit. The exit code is 1 where the
+    Torques are at the output; margins are of the median and of the worst unit. Exit code 1 where the
     median unit of an axis is outside its window.
     """
     require_instrument(options.file)

@@ -11,7 +11,7 @@ from fiberloom.cli.design.coverage import FileArgument
 from fiberloom.cli.options import JsonOptions, require_instrument
 
 if TYPE_CHECKING:
-    from fiberloom.design.throughput import Corrections, FibreOptics
+    from fiberloom.design.throughput import CorrectionCosts, FibreOptics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +38,14 @@ def throughput(options: ThroughputOptions) -> None:
     by the sky. What is left after corrections is the noise of the instrument's camera.
     """
     require_instrument(options.file)
-    from fiberloom.design.throughput import Corrections, FibreOptics
+    from fiberloom.design.throughput import CorrectionCosts, FibreOptics
     from fiberloom.instruments import load_instrument
 
     instrument = load_instrument(options.file)
     optics = FibreOptics(options.core, options.scale, options.seeing)
     blind_um = instrument.drive.blind_um if options.blind is None else options.blind
     floor_um = instrument.metrology.noise_rms_um
-    moves = Corrections(blind_um, options.remains, floor_um, options.each)
+    moves = CorrectionCosts(blind_um, options.remains, floor_um, options.each)
     requirement_um = instrument.operation.requirement_um
     rows = _moves(options, optics, moves, requirement_um)
     told = _summary(options, optics, moves, requirement_um)
@@ -57,7 +57,7 @@ def throughput(options: ThroughputOptions) -> None:
 
 
 def _moves(
-    options: ThroughputOptions, optics: FibreOptics, moves: Corrections, requirement_um: float
+    options: ThroughputOptions, optics: FibreOptics, moves: CorrectionCosts, requirement_um: float
 ) -> list[dict[str, Any]]:
     from fiberloom.design.throughput import speeds
 
@@ -75,7 +75,7 @@ def _moves(
 
 
 def _summary(
-    options: ThroughputOptions, optics: FibreOptics, moves: Corrections, requirement_um: float
+    options: ThroughputOptions, optics: FibreOptics, moves: CorrectionCosts, requirement_um: float
 ) -> dict[str, Any]:
     from fiberloom.design.throughput import best_corrections, needed_corrections, speeds
 

@@ -52,7 +52,7 @@ def survey(options: SurveyOptions) -> int:
     require_file(options.survey)
     options.check_plane()
     require_solver(options.solver.value)
-    from fiberloom.assignment.visits.survey import SurveyList, SurveySettings, plan_survey
+    from fiberloom.assignment.visits.survey import SurveyList, VisitSettings, plan_survey
     from fiberloom.drive.way_rules import way_rule
     from fiberloom.targets.survey_file import SurveyFile, SurveyTargets, exposures_of
 
@@ -64,7 +64,7 @@ def survey(options: SurveyOptions) -> int:
     sky = targets.sky.targets
     wanted = SurveyList(sky.target_id, sky.priority, targets.visits, targets.role)
     with waiting(options.as_json) as wait, naming(options.survey):
-        how = SurveySettings(
+        how = VisitSettings(
             minimum=file.minimum,
             sectors=file.sectors,
             solver=options.solver.value,
@@ -138,7 +138,7 @@ def _write(out: Path, file: SurveyFile, found: SurveyPlan, fields: list[SkyField
         }
         _write_list(out / f"exposure-{number:02d}.csv", file.targets, rows[assignment.target[has]], more)
     wanted = found.survey
-    columns = {
+    columns: dict[str, Any] = {
         "target_id": wanted.target_id,
         "role": wanted.role,
         "priority": wanted.priority,

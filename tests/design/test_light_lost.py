@@ -5,7 +5,7 @@ import pytest
 
 from fiberloom.design.throughput import (
     MOFFAT_BETA,
-    Corrections,
+    CorrectionCosts,
     FibreOptics,
     best_corrections,
     needed_corrections,
@@ -73,7 +73,7 @@ def test_air_that_desi_takes_off_speeds_its_survey():
 
 
 def test_light_asks_for_one_correction_and_the_requirement_for_two():
-    optics, moves = FibreOptics(*SDSSV), Corrections(10.36)
+    optics, moves = FibreOptics(*SDSSV), CorrectionCosts(10.36)
     assert [moves.rms_um(k) for k in range(3)] == pytest.approx([10.36, 2.6, 0.9], abs=0.03)
     assert [moves.beyond(k, 5.0) for k in range(3)] == pytest.approx([0.79, 0.023, 0.0], abs=0.003)
     assert best_corrections(optics, moves, 900.0) == 1
@@ -87,12 +87,12 @@ def test_light_asks_for_one_correction_and_the_requirement_for_two():
 )
 def test_best_numbers_by_the_time_that_each_takes(exposure_s, best):
     optics = FibreOptics(*SDSSV)
-    moves = [Corrections(10.36, each_s=each_s) for each_s in (5.0, 15.0, 30.0, 60.0)]
+    moves = [CorrectionCosts(10.36, each_s=each_s) for each_s in (5.0, 15.0, 30.0, 60.0)]
     assert tuple(best_corrections(optics, one, exposure_s) for one in moves) == best
 
 
 def test_a_correction_that_costs_no_time_is_always_worth_it():
-    found = speeds(FibreOptics(*SDSSV), Corrections(10.36, each_s=0.0), 900.0)
+    found = speeds(FibreOptics(*SDSSV), CorrectionCosts(10.36, each_s=0.0), 900.0)
     assert (np.diff(found) >= 0.0).all()
 
 
@@ -100,7 +100,7 @@ def test_bad_numbers_are_refused():
     with pytest.raises(InputError, match="seeing_arcsec 0"):
         FibreOptics(120.0, 60.0, 0.0)
     with pytest.raises(InputError, match="exposure -1 s"):
-        speeds(FibreOptics(*SDSSV), Corrections(10.0), -1.0)
+        speeds(FibreOptics(*SDSSV), CorrectionCosts(10.0), -1.0)
     with pytest.raises(InputError, match="what remains 1"):
-        Corrections(10.0, remains=1.0)
-    assert needed_corrections(Corrections(10.0, floor_um=9.0), 5.0) is None
+        CorrectionCosts(10.0, remains=1.0)
+    assert needed_corrections(CorrectionCosts(10.0, floor_um=9.0), 5.0) is None

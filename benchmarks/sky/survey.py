@@ -1,6 +1,6 @@
 """A survey chosen as a whole, beside greedy and beside one exposure after the other.
 
-    python -m benchmarks.survey [--out FILE.json]
+    python -m benchmarks.sky.survey [--out FILE.json]
 
 Two surveys on 500 positioners of SDSS-V: 3 exposures of one field, and two fields that overlap, of 2
 exposures each. Every tenth target is a place of sky, every tenth a standard. The others have
@@ -19,7 +19,7 @@ from fiberloom.assignment.visits.solve import Chosen, one_by_one, solve
 from fiberloom.assignment.visits.survey import (
     SurveyList,
     SurveyPlan,
-    SurveySettings,
+    VisitSettings,
     completeness,
     plan_survey,
 )
@@ -80,7 +80,7 @@ def survey(plane: FocalPlane, name: str) -> dict[str, object]:
     """All choices of one survey."""
     shifts_mm, n = SIZES[name]
     wanted, lists = made(n, shifts_mm, seed=0)
-    how = SurveySettings(minimum={"sky": 3, "standard": 1}, sectors=6)
+    how = VisitSettings(minimum={"sky": 3, "standard": 1}, sectors=6)
     plan = plan_survey(plane, wanted, lists, settings=how)
     others = [row(plan, s, tried(plan, s)) for s in ("ortools", "one by one", "greedy")]
     given_up = int(plan.chosen.columns.sum()) - int(plan.visits_done.sum())
