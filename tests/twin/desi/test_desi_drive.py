@@ -201,7 +201,7 @@ def test_nobody_on_the_bus_is_told(plane):
 
 
 def test_units_that_heard_nothing_for_long_are_woken_before_they_run(plane):
-    """Units in standby take a table and answer for it, but run nothing: planning may last longer than that."""
+    """Units in standby take a table and answer for it, but run nothing: plans may take longer."""
     twin = DesiTwin(plane, seed=0)
 
     async def scenario():
