@@ -74,7 +74,7 @@ def open_hardware(
         return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
     found = OpenedArray.of(bus, seen, address)
     if plane.instrument.drive.protocol == "desi":
-        return OpenedDesi(found.bus, found.camera, address, plane)
+        return OpenedDesi(plane, found.bus, found.camera, address)
     return found
 
 

@@ -27,7 +27,7 @@ from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.operation.session.states import Deed
-from fiberloom.operation.source import OpenedArray, OpenedCobras, Source
+from fiberloom.operation.source import OutsideArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
 from fiberloom.operation.sweep.array_sweep import THICKER_MM, ArraySweep
 from fiberloom.operation.sweep.kept import KeptSweep
@@ -219,7 +219,7 @@ class Field:
         return None if self._observer is None else self._observer.folder
 
     def __repr__(self) -> str:
-        where = "on hardware" if isinstance(self.source, OpenedArray | OpenedCobras) else "on the twin"
+        where = "on hardware" if isinstance(self.source, OutsideArray) else "on the twin"
         known = "not calibrated" if self.maps is None else "calibrated"
         return f"Field({self.plane.instrument.name!r}, {len(self.plane)} positioners, {where}, {known})"
 
@@ -272,7 +272,7 @@ class Field:
             return nominal_maps(self.plane), None
         if self.calibration_file is not None:
             return load_for(self.plane, self.calibration_file), self.calibration_file
-        if isinstance(self.source, OpenedArray):
+        if isinstance(self.source, OutsideArray):
             self.watcher.say("no calibration given: the nominal ratio of the gears is used")
             return nominal_maps(self.plane), None
         cached = self.source.maps_file(points)
@@ -350,7 +350,7 @@ class Field:
 
     def _about_sweep(self, settings: SweepSettings) -> dict[str, str]:
         """What a sweep that goes on must have in common with its begin."""
-        named = self.source.named() if isinstance(self.source, OpenedArray | OpenedCobras) else {}
+        named = self.source.named() if isinstance(self.source, OutsideArray) else {}
         return {**named, "layout": self.plane.config_hash(), "number of points": str(settings.n_points)}
 
     async def _swept_in_place(self, settings: SweepSettings, folder: Path, kept: KeptSweep) -> Calibration:

@@ -218,18 +218,29 @@ _FILES = {
 def check(options: Any) -> None:
     """Raises InputError for bad options that can be found without a slow import."""
     from fiberloom.twin.errors.switches import check_switches
-    from fiberloom.twin.faults.grammar import parse_faults
-    from fiberloom.twin.faults.kinds import ANYWHERE, OBSERVED
 
-    # twins of other motors have faults of their own, and refuse the others themselves
-    parse_faults(options.faults, OBSERVED if options.instrument == "sdssv" else ANYWHERE)
-    check_switches(options.errors)
     options.check_plane()
+    check_switches(options.errors)
+    _check_faults(options)
     check_camera(options)
     begins = {"calibration"} if getattr(options, "adapt", False) else set()  # such a file may be made yet
     for name, hint in _FILES.items():
         if name not in begins:
             require_file(getattr(options, name, None), hint)
+
+
+def _check_faults(options: Any) -> None:
+    """Raises InputError for faults that the twin of this instrument does not know."""
+    from fiberloom.twin.faults.grammar import parse_faults
+    from fiberloom.twin.faults.kinds import ANYWHERE, OBSERVED
+
+    if not parse_faults(options.faults, ANYWHERE):
+        return
+    from fiberloom.instruments import load_instrument
+
+    # twins of other motors have faults of their own, and refuse the others themselves
+    if load_instrument(options.instrument).drive.protocol == "sdssv":
+        parse_faults(options.faults, OBSERVED)
 
 
 def check_camera(options: Any) -> None:

@@ -137,7 +137,7 @@ def twin(options: TwinOptions) -> None:
     if options.as_json:
         options.print_json(report)
     else:
-        typer.echo(_text(report))
+        typer.echo(server.told(report))
 
 
 def _warn_of_the_network(options: TwinOptions, addresses: list[Address]) -> None:
@@ -174,14 +174,19 @@ def _server(options: TwinOptions, plane: Any, addresses: list[Address]) -> TwinS
     return TwinServer(made, addresses, schedule=schedule, settings=settings)
 
 
+def _refuse_sdssv_options(options: TwinOptions) -> None:
+    """InputError for an option that other motors do not have."""
+    for name in ("devices", "bootloader", "first", "jaeger_config"):
+        if getattr(options, name):
+            raise InputError(f"--{name.replace('_', '-')}: goes with SDSS-V's positioners; leave it out")
+
+
 def _desi_server(options: TwinOptions, plane: Any, address: Address) -> DesiServer:
     """Another kind of motors behind one device; what is SDSS-V's alone is refused."""
     from fiberloom.twin.desi.server import DesiServer
     from fiberloom.twin.desi.source import DesiSource
 
-    for name in ("devices", "bootloader", "first", "jaeger_config"):
-        if getattr(options, name):
-            raise InputError(f"--{name.replace('_', '-')}: goes with SDSS-V's positioners; leave it out")
+    _refuse_sdssv_options(options)
     source = DesiSource(plane, options.seed, "noise", options.faults, options.errors)
     return DesiServer(source.twin, address, schedule=source.schedule, speed=options.speed, seed=options.seed)
 
@@ -192,8 +197,7 @@ def _cobras(options: TwinOptions, plane: Any, address: Address) -> ServedCobras:
     from fiberloom.twin.cobras.served import ServedCobras
     from fiberloom.twin.cobras.source import CobraSource
 
-    if options.jaeger_config is not None or options.devices is not None or options.bootloader:
-        raise InputError("--jaeger-config, --devices, --bootloader: PFS has one FPGA; leave them out")
+    _refuse_sdssv_options(options)
     maps = options.maps and read_summary_maps(options.maps, plane.positioner_id)
     source = CobraSource(plane, options.seed, "noise", options.faults, options.errors or "none", maps or None)
     if options.write_maps is not None:
@@ -250,7 +254,7 @@ async def _wait(server: Served, options: TwinOptions, stop: asyncio.Event) -> No
         except TimeoutError:
             if end is not None and loop.time() >= end:
                 return
-            typer.echo(_text(server.report()), err=True)
+            typer.echo(server.told(server.report()), err=True)
 
 
 def _greeting(count: int, addresses: list[Address]) -> str:
@@ -260,32 +264,3 @@ def _greeting(count: int, addresses: list[Address]) -> str:
     where = f"{first}" if len(addresses) == 1 else f"{first} to {last}"
     devices = "1 device" if len(addresses) == 1 else f"{len(addresses)} devices"
     return f"{count} positioners on {devices} with {len(PORTS)} CAN ports each: {where}; Ctrl-C ends"
-
-
-def _text(report: dict[str, Any]) -> str:
-    """The report as a few lines of text."""
-    if "runs" in report:
-        from fiberloom.twin.cobras.served import cobra_report
-
-        return cobra_report(report)
-    if "p50_ms" not in report:
-        return ", ".join(
-            f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list)
-        )
-    lines = [
-        f"{report['time_s']:.1f} s of twin time: "
-        f"{report['ticks']} ticks computed, {report['resting']} at rest",
-        f"kept {100 * report['share_kept']:.2f} % of the ticks; late by {report['p50_ms']:.2f} ms (half), "
-        f"{report['p99_ms']:.2f} ms (99 %), {report['worst_ms']:.2f} ms (worst)",
-        f"{report['clients']} clients, {report['frames_in']} frames in, {report['frames_out']} out",
-    ]
-    losses = {
-        "given_up_s": "s of clock given up",
-        "overflowed": "frames over the queue",
-        "unread": "frames unread by the client",
-        "lost": "replies lost on purpose",
-        "late": "replies late on purpose",
-        "refused_clients": "clients turned away",
-    }
-    lost = [f"{report[key]:.4g} {what}" for key, what in losses.items() if report[key]]
-    return "\n".join([*lines, *([", ".join(lost)] if lost else []), *report["happened"]])

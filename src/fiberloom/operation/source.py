@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -16,7 +16,7 @@ from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.desi.frames import positioner_of
 from fiberloom.drive.desi.maps.kept import read_maps
-from fiberloom.drive.desi.maps.learned import PLANETARY
+from fiberloom.drive.desi.maps.learned import PLANETARY, LearnedMaps
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.pfs.streams import over_tcp, tcp_address
 from fiberloom.drive.piezo import MotorMaps, read_summary_maps
@@ -97,14 +97,62 @@ class _LeftOpen:
         pass
 
 
+class OutsideArray:
+    """What arrays outside of this process have in common: no bench, no file of their own, no known truth."""
+
+    camera: Camera
+    camera_name: str
+    """Its address, where it has one."""
+
+    @property
+    def bus_name(self) -> str:
+        """The address of the bus, in words."""
+        raise NotImplementedError
+
+    def named(self) -> dict[str, str]:
+        """Bus and camera in words: equal for two commands to one array."""
+        return {"bus": self.bus_name, "camera": self.camera_name or type(self.camera).__name__}
+
+    async def sweep(self, points: int, progress: Progress) -> None:
+        """None: an array has no bench."""
+
+    def maps_file(self, points: int) -> Path | None:
+        """None: maps come from a file that the caller names."""
+        return None
+
+    def about(self) -> dict[str, Any]:
+        """Empty: only a twin has entries of its own."""
+        return {}
+
+    @property
+    def true_plane(self) -> FocalPlane | None:
+        """None: the true layout is not known."""
+        return None
+
+
+class _OnBus(OutsideArray):
+    """Positioners on a bus of CAN frames, given by its address or opened."""
+
+    bus: BusSpec | Transport
+
+    @property
+    def bus_name(self) -> str:
+        """Kind and channels of the bus; "opened" where it was opened before."""
+        spec = self.bus if isinstance(self.bus, BusSpec) else None
+        return "opened" if spec is None else f"{spec.interface}:{','.join(spec.channels)}"
+
+    async def _opened(self, **how: Callable[[int], int]) -> Transport:
+        """The bus, opened unless the caller has opened it; `how`: as `BusSpec.open` takes it."""
+        return await self.bus.open(**how) if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
+
+
 @dataclass(frozen=True)
-class OpenedArray:
+class OpenedArray(_OnBus):
     """Positioners on a bus and a camera that looks at them. Implements `Source`."""
 
     bus: BusSpec | Transport
     camera: Camera
     camera_name: str = ""
-    """Its address, where it has one."""
 
     @classmethod
     def of(cls, bus: str | Transport, camera: Any, camera_name: str = "") -> OpenedArray:
@@ -121,23 +169,9 @@ class OpenedArray:
             )
         return cls(BusSpec.parse(bus) if isinstance(bus, str) else bus, camera, camera_name)
 
-    def named(self) -> dict[str, str]:
-        """Bus and camera in words: equal for two commands to one array."""
-        spec = self.bus if isinstance(self.bus, BusSpec) else None
-        bus = "opened" if spec is None else f"{spec.interface}:{','.join(spec.channels)}"
-        return {"bus": bus, "camera": self.camera_name or type(self.camera).__name__}
-
     async def open(self) -> Hardware:
         """Opens the bus, unless the caller has opened it."""
-        bus = await self.bus.open() if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
-        return Hardware(bus, self.camera)
-
-    async def sweep(self, points: int, progress: Progress) -> None:
-        """None: an array has no bench."""
-
-    def maps_file(self, points: int) -> Path | None:
-        """None: maps come from a file that the caller names."""
-        return None
+        return Hardware(await self._opened(), self.camera)
 
     def know(self, file: Path) -> None:
         """No array outside has such motors yet: InputError for any `file`."""
@@ -147,27 +181,23 @@ class OpenedArray:
         """No array outside has such motors yet: InputError."""
         raise InputError("--adapt: the motors of this array teach nothing that can be kept; leave it out")
 
-    def about(self) -> dict[str, Any]:
-        """Empty: only a twin has entries of its own."""
-        return {}
 
-    @property
-    def true_plane(self) -> FocalPlane | None:
-        """None: the true layout is not known."""
-        return None
-
-
-@dataclass(frozen=True)
-class OpenedDesi(OpenedArray):
+@dataclass
+class OpenedDesi(_OnBus):
     """An array of motors without encoders on a bus of DESI's frames. Implements `Source`."""
 
-    plane: FocalPlane | None = None
-    files: dict[str, Path] = field(default_factory=dict)
-    """`known`: what earlier nights have taught; `kept`: the same, written anew after each image."""
+    plane: FocalPlane
+    bus: BusSpec | Transport
+    camera: Camera
+    camera_name: str = ""
+    known_file: Path | None = None
+    """What earlier nights have taught."""
+    kept_file: Path | None = None
+    """The same, written anew after each image."""
 
     def know(self, file: Path) -> None:
         """Begins with the maps of a `file`, and believes arms to be where it says."""
-        self.files["known"] = file
+        self.known_file = file
 
     def keep(self, file: Path | None) -> None:
         """As `know` with a `file`, which is written anew after each image. InputError where none is named."""
@@ -175,23 +205,24 @@ class OpenedDesi(OpenedArray):
             raise InputError(
                 "--adapt: name the file in which this array keeps what it learns, by --calibration"
             )
-        self.files["kept"] = file
+        self.kept_file = file
 
     async def open(self) -> Hardware:
         """Opens the bus, unless the caller has opened it. Without a file all are taken to be folded."""
-        assert self.plane is not None
-        kept = self.files.get("kept")
-        found = kept or self.files.get("known")
-        begins = found is None or (found == kept and not found.exists())
-        maps = None if begins or found is None else read_maps(found, self.plane, PLANETARY)
-        opened = self.bus
-        bus = await opened.open(positioner_of) if isinstance(opened, BusSpec) else _LeftOpen(opened)
-        drive = DesiDrive(self.plane, bus, maps)
-        drive.kept = kept
+        maps = self._maps()
+        drive = DesiDrive(self.plane, await self._opened(whose=positioner_of), maps)
+        drive.kept = self.kept_file
         return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
 
+    def _maps(self) -> LearnedMaps | None:
+        """As learnt so far; None: nothing, also where a file is to be kept that is not there yet."""
+        found = self.kept_file or self.known_file
+        if found is None or (found == self.kept_file and not found.exists()):
+            return None
+        return read_maps(found, self.plane, PLANETARY)
 
-class OpenedCobras:
+
+class OpenedCobras(OutsideArray):
     """Cobras of PFS behind an FPGA on TCP, and a camera that looks at them. Implements `Source`."""
 
     def __init__(self, plane: FocalPlane, address: str, camera: Camera, camera_name: str = "") -> None:
@@ -200,24 +231,18 @@ class OpenedCobras:
         self._connect = over_tcp(*tcp_address(address))
         self._maps: MotorMaps | None = None
 
-    def named(self) -> dict[str, str]:
-        """Bus and camera in words: equal for two commands to one array."""
-        return {"bus": f"{FPGA}{self.address}", "camera": self.camera_name or type(self.camera).__name__}
+    @property
+    def bus_name(self) -> str:
+        """The address of the FPGA."""
+        return f"{FPGA}{self.address}"
 
     async def open(self) -> Hardware:
         """Homes all cobras: nothing else tells where they are. InputError where maps are missing."""
         if self._maps is None:
-            raise InputError(f"{FPGA}{self.address}: name the motor maps of its cobras by --calibration")
+            raise InputError(f"{self.bus_name}: name the motor maps of its cobras by --calibration")
         drive = CobraDrive(self.plane, self._maps, FpgaClient(self._connect), self.plane.dots_mm)
         await drive.home()
         return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
-
-    async def sweep(self, points: int, progress: Progress) -> None:
-        """None: an array has no bench."""
-
-    def maps_file(self, points: int) -> Path | None:
-        """None: maps come from a file that the caller names."""
-        return None
 
     def know(self, file: Path) -> None:
         """The motors are those of a summary of motor maps, in `file`."""
@@ -226,12 +251,3 @@ class OpenedCobras:
     def keep(self, file: Path | None) -> None:
         """InputError for any `file`: what cobras teach is not kept."""
         raise InputError("--adapt: what cobras teach is not kept; leave it out")
-
-    def about(self) -> dict[str, Any]:
-        """Empty: only a twin has entries of its own."""
-        return {}
-
-    @property
-    def true_plane(self) -> FocalPlane | None:
-        """None: the true layout is not known."""
-        return None

@@ -14,7 +14,7 @@ from fiberloom.drive.desi.stages import STAGES, Aims, Level, MoveStage, plan_of,
 from fiberloom.planning import Plan, Trajectory
 
 N = 80
-SWINGING = (6,)
+SWINGING = (1, 21)
 """Seeds of fields in which an arm sweeps over another one on its way, in either order."""
 
 

@@ -10,6 +10,7 @@ from fiberloom.bus.motion import MotionWatch
 from fiberloom.bus.outcome import Outcome
 from fiberloom.drive.desi import DesiCommand, DesiFrame
 from fiberloom.drive.desi.drive import DesiDrive
+from fiberloom.drive.desi.frames import STILL_ALIVE_S
 from fiberloom.drive.port import Wanted
 from fiberloom.errors import InputError
 from fiberloom.targets.generate import random_targets
@@ -197,3 +198,23 @@ def test_nobody_on_the_bus_is_told(plane):
     drive = DesiDrive(plane, Wire(DesiTwin(plane, seed=0), lambda frame: True))
     with pytest.raises(InputError, match="none of the 60 positioners"):
         asyncio.run(drive.connect())
+
+
+def test_units_that_heard_nothing_for_long_are_woken_before_they_run(plane):
+    """Units in standby take a table and answer for it, but run nothing: plans may take longer."""
+    twin = DesiTwin(plane, seed=0)
+
+    async def scenario():
+        drive = DesiDrive(plane, DesiTransport(twin))
+        await drive.connect()
+        twin.run(STILL_ALIVE_S + 1.0)
+        goal = plane.park_deg - np.where(np.arange(N)[:, None] < 3, [20.0, 10.0], 0.0)
+        programme = await drive.prepare(Wanted(plane, plane.park_deg, goal, np.full(N, 3.0)))
+        results = await drive.run(programme, MotionWatch(), print)
+        return results, drive.maps.believed_deg
+
+    results, believed = asyncio.run(scenario())
+    assert len(results) == 3
+    np.testing.assert_allclose(believed[:3], plane.park_deg[:3] - [20.0, 10.0], atol=1e-3)
+    # no more than gears and play make of it
+    assert np.abs(twin.truth() - believed).max() < 2.5

@@ -56,7 +56,7 @@ SURPRISES = 2
 SETTLE_S = 0.05
 """After the last table has ended."""
 ALIVE_S = 20.0
-"""A unit in standby after 60 s of silence would refuse its table."""
+"""A unit that has heard nothing for 60 s is in standby, and runs nothing until it is reset."""
 AIR_UM = 6.0
 """[A] Of an image, both axes together, where the camera does not tell its covariance."""
 
@@ -98,6 +98,8 @@ class DesiDrive:
         self._image_um = max(self.model.noise.camera_um, 1e-3)
         self._back = np.zeros(len(plane), dtype=bool)
         """(N,) that were silent and answer again, and that no image has shown since."""
+        self._spoke_s = -np.inf
+        """When the last frame went out, s of the bus."""
         self._ran = False
         self._running: tuple[float, MoveTables] | None = None
 
@@ -117,14 +119,18 @@ class DesiDrive:
                 await self._broadcast(DesiCommand.STAY_ALIVE)
 
     async def _broadcast(self, command: DesiCommand, data: bytes = b"") -> None:
-        await self.transport.send([DesiFrame.of(POSITIONERS, command, data)])
+        await self._send([DesiFrame.of(POSITIONERS, command, data)])
+
+    async def _send(self, frames: list[DesiFrame]) -> None:
+        await self.transport.send(frames)
+        self._spoke_s = self.time_s
 
     async def _ask(
         self, frames: list[DesiFrame], command: DesiCommand, whom: Iterable[int]
     ) -> dict[int, bytes]:
         """Sends frames; the answers to a command by positioner, of those that answer in time."""
         waiting, found = set(whom), {}
-        await self.transport.send(frames)
+        await self._send(frames)
         end_s = self.time_s + ANSWER_S
         while waiting and (left_s := end_s - self.time_s) > 1e-9:
             for reply in await self.transport.receive(left_s):
@@ -254,6 +260,8 @@ class DesiDrive:
     async def _load(self, tables: MoveTables, moving: list[int]) -> set[int]:
         """Those that do not hold their table after `TRIES`."""
         rows = {i: rows_of(tables, int(self.plane.index_of(i))) for i in moving}
+        if self.time_s - self._spoke_s > ALIVE_S:  # planning may take longer than units wait
+            await self._broadcast(DesiCommand.RESET)
         # a table that was run is still there, and the start is for all
         await self._broadcast(DesiCommand.CLEAR)
         missing = set(moving)
@@ -284,7 +292,7 @@ class DesiDrive:
     async def settle(self, ids: list[int]) -> None:
         """Stops these and forgets their tables."""
         frames = [DesiFrame.of(i, command) for i in ids for command in (DesiCommand.STOP, DesiCommand.CLEAR)]
-        await self.transport.send(frames)
+        await self._send(frames)
 
     async def stop(self) -> list[int]:
         """Stops all; what was counted until then is believed. Returns which answer."""

@@ -38,6 +38,14 @@ class ServedCobras:
             "contacts": {kind: contacts[kind] for kind in ("cobras", "fiducials")},
         }
 
+    def told(self, report: dict[str, Any]) -> str:
+        """A `report` of this server as a line of text."""
+        contacts = report["contacts"]
+        return (
+            f"{report['time_s']:.1f} s of twin time: {report['runs']} RUNs; arms touched "
+            f"{contacts['cobras']} times each other and {contacts['fiducials']} times a fiducial"
+        )
+
     def look(self) -> Look:
         """What a camera sees now: no fibre that is behind its dot."""
         lit_mm = np.where(self._array.dark[:, None], np.nan, self._array.fibre_xy())
@@ -46,12 +54,3 @@ class ServedCobras:
     def faults(self) -> frozenset[str]:
         """Of the camera: none."""
         return frozenset()
-
-
-def cobra_report(report: dict[str, Any]) -> str:
-    """The `report` of served cobras as a line of text."""
-    contacts = report["contacts"]
-    return (
-        f"{report['time_s']:.1f} s of twin time: {report['runs']} RUNs; arms touched {contacts['cobras']} "
-        f"times each other and {contacts['fiducials']} times a fiducial"
-    )

@@ -24,6 +24,7 @@ from fiberloom.twin.faults.schedule import ScheduledFault
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.exposing import Look
 from fiberloom.twin.server.device import PORTS, Device, Port
+from fiberloom.twin.server.told import counts_text
 
 STEP_S = 0.02
 """So often the clock is put forward, while nothing is asked."""
@@ -79,6 +80,10 @@ class DesiServer:
     def report(self) -> dict[str, Any]:
         """Time and traffic so far."""
         return {"time_s": self.twin.time_s, **self.traffic, "contacts": self.twin.contacts()}
+
+    def told(self, report: dict[str, Any]) -> str:
+        """A `report` of this server as a line of text."""
+        return counts_text(report)
 
     def look(self) -> Look:
         """What a camera sees now."""

@@ -27,6 +27,7 @@ from fiberloom.twin.real_time import RealTimeTwin
 from fiberloom.twin.server.address import Address
 from fiberloom.twin.server.camera.exposing import Look
 from fiberloom.twin.server.device import PORTS, Device, Port
+from fiberloom.twin.server.told import counts_text, paced_text
 from fiberloom.twin.server.wire import Wire
 from fiberloom.twin.twin import Reply, Twin
 
@@ -299,6 +300,10 @@ class TwinServer:
         late = self.real.lateness() if self.real is not None else None
         paced = {} if late is None else asdict(late) | {"share_kept": late.share_kept}
         return {"time_s": self.time_s, **paced, **asdict(self.traffic), "happened": list(self.happened)}
+
+    def told(self, report: dict[str, Any]) -> str:
+        """A `report` of this server as a few lines of text."""
+        return counts_text(report) if self.real is None else paced_text(report)
 
     def look(self) -> Look:
         """What a camera sees now."""

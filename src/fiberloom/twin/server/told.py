@@ -1,0 +1,32 @@
+"""Reports of served twins as text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_LOSSES = {
+    "given_up_s": "s of clock given up",
+    "overflowed": "frames over the queue",
+    "unread": "frames unread by the client",
+    "lost": "replies lost on purpose",
+    "late": "replies late on purpose",
+    "refused_clients": "clients turned away",
+}
+
+
+def counts_text(report: dict[str, Any]) -> str:
+    """The numbers of a `report` in one line."""
+    return ", ".join(f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list))
+
+
+def paced_text(report: dict[str, Any]) -> str:
+    """The `report` of a twin that keeps the ticks of a clock, as a few lines."""
+    lines = [
+        f"{report['time_s']:.1f} s of twin time: "
+        f"{report['ticks']} ticks computed, {report['resting']} at rest",
+        f"kept {100 * report['share_kept']:.2f} % of the ticks; late by {report['p50_ms']:.2f} ms (half), "
+        f"{report['p99_ms']:.2f} ms (99 %), {report['worst_ms']:.2f} ms (worst)",
+        f"{report['clients']} clients, {report['frames_in']} frames in, {report['frames_out']} out",
+    ]
+    lost = [f"{report[key]:.4g} {what}" for key, what in _LOSSES.items() if report[key]]
+    return "\n".join([*lines, *([", ".join(lost)] if lost else []), *report["happened"]])
