@@ -161,12 +161,13 @@ def test_a_solver_that_nobody_knows_and_ortools_that_is_not_there(monkeypatch):
     model = build([one_exposure([0], [0], [0])], np.ones(1), np.ones(1, int), np.array(["science"]), {}, 1)
     with pytest.raises(InputError, match="must be one of highs, ortools, greedy"):
         solve(model, "guess")
+    monkeypatch.setitem(sys.modules, "ortools.sat.python.cp_model", None)
     monkeypatch.setitem(sys.modules, "ortools.sat.python", None)
     with pytest.raises(InputError, match=r"pip install 'fiberloom\[survey\]'"):
         solve(model, "ortools")
 
 
 def test_where_the_search_is_cut_short_the_gap_says_so():
-    found = solvers.Chosen(np.ones(1, dtype=bool), 90.0, 100.0, 0.0)
+    found = solvers.ChosenVisits(np.ones(1, dtype=bool), 90.0, 100.0, 0.0)
     assert found.gap == pytest.approx(0.1)
     assert not found.proven
