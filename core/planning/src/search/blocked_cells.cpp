@@ -109,11 +109,16 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
     if (table == nullptr) return false;
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
-    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), words_per_line(me), out);
+    const int width = words_per_line(me);
+    borders_.assign(words(me) + width, 0);
+    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), width, borders_.data());
+    // a cell is as the one on the line below unless there is a border between them
+    for (int k = 0; k < words(me); ++k) out[k] = borders_[k] ^ (k < width ? 0 : out[k - width]);
     return true;
 }
 
-// Sets the bits of the cells that touch an arm with its elbow at a place, from the centre.
+// Of the cells that touch an arm with its elbow at a place, from the centre: sets the bits of those that do
+// where the one on the line below does not, or the other way round.
 FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words,
                                   CellBits *out) const {
     const float reach = table.squared_reach_mm2();
@@ -129,21 +134,23 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
             const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
             Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
             d.first = static_cast<TurnPart>(d.first + bearing - elbows_.direction[alpha]);
-            if (d.width > 0) mark_lines(alpha, d, words, out);
+            if (d.width > 0) mark_borders(alpha, d, words, out);
         }
     }
 }
 
 // Directions are those above the first line of beta.
-FL_INLINE void BlockedCells::mark_lines(int alpha, Directions d, int words, CellBits *out) const {
+FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, int words, CellBits *out) const {
     const auto &line_at = elbows_.line_at;
     const CellBits bit = CellBits{1} << alpha % bits;
     CellBits *column = out + alpha / bits;
     const int end = d.first + d.width, wrapped = end - 65536; // beyond a whole turn lines begin anew
-    const int last = line_at[std::min(end >> line_bits, line_bins - 1) + 1];
-    for (int line = line_at[d.first >> line_bits]; line < last; ++line) column[line * words] |= bit;
-    for (int line = 0; wrapped >= 0 && line < line_at[(wrapped >> line_bits) + 1]; ++line)
-        column[line * words] |= bit;
+    const int first = line_at[d.first >> line_bits];
+    column[first * words] ^= bit;
+    column[line_at[std::min(end >> line_bits, line_bins - 1) + 1] * words] ^= bit;
+    if (wrapped < 0) return;
+    column[0] ^= bit;
+    column[std::min(line_at[(wrapped >> line_bits) + 1], first) * words] ^= bit;
 }
 
 // A line that those of cells may touch; these are all of one length.

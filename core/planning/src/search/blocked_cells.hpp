@@ -55,10 +55,11 @@ class BlockedCells {
     bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables,
                  CellBits *out);
     void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words, CellBits *out) const;
-    void mark_lines(int alpha, Directions directions, int words, CellBits *out) const;
+    void mark_borders(int alpha, Directions directions, int words, CellBits *out) const;
 
     List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
     List<CellBits> bits_;
+    List<CellBits> borders_; // of one look
     Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape
     List<Sector> groups_; // of cells that are looked at at once: their alpha, from that of the first line

@@ -126,10 +126,14 @@ PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
 }
 
 bool PathSet::within_reach(const Robot &robot, const SweptArm &them) const {
-    const Segment centre{robot.centre(), robot.centre()};
     const double reach =
         robot.reach_mm() + robot.extra_mm() + need_mm_ + them.displacement_bound_mm + them.extra_mm;
-    return squared_distance(centre, them.at[2]) < reach * reach;
+    // the middle of the line tells most
+    const Segment &line = them.at[2], centre{robot.centre(), robot.centre()};
+    const Vec2 to = middle(line.a, line.b) - robot.centre();
+    const double squared = dot(to, to), far = reach + 0.5 * length(line.b - line.a);
+    if (squared < reach * reach || squared >= far * far) return squared < reach * reach;
+    return squared_distance(centre, line) < reach * reach;
 }
 
 void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) const {
