@@ -263,15 +263,13 @@ def field_of(options: Any, camera: str = "image") -> Field:
     """
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
-    from fiberloom.operation.source import FPGA
 
     plane, bus = options.plane(), options.bus or TWIN
     wrong = {"faults": options.faults, "errors": options.errors}
     source = open_hardware(plane, bus, options.camera or camera, seed=options.seed, **wrong)
     field = Field(plane, source, options.seed, options.calibration)
     field.exclude = excluded(options.exclude)
-    # sessions know SDSS-V's motors; cobras are homed at each begin instead
-    if not bus.startswith(FPGA) and (options.bus is not None or field.exclude):
+    if options.bus is not None or field.exclude:
         field.book = array_book(bus, options.store)
     return field
 

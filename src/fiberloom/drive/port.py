@@ -218,6 +218,14 @@ class Drive(Protocol):
         ...
 
 
+class SearchesStops(Protocol):
+    """A drive without encoders: its positioners are found again by their stops."""
+
+    async def home(self, ids: Iterable[int]) -> Results:
+        """Searches the stops of these, folded, all at once; how each ended. Who ends well is there."""
+        ...
+
+
 def with_tube(obstacles: FocalPlane, tube_mm: Floats | None) -> FocalPlane:
     """The plane with arms as much thicker as each may be off its way: `tube_mm` (N,), mm."""
     if tube_mm is None or not tube_mm.any():

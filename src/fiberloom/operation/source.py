@@ -24,6 +24,7 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
+from fiberloom.operation.safety.stop import to_its_end
 
 FPGA = "fpga://"
 """Before the address of the boards of PFS."""
@@ -241,7 +242,12 @@ class OpenedCobras(OutsideArray):
         if self._maps is None:
             raise InputError(f"{self.bus_name}: name the motor maps of its cobras by --calibration")
         drive = CobraDrive(self.plane, self._maps, FpgaClient(self._connect), self.plane.dots_mm)
-        await drive.home()
+        try:
+            await drive.home()
+        except BaseException:
+            await to_its_end(drive.stop())
+            await drive.close()
+            raise
         return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
 
     def know(self, file: Path) -> None:

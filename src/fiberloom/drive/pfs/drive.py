@@ -104,6 +104,8 @@ class CobraDrive:
         self._still, self._told_mm = np.zeros(len(plane), dtype=np.int64), np.zeros(len(plane))
         self._seen_mm = np.full((len(plane), 2), np.nan)
         self._seed = 0
+        self._at_stops = False
+        """All have searched their stops, and none was told to move since."""
         self.believe(np.zeros((len(plane), 2)))
 
     # where they are
@@ -333,6 +335,7 @@ class CobraDrive:
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
         """One RUN; `watch` has nothing to watch, cobras report nothing; `say` as in the port."""
         iteration: Iteration = programme.commands
+        self._at_stops = self._at_stops and not len(iteration.rows)
         result = await self.client.run(iteration.orders)
         done, unknown = np.zeros((2, len(self.plane)), dtype=bool)
         ended = np.array([how is Ended.DONE for how in result.ended], dtype=bool)
@@ -360,7 +363,15 @@ class CobraDrive:
         await self.client.power()
         return list(self._answers)
 
-    async def home(self, steps: tuple[int, int] = HOME_STEPS) -> None:
+    async def home(self, ids: Iterable[int] = ()) -> Results:
+        """All cobras at once search their stops, those `ids` are told of; nothing where all are there."""
+        if not self._at_stops:
+            await self._search_stops()
+        there = set(self._answers)
+        how = {i: Outcome.DONE if i in there else Outcome.DISCONNECTED for i in ids}
+        return Results({i: Result(i, outcome) for i, outcome in how.items()})
+
+    async def _search_stops(self, steps: tuple[int, int] = HOME_STEPS) -> None:
         """Phi into its stop, folded, then theta: whatever was believed, they are known again.
 
         `steps` of theta and phi in one round; slow motors get longer pulses.
@@ -373,6 +384,7 @@ class CobraDrive:
             told[:, axis] = -steps[axis]
             await self.client.run(Orders(ids, told, pulse_us))
         self.believe(np.zeros((len(ids), 2)))
+        self._at_stops = True
 
     def suspects(self) -> dict[int, Suspect]:
         """Those that are stuck."""

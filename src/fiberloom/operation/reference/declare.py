@@ -62,6 +62,8 @@ async def _bits(motion: FieldMotion, rows: Ints) -> Ints:
 
 async def declare_seen_right(motion: FieldMotion) -> None:
     """One without a datum refuses to move: where the image has proved its report, it is told so."""
+    if not motion.drive.model.reports:
+        return
     rows = np.flatnonzero(motion.state.mobile)
     await declare(motion, rows[(await unreferenced(motion, rows))[rows]])
 

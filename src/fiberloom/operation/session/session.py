@@ -25,6 +25,7 @@ from fiberloom.operation.session.home import Homing
 from fiberloom.operation.session.motion import SessionMotion, last_status
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.states import Deed, SessionState, Step
+from fiberloom.operation.session.stop_search import StopSearch
 from fiberloom.operation.source import Source
 from fiberloom.store import Run, Store
 from fiberloom.store.arrays import ArrayBook
@@ -186,7 +187,7 @@ class Session:
         not searched. ArrayPlaces say from then on that the datum is known.
         """
         async with self._moving(Deed.HOME) as motion:
-            homing = Homing(motion, self._rows(positioner_id))
+            homing = await _searching(motion, self._rows(positioner_id))
             await homing.run()
             await fold(motion)
         report = await beside(self._report, "home", motion)
@@ -271,6 +272,14 @@ class HeldArray:
             return  # all are at rest, and where each was left is on record
         if not self.lock.lost:
             self.lock.step(step, text)
+
+
+async def _searching(motion: SessionMotion, rows: Ints) -> Homing | StopSearch:
+    """The search of the positioners in `rows`, as their motors need it."""
+    if motion.drive.model.reports:
+        return Homing(motion, rows)
+    await fold(motion)
+    return StopSearch(motion, rows)
 
 
 async def fold(motion: SessionMotion) -> None:
