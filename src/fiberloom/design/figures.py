@@ -48,9 +48,10 @@ def draw_coverage(
 
 
 def _reached(found: Coverage) -> str:
-    """In words: a hole may be too small for a share."""
+    """In words: a hole may be too small for a share, and the ranges of the axes may leave a rest."""
+    share = found.at_least[min(found.least, len(found.at_least) - 1)]
     if found.least > 0:
-        return f"every point reached by {found.least} or more"
+        return f"{'every point' if share == 1.0 else f'{share:.2%}'} reached by {found.least} or more"
     return f"{found.at_least[1]:.2%} reached, with holes"
 
 
