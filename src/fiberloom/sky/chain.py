@@ -233,8 +233,8 @@ class Chain:
 
     def _mount_deg(self, view: View) -> float:
         """Position angle of the mount's pole at the centre, deg: the field follows that pole."""
-        site = self.site.telescope
-        low, east = (ARCSEC_RAD * x for x in (site.mount_pole_low_arcsec, site.mount_pole_east_arcsec))
+        site: TelescopeSite = self.site.telescope
+        low, east = ARCSEC_RAD * site.mount_pole_low_arcsec, ARCSEC_RAD * site.mount_pole_east_arcsec
         if low == east == 0.0:
             return 0.0
         e, u, _ = _about(east, self.site.latitude_rad - low, *self._centre[:2])
