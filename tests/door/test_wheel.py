@@ -130,7 +130,8 @@ def imported():
 
 
 def test_every_import_is_a_dependency():
-    lines = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["cameras"]
+    extras = PROJECT["optional-dependencies"]
+    lines = PROJECT["dependencies"] + extras["cameras"] + extras["survey"]
     named = [re.match(r"[\w-]+", line)[0] for line in lines]
     known = {MODULES.get(name, name) for name in named}
     # gi: GObject for Aravis cameras comes with the system, not from PyPI

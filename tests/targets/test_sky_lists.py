@@ -154,7 +154,7 @@ def test_a_field_low_in_the_sky(tmp_path, field):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('time_scale = "utc"', ""), ["time_scale: Field required"]),
+        (('time_scale = "utc"', ""), ["time_scale: is missing; it is utc, tai or tt"]),
         (('"utc"', '"local"'), ["time_scale = 'local'", "'utc', 'tai' or 'tt'"]),
         (("53.08333", "153.0"), ["dec_deg = 153.0: Input should be less than or equal to 90"]),
         (('"2024-04-26T06:00:00"', '"yesterday"'), ["time = 'yesterday': must be as 2024-04-26T06:00:00"]),

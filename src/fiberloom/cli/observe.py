@@ -234,13 +234,18 @@ def _check_faults(options: Any) -> None:
     from fiberloom.twin.faults.grammar import parse_faults
     from fiberloom.twin.faults.kinds import ANYWHERE, OBSERVED
 
-    if not parse_faults(options.faults, ANYWHERE):
-        return
+    # twins of other motors have faults of their own, and refuse the others themselves
+    known = OBSERVED if not options.faults or _is_sdssv(options.instrument) else ANYWHERE
+    parse_faults(options.faults, known)
+
+
+def _is_sdssv(instrument: str) -> bool:
+    """Whether its motors are those of SDSS-V: of a file by its protocol, the preset without slow imports."""
+    if not instrument.endswith(".toml"):
+        return instrument == "sdssv"
     from fiberloom.instruments import load_instrument
 
-    # twins of other motors have faults of their own, and refuse the others themselves
-    if load_instrument(options.instrument).drive.protocol == "sdssv":
-        parse_faults(options.faults, OBSERVED)
+    return load_instrument(instrument).drive.protocol == "sdssv"
 
 
 def check_camera(options: Any) -> None:

@@ -306,8 +306,7 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
         return table01.InstrumentRun([blind, last] if row.corrected else [blind], 2, n_units, 1)
 
     monkeypatch.setattr(table01, "observe", observe)
-    monkeypatch.setattr(table01, "cover", lambda plane, rows, step: SimpleNamespace(covered=0.75))
-    monkeypatch.setattr(table01, "hexagonal", lambda instrument: [0])
+    monkeypatch.setattr(table01, "cover", lambda lattice, pattern, step: SimpleNamespace(covered=0.75))
     _, by_id = made(table01, SimpleNamespace(given=Settings(seed=1, n_seeds=2, full=full)))
     assert set(sizes) == {table01.MANY_UNITS if full else table01.UNITS}
     assert by_id["table1.order.strictest_is_sdssv"].ours == 1.0

@@ -18,14 +18,18 @@ if TYPE_CHECKING:
     from fiberloom.design.lattice import Lattice, Pattern
     from fiberloom.instruments import Instrument
 
-FileArgument = Annotated[str, typer.Argument(help="Preset name, or a TOML file of your own.")]
+
+@dataclass(frozen=True, kw_only=True)
+class DesignOptions(JsonOptions):
+    """Of a command that looks at a design."""
+
+    file: Annotated[str, typer.Argument(help="Preset name, or a TOML file of your own.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoverageOptions(JsonOptions):
+class CoverageOptions(DesignOptions):
     """Of `fiberloom design coverage`."""
 
-    file: FileArgument
     fibre: Annotated[str | None, typer.Option(help="One fibre; default: every science fibre.")] = None
     arms: Annotated[str | None, typer.Option(help="Other arms, mm: alpha,beta as in 7.4,15.")] = None
     pitch: Annotated[float | None, typer.Option(help="Another pitch, mm.")] = None

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.design.coverage import FileArgument
-from fiberloom.cli.options import JsonOptions, require_instrument
+from fiberloom.cli.design.coverage import DesignOptions
+from fiberloom.cli.options import require_instrument
 from fiberloom.errors import InputError
 from fiberloom.report.folder import prepare_file
 
@@ -21,10 +21,9 @@ OutOption = Annotated[Path | None, typer.Option(help="Diagram to draw, PNG.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearOptions(JsonOptions):
+class GearOptions(DesignOptions):
     """Of `fiberloom design gear`."""
 
-    file: FileArgument
     motor_error: Annotated[float, typer.Option(help="Of the controlled motor, deg.")] = 5.0
     motor_rpm: Annotated[
         float | None, typer.Option(help="What the motor can do, rpm; default: what it is asked for.")
@@ -76,10 +75,9 @@ def _gear_row(one: GearWindow) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpringOptions(JsonOptions):
+class SpringOptions(DesignOptions):
     """Of `fiberloom design spring`."""
 
-    file: FileArgument
     load: Annotated[
         str | None,
         typer.Option(help="Largest outside torque on alpha,beta, mNm; default 1.45,0.12 (assumed arms)."),

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.design.coverage import FileArgument
-from fiberloom.cli.options import JsonOptions, require_instrument
+from fiberloom.cli.design.coverage import DesignOptions
+from fiberloom.cli.options import require_instrument
 
 if TYPE_CHECKING:
     from fiberloom.design.throughput import CorrectionCosts, FibreOptics
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThroughputOptions(JsonOptions):
+class ThroughputOptions(DesignOptions):
     """Of `fiberloom design throughput`."""
 
-    file: FileArgument
     core: Annotated[float, typer.Option(help="Diameter of the fibre in the focal plane, um.")]
     scale: Annotated[float, typer.Option(help="Of the focal plane, um per arcsec.")]
     seeing: Annotated[float, typer.Option(help="Full width at half maximum, arcsec.")] = 1.0
