@@ -266,7 +266,7 @@ class Field:
         return self.maps
 
     async def _find_maps(self, points: int) -> tuple[TransmissionMaps, Path | None]:
-        if not self._has_maps:
+        if not self.plane.instrument.drive.by_maps:
             if self.calibration_file is not None:
                 self.source.know(self.calibration_file)
             return nominal_maps(self.plane), None
@@ -325,7 +325,7 @@ class Field:
         >>> bool(found.report.ok.all())
         True
         """
-        if not self._has_maps:
+        if not self.plane.instrument.drive.by_maps:
             kind = self.plane.instrument.drive.protocol
             raise InputError(
                 f"{self.plane.instrument.name}: no transmission maps with drive.protocol = '{kind}'"
@@ -342,11 +342,6 @@ class Field:
         await beside(keep, found)
         await beside(kept.forget)
         return found
-
-    @property
-    def _has_maps(self) -> bool:
-        """Whether the host turns arm angles into motor angles by transmission maps."""
-        return self.plane.instrument.drive.protocol in ("sdssv", "none")
 
     def _about_sweep(self, settings: SweepSettings) -> dict[str, str]:
         """What a sweep that goes on must have in common with its begin."""
@@ -464,7 +459,7 @@ class Field:
         place = Place.of(out)
         folder = prepare_folder(place.base)
         settings, learning = asked(corrections, options, self.seed, place.store)
-        if learning.adapt and not self._has_maps:
+        if learning.adapt and not self.plane.instrument.drive.by_maps:
             learning = learning.kept_by(self.source, self.calibration_file)
         maps = await self.calibrate(self._points or POINTS)
         maps_file = self.maps_file or folder / "maps.npz"

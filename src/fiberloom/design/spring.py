@@ -13,6 +13,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, FocalPlane, Instrument, generate
 from fiberloom.twin import draw_units
+from fiberloom.twin.draw import firmware_truth
 from fiberloom.typing import Floats
 from fiberloom.units import GEAR, deg_to_rad
 
@@ -139,13 +140,14 @@ def _of_units(plane: FocalPlane, axis: int, load_mNm: float, factor: float, seed
     ends_deg = (low + min(own.approach_deg, 0.0), high + max(own.approach_deg, 0.0))
     plant = draw_units(plane, seed).plant[:, axis]
     torque_Nm = plant["spring_rate"][:, None] * (plant["spring_free"][:, None] - deg_to_rad(ends_deg))
-    per_volt = 1.5 * np.sqrt(0.75) * plant["flux_linkage"] / plant["coil_resistance"]  # Eq. 19
+    told = [firmware_truth(one) for one in plant]
+    coulomb_Nm, full_Nm = np.array([(t["coulomb"], t["torque_per_volt"] * t["u_dc"]) for t in told]).T
     return SpringWindow(
         axis=AXES[axis],
         range_deg=ends_deg,
         ends_mNm=1e3 * torque_Nm,
-        friction_mNm=1e3 * own.gear * (plant["coulomb_motor"] + plant["coulomb_gear"]),
-        motor_mNm=1e3 * own.gear * per_volt * plant["supply"],
+        friction_mNm=1e3 * own.gear * coulomb_Nm,
+        motor_mNm=1e3 * own.gear * full_Nm,
         load_mNm=load_mNm,
         factor=factor,
     )

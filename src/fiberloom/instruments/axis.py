@@ -156,6 +156,11 @@ class DriveTable(Table):
     """How far an arm may be from where it is believed, anywhere in its range, to be let move. The collision
     buffer of two arms leaves twice that between the bodies of SDSS-V (2.0 mm of 1.5 mm bodies)."""
 
+    @property
+    def by_maps(self) -> bool:
+        """Whether the host turns arm angles into motor angles by transmission maps."""
+        return self.protocol in ("sdssv", "none")
+
 
 def protocol_of(axes: Iterable[Any]) -> Protocol:
     """The protocol where none is named: "sdssv" for tables of axes that are its motors, else "none"."""

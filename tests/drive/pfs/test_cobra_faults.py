@@ -19,7 +19,7 @@ from fiberloom.twin.cobras.source import CobraSource
 from fiberloom.twin.server.address import Address
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from support.cobras import pfs_plane
+from support.cobras import cut_in_second_run, pfs_plane
 
 N = 114
 PLANE = pfs_plane(N)
@@ -71,21 +71,8 @@ def test_half_of_the_boards_without_power_are_flagged_and_the_rest_goes_on(tmp_p
 
 def test_a_connection_that_drops_in_a_run_costs_a_move(tmp_path):
     runs = []
-
-    def cut(source):
-        take = source.boards.boards.take
-
-        def take_and_cut(data):
-            if data[0] == 1:
-                runs.append(len(data))
-                if len(runs) == 2:
-                    source.boards.cut()
-            return take(data)
-
-        source.boards.boards.take = take_and_cut
-
-    source, seen = observed(tmp_path, cut)
-    assert len(runs) >= 8
+    source, seen = observed(tmp_path, lambda one: runs.append(cut_in_second_run(one)))
+    assert len(runs[0]) >= 8
     assert source.hardware.drive.client.reconnected >= 1
     assert near(source, seen, ~source.array.stuck) > 0.8
     assert source.array.contacts() == 0

@@ -20,7 +20,7 @@ from fiberloom.twin.cobras.source import CobraSource
 from fiberloom.twin.server.address import Address
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from support.cobras import pfs_plane
+from support.cobras import cut_in_second_run, pfs_plane
 
 SEED, REQUIREMENT_UM = 3, 5.0
 
@@ -63,16 +63,7 @@ def unpowered(source):
 
 def dropped(source):
     source.array.stuck[:] = False
-    take, runs = source.boards.boards.take, []
-
-    def take_and_cut(data):
-        if data[0] == 1:
-            runs.append(len(data))
-            if len(runs) == 2:
-                source.boards.cut()
-        return take(data)
-
-    source.boards.boards.take = take_and_cut
+    cut_in_second_run(source)
 
 
 @pytest.mark.parametrize(

@@ -104,13 +104,11 @@ class ArrayOptions(ExcludeOptions, ArmsFileOptions, PlaneOptions):
         plane = self.plane()
         source = open_hardware(plane, self.address, self.camera or "", seed=self.seed)
         host = plane if self.arms is None else load_arms(self.arms, plane)
-        if self.calibration is None:
-            maps = nominal_maps(plane)
-        elif plane.instrument.drive.protocol in ("desi", "pfs"):
-            source.know(self.calibration)
-            maps = nominal_maps(plane)
-        else:
+        maps = nominal_maps(plane)
+        if self.calibration is not None and plane.instrument.drive.by_maps:
             maps = load_for(plane, self.calibration)
+        elif self.calibration is not None:
+            source.know(self.calibration)
         return KnownArray(host, maps, source, self.book())
 
     def session(self, progress: Callable[[str], None]) -> Session:

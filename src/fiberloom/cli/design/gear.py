@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -64,7 +65,7 @@ def _gear_row(one: GearWindow) -> dict[str, Any]:
         "output_deg": round(one.output_deg, 4),
         "least_ratio": one.least,
         "ratio": one.ratio,
-        "most_ratio": round(one.most, 1) if one.most < 1e12 else "any",
+        "most_ratio": round(one.most, 1) if math.isfinite(one.most) else "any",
         "fits": "yes" if one.fits else "no",
         "motor_deg_um": round(one.motor_deg_um, 3),
         "step_um": round(one.step_um, 3),
