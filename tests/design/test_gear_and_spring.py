@@ -105,3 +105,15 @@ def test_motors_without_a_spring_are_refused():
     with pytest.raises(InputError, match="motor error 0"):
         gear_window(SDSSV, 0, motor_error_deg=0.0)
     assert math.isinf(gear_window(SDSSV, 0).most)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5, 2.0])
+def test_at_the_ends_of_the_window_the_margins_are_the_factor(factor):
+    """A spring as weak, and as strong, as the window allows."""
+    found = spring_window(load_instrument("sdssv"), 1, factor=factor)
+    friction = np.full(1, np.median(found.friction_mNm))
+    ends = np.array([[found.high_mNm, found.low_mNm]])
+    edge = replace(found, ends_mNm=ends, friction_mNm=friction, motor_mNm=100.0 * friction)
+    assert edge.closes[0] == pytest.approx(factor)
+    assert edge.holds[0] == pytest.approx(factor)
+    assert edge.advice() == "fits"

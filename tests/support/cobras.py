@@ -14,7 +14,7 @@ def pfs_plane(n=2394, seed=0, fiducials=True):
 
 
 def cut_in_second_run(source):
-    """Drops the connection to boards of a `source` in their second RUN; the list returned grows by each RUN."""
+    """Drops the connection to boards of a `source` in their second RUN; the list returned grows with RUNs."""
     take, runs = source.boards.boards.take, []
 
     def take_and_cut(data):

@@ -171,3 +171,14 @@ def test_where_the_search_is_cut_short_the_gap_says_so():
     found = solvers.ChosenVisits(np.ones(1, dtype=bool), 90.0, 100.0, 0.0)
     assert found.gap == pytest.approx(0.1)
     assert not found.proven
+
+
+@settings(max_examples=60, deadline=None)
+@given(models(), st.data())
+def test_a_choice_that_breaks_a_rule_is_not_allowed(made, data):
+    """What a solver returns is looked at again: the matrices say of any choice what the words say."""
+    model, *told = made
+    chosen = np.array(
+        data.draw(st.lists(st.booleans(), min_size=len(model), max_size=len(model))), dtype=bool
+    )
+    assert model.allowed(chosen) == keeps(chosen, *told)
