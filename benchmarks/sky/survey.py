@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fiberloom.assignment.visits.solve import Chosen, one_by_one, solve
+from fiberloom.assignment.visits.solve import ChosenVisits, one_by_one, solve
 from fiberloom.assignment.visits.survey import (
     SurveyList,
     SurveyPlan,
@@ -50,7 +50,7 @@ def made(
     return SurveyList(names, whole.priority, 1 + k % 3, role), lists
 
 
-def row(plan: SurveyPlan, name: str, found: Chosen | None) -> dict[str, object]:
+def row(plan: SurveyPlan, name: str, found: ChosenVisits | None) -> dict[str, object]:
     """What a choice comes to; None: the minimums were missed."""
     if found is None:
         return {"by": name, "value": None}
@@ -67,7 +67,7 @@ def row(plan: SurveyPlan, name: str, found: Chosen | None) -> dict[str, object]:
     }
 
 
-def tried(plan: SurveyPlan, solver: str) -> Chosen | None:
+def tried(plan: SurveyPlan, solver: str) -> ChosenVisits | None:
     """A choice by another solver; None: the minimums were missed, or it is not installed."""
     try:
         return one_by_one(plan.model) if solver == "one by one" else solve(plan.model, solver)
