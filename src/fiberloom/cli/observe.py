@@ -299,6 +299,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
 
     console = Console()
     console.print(observation_table(summary))
+    console.print()  # below the caption of the first table
     console.print(spread_table(summary))
     say(console, budget_line(summary["budget"]))
     images = sum(move["images"] for move in summary["moves"] if not move["comparison"])

@@ -116,7 +116,7 @@ def observation_table(summary: Mapping[str, Any]) -> Table:
 
 def spread_table(summary: Mapping[str, Any]) -> Table:
     """Return how the errors of each move are spread, of healthy units and of the others with a target."""
-    title = f"errors of the science fibre, {_by_truth(summary)}"
+    title = f"Errors of the science fibre, {_by_truth(summary)}"
     table = Table(box=box.SIMPLE, title=title, title_justify="left", collapse_padding=True)
     table.add_column("move")
     for name in (
