@@ -42,7 +42,9 @@ def run(*words, **how):
 def wheel(tmp_path_factory):
     """Built from this checkout by this Python; objects are kept in build/wheel for the next time."""
     out = tmp_path_factory.mktemp("wheel")
-    words = ("--no-deps", "--no-build-isolation", "-C", "build-dir=build/wheel/{wheel_tag}", "-w", out)
+    # the short form of this option is not in the pip of Debian 12
+    where = "--config-settings=build-dir=build/wheel/{wheel_tag}"
+    words = ("--no-deps", "--no-build-isolation", where, "-w", out)
     run(sys.executable, "-m", "pip", "wheel", ROOT, "--quiet", "--disable-pip-version-check", *words)
     (made,) = out.glob("*.whl")
     return made
