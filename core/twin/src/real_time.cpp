@@ -133,13 +133,16 @@ void RealTime::hold() {
     std::unique_lock lock(mutex_);
     ++holders_;
     change_.notify_all();
-    change_.wait(lock, [this] { return parked_ || stop_; });
+    // one that comes while others hold waits for the next stop of the clock: else those who look in turn, and
+    // overlap, would keep it from running at all
+    change_.wait(lock, [this, before = parks_] { return parks_ != before || stop_; });
 }
 
 void RealTime::release() {
     {
         const std::lock_guard lock(mutex_);
         --holders_;
+        if (inside_ > 0) --inside_;
     }
     change_.notify_all();
 }
@@ -194,10 +197,11 @@ void RealTime::nap() {
 // Others touch the twin.
 void RealTime::park() {
     std::unique_lock lock(mutex_);
-    parked_ = true;
+    inside_ = holders_;
+    ++parks_;
+    published_ = pace_;
     change_.notify_all();
-    change_.wait(lock, [this] { return stop_ || holders_ == 0; });
-    parked_ = false;
+    change_.wait(lock, [this] { return stop_ || inside_ == 0; });
 }
 
 void RealTime::loop() {
@@ -206,12 +210,12 @@ void RealTime::loop() {
         if (holders_ > 0) park();
         exchange(std::unique_lock(mutex_, std::try_to_lock));
         if (agenda_.empty() && sent_.empty() && twin_.resting()) nap();
-        if (called()) continue;
+        if (stop_) continue;
         exchange(std::unique_lock(mutex_, std::try_to_lock));
         give_up();
         const uint64_t ticks = ticks_due(), idle = idle_ticks(ticks);
         if (ticks == 0) {
-            std::this_thread::sleep_until(due(twin_.tick()));
+            if (!called()) std::this_thread::sleep_until(due(twin_.tick()));
             continue;
         }
         if (idle == 0) deliver();
