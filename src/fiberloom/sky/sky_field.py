@@ -154,6 +154,11 @@ class SkyField(_FieldTable):
         """The moment for which fibres are placed."""
         return self.begin.later(0.5 * self.exposure_s) if self.place_for == "middle" else self.begin
 
+    def begun(self, begin: SkyTime) -> SkyField:
+        """The same field with an exposure that begins at another time."""
+        told = self.model_dump() | {"time": begin.iso, "time_scale": "utc"}
+        return SkyField.parse(told, "field")
+
     def pointing(self) -> SkyPointing:
         """Of the telescope, at the moment of placing."""
         return SkyPointing(self.ra_deg, self.dec_deg, self.placing, self.position_angle_deg, self.scale)
