@@ -85,7 +85,7 @@ def test_the_same_seed_writes_the_same_bytes(fl, survey, tmp_path):
     ("before", "after", "told"),
     [
         ("sky = 1", "sky = 9", "survey.toml: exposure 1, sector 1: 9 sky fibres are asked for, "),
-        ("sky = 1", "dark = 1", "role 'sky' has no minimum; roles are dark, science"),
+        ("sky = 1", "dark = 1", "role 'sky' has no minimum; roles are dark, guide, science"),
         ("exposures = 2", "exposures = 0", "exposures"),
         ("stars.csv", "none.csv", "none.csv: no such file"),
         ("[minimum]\nsky = 1", "[minimum]\nscience = 1", "science targets have priorities, no minimum"),

@@ -23,7 +23,7 @@ from fiberloom.sky.earth import ARCSEC_RAD, Orientation, SkyTime, orientation, q
 from fiberloom.sky.optics.choose import optics_at
 from fiberloom.sky.optics.view import FieldOptics, View
 from fiberloom.sky.site import SkySite, Weather, sky_of
-from fiberloom.sky.sky_targets import SkyTargets
+from fiberloom.sky.sky_targets import GUIDE, SkyTargets
 from fiberloom.typing import Array, Flags, Floats
 from fiberloom.units import RAD_PER_DEG, deg_to_rad, rad_to_deg
 
@@ -301,11 +301,12 @@ class Chain:
 
     def wavelengths_A(self, targets: SkyTargets, fibre: str | None = None) -> Floats:
         """(n,) A: of each target its own; where it has none that of `fibre`, or of the fibre it asks for."""
-        known, n = self.known_A, len(targets)
+        known, n = {GUIDE: self.guide_A} | self.known_A, len(targets)
         if fibre is not None:
             of_fibre = np.full(n, self.wavelength_of(fibre))
         else:
-            only = next(iter(known.values())) if len(set(known.values())) == 1 else np.nan
+            own = set(self.known_A.values())
+            only = next(iter(own)) if len(own) == 1 else np.nan
             of_fibre = np.array([known.get(str(f), only) for f in targets.fibre], dtype=np.float64)
         wavelength = np.where(np.isnan(targets.wavelength_A), of_fibre, targets.wavelength_A)
         for row in np.flatnonzero(~(wavelength > 0.0))[:1].tolist():

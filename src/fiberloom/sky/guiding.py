@@ -28,8 +28,8 @@ _LEAST_MM = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class GuideFit:
-    """measured = offset + (1 + k) R(rotation) predicted, in the focal plane."""
+class FieldOffset:
+    """seen = offset + (1 + k) R(rotation) predicted, in the focal plane: how a telescope points off."""
 
     offset_mm: Floats
     """(2,)"""
@@ -37,6 +37,26 @@ class GuideFit:
     """Counter-clockwise; positive where the true position angle is larger than assumed."""
     scale: float
     """1 + k, a ratio; 1 where two stars are too few to tell."""
+
+    def applied(self, xy_mm: Floats) -> Floats:
+        """Where predicted places (n, 2) in mm truly are."""
+        moved = complex(*self.offset_mm) + self._factor * _complex(xy_mm)
+        return np.column_stack([moved.real, moved.imag])
+
+    def removed(self, xy_mm: Floats) -> Floats:
+        """Places (n, 2) in mm had the telescope pointed where it should: the reverse of `applied`."""
+        back = (_complex(xy_mm) - complex(*self.offset_mm)) / self._factor
+        return np.column_stack([back.real, back.imag])
+
+    @property
+    def _factor(self) -> complex:
+        return complex(self.scale * np.exp(1j * self.rotation_deg * RAD_PER_DEG))
+
+
+@dataclass(frozen=True, eq=False)
+class GuideFit(FieldOffset):
+    """What guide stars tell of it."""
+
     covariance: Floats
     """(4, 4) of offset x, y in mm, rotation in rad and scale (ratio), from the scatter of the stars."""
     used: Flags
@@ -47,22 +67,17 @@ class GuideFit:
     @property
     def sigma_um(self) -> float:
         """Error of one star per axis, um: from what is left of those that were used."""
-        free = 2 * int(self.used.sum()) - (4 if self.used.sum() >= FEWEST_SCALE else 3)
+        free = self.freedom
         return float(np.sqrt((self.residual_um[self.used] ** 2).sum() / free)) if free > 0 else float("nan")
 
-    def applied(self, xy_mm: Floats) -> Floats:
-        """Where predicted places (n, 2) in mm truly are."""
-        moved = complex(*self.offset_mm) + self._factor * _complex(xy_mm)
-        return np.column_stack([moved.real, moved.imag])
-
-    def removed(self, xy_mm: Floats) -> Floats:
-        """Places (n, 2) in mm had the telescope followed the fit: the reverse of `applied`."""
-        back = (_complex(xy_mm) - complex(*self.offset_mm)) / self._factor
-        return np.column_stack([back.real, back.imag])
-
     @property
-    def _factor(self) -> complex:
-        return complex(self.scale * np.exp(1j * self.rotation_deg * RAD_PER_DEG))
+    def freedom(self) -> int:
+        """Coordinates of the stars that were used, less the parameters."""
+        return 2 * int(self.used.sum()) - (4 if self.used.sum() >= FEWEST_SCALE else 3)
+
+    def chi2(self, star_um: float) -> float:
+        """Of the stars that were used, each known to `star_um` (um) per axis; `freedom` on average."""
+        return float((self.residual_um[self.used] ** 2).sum()) / star_um**2
 
     def error_um(self, radius_mm: ArrayLike) -> Floats:
         """Expected error of a corrected place at radii in mm, um per axis, from the covariance."""

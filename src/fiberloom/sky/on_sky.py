@@ -23,6 +23,8 @@ class OnSky:
     chain: Chain
     """At the moment for which fibres are placed."""
     field: SkyField
+    guides: SkyTargets | None = None
+    """Guide stars of the list; None: it has none."""
 
     def select(self, rows: Array) -> OnSky:
         """Some of the targets, by numbers or a mask (`rows`)."""

@@ -21,6 +21,8 @@ _ZERO = (
     "priority",
 )
 FREE = -1
+GUIDE = "guide"
+"""In place of a fibre: a guide star, seen at the guide wavelength and taken by no positioner."""
 
 
 def _empty() -> Any:

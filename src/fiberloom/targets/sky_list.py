@@ -14,7 +14,7 @@ from fiberloom.errors import InputError
 from fiberloom.sky.chain import Chain, SkyPlaces
 from fiberloom.sky.on_sky import OnSky
 from fiberloom.sky.sky_field import SkyField
-from fiberloom.sky.sky_targets import SkyTargets
+from fiberloom.sky.sky_targets import GUIDE, SkyTargets
 from fiberloom.tables import TableFile
 from fiberloom.targets.columns import NAMES, columns_of, positioners
 from fiberloom.targets.target_list import TargetList
@@ -41,13 +41,30 @@ class SkyList:
         """The complaint about one target."""
         return InputError(f"{self.path}, {self.rows[row]}: target {self.targets.target_id[row]} {problem}")
 
-    def placed(self, chain: Chain, field: SkyField | None = None) -> TargetList:
-        """The targets in mm: for each science fibre its own place.
+    @property
+    def is_guide(self) -> Flags:
+        """(n,) which are guide stars."""
+        return np.asarray(self.targets.fibre == GUIDE)
 
-        `chain`: at the moment of placing; `field`: what it is of, which the list in mm then remembers.
-        Raises InputError for a target that is outside of what the optics' fit covers, too low, or of no
-        known wavelength.
+    def select(self, rows: Flags) -> SkyList:
+        """Some of the targets, by a mask (`rows`)."""
+        places = [self.rows[k] for k in np.flatnonzero(rows).tolist()]
+        return SkyList(self.path, self.targets.select(rows), places)
+
+    def placed(self, chain: Chain, field: SkyField | None = None) -> TargetList:
+        """The targets in mm, without the guide stars: for each science fibre its own place.
+
+        `chain`: at the moment of placing; `field`: what it is of, which the list in mm then remembers with the
+        guide stars. Raises InputError for a target that is outside of what the optics' fit covers, too low, or
+        of no known wavelength, and for a list of guide stars alone.
         """
+        guide = self.is_guide
+        if len(self) and guide.all():
+            raise InputError(f"{self.path}: all {len(self)} rows are guide stars; name targets too")
+        guides = self.targets.select(guide) if guide.any() else None
+        return self.select(~guide)._placed(chain, field, guides)
+
+    def _placed(self, chain: Chain, field: SkyField | None, guides: SkyTargets | None) -> TargetList:
         fibres = chain.instrument.science_fibres
         asked = self.targets.fibre
         for row in np.flatnonzero(~np.isin(asked, ("", *fibres)))[:1].tolist():
@@ -60,7 +77,7 @@ class SkyList:
         x_mm, y_mm = xy_mm.T.copy()
         t = self.targets
         by_fibre = {fibre: seen.xy_mm for fibre, seen in places.items()}
-        on_sky = None if field is None else OnSky(t, chain, field)
+        on_sky = None if field is None else OnSky(t, chain, field, guides)
         return TargetList(t.target_id, x_mm, y_mm, t.priority, t.fibre, t.positioner_id, by_fibre, on_sky)
 
     def checked(self, chain: Chain, fibre: str | None = None) -> SkyPlaces:
@@ -100,11 +117,20 @@ def sky_list(table: TableFile, names: Mapping[str, Any] | None = None) -> SkyLis
     columns["target_id"] = _names(table, found) if "target_id" in found else np.array([])
     if "fibre" in found:
         columns["fibre"] = table.strings(found["fibre"])
+    if (role := _role(table)) is not None:
+        asked = columns.get("fibre", np.full(len(table), "", dtype=f"U{len(GUIDE)}"))
+        columns["fibre"] = np.where(role == GUIDE, GUIDE, asked)
     if "positioner_id" in found:
         columns["positioner_id"] = positioners(table, found["positioner_id"])
     columns |= names or {}
     _check(table, found, columns)
     return SkyList(table.path, SkyTargets(**columns), list(table.places))
+
+
+def _role(table: TableFile) -> Array | None:
+    """The column `role` of a list that has one: "guide" is a guide star as is the fibre "guide"."""
+    named = next((name for name in table.columns if name.lower() == "role"), None)
+    return None if named is None else table.strings(named)
 
 
 def _names(table: TableFile, found: Mapping[str, str]) -> Array:

@@ -16,6 +16,7 @@ from fiberloom.instruments.load import all_problems
 from fiberloom.instruments.model import Instrument
 from fiberloom.sky.chain import Chain
 from fiberloom.sky.sky_field import SkyField
+from fiberloom.sky.sky_targets import GUIDE
 from fiberloom.tables import TableFile, read_table
 from fiberloom.targets.read import read_sky
 from fiberloom.targets.sky_list import SkyList
@@ -83,7 +84,7 @@ class SurveyTargets:
 
     sky: SkyList
     role: Array
-    """(n,) science where the list says none."""
+    """(n,) science where the list says none; guide stars are in all exposures that they are in."""
     visits: Ints
     """(n,) 1 where the list says none."""
 
@@ -98,19 +99,27 @@ class SurveyTargets:
         role, visits = np.full(n, "science"), np.ones(n, dtype=np.int64)
         if "role" in table:
             role = np.array([text or "science" for text in table.strings("role").tolist()])
+        role = np.where(found.is_guide, GUIDE, role)
         if "visits" in table:
             visits = _visits(table)
         return cls(found, role, visits)
 
     def seen(self, chain: Chain, field: SkyField) -> tuple[TargetList, Ints]:
-        """Those that are in a field and high enough, in mm, and their rows."""
+        """Those that are in a field and high enough, in mm with the guide stars, and the rows of targets."""
         rows = np.flatnonzero(self._near(chain))
         for fibre in chain.instrument.science_fibres:
             seen = chain.place(self.sky.targets.select(rows), fibre)
             rows = rows[~seen.outside & ~seen.low & np.isfinite(seen.xy_mm).all(axis=1)]
         places = [self.sky.rows[k] for k in rows.tolist()]
         some = replace(self.sky, targets=self.sky.targets.select(rows), rows=places)
-        return some.placed(chain, field), rows
+        targets = rows[~some.is_guide]
+        return some.placed(chain, field), targets
+
+    def guides(self, seen: TargetList) -> Ints:
+        """Rows of the guide stars of an exposure, whose targets are `seen`."""
+        mine = None if seen.on_sky is None else seen.on_sky.guides
+        names = np.array([]) if mine is None else mine.target_id
+        return np.flatnonzero(np.isin(self.sky.targets.target_id, names))
 
     def _near(self, chain: Chain) -> Flags:
         """(n,) within the field, and a bit."""

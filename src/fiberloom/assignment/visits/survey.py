@@ -18,6 +18,7 @@ from fiberloom.assignment.visits.solve import ChosenVisits, one_by_one, solve
 from fiberloom.assignment.ways import Preference
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.sky.sky_targets import GUIDE
 from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
 from fiberloom.typing import Floats, Ints
@@ -190,7 +191,7 @@ def plan_survey(
 
 
 def _check(survey: SurveyList, settings: VisitSettings) -> None:
-    known = {SCIENCE, *settings.minimum}
+    known = {SCIENCE, GUIDE, *settings.minimum}
     for row in np.flatnonzero(~np.isin(survey.role, list(known)))[:1].tolist():
         raise InputError(
             f"target {survey.target_id[row]}: role '{survey.role[row]}' has no minimum; "

@@ -109,8 +109,15 @@ def _rows(found: SkyList, chain: Chain) -> Iterator[str]:
     """Of the file: targets in the order of the list; one that any fibre may take has a row for each."""
     import numpy as np
 
+    from fiberloom.sky.sky_targets import GUIDE
+
     fibres = chain.instrument.science_fibres
-    placed, t = found.placed(chain), found.targets
+    guide, placed = found.is_guide, found.placed(chain)
+    guides = found.targets.select(guide)
+    for name, (x, y) in zip(guides.target_id, chain.place(guides).xy_mm, strict=True):
+        yield f"{name},,{GUIDE},{x:.{DIGITS}f},{y:.{DIGITS}f}"
+    found = found.select(~guide)
+    t = found.targets
     apart = len({chain.wavelength_of(fibre) for fibre in fibres}) > 1
     for k in range(len(found)):
         asked = str(t.fibre[k])

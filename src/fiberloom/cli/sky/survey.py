@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fiberloom.instruments import FocalPlane
     from fiberloom.sky.sky_field import SkyField
     from fiberloom.targets.survey_file import SurveyFile
+    from fiberloom.typing import Ints
 
 
 class Solver(StrEnum):
@@ -73,7 +74,8 @@ def survey(options: SurveyOptions) -> int:
         )
         exposures = [(seen, rows) for _, seen, rows in made]
         found = plan_survey(plane, wanted, exposures, seed=options.seed, settings=how)
-    _write(options.out, file, found, [field for field, _, _ in made], plane)
+    guides = [targets.guides(seen) for _, seen, _ in made]
+    _write(options.out, file, found, [field for field, _, _ in made], guides, plane)
     report = _report(found, plane) | {"folder": str(options.out)}
     options.show(report)
     return 0 if report["minimums_missed"] == [] else 1
@@ -122,8 +124,18 @@ def _missed(found: SurveyPlan, by_role: dict[str, list[list[int]]]) -> list[str]
     ]
 
 
-def _write(out: Path, file: SurveyFile, found: SurveyPlan, fields: list[SkyField], plane: FocalPlane) -> None:
-    """A list and a field for each exposure, and what each target gets."""
+def _write(
+    out: Path,
+    file: SurveyFile,
+    found: SurveyPlan,
+    fields: list[SkyField],
+    guides: list[Ints],
+    plane: FocalPlane,
+) -> None:
+    """A list and a field for each exposure, and what each target gets; `guides`: rows of guide stars."""
+    import numpy as np
+
+    from fiberloom.sky.sky_targets import GUIDE
     from fiberloom.report.outputs import marks
     from fiberloom.tables import write_columns
 
@@ -132,11 +144,13 @@ def _write(out: Path, file: SurveyFile, found: SurveyPlan, fields: list[SkyField
     ):
         field.write(out / f"field-{number:02d}.toml")
         has = assignment.target >= 0
+        own = guides[number - 1]
         more = {
-            "positioner_id": plane.positioner_id[has].tolist(),
-            "fibre": assignment.fibre[has].tolist(),
+            "positioner_id": [*plane.positioner_id[has].tolist(), *len(own) * [""]],
+            "fibre": [*assignment.fibre[has].tolist(), *len(own) * [GUIDE]],
         }
-        _write_list(out / f"exposure-{number:02d}.csv", file.targets, rows[assignment.target[has]], more)
+        taken = np.concatenate([rows[assignment.target[has]], own])
+        _write_list(out / f"exposure-{number:02d}.csv", file.targets, taken, more)
     wanted = found.survey
     columns: dict[str, Any] = {
         "target_id": wanted.target_id,
