@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from fiberloom.bus.transport import Transport
 from fiberloom.drive.port import Drive
@@ -11,6 +11,11 @@ from fiberloom.errors import InputError
 from fiberloom.instruments.pointing import Pointing
 from fiberloom.metrology import Camera
 from fiberloom.typing import Flags, Floats
+
+if TYPE_CHECKING:
+    from fiberloom.sky.chain import Chain
+    from fiberloom.sky.guiding import FieldOffset
+    from fiberloom.sky.sky_targets import SkyTargets
 
 
 class Truth(Protocol):
@@ -37,6 +42,30 @@ class Telescope(Protocol):
         ...
 
 
+class Guider(Protocol):
+    """Guide cameras or guide fibres: where stars are seen in the focal plane."""
+
+    def stars(self, chain: Chain) -> SkyTargets | None:
+        """Stars of its own catalogue that are on its cameras, in the field of the `chain`; None: it has none,
+        and looks at those it is told."""
+        ...
+
+    def look(self, stars: SkyTargets, chain: Chain) -> Floats:
+        """One image: where the `stars` (n) are seen, (n, 2) mm in the focal plane, NaN where one is not.
+
+        `chain`: for which they are predicted.
+        """
+        ...
+
+    def star_um(self, chain: Chain) -> float:
+        """Error of one star in one image, um per axis."""
+        ...
+
+    def truth(self, chain: Chain) -> FieldOffset | None:
+        """How the telescope points off in truth: only a twin knows."""
+        ...
+
+
 @dataclass(frozen=True)
 class Hardware:
     """Positioners and a camera that looks at them."""
@@ -51,6 +80,8 @@ class Hardware:
     """None: it is pointed from elsewhere."""
     drive: Drive | None = None
     """None: SDSS-V's positioners on the `transport`."""
+    guider: Guider | None = None
+    """None: nothing looks at guide stars."""
 
     @property
     def bus(self) -> Transport:

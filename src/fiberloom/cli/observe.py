@@ -290,6 +290,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     from fiberloom.report.tables import (
         budget_line,
         drift_line,
+        guiding_lines,
         observation_table,
         series_lines,
         shortfall,
@@ -324,6 +325,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         )
     if "reposition_every_s" in summary.get("sky", {}):
         say(console, drift_line(summary["sky"]))
+    for line in guiding_lines(summary):
+        say(console, line)
     for line in series_lines(summary.get("series", [])):
         say(console, line)
     for kind, positioners in summary["faults"].items():

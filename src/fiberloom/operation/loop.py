@@ -13,6 +13,8 @@ from fiberloom.instruments.model import Operation
 from fiberloom.operation.correction import CorrectionLoop, Corrections, SeenAims, whole_steps
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals, Move
+from fiberloom.operation.safety.writing import beside
+from fiberloom.operation.series.guided import Guided, Guiding
 from fiberloom.operation.series.steps import SeriesStep
 from fiberloom.operation.stopping import StopRule
 from fiberloom.typing import Flags, Floats
@@ -57,9 +59,10 @@ class Loop:
         settings: LoopSettings,
         map_sigma_deg: Callable[[Floats], Floats] | None = None,
         steps: Sequence[SeriesStep] = (),
+        guiding: Guiding | None = None,
     ) -> None:
         """`motion`: of the field; `assignment`: the goals; `settings`: number of moves and stop rule;
-        `steps`: where the targets are, exposure by exposure of a series.
+        `steps`: where the targets are, exposure by exposure of a series; `guiding`: by guide stars.
 
         `map_sigma_deg`: gives standard errors (N, 2) of the maps at wire positions (N, 2) in deg; None
         where they are not known.
@@ -67,7 +70,7 @@ class Loop:
         self.motion, self.settings, self.map_sigma_deg = motion, settings, map_sigma_deg
         self.plane, self.maps = motion.plane, motion.maps
         self.goals = Goals.of(assignment)
-        self.steps = steps
+        self.steps, self.guiding = steps, guiding
         self.placed: list[Move] = []
         """The move after which each exposure begins."""
         self.stopped = ""
@@ -96,32 +99,60 @@ class Loop:
         Raises UnsafePlanError where the verifier refuses a plan.
         """
         self.motion.images = self.settings.images
+        if self.guiding is not None:
+            self.goals = self.guiding.truly(self.goals, 0)
         await self.blind_move()
         corrections = self._corrections()
-        await self._corrected(corrections, self.settings.moves - 1)
+        moved = await self._guided(corrections, self.goals, 0)
+        await self._corrected(corrections, self.settings.moves - 1, moved)
         self.stopped = self._why_stopped()
-        for step in self.steps[:1]:
+        for number, step in enumerate(self.steps):
+            if number > 0:
+                await self._reposition(corrections, step, number)
             await self._placed(corrections, step)
-        for step in self.steps[1:]:
-            await self._reposition(corrections, step)
         if self.settings.compare_linear:
             await self.linear_move()
         return self.moves
 
-    async def _corrected(self, corrections: Corrections, most: int) -> None:
-        """Corrections until the stop rule has enough, or so many were made."""
+    async def _corrected(self, corrections: Corrections, most: int, moved: bool) -> None:
+        """Corrections until the stop rule has enough, or so many were made; one at least to goals that have
+        `moved` since the image."""
         for done in range(most):
-            if self.settings.stop.satisfied(self._open_um()):
+            if not (moved and done == 0) and self.settings.stop.satisfied(self._open_um()):
                 break
             await self.correct(corrections, f"correction {1 + done}")
 
-    async def _reposition(self, corrections: Corrections, step: SeriesStep) -> None:
-        """Moves the fibres to where their targets have gone, and corrects as after a blind move."""
-        corrections.follow(step.angles_deg)
-        self.goals = replace(self.goals, angles_deg=step.angles_deg, target_mm=step.target_mm)
+    async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
+        """Moves the fibres to where their targets have gone before exposure `number`."""
+        goals = replace(self.goals, angles_deg=step.angles_deg, target_mm=step.target_mm)
+        await self._guided(corrections, goals, number)
         self._arrived[:] = False
         await self.correct(corrections, step.label)
-        await self._placed(corrections, step)
+
+    async def _guided(self, corrections: Corrections, goals: Goals, number: int) -> bool:
+        """Looks at the guide stars of exposure `number`; takes the `goals` where they say, and tells whether
+        that has moved them."""
+        found = None if self.guiding is None else await self._look_at_stars(number)
+        if self.guiding is not None and found is not None:
+            goals = self.guiding.aimed(goals, found)
+        self.goals = goals
+        corrections.follow(goals.angles_deg)
+        return found is not None and found.applied is not None
+
+    async def _look_at_stars(self, number: int) -> Guided:
+        assert self.guiding is not None
+        self.motion.progress("looking at guide stars")
+        found = await beside(self.guiding.look, number)
+        if self.settings.moves < 2 and len(self.steps) < 2:
+            found = self.guiding.left_alone("no correction is to be made")
+        self._tell_guiding(found)
+        return found
+
+    def _tell_guiding(self, found: Guided) -> None:
+        """Into the record; to the operator where nothing is applied."""
+        self.motion.recorder.event("guiding", found.text)
+        if found.why_not:
+            self.motion.progress(found.text)
 
     async def _placed(self, corrections: Corrections, step: SeriesStep) -> None:
         """Corrects those that are not as near as the step asks for, so many times at most as a field is."""

@@ -257,6 +257,8 @@ class FieldMotion:
             measured_error_um=error_um,
             metrology_goal_mm=made.goals.metrology_mm,
             target_mm=made.goals.target_mm,
+            star_mm=made.goals.star_mm,
+            pointed=made.goals.pointed,
             **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),
             interrupted=bool(interrupted.any()),

@@ -14,6 +14,7 @@ from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan
+from fiberloom.sky.guiding import FieldOffset
 from fiberloom.typing import Flags, Floats
 
 
@@ -33,7 +34,11 @@ class Goals:
     """(N, 2) where the camera is to see the metrology fibres with the science fibres on target, as far as
     images have told; None: where it is at these angles."""
     target_mm: Floats | None = None
-    """(N, 2) where the targets have gone; None: as in the list."""
+    """(N, 2) where the targets have gone, as far as is known; None: as in the list."""
+    star_mm: Floats | None = None
+    """(N, 2) where they are in truth, of a twin whose telescope points off; None: there."""
+    pointed: FieldOffset | None = None
+    """How guide stars have told that the telescope points; None: as it should."""
 
     @classmethod
     def of(cls, assignment: Assignment) -> Goals:
@@ -80,6 +85,10 @@ class Move:
     """(2, N, 2) the science fibre at begin and end of the exposure; None: as in its middle."""
     target_mm: Floats | None = None
     """(N, 2) where the targets were, once they have gone from where the list has them; None: as there."""
+    star_mm: Floats | None = None
+    """(N, 2) where they were in truth, of a twin whose telescope points off; None: as in `target_mm`."""
+    pointed: FieldOffset | None = None
+    """What guide stars have told, and is in `target_mm`; None: nothing."""
 
     @property
     def motion_s(self) -> float:

@@ -26,6 +26,7 @@ from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.writing import beside, entered
+from fiberloom.operation.series.guided import Guiding
 from fiberloom.operation.series.steps import check_series, series_about, steps_of
 from fiberloom.report.folder import point_latest, prepare_folder, set_aside
 from fiberloom.report.outputs import marks
@@ -224,7 +225,9 @@ class Observer:
                 motion.pointing = settings.pointing
                 log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
                 steps = steps_of(kept, assignment, targets, settings.exposures)
-                loop = Loop(motion, assignment, settings.loop(kept), self.known.map_sigma_deg, steps)
+                guiding = Guiding.of(hardware.guider, targets.on_sky, kept, assignment)
+                how = settings.loop(kept)
+                loop = Loop(motion, assignment, how, self.known.map_sigma_deg, steps, guiding)
                 await beside(self.known.record_used, run)
                 await _whole(loop, about)
                 about |= _series(targets, assignment, loop)
@@ -233,7 +236,7 @@ class Observer:
             finally:
                 log.stop()
                 figures = _moved(loop) | {
-                    "about": about | self.known.summary(),
+                    "about": about | self.known.summary() | _guided(loop, targets),
                     "wall_s": time.monotonic() - begun_s,
                 }
                 self.last = Observation(kept, targets, assignment, **figures)
@@ -289,6 +292,15 @@ def _series(targets: TargetList, assignment: Assignment, loop: Loop) -> dict[str
         return {}
     first_mm = targets.on_sky.places_mm(assignment.target, assignment.fibre)
     return {"series": series_about(targets.on_sky, assignment, loop.placed, first_mm, loop.correctable)}
+
+
+def _guided(loop: Loop | None, targets: TargetList) -> dict[str, Any]:
+    """What guide stars have told before each exposure; a note where there is nothing that looks at them."""
+    if loop is not None and loop.guiding is not None:
+        return {"guiding": loop.guiding.about()}
+    if targets.on_sky is None or targets.on_sky.guides is None:
+        return {}
+    return {"guiding": []}
 
 
 def _moved(loop: Loop | None) -> dict[str, Any]:

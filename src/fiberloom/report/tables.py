@@ -145,11 +145,14 @@ def _by_truth(summary: Mapping[str, Any]) -> str:
     return "true" if any(move["true_rms_um"] is not None for move in summary["moves"]) else "as measured"
 
 
+_SOMETIMES = {"guiding_um": "guiding", "gravity_um": "gravity"}
+"""Parts that not every observation has."""
+
+
 def budget_line(budget: Mapping[str, Any]) -> str:
     """Of what the errors of the last move are made, in words; um rms."""
     names = {"loop_um": "loop", "camera_um": "camera", "fibre_um": "fibre on its arm"}
-    if budget.get("gravity_um") is not None:
-        names["gravity_um"] = "gravity"
+    names |= {key: name for key, name in _SOMETIMES.items() if budget.get(key) is not None}
     parts = [
         f"{name} {'not known' if budget[key] is None else _um(budget[key])}" for key, name in names.items()
     ]
@@ -178,6 +181,57 @@ def series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{one['worst_unless_moved_um']:.1f} um (drift {one['drift_unless_moved_um']:.1f})"
         for one in series
     ]
+
+
+def guiding_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Of what guide stars have told before each exposure, and the truth of a twin; of summary.json."""
+    if "guiding" not in summary:
+        return []
+    if not summary["guiding"]:
+        return ["guiding: nothing here looks at the guide stars of the list; see `fiberloom sky guide`"]
+    lines = [guide_line(one) for one in summary["guiding"]]
+    last = summary["guiding"][-1]
+    return [*lines, guide_truth_line(last)] if "truth" in last else lines
+
+
+def guide_line(guided: Mapping[str, Any]) -> str:
+    """What guide stars have told before an exposure; `guided`: of summary.json."""
+    lost = guided["not_seen"]
+    named = f" (not seen: {_names(lost)})" if lost else ""
+    seen = f"guiding, exposure {guided['exposure']}: {guided['seen']} of {guided['stars']} stars seen{named}"
+    found = "" if "chi2" not in guided else f"; {_fit_line(guided)}"
+    return f"{seen}{found}" + (f"; not applied: {guided['why_not']}" if guided["why_not"] else "; applied")
+
+
+def _fit_line(guided: Mapping[str, Any]) -> str:
+    left_out = guided["left_out"]
+    named = f" (left out: {_names(left_out)})" if left_out else ""
+    return (
+        f"{guided['used']} used{named}, chi2 {guided['chi2']:.0f} of {guided['freedom']}; points off by "
+        f"{guided['points_off_ra_arcsec']:+.2f} arcsec in RA, {guided['points_off_dec_arcsec']:+.2f} in Dec "
+        f"({guided['offset_x_um']:+.1f}, {guided['offset_y_um']:+.1f} um +- {guided['offset_error_um']:.1f})"
+        f", turned by {guided['rotation_arcsec']:+.1f} +- {guided['rotation_error_arcsec']:.1f} arcsec, "
+        f"scale {guided['scale_ppm']:+.1f} +- {guided['scale_error_ppm']:.1f} ppm"
+    )
+
+
+def guide_truth_line(guided: Mapping[str, Any]) -> str:
+    """How the telescope truly points off, as only a twin knows; `guided`: of summary.json."""
+    true = guided["truth"]
+    return (
+        f"in truth {true['points_off_ra_arcsec']:+.2f} arcsec in RA, {true['points_off_dec_arcsec']:+.2f} in "
+        f"Dec ({true['offset_x_um']:+.1f}, {true['offset_y_um']:+.1f} um), {true['rotation_arcsec']:+.1f} "
+        f"arcsec, {true['scale_ppm']:+.1f} ppm"
+    )
+
+
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+_NAMED = 5
+"""Stars named in a line."""
 
 
 def temperature_line(temperature: Mapping[str, Any]) -> str:

@@ -54,9 +54,9 @@ class SkyList:
     def placed(self, chain: Chain, field: SkyField | None = None) -> TargetList:
         """The targets in mm, without the guide stars: for each science fibre its own place.
 
-        `chain`: at the moment of placing; `field`: what it is of, which the list in mm then remembers with the
-        guide stars. Raises InputError for a target that is outside of what the optics' fit covers, too low, or
-        of no known wavelength, and for a list of guide stars alone.
+        `chain`: at the moment of placing; `field`: what it is of, which the list in mm then remembers with
+        the guide stars. Raises InputError for a target that is outside of what the optics' fit covers, too
+        low, or of no known wavelength, and for a list of guide stars alone.
         """
         guide = self.is_guide
         if len(self) and guide.all():

@@ -16,6 +16,7 @@ from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.kinds import OBSERVED
 from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
+from fiberloom.twin.sky.guider import TwinGuider
 from fiberloom.twin.transport import TwinTransport
 from fiberloom.twin.twin import Twin
 from fiberloom.twin.units import Units
@@ -122,7 +123,8 @@ def _hardware(
         camera_of = NoiseCamera(twin, twin.plane.instrument.metrology.noise_rms_um, seed, errors)
     # without that error each is told at power-up where it is, as after a search of the datum
     vouched = np.full(len(twin.plane), errors.power_share == 0.0)
-    return Hardware(bus, camera_of, twin, vouched=vouched, telescope=twin)
+    guider = TwinGuider(errors.pointing, seed)
+    return Hardware(bus, camera_of, twin, vouched=vouched, telescope=twin, guider=guider)
 
 
 def draw_faults(plane: FocalPlane, text: str, seed: int) -> list[ScheduledFault]:

@@ -63,7 +63,7 @@ def test_tails_are_heavier_than_a_gaussian_s():
 
 
 def test_each_can_be_switched_and_scaled():
-    terms = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque")
+    terms = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque", "pointing")
     every = dict.fromkeys(terms, 1.0)
     assert factors_of("all") == every
     assert factors_of("") == factors_of("none") == dict.fromkeys(every, 0.0)

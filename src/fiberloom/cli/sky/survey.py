@@ -135,8 +135,8 @@ def _write(
     """A list and a field for each exposure, and what each target gets; `guides`: rows of guide stars."""
     import numpy as np
 
-    from fiberloom.sky.sky_targets import GUIDE
     from fiberloom.report.outputs import marks
+    from fiberloom.sky.sky_targets import GUIDE
     from fiberloom.tables import write_columns
 
     for number, (field, rows, assignment) in enumerate(

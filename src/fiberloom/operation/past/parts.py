@@ -16,6 +16,7 @@ from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.operation.move import Move
 from fiberloom.planning import Approach, Plan, Trajectory
 from fiberloom.planning.trajectories import KEYS
+from fiberloom.sky.guiding import FieldOffset
 from fiberloom.store import Run
 from fiberloom.store.parts import RunPart, pack
 from fiberloom.targets import TargetList
@@ -25,7 +26,8 @@ LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
 """Names of parts of a whole run."""
 
 PLACES = (
-    *("metrology_goal_mm", "target_mm", "true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm"),
+    *("metrology_goal_mm", "target_mm", "star_mm"),
+    *("true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm"),
 )
 """Where fibres were to be in a move, and what a twin knows of where they were."""
 
@@ -116,10 +118,18 @@ def packed_move(move: Move) -> bytes:
         "comparison": move.comparison,
         "images": move.measurement.images,
     }
+    if move.pointed is not None:
+        head["pointed"] = [*move.pointed.offset_mm.tolist(), move.pointed.rotation_deg, move.pointed.scale]
     points = {key: np.concatenate([getattr(r, key) for r in plan.robots]) for key in KEYS}
     points["positioner_id"] = np.array([r.positioner_id for r in plan.robots], dtype=np.int64)
     points["n_points"] = np.array([len(r.time_s) for r in plan.robots], dtype=np.int64)
     return pack(head, points | {name: values for name, values in known.items() if values is not None})
+
+
+def pointed_of(part: RunPart) -> FieldOffset | None:
+    """What guide stars have told before a move, of its part."""
+    told = part.head.get("pointed")
+    return None if told is None else FieldOffset(np.array(told[:2]), told[2], told[3])
 
 
 def plan_of(part: RunPart) -> Plan:

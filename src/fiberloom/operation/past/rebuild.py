@@ -24,6 +24,7 @@ from fiberloom.operation.past.parts import (
     assignment_of,
     plan_of,
     plane_of,
+    pointed_of,
     targets_of,
 )
 from fiberloom.operation.results import Observation
@@ -194,6 +195,7 @@ def _move(part: RunPart, row: Mapping[str, Any], measured: Columns) -> Move:
         measurement=image,
         measured_error_um=measured["error_um"],
         **{name: part.arrays.get(name) for name in PLACES},
+        pointed=pointed_of(part),
         status=[FibreStatus(status) for status in measured["status"].tolist()],
         interrupted=part.head["interrupted"],
         comparison=part.head["comparison"],

@@ -3,6 +3,7 @@
     loop      where the camera saw the metrology fibre, less its goal
     camera    where the metrology fibre was, less where the camera saw it: noise, and a frame that is off
     fibre     from the metrology to the science fibre, less that way in the layout
+    guiding   where the target was taken to be, less where its star was: of a telescope that points off
     gravity   from the image to the middle of the exposure, less the way by which the fibre was led; where the
               pointing of the telescope is known
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from fiberloom.calibration.fibres.guider import guided
 from fiberloom.instruments.pointing import STANDARD_GRAVITY_M_S2, ExposurePointing
+from fiberloom.sky.guiding import GuideFit
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
@@ -37,19 +39,21 @@ def budget(observed: ObservedField) -> dict[str, Any]:
     if move.true_mm is None or move.true_metrology_mm is None:
         return _expected(observed, move, rows)
     metrology = move.true_metrology_mm - observed.metrology_goal_mm(move) - observed.frame_mm()
-    return _in_truth(observed, rows, metrology, move.true_mm - observed.target_mm(move))
+    return _in_truth(observed, rows, metrology, move.true_mm - observed.star_mm(move))
 
 
 def _in_truth(observed: ObservedField, rows: Flags, metrology: Floats, science: Floats) -> dict[str, Any]:
     """By true errors (N, 2), mm: metrology fibre at the image, science fibre in the exposure."""
-    star_mm, sagged = observed.target_mm(observed.final), _sagged_mm(observed)
+    star_mm, sagged = observed.star_mm(observed.final), _sagged_mm(observed)
+    beside_mm = observed.target_mm(observed.final) - star_mm
     loop = observed.final.measurement.xy_mm - observed.metrology_goal_mm(observed.final)
     left = guided(science[rows], star_mm[rows], np.ones(int(rows.sum()), dtype=bool))
     return {
         "known": IN_TRUTH,
         "loop_um": _rms_um(loop[rows]),
         "camera_um": _rms_um((metrology - loop)[rows]),
-        "fibre_um": _rms_um((science - sagged - metrology)[rows]),
+        "fibre_um": _rms_um((science - beside_mm - sagged - metrology)[rows]),
+        "guiding_um": None if observed.final.star_mm is None else _rms_um(beside_mm[rows]),
         "gravity_um": None if observed.final.true_image_mm is None else _rms_um(sagged[rows]),
         "science_um": _rms_um(science[rows]),
         "guider_takes_um": _rms_um(science[rows] - left),
@@ -72,6 +76,7 @@ def _expected(observed: ObservedField, move: Move, rows: Flags) -> dict[str, Any
         "loop_um": _rms_um((move.measurement.xy_mm - observed.metrology_goal_mm(move))[rows]),
         "camera_um": camera,
         "fibre_um": observed.about.get("fibre_calibration", {}).get("formal_um"),
+        "guiding_um": _expected_guiding_um(observed, move, rows),
         "gravity_um": _expected_sag_um(observed),
         "science_um": None,
         "guider_takes_um": None,
@@ -87,6 +92,14 @@ def _expected_sag_um(observed: ObservedField) -> float | None:
     pointing = ExposurePointing.of(told)
     change_m_s2 = pointing.middle.gravity_m_s2() - pointing.image.gravity_m_s2()
     return float(formal_um * np.hypot(*change_m_s2) / STANDARD_GRAVITY_M_S2)
+
+
+def _expected_guiding_um(observed: ObservedField, move: Move, rows: Flags) -> float | None:
+    """By the covariance of the last fit of guide stars."""
+    if not isinstance(move.pointed, GuideFit):
+        return None
+    radius_mm = np.hypot(*observed.target_mm(move)[rows].T)
+    return float(np.sqrt(2.0 * (move.pointed.error_um(radius_mm) ** 2).mean())) if len(radius_mm) else None
 
 
 def _rms_um(apart_mm: Floats) -> float | None:

@@ -3,6 +3,7 @@
 RA and Dec under a fibre are those of its place as measured (on a twin too): the metrology fibre in the last
 image, and from there to the science fibre by the arm. The place of a fibre on a target is the target's plus
 what the image shows it to be off. They are ICRS at the middle of the exposure, of a star that does not move.
+What guide stars have told of the telescope is taken off before.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from astropy.table import Table
 
 from fiberloom.health.status import FibreFlag
 from fiberloom.instruments import METROLOGY
+from fiberloom.operation.move import Move
 from fiberloom.operation.results.files import MARKS, flags_of
 from fiberloom.sky.chain import Chain
 from fiberloom.sky.on_sky import OnSky
@@ -68,7 +70,7 @@ def _of_fibre(observed: ObservedField, sky: OnSky, chain: Chain, fibre: str) -> 
     wavelength = np.full(len(rows), chain.wavelength_of(fibre))
     own = sky.asked(np.where(mine, assignment.target[rows], -1), assignment.fibre[rows])
     wavelength[mine] = chain.wavelengths_A(own)
-    here, there = chain.sky(xy_mm, wavelength), chain.sky(target_mm, wavelength)
+    here, there = (chain.sky(_level_mm(move, mm), wavelength) for mm in (xy_mm, target_mm))
     east_deg = (here[:, 0] - there[:, 0] + 180.0) % 360.0 - 180.0
     taken = np.where(mine, assignment.target[rows], -1)
     return {
@@ -93,6 +95,11 @@ def _of_fibre(observed: ObservedField, sky: OnSky, chain: Chain, fibre: str) -> 
     }
 
 
+def _level_mm(move: Move, xy_mm: Floats) -> Floats:
+    """(n, 2) places on a telescope that points as it should: what guide stars have told is taken off."""
+    return xy_mm if move.pointed is None else move.pointed.removed(xy_mm)
+
+
 def _fibre_mm(observed: ObservedField, fibre: str) -> Floats:
     """(N, 2) mm of a fibre, by the arms as commanded and the metrology fibre as seen."""
     plane, move = observed.plane, observed.final
@@ -114,7 +121,7 @@ def _head(observed: ObservedField, chain: Chain) -> dict[str, Any]:
     marks = {name.upper()[:8]: observed.about[name] for name in MARKS if name in observed.about}
     sky = observed.targets.on_sky
     assert sky is not None
-    return marks | {
+    field = {
         "RACEN": chain.pointing.ra_deg,
         "DECCEN": chain.pointing.dec_deg,
         "POSANGLE": chain.pointing.pa_deg,
@@ -124,6 +131,15 @@ def _head(observed: ObservedField, chain: Chain) -> dict[str, Any]:
         "AIRMASS": chain.airmass,
         "FOCSCALE": chain.view.scale,
     }
+    return marks | field | _pointed(observed.final)
+
+
+def _pointed(move: Move) -> dict[str, float]:
+    """What guide stars have told, for those who go from mm to the sky themselves."""
+    if (off := move.pointed) is None:
+        return {}
+    x_mm, y_mm = off.offset_mm.tolist()
+    return {"GUIDEX": x_mm, "GUIDEY": y_mm, "GUIDEROT": off.rotation_deg, "GUIDESC": off.scale}
 
 
 def write_fibermap(observed: ObservedField, folder: Path) -> list[str]:

@@ -68,6 +68,30 @@ class ObservedField:
         xy[has] = np.stack([self.targets.x_mm[chosen], self.targets.y_mm[chosen]], axis=1)
         return xy
 
+    def star_mm(self, move: Move) -> Floats:
+        """Where the target of each positioner truly was: only a twin knows how its telescope points.
+
+        Parameters
+        ----------
+        move : Move
+            One of `moves`.
+
+        Returns
+        -------
+        (N, 2) float
+            mm; NaN without a target; `target_mm` where nothing is known, or the telescope points as it
+            should.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> field = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7), camera="noise")
+        >>> seen = field.run.observe(fl.read_targets("targets.csv"), corrections=1)
+        >>> bool((seen.star_mm(seen.final) == seen.target_mm()).all())
+        True
+        """
+        return self.target_mm(move) if move.star_mm is None else move.star_mm
+
     def metrology_goal_mm(self, move: Move | None = None) -> Floats:
         """Where the camera is to see the metrology fibre of each positioner with the science fibre on target.
 
@@ -117,7 +141,7 @@ class ObservedField:
         >>> bool(np.nanmax(seen.true_error_um(seen.moves[-1])) < 5.0)
         True
         """
-        return _apart_um(move.true_mm, self.target_mm(move))
+        return _apart_um(move.true_mm, self.star_mm(move))
 
     def guided_error_um(self, move: Move) -> Floats | None:
         """True distance of the science fibres from their stars, on a telescope that guides by them.
@@ -145,7 +169,7 @@ class ObservedField:
         """
         if move.true_mm is None:
             return None
-        star_mm = self.target_mm(move)
+        star_mm = self.star_mm(move)
         place_mm = np.where(np.isfinite(star_mm), star_mm, self.plane.centres_mm)
         left_mm = guided(move.true_mm - star_mm, place_mm, self.counted(move))
         return np.asarray(UM_PER_MM * np.hypot(*left_mm.T))
@@ -242,7 +266,7 @@ class ObservedField:
         middle_um = self.true_error_um(move)
         if middle_um is None or move.true_ends_mm is None:
             return None
-        ends_um = UM_PER_MM * np.linalg.norm(move.true_ends_mm - self.target_mm(move), axis=2)
+        ends_um = UM_PER_MM * np.linalg.norm(move.true_ends_mm - self.star_mm(move), axis=2)
         return np.asarray(np.maximum(middle_um, ends_um.max(axis=0)))
 
     def error_um(self, move: Move) -> Floats:

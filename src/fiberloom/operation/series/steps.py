@@ -63,7 +63,7 @@ def steps_of(
     for number in range(exposures):
         after_s = number * sky.field.cadence_s
         there_mm = sky.places_mm(assignment.target, assignment.fibre, after_s)
-        angles_deg = _followed(plane, assignment, there_mm - first_mm)
+        angles_deg = followed(plane, assignment, there_mm - first_mm)
         limit_um = _limit_um(plane, assignment, sky, after_s)
         steps.append(SeriesStep(f"re-position {number}", there_mm, angles_deg, limit_um))
     return steps
@@ -80,8 +80,11 @@ def _limit_um(plane: FocalPlane, assignment: Assignment, sky: OnSky, after_s: fl
     return np.maximum(left_um, requirement_um / 3.0)
 
 
-def _followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
-    """(N, 2) goals whose fibres are shifted by (N, 2) mm; as before where that is out of reach."""
+def followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
+    """(N, 2) goals in deg whose fibres are shifted by (N, 2) mm; as before where that is out of reach.
+
+    `plane`: of N positioners; `assignment`: the goals before.
+    """
     goal_deg = assignment.goal_deg.copy()
     for fibre in np.unique(assignment.fibre[assignment.target >= 0]).tolist():
         rows = np.flatnonzero((assignment.target >= 0) & (assignment.fibre == fibre))
@@ -121,7 +124,8 @@ def series_about(
 def _off_mm(move: Move, first_mm: Floats) -> Floats:
     """(N, 2) by which fibres are beside their targets: in truth of a twin, else as measured."""
     if move.true_mm is not None:
-        return move.true_mm - (first_mm if move.target_mm is None else move.target_mm)
+        star_mm = move.target_mm if move.star_mm is None else move.star_mm
+        return move.true_mm - (first_mm if star_mm is None else star_mm)
     if move.metrology_goal_mm is None:
         return np.full_like(first_mm, np.nan)
     return np.where(move.measurement.seen[:, None], move.measurement.xy_mm - move.metrology_goal_mm, np.nan)

@@ -25,6 +25,7 @@ from fiberloom.twin.cobras.array import CobraArray, Contact
 from fiberloom.twin.cobras.streams import VirtualBoards
 from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import check_camera, draw_faults
+from fiberloom.twin.sky.guider import TwinGuider
 
 KIND = "cobras of the twin begin at home; their arms and dots are those of the layout"
 
@@ -92,7 +93,16 @@ class CobraSource:
             self.plane, self.known_maps, FpgaClient(self.boards.connector()), self.array.dots_mm
         )
         vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, self._camera(), self.array, vouched=vouched, telescope=self.array, drive=drive)
+        guider = TwinGuider(self._twin_errors.pointing, self.seed)
+        return Hardware(
+            None,
+            self._camera(),
+            self.array,
+            vouched=vouched,
+            telescope=self.array,
+            drive=drive,
+            guider=guider,
+        )
 
     def _camera(self) -> Camera:
         if self.camera == "image":

@@ -27,6 +27,7 @@ from fiberloom.twin.faults.grammar import parse_faults
 from fiberloom.twin.faults.kinds import Reach, ServiceKind
 from fiberloom.twin.faults.schedule import ScheduledFault, schedule_faults
 from fiberloom.twin.hardware import check_camera
+from fiberloom.twin.sky.guider import TwinGuider
 
 FAULTS = Reach(("busoff", "dark", "dead", "deaf", "lost", "lying", "slipping"), timed=True)
 """Of --faults. There is no encoder: one that is dead reports what one that lies does. `busoff` takes bus and
@@ -95,7 +96,10 @@ class DesiSource:
         drive = DesiDrive(self.plane, DesiTransport(self.twin, faults), self._maps)
         drive.kept = self._kept
         vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, camera, self.twin, vouched=vouched, telescope=self.twin, drive=drive)
+        guider = TwinGuider(self.errors.pointing, self.seed)
+        return Hardware(
+            None, camera, self.twin, vouched=vouched, telescope=self.twin, drive=drive, guider=guider
+        )
 
     async def open(self) -> Hardware:
         """The field as it is now."""

@@ -14,7 +14,8 @@ calibrations of the same robots in the same holes (sdss/fps_calibrations, apo, 2
 
 The air is assumed: DESI's camera sees 3 to 8 um through 12 m of it (Silber et al. 2023, AJ 165, 9); of
 SDSS-V's, which is nearer, nothing is published. What pulls at the arms: `fiberloom.twin.errors.loads`; what a
-colder night does: `fiberloom.twin.errors.temperature`.
+colder night does: `fiberloom.twin.errors.temperature`; how a telescope points off:
+`fiberloom.twin.errors.pointing`.
 Share and number of motor turns are assumed.
 """
 
@@ -29,6 +30,7 @@ import numpy as np
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.twin.errors.loads import LOAD_KEYS, NO_LOADS, LoadSizes, told_loads
+from fiberloom.twin.errors.pointing import NO_POINTING, PointingSizes
 from fiberloom.twin.errors.switches import GearSpectrum, factors_of, gears_of, night_C_of
 from fiberloom.twin.errors.temperature import NO_DIFFERENCE, NightTemperature
 from fiberloom.typing import Floats, Ints
@@ -73,6 +75,8 @@ class TwinErrors:
     """What pulls at the arms: gravity, and the bundle of fibres."""
     temperature: NightTemperature = field(default_factory=NightTemperature)
     """Of the night, against the calibration."""
+    pointing: PointingSizes = field(default_factory=PointingSizes)
+    """Of the telescope, and how well guide stars are seen."""
 
     @classmethod
     def of(cls, instrument: Instrument, switches: str = "all") -> TwinErrors:
@@ -93,6 +97,7 @@ class TwinErrors:
             gears=gears_of(switches),
             loads=told.loads.times(factors["gravity"], factors["torque"]),
             temperature=told.temperature.switched(factors["temperature"], night_C_of(switches)),
+            pointing=told.pointing.times(factors["pointing"]),
         )
 
     def at_calibration(self) -> TwinErrors:
@@ -119,6 +124,7 @@ class TwinErrors:
             f"{AIR_LENGTH_MM:g} mm (assumed)",
             **self.loads.told(),
             "temperature": self.temperature.told(),
+            "pointing of the telescope": self.pointing.told(),
             "power-up": self._told_power(),
         }
 
@@ -174,7 +180,17 @@ class TwinErrors:
         return off_mm
 
 
-NO_ERRORS = TwinErrors((0.0, 0.0), {}, (0.0, 0.0), 0.0, 0.0, 0.0, loads=NO_LOADS, temperature=NO_DIFFERENCE)
+NO_ERRORS = TwinErrors(
+    (0.0, 0.0),
+    {},
+    (0.0, 0.0),
+    0.0,
+    0.0,
+    0.0,
+    loads=NO_LOADS,
+    temperature=NO_DIFFERENCE,
+    pointing=NO_POINTING,
+)
 """A twin whose host has true tables, in still air, as warm as the calibration was, that nothing pulls at."""
 
 
@@ -211,6 +227,7 @@ def _told(instrument: Instrument) -> TwinErrors:
         power_turns=_turns(asked.pop("power_turns", usual.power_turns), f"{where}.power_turns"),
         loads=told_loads({key: asked.pop(key) for key in LOAD_KEYS if key in asked}, where),
         temperature=NightTemperature.of(asked.pop("temperature", {}), f"{where}.temperature"),
+        pointing=PointingSizes.of(asked.pop("pointing", {}), f"{where}.pointing"),
     )
     if asked:
         own_keys = (
@@ -221,6 +238,7 @@ def _told(instrument: Instrument) -> TwinErrors:
             "power_share",
             "power_turns",
             "temperature",
+            "pointing",
         )
         known_keys = ", ".join((*own_keys, *LOAD_KEYS))
         raise InputError(f"{where}.{next(iter(asked))}: no such key; known are {known_keys}")

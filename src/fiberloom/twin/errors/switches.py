@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from fiberloom.errors import InputError
 
-TERMS = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque")
+TERMS = ("arm", "fibre", "fiducial", "air", "power", "temperature", "gravity", "torque", "pointing")
 """What can be switched."""
 
 NIGHT = "at_C"
