@@ -124,9 +124,12 @@ def longest_s(
     return low
 
 
-def guide_stars(chain: Chain) -> SkyTargets:
-    """Stars at the guide wavelength: four about each of six places at the edge of the field, deg."""
-    _, edge_deg = chain.optics(chain.guide_A)
+def guide_stars(chain: Chain, share: float = 1.0) -> SkyTargets:
+    """Stars at the guide wavelength: four about each of six places at the edge of the field, deg.
+
+    `share` of the field's radius at which these places are, a ratio.
+    """
+    edge_deg = share * chain.optics(chain.guide_A)[1]
     around = np.radians(_FIRST_DEG + 360.0 / GUIDE_PLACES * np.arange(GUIDE_PLACES))
     step = _STARS_DEG * edge_deg * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     offsets = edge_deg * np.column_stack([np.cos(around), np.sin(around)])

@@ -26,6 +26,8 @@ _STREAM = 0x601D
 _FARTHEST = 2.5
 """In units of the rms: no telescope points farther off."""
 _MOST = 1000.0
+_UNITS = np.array([1.0 / 3600.0, 1.0 / 3600.0, 1.0 / 3600.0, 1e-6])
+"""Of what is drawn: arcsec in deg, ppm as a ratio."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +72,10 @@ class PointingSizes:
         return any((self.offset_arcsec, self.rotation_arcsec, self.scale_ppm))
 
     def drawn(self, seed: int) -> Floats:
-        """(4,) arcsec, arcsec, arcsec and ppm, by the `seed`: x, y, rotation, scale."""
+        """(4,) x, y and rotation in deg, scale less 1, by the `seed`."""
         drawn = np.random.default_rng([seed, _STREAM]).standard_normal(4)
         sizes = np.array([self.offset_arcsec, self.offset_arcsec, self.rotation_arcsec, self.scale_ppm])
-        off: Floats = sizes * np.clip(drawn, -_FARTHEST, _FARTHEST)
+        off: Floats = sizes * np.clip(drawn, -_FARTHEST, _FARTHEST) * _UNITS
         return off
 
     def told(self) -> str:

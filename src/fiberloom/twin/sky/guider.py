@@ -14,6 +14,8 @@ from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM
 
 _STREAM = 0x601E
+_CAMERAS_AT = 0.94
+"""Of the field's radius: all stars of a camera are within the field."""
 
 
 class TwinGuider:
@@ -27,7 +29,7 @@ class TwinGuider:
 
     def stars(self, chain: Chain) -> SkyTargets | None:
         """Four on each of six cameras at the edge of the field; none where the telescope is not off."""
-        return guide_stars(chain) if self.sizes.any() else None
+        return guide_stars(chain, _CAMERAS_AT) if self.sizes.any() else None
 
     def look(self, stars: SkyTargets, chain: Chain) -> Floats:
         """(n, 2) mm with noise; NaN outside of the field or below the horizon.
@@ -45,6 +47,6 @@ class TwinGuider:
 
     def truth(self, chain: Chain) -> FieldOffset:
         """How the telescope points off; `chain`: of the field."""
-        x, y, rotation_arcsec, ppm = self._off
-        offset_mm = MM_PER_UM * plate_um_arcsec(chain) * np.array([x, y])
-        return FieldOffset(offset_mm, rotation_arcsec / 3600.0, 1.0 + 1e-6 * ppm)
+        x_deg, y_deg, rotation_deg, larger = self._off.tolist()
+        offset_mm = MM_PER_UM * plate_um_arcsec(chain) * 3600.0 * np.array([x_deg, y_deg])
+        return FieldOffset(offset_mm, rotation_deg, 1.0 + larger)
