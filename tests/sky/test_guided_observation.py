@@ -1,5 +1,6 @@
 """Guide stars in an observation: what they tell moves the goals, and is taken off where fibres look."""
 
+import asyncio
 import json
 
 import numpy as np
@@ -8,8 +9,10 @@ from astropy.table import Table
 
 from fiberloom.assignment import assign
 from fiberloom.instruments import FocalPlane
+from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.move import Goals
 from fiberloom.operation.series.guided import FARTHEST_MM, IMAGES, Guiding
+from fiberloom.operation.stopping import StopRule
 from fiberloom.sky.guiding import FieldOffset
 from fiberloom.sky.pointed import offset_report, plate_um_arcsec
 from fiberloom.targets import read_targets
@@ -264,3 +267,19 @@ def test_without_a_correction_nothing_is_applied(fl, tmp_path):
     # a telescope that points as it should
     assert told[0]["truth"]["offset_x_um"] == 0.0
     assert abs(told[0]["offset_x_um"]) < 5 * told[0]["offset_error_um"]
+
+
+def test_goals_that_have_moved_get_a_correction_however_good_the_blind_move_was():
+    loop = Loop.__new__(Loop)
+    loop.settings = LoopSettings(stop=StopRule("percentile", 90.0, 5.0))
+    made = []
+
+    async def correct(_, label):
+        made.append(label)
+
+    loop.correct, loop._open_um = correct, lambda: np.zeros(0)
+    assert loop.settings.stop.satisfied(np.zeros(0))
+    asyncio.run(loop._corrected(None, 3, moved=True))
+    assert made == ["correction 1"]
+    asyncio.run(loop._corrected(None, 3, moved=False))
+    assert made == ["correction 1"]
