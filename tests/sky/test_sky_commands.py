@@ -1,7 +1,9 @@
 """`fiberloom sky`, and lists on the sky in `assign` and `observe`: from RA and Dec to light in the fibre."""
 
+import contextlib
 import csv
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -216,13 +218,32 @@ def test_fibres_follow_their_targets_through_a_series(fl, night, tmp_path):
 
 
 def test_a_run_on_the_sky_is_shown_again(fl, night, tmp_path):
+    """Also where each fibre looked, as it was written by the run itself."""
     stars, field, _ = night("sdssv")
     words = ["--field", field, "--positioners", 7, "--camera", "noise", "--out", tmp_path / "out"]
     assert fl("observe", stars, *words, "--exposures", 2)[0] == 0
-    kept = {name: (tmp_path / "out" / name).read_bytes() for name in ("summary.json", "fibres.ecsv")}
-    assert fl("show", 1, tmp_path / "out", "--out", tmp_path / "again")[0] == 0
+    names = ("summary.json", "fibres.ecsv", "fibermap.fits", "confSummaryF.par")
+    kept = {name: (tmp_path / "out" / name).read_bytes() for name in names}
+    code, said, _ = fl("show", 1, tmp_path / "out", "--out", tmp_path / "again")
+    assert code == 0
     for name, content in kept.items():
         assert (tmp_path / "again" / name).read_bytes() == content
+    table = Table.read(tmp_path / "out" / "fibermap.fits")
+    when, n = table.meta["MIDUTC"], len(table)
+    assert f"RA and Dec under {n} fibres, ICRS at {when} UTC: fibermap.fits and confSummaryF.par" in said
+    (tmp_path / "again" / "fibermap.fits").unlink()
+    _without_directions(tmp_path / "out" / "store.sqlite")
+    code, said, _ = fl("show", 1, tmp_path / "out", "--out", tmp_path / "again")
+    assert code == 0
+    assert "not made: fibermap.fits (the run did not come to its end, or is of a version" in said
+    assert not (tmp_path / "again" / "fibermap.fits").exists()
+
+
+def _without_directions(store):
+    """As a version before kept it."""
+    with contextlib.closing(sqlite3.connect(store)) as connection:
+        assert connection.execute("DELETE FROM parts WHERE name = 'fibermap'").rowcount == 1
+        connection.commit()
 
 
 def test_a_series_needs_the_sky(fl, night, tmp_path):

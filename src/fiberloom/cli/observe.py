@@ -333,7 +333,10 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         console.print(f"flagged {kind}: {', '.join(map(str, positioners))}", style="red")
     for line in shortfall(summary, required):
         console.print(line, style="red")
-    say(console, f"results in {summary['folder']}/: summary.json, fibres.ecsv, trajectories.json, *.png")
+    files = "summary.json, fibres.ecsv, trajectories.json, *.png"
+    if "sky" in summary:
+        files += ", fibermap.fits (RA and Dec under each fibre)"
+    say(console, f"results in {summary['folder']}/: {files}")
 
 
 def say(console: Console, line: str) -> None:

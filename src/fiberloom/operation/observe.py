@@ -20,7 +20,7 @@ from fiberloom.operation.exposures import ExposureLog
 from fiberloom.operation.known import Known, Learning
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion, MotionMaker, reported_deg
-from fiberloom.operation.past.parts import record_begin, record_end
+from fiberloom.operation.past.parts import record_begin, record_end, record_fibermap
 from fiberloom.operation.recording import StoreRecorder
 from fiberloom.operation.reference.referencing import reference
 from fiberloom.operation.results import Observation, metrology_goals_mm
@@ -241,6 +241,7 @@ class Observer:
                 }
                 self.last = Observation(kept, targets, assignment, **figures)
                 await beside(_record_end, run, figures, log)
+            await beside(record_fibermap, run, self.last)
             await beside(self.keep, self.last)
         return self.last
 

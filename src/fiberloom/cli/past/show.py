@@ -43,6 +43,7 @@ def show(options: ShowOptions) -> None:
         made = rebuild(store, options.run, options.out)
     if options.as_json:
         report = {"status": made.run.status, "folder": str(made.folder), "not_rebuilt": made.left_out}
+        report |= {"where_fibres_looked": made.where_fibres_looked}
         options.print_json(made.summary | report)
     else:
         _print(made)
@@ -58,5 +59,7 @@ def _print(made: Rebuilt) -> None:
     console.print(f"run {run.id}, {run.status}, begun {run.utc_start:%Y-%m-%d %H:%M:%S} UTC")
     say(console, f"`{run.command_line}`" + (f"; {run.note}" if run.note else ""))
     print_observation(made.summary | {"folder": str(made.folder)})
+    if made.where_fibres_looked:
+        say(console, made.where_fibres_looked)
     for name, why in made.left_out.items():
         say(console, f"not made: {name} ({why})")

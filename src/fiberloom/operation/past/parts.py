@@ -8,12 +8,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from astropy.table import Table
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.axis import Ranges
 from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.operation.move import Move
+from fiberloom.operation.results.fibermap import FibreMap
+from fiberloom.operation.results.observed import ObservedField
 from fiberloom.planning import Approach, Plan, Trajectory
 from fiberloom.planning.trajectories import KEYS
 from fiberloom.sky.guiding import FieldOffset
@@ -23,6 +26,7 @@ from fiberloom.targets import TargetList
 from fiberloom.typing import Array
 
 LAYOUT, TARGETS, ASSIGNMENT, ABOUT = "layout", "targets", "assignment", "about"
+FIBERMAP = "fibermap"
 """Names of parts of a whole run."""
 
 PLACES = (
@@ -71,6 +75,22 @@ def record_end(run: Run, **figures: Any) -> None:
     `stopped`, `wall_s`, and `exposures`, whether there are any.
     """
     run.record_part(ABOUT, pack(figures))
+
+
+def record_fibermap(run: Run, observed: ObservedField) -> None:
+    """Writes where every fibre looked, RA and Dec among it, of a list on the sky whose fibres have moved."""
+    if observed.targets.on_sky is None or not observed.moves:
+        return
+    made = FibreMap.of(observed)
+    head = {"meta": dict(made.table.meta), "confsummary": made.confsummary}
+    run.record_part(
+        FIBERMAP, pack(head, {name: np.asarray(made.table[name]) for name in made.table.colnames})
+    )
+
+
+def fibermap_of(part: RunPart) -> FibreMap:
+    """Where every fibre looked, of a part."""
+    return FibreMap(Table(part.arrays, meta=part.head["meta"]), part.head["confsummary"])
 
 
 def _arrays(of: object, names: Any) -> dict[str, Array]:

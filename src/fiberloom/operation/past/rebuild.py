@@ -18,16 +18,19 @@ from fiberloom.operation.move import Move
 from fiberloom.operation.past.parts import (
     ABOUT,
     ASSIGNMENT,
+    FIBERMAP,
     LAYOUT,
     PLACES,
     TARGETS,
     assignment_of,
+    fibermap_of,
     plan_of,
     plane_of,
     pointed_of,
     targets_of,
 )
 from fiberloom.operation.results import Observation
+from fiberloom.operation.results.fibermap import FIBERMAP as FITS
 from fiberloom.report.folder import prepare_folder, set_aside
 from fiberloom.store import RunInfo, Store
 from fiberloom.store.database import Columns
@@ -35,6 +38,7 @@ from fiberloom.store.parts import RunPart
 from fiberloom.store.place import BESIDE
 from fiberloom.store.run import FINISHED
 
+NO_DIRECTIONS = "the run did not come to its end, or is of a version that did not keep where fibres looked"
 NO_IMAGES = "they are made of camera images, which the store does not keep"
 
 
@@ -47,6 +51,8 @@ class Rebuilt:
     summary: dict[str, Any]
     left_out: dict[str, str] = field(default_factory=dict)
     """What could not be made, and why."""
+    where_fibres_looked: str = ""
+    """In which files RA and Dec under each fibre are; empty: a list in mm."""
 
 
 def rebuild(store: Store, run_id: int, out: Path | None = None) -> Rebuilt:
@@ -82,7 +88,21 @@ def rebuild(store: Store, run_id: int, out: Path | None = None) -> Rebuilt:
     left_out = {f"{FOLDER}/": NO_IMAGES + _where(store, info)} if exposures else {}
     if (folder / FOLDER).exists():
         left_out = {}
-    return Rebuilt(info, folder, seen.summary(), left_out)
+    looked = _write_where(store, run_id, folder)
+    if not looked and "sky" in seen.about:
+        left_out[FITS] = NO_DIRECTIONS
+    return Rebuilt(info, folder, seen.summary(), left_out, looked)
+
+
+def _write_where(store: Store, run_id: int, folder: Path) -> str:
+    """Writes where every fibre looked; in which files, in words."""
+    part = store.parts(run_id)[0].get(FIBERMAP)
+    if part is None:
+        return ""
+    found = fibermap_of(part)
+    files = " and ".join(found.write(folder))
+    n = int(np.isfinite(np.asarray(found.table["FIBRE_RA"])).sum())
+    return f"RA and Dec under {n} fibres, ICRS at {found.table.meta['MIDUTC']} UTC: {files}"
 
 
 def _where(store: Store, info: RunInfo) -> str:

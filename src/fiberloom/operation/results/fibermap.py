@@ -9,6 +9,7 @@ What guide stars have told of the telescope is taken off before.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,15 +143,35 @@ def _pointed(move: Move) -> dict[str, float]:
     return {"GUIDEX": x_mm, "GUIDEY": y_mm, "GUIDEROT": off.rotation_deg, "GUIDESC": off.scale}
 
 
+@dataclass(frozen=True, eq=False)
+class FibreMap:
+    """What pipelines downstream get of an observation."""
+
+    table: Table
+    """As of `fibermap`."""
+    confsummary: str
+    """Text of a confSummaryF; empty: not of SDSS-V."""
+
+    @classmethod
+    def of(cls, observed: ObservedField) -> FibreMap:
+        """Of an observation of a list on the sky, with at least one move."""
+        table = fibermap(observed)
+        theirs = observed.plane.instrument.name == "sdssv"
+        return cls(table, confsummary(observed, table) if theirs else "")
+
+    def write(self, folder: Path) -> list[str]:
+        """Writes `fibermap.fits`, and for SDSS-V `confSummaryF.par`, into a folder; their names."""
+        with whole(folder / FIBERMAP) as path:
+            self.table.write(path, format="fits", overwrite=True)
+        if not self.confsummary:
+            return [FIBERMAP]
+        write_whole(folder / CONFSUMMARY, self.confsummary)
+        return [FIBERMAP, CONFSUMMARY]
+
+
 def write_fibermap(observed: ObservedField, folder: Path) -> list[str]:
-    """Writes `fibermap.fits`, and for SDSS-V `confSummaryF.par`, into a folder; the names of the files."""
-    table = fibermap(observed)
-    with whole(folder / FIBERMAP) as path:
-        table.write(path, format="fits", overwrite=True)
-    if observed.plane.instrument.name != "sdssv":
-        return [FIBERMAP]
-    write_whole(folder / CONFSUMMARY, confsummary(observed, table))
-    return [FIBERMAP, CONFSUMMARY]
+    """Writes the files of `FibreMap` into a folder; their names."""
+    return FibreMap.of(observed).write(folder)
 
 
 _COLUMNS = {
