@@ -8,6 +8,7 @@ import pytest
 from astropy.table import Table
 
 from fiberloom.assignment import assign
+from fiberloom.connect import open_hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.move import Goals
@@ -190,7 +191,6 @@ def test_the_twin_s_telescope_is_off_by_what_is_told(field):
 def observed(tmp_path_factory):
     """A telescope that points off, and guide stars of the list, of which one is out of the field."""
     import fiberloom as fl
-    from fiberloom.connect import open_hardware
     from fiberloom.operation.results.fibermap import write_fibermap
 
     folder = tmp_path_factory.mktemp("observed")
@@ -283,3 +283,21 @@ def test_goals_that_have_moved_get_a_correction_however_good_the_blind_move_was(
     assert made == ["correction 1"]
     asyncio.run(loop._corrected(None, 3, moved=False))
     assert made == ["correction 1"]
+
+
+def test_an_observatory_gives_its_own_guider():
+    """To an array outside of this process; the array itself stays as it was."""
+    plane = FocalPlane.of("sdssv", seed=0, n=7)
+    for bus in ("cannet://127.0.0.1", "fpga://127.0.0.1"):
+        array = open_hardware(plane, bus, Camera())
+        mine = Seen(OFF)
+        assert array.guided_by(mine).guider is mine
+        assert array.guider is None
+        assert array.guided_by(mine).named() == array.named()
+
+
+class Camera:
+    """Sees nothing."""
+
+    def measure(self, expected_mm):
+        raise NotImplementedError

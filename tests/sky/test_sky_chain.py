@@ -366,3 +366,10 @@ def test_a_year_of_unknown_leap_seconds_is_no_warning():
 def test_a_time_that_is_none(time, words):
     with pytest.raises(InputError, match=words):
         SkyTime.of(time, "utc")
+
+
+def test_names_of_the_package():
+    from fiberloom.sky import Pointing, Site
+
+    assert Pointing is SkyPointing
+    assert Site is SkySite

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.pfs.streams import over_tcp, tcp_address
 from fiberloom.drive.piezo import MotorMaps, read_summary_maps
 from fiberloom.errors import InputError
-from fiberloom.hardware import Hardware
+from fiberloom.hardware import Guider, Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
 from fiberloom.operation.safety.stop import to_its_end
@@ -104,6 +105,14 @@ class OutsideArray:
     camera: Camera
     camera_name: str
     """Its address, where it has one."""
+    guider: Guider | None = None
+    """What looks at guide stars; set by `guided_by`."""
+
+    def guided_by(self, guider: Guider) -> Self:
+        """The same array on a telescope whose guide cameras are asked by `guider`."""
+        made = copy.copy(self)
+        object.__setattr__(made, "guider", guider)  # of frozen ones too
+        return made
 
     @property
     def bus_name(self) -> str:
@@ -172,7 +181,7 @@ class OpenedArray(_OnBus):
 
     async def open(self) -> Hardware:
         """Opens the bus, unless the caller has opened it."""
-        return Hardware(await self._opened(), self.camera)
+        return Hardware(await self._opened(), self.camera, guider=self.guider)
 
     def know(self, file: Path) -> None:
         """No array outside has such motors yet: InputError for any `file`."""
@@ -213,7 +222,8 @@ class OpenedDesi(_OnBus):
         maps = self._maps()
         drive = DesiDrive(self.plane, await self._opened(whose=positioner_of), maps)
         drive.kept = self.kept_file
-        return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
+        vouched = np.ones(len(self.plane), dtype=bool)
+        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
 
     def _maps(self) -> LearnedMaps | None:
         """As learnt so far; None: nothing, also where a file is to be kept that is not there yet."""
@@ -248,7 +258,8 @@ class OpenedCobras(OutsideArray):
             await to_its_end(drive.stop())
             await drive.close()
             raise
-        return Hardware(None, self.camera, vouched=np.ones(len(self.plane), dtype=bool), drive=drive)
+        vouched = np.ones(len(self.plane), dtype=bool)
+        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
 
     def know(self, file: Path) -> None:
         """The motors are those of a summary of motor maps, in `file`."""

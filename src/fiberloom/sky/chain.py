@@ -60,6 +60,10 @@ class SkyPointing:
         return replace(self, time=time)
 
 
+Pointing = SkyPointing
+"""Within `fiberloom.sky`; elsewhere a pointing is that of the tilted focal plane."""
+
+
 @dataclass(frozen=True, eq=False)
 class SkyPlaces:
     """Where n targets are seen; arrays (n,) or (n, 2)."""

@@ -60,6 +60,10 @@ class SkySite:
         return self.latitude_deg * RAD_PER_DEG
 
 
+Site = SkySite
+"""Within `fiberloom.sky`; elsewhere a site is a file that says how an array is reached."""
+
+
 @dataclass(frozen=True)
 class Weather:
     """Air at the telescope, as refraction takes it."""
