@@ -10,6 +10,7 @@ import pytest
 from astropy.table import Table
 
 from fiberloom.instruments import load_instrument
+from fiberloom.sky import SkyTargets
 from fiberloom.sky.sky_field import SkyField
 
 HEAD = "source_id,ra,dec,pmra,pmdec,ref_epoch,fibre,priority"
@@ -74,6 +75,19 @@ def test_a_target_for_any_fibre_has_a_row_for_each(fl, night, tmp_path):
     assert len(rows) == 80
     assert rows[0]["positioner_id"] == ""
     assert rows[0]["x_mm"] != rows[1]["x_mm"]
+
+
+def test_a_guide_star_has_one_place_at_the_guide_wavelength(fl, night, tmp_path):
+    stars, field, _ = night("sdssv")
+    with stars.open("a") as file:
+        file.write("g,213.9,53.2,,,,guide,\n")
+    out = tmp_path / "places.csv"
+    assert fl("sky", "place", stars, "--field", field, "--out", out)[0] == 0
+    (mine,) = (row for row in rows_of(out) if row["target_id"] == "g")
+    assert mine["fibre"] == "guide"
+    chain = SkyField.read(field).chain(load_instrument("sdssv"))
+    place_mm = chain.place(SkyTargets.at(213.9, 53.2), "metrology").xy_mm[0]
+    assert [float(mine["x_mm"]), float(mine["y_mm"])] == pytest.approx(place_mm, abs=1e-8)
 
 
 def test_places_lead_back_to_the_sky(fl, night, tmp_path):

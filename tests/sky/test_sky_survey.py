@@ -121,3 +121,17 @@ def test_completeness_counts_science_targets_by_priority():
     rows = completeness(survey, np.array([1, 1, 1, 5]))
     assert rows[0] == {"priority": 2.0, "targets": 2, "complete": 1, "visits_wanted": 3, "visits_done": 2}
     assert rows[1] == {"priority": 1.0, "targets": 1, "complete": 1, "visits_wanted": 1, "visits_done": 1}
+
+
+def test_guide_stars_are_in_the_list_of_every_exposure_that_sees_them(fl, survey, tmp_path):
+    file = survey()
+    with (tmp_path / "stars.csv").open("a") as stars:
+        stars.write("g1,213.7,54.1,0,1,guide\ng2,213.7,60.0,0,1,guide\n")
+    assert run(fl, file, tmp_path / "out")[0] == 0
+    from fiberloom.targets import read_targets
+
+    for number in (1, 2):
+        field = tmp_path / "out" / f"field-{number:02d}.toml"
+        listed = read_targets(tmp_path / "out" / f"exposure-{number:02d}.csv", field)
+        assert listed.on_sky.guides.target_id.tolist() == ["g1"]
+        assert "g1" not in listed.target_id

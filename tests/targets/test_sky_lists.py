@@ -201,3 +201,24 @@ def test_the_weather_counts(tmp_path, field):
     air = "weather = { pressure_hPa = 700.0, temperature_C = -5.0, humidity = 0.1 }\n"
     cold = read_targets(path, write(tmp_path / "cold.toml", FIELD + air))
     assert np.abs(cold.xy_mm - read_targets(path, field).xy_mm).max() > 1e-5
+
+
+@pytest.mark.parametrize("column", ["fibre", "role"])
+def test_guide_stars_stand_beside_the_targets(tmp_path, field, column):
+    rows = ["a,213.7,53.1,", "g1,214.9,53.1,guide", "b,213.7,53.0,", "g2,213.7,59.0,guide"]
+    (tmp_path / "stars.csv").write_text(f"target_id,ra,dec,{column}\n" + "\n".join(rows) + "\n")
+    found = read_targets(tmp_path / "stars.csv", field)
+    assert found.target_id.tolist() == ["a", "b"]
+    # one that is far outside is no error: it is not seen
+    assert found.on_sky.guides.target_id.tolist() == ["g1", "g2"]
+    chain = found.on_sky.chain
+    assert chain.place(found.on_sky.guides).xy_mm == pytest.approx(
+        chain.place(found.on_sky.guides, "metrology").xy_mm
+    )
+    assert found.select(np.array([True, False])).on_sky.guides is not None
+
+
+def test_a_list_of_guide_stars_alone(tmp_path, field):
+    (tmp_path / "stars.csv").write_text("target_id,ra,dec,role\na,213.7,53.1,guide\n")
+    with pytest.raises(InputError, match=r"stars\.csv: all 1 rows are guide stars; name targets too"):
+        read_targets(tmp_path / "stars.csv", field)
