@@ -21,7 +21,6 @@ import numpy as np
 
 from fiberloom.calibration.fibres.guider import guided
 from fiberloom.instruments.pointing import STANDARD_GRAVITY_M_S2, ExposurePointing
-from fiberloom.sky.guiding import GuideFit
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
@@ -95,11 +94,14 @@ def _expected_sag_um(observed: ObservedField) -> float | None:
 
 
 def _expected_guiding_um(observed: ObservedField, move: Move, rows: Flags) -> float | None:
-    """By the covariance of the last fit of guide stars."""
-    if not isinstance(move.pointed, GuideFit):
+    """By the errors of the last fit of guide stars."""
+    told = [one for one in observed.about.get("guiding", []) if one["applied"]]
+    if move.pointed is None or not told or not rows.any():
         return None
-    radius_mm = np.hypot(*observed.target_mm(move)[rows].T)
-    return float(np.sqrt(2.0 * (move.pointed.error_um(radius_mm) ** 2).mean())) if len(radius_mm) else None
+    turn = np.radians(told[-1]["rotation_error_arcsec"] / 3600.0)
+    square = 0.5 * (turn**2 + (1e-6 * told[-1]["scale_error_ppm"]) ** 2)
+    radius_um = UM_PER_MM * np.hypot(*observed.target_mm(move)[rows].T)
+    return float(np.sqrt(2.0 * (told[-1]["offset_error_um"] ** 2 + square * (radius_um**2).mean())))
 
 
 def _rms_um(apart_mm: Floats) -> float | None:

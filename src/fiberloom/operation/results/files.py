@@ -53,6 +53,7 @@ def _fibres_of(observed: ObservedField, move: Move) -> Table:
             **_pair("metrology_goal", goal),
             **_pair("measured", np.where(seen[:, None], move.measurement.xy_mm, np.nan)),
             **_pair("true", nothing if true is None else true),
+            **(_pair("star", observed.star_mm(move)) if _has_stars(observed) else {}),
             "measured_error_um": move.measured_error_um,
             "true_error_um": nothing[:, 0] if true_um is None else true_um,
             "error_um": observed.error_um(move),
@@ -61,6 +62,11 @@ def _fibres_of(observed: ObservedField, move: Move) -> Table:
             "flags": flags_of(observed, move),
         }
     )
+
+
+def _has_stars(observed: ObservedField) -> bool:
+    """Whether a twin knows its stars to be elsewhere than they are taken to be."""
+    return any(move.star_mm is not None for move in observed.moves)
 
 
 def _pair(name: str, xy_mm: Floats) -> dict[str, Floats]:
