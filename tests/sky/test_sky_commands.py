@@ -16,8 +16,8 @@ from fiberloom.sky.sky_field import SkyField
 HEAD = "source_id,ra,dec,pmra,pmdec,ref_epoch,fibre,priority"
 FIELDS = {
     "sdssv": ("213.7042", "53.08333", "20.0", "2024-04-26T06:00:00", 0.03, 7),
-    "desi": ("150.0", "20.0", "0.0", "2025-03-20T06:30:00", 0.09, 19),
-    "pfs": ("150.0", "2.0", "-90.0", "2025-03-20T09:30:00", 0.05, 19),
+    "desi": ("150.0", "20.0", "0.0", "2025-03-20T06:30:00", 0.08, 13),
+    "pfs": ("150.0", "2.0", "-90.0", "2025-03-20T09:30:00", 0.04, 13),
 }
 """RA, Dec, position angle, time, radius of the targets in deg, positioners."""
 
@@ -196,6 +196,8 @@ def test_stars_are_observed_on_the_twin(fl, night, tmp_path, name):
     scale = {"sdssv": 61.0, "desi": 67.5, "pfs": 89.0}[name]
     assert arcsec * scale == pytest.approx(error_um, rel=0.05, abs=0.1)
     assert np.median(error_um) < 5.0
+    assert (out / "fibermap.fits").exists()
+    assert (out / "confSummaryF.par").exists() == (name == "sdssv")
 
 
 def test_fibres_follow_their_targets_through_a_series(fl, night, tmp_path):
@@ -391,14 +393,6 @@ def test_a_confsummary_of_ours_is_read_as_one_of_theirs(exported, fl, tmp_path):
         assert row["fibre"] == seen.assignment.fibre[k]
         # the TAI of the file in one number is good to 40 us
         assert [float(row["x_mm"]), float(row["y_mm"])] == pytest.approx(there, abs=1e-6)
-
-
-def test_observe_writes_the_fibre_map(fl, night, tmp_path):
-    stars, field, _ = night("pfs")
-    words = ["--field", field, "--instrument", "pfs", "--positioners", 7, "--camera", "noise", "--require", 0]
-    assert fl("observe", stars, *words, "--out", tmp_path / "out")[0] == 0
-    assert (tmp_path / "out" / "fibermap.fits").exists()
-    assert not (tmp_path / "out" / "confSummaryF.par").exists()
 
 
 @pytest.mark.parametrize("name", ["sdssv", "desi", "pfs"])
