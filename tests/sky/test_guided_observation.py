@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,7 +136,6 @@ def test_without_stars_or_a_guider_there_is_no_guiding(field):
     plane, targets, assignment = field
     assert Guiding.of(None, targets.on_sky, plane, assignment) is None
     assert Guiding.of(Seen(OFF), None, plane, assignment) is None
-    from dataclasses import replace
 
     alone = replace(targets.on_sky, guides=None)
     assert Guiding.of(Seen(OFF), alone, plane, assignment) is None
@@ -301,3 +301,39 @@ class Camera:
 
     def measure(self, expected_mm):
         raise NotImplementedError
+
+
+def test_a_target_that_goes_out_of_reach_is_followed_to_the_end_of_the_arms(field):
+    plane, _, assignment = field
+    from fiberloom.operation.series.follow import followed
+
+    row = int(np.flatnonzero(assignment.target >= 0)[0])
+    fibre = str(assignment.fibre[row])
+
+    def at(angles_deg):
+        return plane.forward(*np.tile(angles_deg, (plane.n, 1)).T, fibre)[row]
+
+    here_mm = at(assignment.goal_deg[row])
+    out = here_mm - plane.centres_mm[row]
+    shift_mm = np.zeros((plane.n, 2))
+    shift_mm[row] = 30.0 * out / np.hypot(*out)
+    found = followed(plane, assignment, shift_mm)
+    there_mm = at(found.angles_deg[row])
+    assert there_mm + found.short_mm[row] == pytest.approx(here_mm + shift_mm[row], abs=1e-9)
+    # stretched, on the line to the target
+    reach_mm = plane.l_alpha_mm[row] + np.hypot(*plane.points[fibre][row])
+    assert np.hypot(*(there_mm - plane.centres_mm[row])) == pytest.approx(reach_mm, abs=1e-4)
+    others = np.arange(plane.n) != row
+    assert (found.short_mm[others] == 0.0).all()
+    assert found.angles_deg[others] == pytest.approx(assignment.goal_deg[others], abs=1e-9)
+
+
+def test_the_loop_does_not_wait_for_what_is_out_of_reach():
+    loop = Loop.__new__(Loop)
+    plane = FocalPlane.of("sdssv", seed=0, n=7)
+    loop.plane, short_mm = plane, np.zeros((7, 2))
+    loop.goals = Goals.without_targets(plane, plane.park_deg)
+    assert not loop._out_of_reach.any()
+    short_mm[3] = [0.05, 0.0]
+    loop.goals = replace(loop.goals, short_mm=short_mm)
+    assert np.flatnonzero(loop._out_of_reach).tolist() == [3]

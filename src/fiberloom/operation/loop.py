@@ -124,7 +124,8 @@ class Loop:
 
     async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
         """Moves the fibres to where their targets have gone before exposure `number`."""
-        goals = replace(self.goals, angles_deg=step.angles_deg, target_mm=step.target_mm)
+        there = {"angles_deg": step.angles_deg, "short_mm": step.short_mm, "target_mm": step.target_mm}
+        goals = replace(self.goals, **there)
         await self._guided(corrections, goals, number)
         self._arrived[:] = False
         await self.correct(corrections, step.label)
@@ -158,7 +159,7 @@ class Loop:
         """Corrects those that are not as near as the step asks for, so many times at most as a field is."""
         for done in range(self.settings.moves):
             self._arrived = ~(self.moves[-1].measured_error_um > step.limit_um)
-            if not (self.correctable & ~self._arrived).any():
+            if not (self.correctable & ~self._arrived & ~self._out_of_reach).any():
                 break
             await self.correct(corrections, f"correction {1 + done}")
         self.placed.append(self.moves[-1])
@@ -182,7 +183,15 @@ class Loop:
         that the stop rule moves again."""
         error_um = self.moves[-1].measured_error_um
         self._arrived |= self.settings.stop.arrived(error_um)
-        return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived]
+        return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived & ~self._out_of_reach]
+
+    @property
+    def _out_of_reach(self) -> Flags:
+        """(N,) whose targets have gone out of reach: no correction brings them there."""
+        short_mm = self.goals.short_mm
+        if short_mm is None:
+            return np.zeros(len(self.plane), dtype=bool)
+        return np.asarray((short_mm != 0.0).any(axis=1))
 
     def _why_stopped(self) -> str:
         stop, open_um = self.settings.stop, self._open_um()
@@ -218,7 +227,8 @@ class Loop:
         self._tell_noise(corrections)
         goal_deg = whole_steps(here_deg, wanted_deg, np.array(self.motion.drive.model.step_deg))
         goal_deg = np.where((self._arrived | corrections.rests)[:, None], here_deg, goal_deg)
-        self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm.copy())
+        short_mm = 0.0 if self.goals.short_mm is None else self.goals.short_mm
+        self.goals = replace(self.goals, metrology_mm=corrections.metrology_goal_mm + short_mm)
         await self._small_move(self.moves[-1].number + 1, label, goal_deg)
 
     def _tell_noise(self, corrections: Corrections) -> None:

@@ -35,6 +35,8 @@ class Goals:
     images have told; None: where it is at these angles."""
     target_mm: Floats | None = None
     """(N, 2) where the targets have gone, as far as is known; None: as in the list."""
+    short_mm: Floats | None = None
+    """(N, 2) from the fibres at these angles to targets that have gone out of reach; None: none has."""
     star_mm: Floats | None = None
     """(N, 2) where they are in truth, of a twin whose telescope points off; None: there."""
     pointed: FieldOffset | None = None

@@ -200,7 +200,10 @@ def guide_line(guided: Mapping[str, Any]) -> str:
     named = f" (not seen: {_names(lost)})" if lost else ""
     seen = f"guiding, exposure {guided['exposure']}: {guided['seen']} of {guided['stars']} stars seen{named}"
     found = "" if "chi2" not in guided else f"; {_fit_line(guided)}"
-    return f"{seen}{found}" + (f"; not applied: {guided['why_not']}" if guided["why_not"] else "; applied")
+    short = guided.get("out_of_reach", [])
+    left = f"; out of reach now: the targets of {_names([str(k) for k in short])}" if short else ""
+    how = f"not applied: {guided['why_not']}" if guided["why_not"] else "applied"
+    return f"{seen}{found}; {how}{left}"
 
 
 def _fit_line(guided: Mapping[str, Any]) -> str:

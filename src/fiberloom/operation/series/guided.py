@@ -16,7 +16,7 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Guider
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Goals
-from fiberloom.operation.series.steps import followed
+from fiberloom.operation.series.follow import followed
 from fiberloom.report.tables import guide_line
 from fiberloom.sky.chain import Chain
 from fiberloom.sky.guiding import FieldOffset, GuideFit, fit_guiding
@@ -53,6 +53,8 @@ class Guided:
     """Why nothing is applied; empty: the fit is."""
     truth: FieldOffset | None = None
     """Of a twin."""
+    out_of_reach: tuple[int, ...] = ()
+    """Positioners whose targets are out of reach now."""
 
     @property
     def applied(self) -> GuideFit | None:
@@ -72,6 +74,8 @@ class Guided:
         told |= {"not_seen": names[~self.seen].tolist()}
         if self.fit is not None:
             told |= guide_report(self.chain, self.fit) | self._quality(self.fit)
+        if self.out_of_reach:
+            told["out_of_reach"] = list(self.out_of_reach)
         if self.truth is not None:
             told["truth"] = offset_report(self.chain, self.truth)
         return told
@@ -160,8 +164,11 @@ class Guiding:
         if (fit := found.applied) is None:
             return replace(goals, pointed=None)
         target_mm = fit.applied(self._places_mm(number))
-        angles_deg = followed(self.plane, self.assignment, target_mm - self._places_mm(0))
-        return replace(goals, angles_deg=angles_deg, target_mm=target_mm, pointed=fit)
+        reached = followed(self.plane, self.assignment, target_mm - self._places_mm(0))
+        short = (reached.short_mm != 0.0).any(axis=1)
+        self.found[number] = replace(found, out_of_reach=tuple(self.plane.positioner_id[short].tolist()))
+        aim = {"angles_deg": reached.angles_deg, "short_mm": reached.short_mm, "target_mm": target_mm}
+        return replace(goals, **aim, pointed=fit)
 
     def about(self) -> list[dict[str, Any]]:
         """For result files: each look."""

@@ -16,11 +16,12 @@ from fiberloom.assignment import Assignment
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
+from fiberloom.operation.series.follow import followed
 from fiberloom.sky.drift import drift
 from fiberloom.sky.on_sky import OnSky
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats
-from fiberloom.units import UM_PER_MM, wrap_deg
+from fiberloom.units import UM_PER_MM
 
 MOST_EXPOSURES = 200
 
@@ -34,6 +35,8 @@ class SeriesStep:
     """(N, 2) NaN without a target."""
     angles_deg: Floats
     """(N, 2) goals, alpha and beta."""
+    short_mm: Floats
+    """(N, 2) from the fibres there to the targets that they do not reach; 0 for the others."""
     limit_um: Floats
     """(N,) as measured: what the drift of the exposure leaves of the requirement."""
 
@@ -63,9 +66,10 @@ def steps_of(
     for number in range(exposures):
         after_s = number * sky.field.cadence_s
         there_mm = sky.places_mm(assignment.target, assignment.fibre, after_s)
-        angles_deg = followed(plane, assignment, there_mm - first_mm)
+        found = followed(plane, assignment, there_mm - first_mm)
         limit_um = _limit_um(plane, assignment, sky, after_s)
-        steps.append(SeriesStep(f"re-position {number}", there_mm, angles_deg, limit_um))
+        label = f"re-position {number}"
+        steps.append(SeriesStep(label, there_mm, found.angles_deg, found.short_mm, limit_um))
     return steps
 
 
@@ -78,22 +82,6 @@ def _limit_um(plane: FocalPlane, assignment: Assignment, sky: OnSky, after_s: fl
     requirement_um = plane.instrument.operation.requirement_um
     left_um = requirement_um - drift_um - 2.0 * plane.instrument.metrology.noise_rms_um
     return np.maximum(left_um, requirement_um / 3.0)
-
-
-def followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
-    """(N, 2) goals in deg whose fibres are shifted by (N, 2) mm; as before where that is out of reach.
-
-    `plane`: of N positioners; `assignment`: the goals before.
-    """
-    goal_deg = assignment.goal_deg.copy()
-    for fibre in np.unique(assignment.fibre[assignment.target >= 0]).tolist():
-        rows = np.flatnonzero((assignment.target >= 0) & (assignment.fibre == fibre))
-        before_deg = goal_deg[rows]
-        xy_mm = plane.forward(before_deg[:, 0], before_deg[:, 1], fibre, index=rows) + shift_mm[rows]
-        found = plane.inverse(xy_mm, fibre, rows, near_deg=before_deg)
-        turned_deg = wrap_deg(np.column_stack([found.alpha_deg, found.beta_deg]) - before_deg)
-        goal_deg[rows] += np.where(found.reachable[:, None], turned_deg, 0.0)
-    return goal_deg
 
 
 def series_about(
