@@ -23,6 +23,7 @@ from fiberloom.cli.calibrate.identification import arms, coast, friction, inerti
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
+from fiberloom.cli.design.check import check
 from fiberloom.cli.design.coverage import coverage
 from fiberloom.cli.design.gear import gear, spring
 from fiberloom.cli.design.throughput import throughput
@@ -101,6 +102,7 @@ add(sky, guide)
 add(sky, survey)
 
 app.add_typer(design, name="design")
+add(design, check)
 add(design, coverage)
 add(design, gear)
 add(design, spring)
