@@ -25,6 +25,7 @@ from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
 from fiberloom.cli.design.check import check
 from fiberloom.cli.design.coverage import coverage
+from fiberloom.cli.design.efficiency import efficiency
 from fiberloom.cli.design.gear import gear, spring
 from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
@@ -104,6 +105,7 @@ add(sky, survey)
 app.add_typer(design, name="design")
 add(design, check)
 add(design, coverage)
+add(design, efficiency)
 add(design, gear)
 add(design, spring)
 add(design, throughput)

@@ -29,7 +29,7 @@ TRIED_DEG = 10.0
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """One thing that a design does not keep, or that is worth knowing."""
 
     about: str
@@ -45,7 +45,7 @@ class Finding:
         return f"{'wrong' if self.wrong else 'note'}: {self.about}: {self.says}{helps}"
 
 
-def check(instrument: Instrument, seed: int = 0, within_s: float | None = None) -> list[Finding]:
+def check(instrument: Instrument, seed: int = 0, within_s: float | None = None) -> list[CheckFinding]:
     """All findings on an `instrument`, what is wrong first; units drawn by `seed`.
 
     `within_s`: time in s in which either axis must make its whole range; None: not asked for.
@@ -58,32 +58,32 @@ def check(instrument: Instrument, seed: int = 0, within_s: float | None = None) 
     if within_s is not None and not within_s > 0.0:
         raise InputError(f"--within {within_s:g}: a time above 0 s")
     plane = generate(instrument, seed)
-    found: list[Finding] = []
+    found: list[CheckFinding] = []
     for about, look in _LOOKS:
         found += _found(about, look, plane, within_s)
     return sorted(found, key=lambda one: not one.wrong)
 
 
-_Look = Callable[[FocalPlane, float | None], Iterable[Finding]]
+_Look = Callable[[FocalPlane, float | None], Iterable[CheckFinding]]
 
 
-def _found(about: str, look: _Look, plane: FocalPlane, within_s: float | None) -> list[Finding]:
+def _found(about: str, look: _Look, plane: FocalPlane, within_s: float | None) -> list[CheckFinding]:
     """Of one look; what a tool refuses is a finding too."""
     try:
         return list(look(plane, within_s))
     except InputError as error:
-        return [Finding(about, True, str(error))]
+        return [CheckFinding(about, True, str(error))]
 
 
 # bodies
 
 
-def _bodies(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
+def _bodies(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
     """Capsules of the pitch's width, and parked arms that touch."""
     instrument = plane.instrument
     width_mm, pitch_mm = 2.0 * plane.collision_buffer_mm, instrument.layout.pitch_mm
     if width_mm >= pitch_mm:
-        yield Finding(
+        yield CheckFinding(
             "beta arm",
             True,
             f"its capsule is {width_mm:g} mm wide, the pitch is {pitch_mm:g} mm: nothing can move",
@@ -97,11 +97,11 @@ def _bodies(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
     yield from _shared_ground(instrument)
 
 
-def _parked(surroundings: Surroundings, overlaps: dict[tuple[int, int], float]) -> Finding:
+def _parked(surroundings: Surroundings, overlaps: dict[tuple[int, int], float]) -> CheckFinding:
     row, other = max(overlaps, key=lambda pair: overlaps[pair])
     plane = surroundings.plane
     park = ", ".join(f"{a:g}" for a in plane.instrument.positioner.park_deg)
-    return Finding(
+    return CheckFinding(
         "parking",
         True,
         f"{len(overlaps)} pairs touch at park_deg [{park}]: worst {surroundings.name(row)} and "
@@ -132,7 +132,7 @@ def _least_gap_mm(surroundings: Surroundings, angles_rad: Floats) -> float:
     return float(surroundings.gaps_of_pairs_mm(angles_rad)[2].min(initial=np.inf))
 
 
-def _shared_ground(instrument: Instrument) -> Iterator[Finding]:
+def _shared_ground(instrument: Instrument) -> Iterator[CheckFinding]:
     """Folded arms that turn freely need a circle of their own."""
     l_alpha_mm, bodies = instrument.positioner.l_alpha_mm, instrument.bodies
     fold = math.radians(instrument.positioner.park_deg[1])
@@ -141,7 +141,7 @@ def _shared_ground(instrument: Instrument) -> Iterator[Finding]:
     needed_mm = farthest_mm + bodies.collision_buffer_mm
     half_mm = 0.5 * instrument.layout.pitch_mm
     if needed_mm > half_mm:
-        yield Finding(
+        yield CheckFinding(
             "parking",
             False,
             f"a folded arm needs {needed_mm:.2f} mm around its centre to turn, half the pitch is {half_mm:g} "
@@ -153,7 +153,7 @@ def _shared_ground(instrument: Instrument) -> Iterator[Finding]:
 # coverage
 
 
-def _holes(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
+def _holes(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
     """Points that no fibre reaches, of every fibre that all positioners carry."""
     instrument = plane.instrument
     for fibre in instrument.science_fibres:
@@ -161,11 +161,11 @@ def _holes(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
             yield from _holes_of(Lattice.of(instrument, fibre), fibre, instrument.operation.requirement_um)
 
 
-def _holes_of(lattice: Lattice, fibre: str, requirement_um: float) -> Iterator[Finding]:
+def _holes_of(lattice: Lattice, fibre: str, requirement_um: float) -> Iterator[CheckFinding]:
     points = lattice.random_points_mm(POINTS, 0)
     free, limited = ((lattice.count(points, free=free) == 0).mean() for free in (True, False))
     if limited > max(2.0 * free, free + HOLES_SHARE):
-        yield Finding(
+        yield CheckFinding(
             "ranges",
             True,
             f"{limited:.2%} of the plane has no {fibre} fibre, {free:.2%} if both axes turned freely",
@@ -186,12 +186,12 @@ def _wider(lattice: Lattice) -> str:
     return " and ".join(words)
 
 
-def _hole(lattice: Lattice, fibre: str, share: float, requirement_um: float) -> Finding:
+def _hole(lattice: Lattice, fibre: str, share: float, requirement_um: float) -> CheckFinding:
     size_um = UM_PER_MM * float(lattice.gap_mm(lattice.symmetric_points_mm()).max())
     wrong = share > HOLES_SHARE
     small = "" if wrong else ", too small to count"
     fills = " or ".join(f"{f.length} of {f.to_mm:.4f}" for f in fillings(lattice))
-    return Finding(
+    return CheckFinding(
         "coverage",
         wrong,
         f"holes: a place is {size_um:.1f} um out of reach of every {fibre} fibre, {share:.2%} of the plane"
@@ -203,25 +203,25 @@ def _hole(lattice: Lattice, fibre: str, share: float, requirement_um: float) -> 
 # camera
 
 
-def _camera(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
+def _camera(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
     """Fibres that the image does not hold, and noise beyond the requirement."""
     instrument = plane.instrument
     if not instrument.metrology.present:
-        yield Finding("camera", False, "there is none: nothing is corrected")
+        yield CheckFinding("camera", False, "there is none: nothing is corrected")
         return
     yield from _noise(instrument)
     if instrument.camera is not None:
         yield from _view(plane)
 
 
-def _noise(instrument: Instrument) -> Iterator[Finding]:
+def _noise(instrument: Instrument) -> Iterator[CheckFinding]:
     noise_um, operation = instrument.metrology.noise_rms_um, instrument.operation
     moves = max(operation.corrections_max, 1) if operation.correction == "filtered" else 1
     least_um = noise_um / math.sqrt(operation.images_max * moves)  # the filter weighs all images
     if least_um > 0.5 * operation.requirement_um:
         images = math.ceil((noise_um / (0.46 * operation.requirement_um)) ** 2 / moves)
         beyond = math.exp(-((operation.requirement_um / least_um) ** 2))
-        yield Finding(
+        yield CheckFinding(
             "camera",
             beyond > 0.01,
             f"its noise alone leaves {least_um:.2f} um rms: {beyond:.1%} of the fibres beyond "
@@ -230,7 +230,7 @@ def _noise(instrument: Instrument) -> Iterator[Finding]:
         )
 
 
-def _view(plane: FocalPlane) -> Iterator[Finding]:
+def _view(plane: FocalPlane) -> Iterator[CheckFinding]:
     camera = plane.instrument.camera
     assert camera is not None
     reach_mm = plane.l_alpha_mm + plane.l_beta_mm
@@ -241,7 +241,7 @@ def _view(plane: FocalPlane) -> Iterator[Finding]:
         ("width_px", "height_px"), needed_mm, (camera.width_px, camera.height_px), strict=True
     ):
         if half_needed_mm > 0.5 * pixels * camera.scale_mm_px:
-            yield Finding(
+            yield CheckFinding(
                 "camera",
                 True,
                 f"{side} {pixels} at {camera.scale_mm_px:g} mm shows {0.5 * pixels * camera.scale_mm_px:.1f} "
@@ -251,7 +251,7 @@ def _view(plane: FocalPlane) -> Iterator[Finding]:
             )
     far_mm = float((np.linalg.norm(plane.centres_mm, axis=1) + reach_mm).max())
     if far_mm > camera.field_radius_mm:
-        yield Finding(
+        yield CheckFinding(
             "camera",
             True,
             f"camera.field_radius_mm {camera.field_radius_mm:g}: fibres go to {far_mm:.1f} mm, where terms "
@@ -263,19 +263,19 @@ def _view(plane: FocalPlane) -> Iterator[Finding]:
 # motors
 
 
-def _gears(plane: FocalPlane, within_s: float | None) -> Iterator[Finding]:
+def _gears(plane: FocalPlane, within_s: float | None) -> Iterator[CheckFinding]:
     """Ratios, steps and play against the requirement; speed against the time."""
     for axis in (0, 1):
         yield from _found(f"gear of {AXES[axis]}", _gear_of(axis), plane, within_s)
 
 
 def _gear_of(axis: int) -> _Look:
-    def look(plane: FocalPlane, within_s: float | None) -> Iterator[Finding]:
+    def look(plane: FocalPlane, within_s: float | None) -> Iterator[CheckFinding]:
         instrument = plane.instrument
         own = instrument.axes[axis]
         window = gear_window(instrument, axis)
         if own.kind == "bldc" and window.ratio < window.least:
-            yield Finding(
+            yield CheckFinding(
                 f"gear of {AXES[axis]}",
                 True,
                 f"ratio {window.ratio:g}: a motor that is off by 5 deg moves the fibre by "
@@ -284,7 +284,7 @@ def _gear_of(axis: int) -> _Look:
             )
         if 0.5 * window.step_um > window.requirement_um:
             most_deg = 2.0 * output_deg(window.requirement_um, window.lever_mm)
-            yield Finding(
+            yield CheckFinding(
                 f"gear of {AXES[axis]}",
                 True,
                 f"a step is {window.step_um:.1f} um at {window.lever_mm:.2f} mm: half of it is beyond the "
@@ -292,7 +292,7 @@ def _gear_of(axis: int) -> _Look:
                 f"steps of {most_deg:.4f} deg or less at the output",
             )
         if window.play_um > window.requirement_um and own.approach_deg == 0.0:
-            yield Finding(
+            yield CheckFinding(
                 f"gear of {AXES[axis]}",
                 True,
                 f"its play is {window.play_um:.1f} um and nothing closes it",
@@ -304,14 +304,14 @@ def _gear_of(axis: int) -> _Look:
     return look
 
 
-def _late(instrument: Instrument, axis: int, within_s: float, range_s: float) -> Finding:
+def _late(instrument: Instrument, axis: int, within_s: float, range_s: float) -> CheckFinding:
     own = instrument.axes[axis]
     way_deg = own.target_range_deg[1] - own.target_range_deg[0]
     gear_window(instrument, axis, within_s=within_s)  # refuses what the acceleration does not allow
     speed_deg_s = speed_for(way_deg, within_s, own.acceleration_deg_s2)
     assert speed_deg_s is not None
     ratio = own.gear * own.speed_deg_s / speed_deg_s
-    return Finding(
+    return CheckFinding(
         f"gear of {AXES[axis]}",
         True,
         f"{way_deg:g} deg take {range_s:.2f} s, {within_s:g} s are allowed",
@@ -320,12 +320,12 @@ def _late(instrument: Instrument, axis: int, within_s: float, range_s: float) ->
     )
 
 
-def _springs(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
+def _springs(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
     """Windows of the springs against backlash, where the twin knows the motors."""
     instrument = plane.instrument
     unknown = [AXES[k] for k, own in enumerate(instrument.axes) if own.gear != GEAR or own.kind != "bldc"]
     if unknown:
-        yield Finding(
+        yield CheckFinding(
             "spring",
             False,
             f"not looked at: of {' and '.join(unknown)} no friction and no spring is known (bldc motors of "
@@ -338,7 +338,7 @@ def _springs(plane: FocalPlane, _: float | None) -> Iterator[Finding]:
             continue
         least = replace(asked, factor=1.0).advice()
         says = advice if least == "fits" else least
-        yield Finding(
+        yield CheckFinding(
             f"spring of {AXES[axis]}",
             least != "fits",
             f"{says} (load {asked.load_mNm:g} mNm, factor {asked.factor if least == 'fits' else 1:g})",

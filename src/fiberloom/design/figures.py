@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from fiberloom.design.array_coverage import ArrayCoverage
 from fiberloom.design.coverage import Coverage
+from fiberloom.design.efficiency import Efficiency
 from fiberloom.design.gear import GearWindow
 from fiberloom.design.lattice import Lattice, Pattern
 from fiberloom.design.spring import SpringWindow
@@ -113,4 +114,27 @@ def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
         axes.set_title(f"{name} {one.axis}: {word}, {one.good_share:.0%} of units by {one.factor:g}")
         axes.set(xlabel=f"{one.axis} [deg]", ylabel="torque at the output [mNm]", ylim=(0.0, None))
     panels[0, 0].legend()
+    save(figure, path)
+
+
+def draw_efficiency(path: Path, name: str, found: Sequence[Efficiency]) -> None:
+    """Shares of fibres used and of targets observed against targets per fibre: `found` of `name`, into
+    `path`."""
+    figure, (left, right) = figure_with((11.0, 4.6), 1, 2)
+    for rule in dict.fromkeys(one.rule for one in found):
+        rows = [one for one in found if one.rule == rule]
+        per_fibre = [one.per_fibre for one in rows]
+        for axes, share in ((left, "used"), (right, "observed")):
+            value, error = ([getattr(one, word) for one in rows] for word in (share, f"{share}_error"))
+            axes.errorbar(per_fibre, value, error, marker="o", ms=4, capsize=3, label=rule)
+    last = found[-1]
+    many = f"{last.exposures} exposures" if last.exposures > 1 else "one exposure"
+    left.set(
+        ylabel="share of the fibres that are used",
+        title=f"{name}: {last.used:.1%} at {last.per_fibre:.2f} targets per fibre",
+    )
+    right.set(ylabel="share of the targets observed", title=f"{last.observed:.1%} of them after {many}")
+    for axes in (left, right):
+        axes.set(xlabel="targets per working fibre", ylim=(0.0, 1.03), xlim=(0.0, None))
+    left.legend()
     save(figure, path)
