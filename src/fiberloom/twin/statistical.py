@@ -133,7 +133,7 @@ class StatisticalTwin:
         """True position in mm of a fibre: (N, 2) now, or (N, 2, M) at output angles (N, 2, M)."""
         if fibre not in self.plane.points:
             raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
-        points = self.units.points_mm(self.plane.points[fibre])
+        points = self.units.points_mm(self.plane.points[fibre], fibre)
         theta = self.truth() if theta_deg is None else np.asarray(theta_deg, dtype=np.float64)
         flat = _moves(theta)
         count = flat.shape[2]
