@@ -98,7 +98,7 @@ def test_bad_numbers_are_refused(asked, says):
 
 
 def test_the_command_draws_and_refuses_unknown_rules(fl, tmp_path):
-    words = ("--fields", 2, "--rings", 3, "--density", 2, "--out", tmp_path / "shares.png")
+    words = ("--fields", 2, "--rings", 2, "--density", 2, "--out", tmp_path / "shares.png")
     assert fl("design", "efficiency", "pfs", *words)[0] == 0
     assert (tmp_path / "shares.png").exists()
     code, _, said = fl("design", "efficiency", "pfs", "--rules", "luck")

@@ -17,6 +17,7 @@ from fiberloom.cli.app import app
 from fiberloom.studies.lifetime import WAYS, LifetimeSettings, calibrate, lifetime
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Twin, TwinTransport, bench_units, worn
 from fiberloom.twin.noise import UnitNoise
+from fiberloom.twin.statistical import sweeps
 
 SMALL = LifetimeSettings(
     cycles=100,

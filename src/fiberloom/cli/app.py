@@ -23,6 +23,7 @@ from fiberloom.cli.calibrate.identification import arms, coast, friction, inerti
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
+from fiberloom.cli.design.budget import budget
 from fiberloom.cli.design.check import check
 from fiberloom.cli.design.coverage import coverage
 from fiberloom.cli.design.efficiency import efficiency
@@ -103,6 +104,7 @@ add(sky, guide)
 add(sky, survey)
 
 app.add_typer(design, name="design")
+add(design, budget)
 add(design, check)
 add(design, coverage)
 add(design, efficiency)

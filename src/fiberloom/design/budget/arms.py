@@ -1,9 +1,9 @@
 """What wrong centres and lengths of arms do once the zeros of the maps are tied to the layout.
 
 A sweep measures angles about the true axes; the two constants of a map are those with which the layout's
-kinematics meets all points of the sweep best (`fiberloom.calibration.transmission.evaluate`). So a part of what
-a length has wrong is made up for. To first order, with d the displacement of the fibre and J the Jacobian of
-Kronig 2020, Eq. 1: zeros = J(sweep)^+ d(sweep), and what is left at a target is d - J zeros.
+kinematics meets all points of the sweep best (`fiberloom.calibration.transmission.evaluate`). So a part of
+what a length has wrong is made up for. To first order, with d the displacement of the fibre and J the
+Jacobian of Kronig 2020, Eq. 1: zeros = J(sweep)^+ d(sweep), and what is left at a target is d - J zeros.
 """
 
 from __future__ import annotations
@@ -29,12 +29,33 @@ def left_mm2(l_alpha_mm: float, l_beta_mm: float, beta_range_deg: tuple[float, f
     sweep_beta = np.concatenate([np.full(len(turn), np.deg2rad(SWEEP_BETA_DEG)), bend])
     moved, jacobian = _linear(l_alpha_mm, l_beta_mm, sweep_alpha, sweep_beta)
     zeros = np.linalg.pinv(jacobian.reshape(-1, 2)) @ moved.reshape(-1, 4)
-    alpha = np.tile(turn[::4], 60)
-    beta = np.repeat(np.arccos(1.0 - (2.0 * np.arange(60) + 1.0) / 60.0), len(turn[::4]))
-    moved, jacobian = _linear(l_alpha_mm, l_beta_mm, alpha, beta)
+    moved, jacobian = _linear(l_alpha_mm, l_beta_mm, *_targets())
     left = moved - jacobian @ zeros
     form: Floats = np.einsum("nci,ncj->ij", left, left) / len(left)
     return form
+
+
+def sag_mm2(l_alpha_mm: float, l_beta_mm: float, compliance: Floats) -> Floats:
+    """(2, 2) mean square of the way of the fibre, mm^2, by products of the torques on alpha and beta, (Nm)^2.
+
+    Torques of gravity on arms that point along it; `compliance` (2,) rad/Nm of alpha and beta. Beta's moment
+    turns alpha too.
+    """
+    alpha, beta = _targets()
+    _, jacobian = _linear(l_alpha_mm, l_beta_mm, alpha, beta)
+    first, second = np.cos(alpha), np.cos(alpha + beta)
+    turned = np.zeros((len(alpha), 2, 2))
+    turned[:, 0, 0], turned[:, 0, 1], turned[:, 1, 1] = first, second, second
+    way = jacobian @ (compliance[:, None] * turned)
+    form: Floats = np.einsum("nci,ncj->ij", way, way) / len(way)
+    return form
+
+
+def _targets() -> tuple[Floats, Floats]:
+    """(3600,) alpha and beta in rad of targets spread evenly over the annulus."""
+    turn = np.arange(60) * 2.0 * np.pi / 60
+    bend = np.arccos(1.0 - (2.0 * np.arange(60) + 1.0) / 60.0)
+    return np.tile(turn, 60), np.repeat(bend, 60)
 
 
 def _linear(l_alpha_mm: float, l_beta_mm: float, alpha: Floats, beta: Floats) -> tuple[Floats, Floats]:

@@ -14,11 +14,11 @@ from fiberloom.calibration import SweepSettings
 from fiberloom.calibration.transmission.evaluate import evaluate
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.design.budget.terms import BudgetSettings, require_maps
-from fiberloom.instruments import METROLOGY, FocalPlane
+from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Units, draw_units
-from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
+from fiberloom.twin.errors.sizes import NO_ERRORS
 from fiberloom.twin.statistical import sweeps
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM, UM_PER_MM
@@ -113,9 +113,7 @@ def _field(
     target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1], fibre)
     noise = replace(CorrectionNoise.of(plane), camera_um=noises.image_um)
     filtered = plane.instrument.operation.correction == "filtered"
-    loop = CorrectionLoop(
-        plane, goal_deg, fibre=np.full(plane.n, fibre), noise=noise, filtered=filtered
-    )
+    loop = CorrectionLoop(plane, goal_deg, fibre=np.full(plane.n, fibre), noise=noise, filtered=filtered)
     wanted_deg, found = goal_deg, []
     for move in range(corrections + 1):
         twin.move(maps.to_wire(wanted_deg))
@@ -145,7 +143,7 @@ def random_goals_deg(plane: FocalPlane, rng: np.random.Generator) -> Floats:
 
 # one term at a time
 
-_ALONE = ("gear between knots", "camera at knots", "seat at knots", "arrival", "arms of the table")
+_HALL = ("hall_offset_a", "hall_offset_b", "hall_amplitude_a", "hall_amplitude_b", "hall_phase")
 
 
 def alone_um(plane: FocalPlane, seed: int, settings: BudgetSettings, fields: int) -> dict[str, float]:
@@ -155,25 +153,26 @@ def alone_um(plane: FocalPlane, seed: int, settings: BudgetSettings, fields: int
     configurations.
     """
     blind = replace(settings, corrections=0, errors=NO_ERRORS)
-    units = draw_units(plane, seed, errors=without_temperature(settings.errors))
+    units = draw_units(plane, seed, errors=settings.errors.at_calibration())
     quiet = _quiet(plane, units)
     noise_um = plane.instrument.metrology.noise_rms_um
     none = Noises(0.0, 0.0)
     gear = replace(quiet, gear=units.gear)
     seat = replace(quiet, plant=units.plant, firmware=units.firmware)
     arms = replace(quiet, arms=_of_layout_zeros(plane, units), beta_longer_mm=units.beta_longer_mm)
-    night = draw_units(plane, seed, errors=_temperature_only(settings.errors))
-    fibre = replace(quiet, fibre_offset_mm=units.fibre_offset_mm)
     runs = {
         "gear between knots": (gear, none),
         "camera at knots": (quiet, Noises(noise_um, 0.0)),
         "arms of the table": (arms, none),
-        "fibre": (fibre, none),
     }
+    if any(mm.any() for mm in units.fibre_offset_mm.values()):
+        runs["fibre"] = (replace(quiet, fibre_offset_mm=units.fibre_offset_mm), none)
     found = {k: float(simulate(plane, u, blind, fields, n).rms_um[0]) for k, (u, n) in runs.items()}
-    both = float(simulate(plane, seat, blind, fields, none).rms_um[0])
-    found["arrival and seat at knots"] = both
+    found["arrival"] = float(simulate(plane, seat, blind, fields, none, on_bench=quiet).rms_um[0])
+    in_map = float(simulate(plane, quiet, blind, fields, none, on_bench=seat).rms_um[0])
+    found["seat at knots"] = in_map
     if settings.errors.temperature.on:
+        night = draw_units(plane, seed, errors=replace(NO_ERRORS, temperature=settings.errors.temperature))
         grown = replace(
             quiet,
             arms=_of_layout_zeros(plane, night),
@@ -187,11 +186,21 @@ def alone_um(plane: FocalPlane, seed: int, settings: BudgetSettings, fields: int
 
 def _quiet(plane: FocalPlane, units: Units) -> Units:
     """Units of whom all is known and nothing scatters; the backlash stays."""
-    exact = draw_units(plane, units.seed, firmware="true")
-    plant, gear = exact.plant.copy(), exact.gear.copy()
+    plant, gear, firmware = units.plant.copy(), units.gear.copy(), units.firmware.copy()
     plant["seat_rms"] = 0.0
     gear["delta_rad"] = 0.0
-    return replace(exact, plant=plant, gear=gear, arms=plane.arms.copy())
+    for name in _HALL:
+        firmware[name] = plant[name]
+    still = {name: np.zeros_like(mm) for name, mm in units.fibre_offset_mm.items()}
+    return replace(
+        units,
+        plant=plant,
+        gear=gear,
+        firmware=firmware,
+        arms=plane.arms.copy(),
+        beta_longer_mm=np.zeros(plane.n),
+        fibre_offset_mm=still,
+    )
 
 
 def _of_layout_zeros(plane: FocalPlane, units: Units) -> Floats:
@@ -199,12 +208,3 @@ def _of_layout_zeros(plane: FocalPlane, units: Units) -> Floats:
     arms = units.arms.copy()
     arms[:, 3:] = plane.arms[:, 3:]
     return arms
-
-
-def without_temperature(errors: TwinErrors) -> TwinErrors:
-    """The same in a night as the calibration was."""
-    return errors.at_calibration()
-
-
-def _temperature_only(errors: TwinErrors) -> TwinErrors:
-    return replace(NO_ERRORS, temperature=errors.temperature)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiberloom.design.budget.arms import SWEEP_BETA_DEG, left_mm2
+from fiberloom.design.budget.arms import SWEEP_BETA_DEG, left_mm2, sag_mm2
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.instruments.arms import L_ALPHA
@@ -123,7 +123,7 @@ def require_maps(instrument: Instrument) -> None:
     if not instrument.drive.by_maps or any(a.kind != "bldc" or a.gear != GEAR for a in instrument.axes):
         kinds = " and ".join(f"{axis.kind} of gear {axis.gear:g}" for axis in instrument.axes)
         raise InputError(
-            f"{instrument.name}: {kinds}: the budget is of bldc motors of gear {GEAR:g} with transmission maps"
+            f"{instrument.name}: {kinds}: the budget is of bldc motors of gear {GEAR:g} with maps"
         )
 
 
@@ -266,9 +266,11 @@ def frame_um(plane: FocalPlane, errors: TwinErrors) -> float:
 
 def gravity_um(plane: FocalPlane, units: Units, zenith_deg: float) -> float:
     """Arms that sag, the axes' directions spread evenly, in the telescope at this zenith distance."""
-    moment2 = (units.load["moment_x"] ** 2 + units.load["moment_y"] ** 2).mean(axis=0)
-    pull = GRAVITY_M_S2 * math.sin(math.radians(zenith_deg))
-    return _um(plane, 0.5 * moment2 * pull**2 / (units.plant["stiffness"] ** 2).mean(axis=0))
+    moments = np.hypot(units.load["moment_x"], units.load["moment_y"])
+    torque_Nm = moments * GRAVITY_M_S2 * math.sin(math.radians(zenith_deg))
+    compliance = (1.0 / units.plant["stiffness"]).mean(axis=0)
+    form = sag_mm2(float(plane.l_alpha_mm.mean()), float(plane.l_beta_mm.mean()), compliance)
+    return UM_PER_MM * math.sqrt(float(np.einsum("ni,ij,nj->n", torque_Nm, form, torque_Nm).mean()))
 
 
 # corrections
@@ -299,10 +301,8 @@ def corrected_um(
     image_um2 = camera_um**2 + arrival_um**2
     known_um2, way_um, found = blind_um**2, blind_um, []
     for _ in range(corrections):
-        if image_um2 > 0.0 and known_um2 > 0.0:
-            known_um2 = 1.0 / (1.0 / known_um2 + 1.0 / image_um2)
-        else:
-            known_um2 = 0.0
+        both_um2 = known_um2 + image_um2
+        known_um2 = known_um2 * image_um2 / both_um2 if both_um2 > 0.0 else 0.0
         known_um2 += (slope * way_um) ** 2
         way_um = math.sqrt(known_um2 + arrival_um**2)
         found.append(way_um)
