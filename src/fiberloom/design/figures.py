@@ -16,6 +16,7 @@ from fiberloom.design.efficiency import Efficiency
 from fiberloom.design.gear import GearWindow
 from fiberloom.design.lattice import Lattice, Pattern
 from fiberloom.design.spring import SpringWindow
+from fiberloom.design.sweep import VariedDesign
 from fiberloom.report.figures import figure_with, save
 
 GRID = 400
@@ -137,4 +138,28 @@ def draw_efficiency(path: Path, name: str, found: Sequence[Efficiency]) -> None:
     for axes in (left, right):
         axes.set(xlabel="targets per working fibre", ylim=(0.0, 1.03), xlim=(0.0, None))
     left.legend()
+    save(figure, path)
+
+
+def draw_front(
+    path: Path, name: str, found: Sequence[VariedDesign], front: Sequence[bool], objectives: Sequence[str]
+) -> None:
+    """The first two `objectives` of all designs `found` of `name`, those on the `front` named, into
+    `path`."""
+    first, second = [*objectives, *objectives][:2]
+    figure, axes = figure_with((8.0, 5.5))
+    known = [
+        (one, on)
+        for one, on in zip(found, front, strict=True)
+        if one.figures and None not in (one.figures[first], one.figures[second])
+    ]
+    for one, on in known:
+        at = one.figures[first], one.figures[second]
+        axes.plot(*at, "o", color="tab:red" if on else "0.7", zorder=3 if on else 2)
+        if on:
+            words = ", ".join(f"{key} {value:g}" for key, value in one.changes.items())
+            axes.annotate(words, at, (5, 4), textcoords="offset points", fontsize=8)
+    many = sum(on for _, on in known)
+    axes.set(xlabel=first.replace("_", " "), ylabel=second.replace("_", " "))
+    axes.set_title(f"{name}: {many} of {len(found)} designs on the front")
     save(figure, path)
