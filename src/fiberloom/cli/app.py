@@ -30,6 +30,7 @@ from fiberloom.cli.design.coverage import coverage
 from fiberloom.cli.design.efficiency import efficiency
 from fiberloom.cli.design.gear import gear, spring
 from fiberloom.cli.design.power import power
+from fiberloom.cli.design.report import report
 from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
@@ -113,6 +114,7 @@ add(design, coverage)
 add(design, efficiency)
 add(design, gear)
 add(design, power)
+add(design, report)
 add(design, spring)
 add(design, sweep)
 add(design, throughput)

@@ -24,6 +24,7 @@ HOLES_SHARE = 1e-3
 POINTS = 20_000
 UNITS = 61
 """Whose springs are looked at, at most: medians are within 1 %."""
+INNERMOST = 37
 TRIED_DEG = 10.0
 """Steps in which another place to park is looked for."""
 
@@ -112,7 +113,8 @@ def _parked(surroundings: Surroundings, overlaps: dict[tuple[int, int], float]) 
 
 def _other_park(plane: FocalPlane) -> str:
     """Another place to park of the innermost positioners, with the widest gap; or which buffer would do."""
-    some = plane.select(np.arange(min(plane.n, 19)))
+    inner = np.argsort(np.linalg.norm(plane.centres_mm, axis=1), kind="stable")[:INNERMOST]
+    some = plane.select(np.sort(inner))
     surroundings = Surroundings(some, CollisionBodies.of(some))
     (alpha_low, alpha_high), (beta_low, beta_high) = some.limits_deg
     tries = [

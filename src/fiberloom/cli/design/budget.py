@@ -48,7 +48,7 @@ def budget(options: BudgetOptions) -> int:
 
     instrument = load_instrument(options.file)
     with waiting() as shown:
-        report, beyond = _report(options, instrument, shown)
+        report, beyond = budget_report(options, instrument, shown)
     if options.as_json:
         options.print_json(report)
     else:
@@ -57,7 +57,8 @@ def budget(options: BudgetOptions) -> int:
     return int(beyond > 0.01)
 
 
-def _report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tuple[dict[str, Any], float]:
+def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tuple[dict[str, Any], float]:
+    """The tables by name, and the share of the fibres beyond the requirement at the end."""
     from fiberloom.design.budget.improve import improvements
     from fiberloom.design.budget.monte_carlo import alone_um, simulate
     from fiberloom.design.budget.terms import budget as budget_of

@@ -98,8 +98,9 @@ class SweepDesignOptions(MeritOptions):
         ),
     ]
     objectives: Annotated[
-        str, typer.Option(help="Figures of merit of the Pareto front, with commas; two are drawn.")
-    ] = "fibres_used,move_s"
+        str,
+        typer.Option(help="Figures of merit of the Pareto front, with commas; the first two are drawn."),
+    ] = "fibres_used,blind_um"
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask cluster, in place of them.")] = None
     out: Annotated[Path | None, typer.Option(help="The front as a diagram, PNG.")] = None

@@ -71,7 +71,7 @@ def efficiency(options: EfficiencyOptions) -> None:
         from fiberloom.design.figures import draw_efficiency
 
         draw_efficiency(options.out, f"{instrument.name}, {fibre}", found)
-    options.show([_row(one) for one in found])
+    options.show([efficiency_row(one) for one in found])
 
 
 def _densities(text: str) -> list[float]:
@@ -128,7 +128,8 @@ def _where(options: EfficiencyOptions, instrument: Instrument, fibre: str) -> Ob
     return inner_part(endless(instrument, options.rings), fibre)
 
 
-def _row(one: Efficiency) -> dict[str, Any]:
+def efficiency_row(one: Efficiency) -> dict[str, Any]:
+    """As it is printed."""
     return {
         "density": round(one.density, 3),
         "targets_per_fibre": round(one.per_fibre, 3),

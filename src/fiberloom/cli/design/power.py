@@ -43,8 +43,8 @@ def power(options: PowerOptions) -> int:
     instrument = load_instrument(options.file)
     n = options.positioners
     found = array_power(instrument, n, ways, options.every, options.rest, seed=options.seed)
-    report: dict[str, Any] = {"axes": [_axis(one) for one in (found.alpha, found.beta)]}
-    report["array"] = _array(found)
+    report: dict[str, Any] = {"axes": [axis_row(one) for one in (found.alpha, found.beta)]}
+    report["array"] = array_row(found)
     if options.limit is not None:
         within = limited(instrument, options.limit, n, options.seed)
         report["limit"] = _limit(within)
@@ -74,7 +74,8 @@ def _ways(text: str | None) -> tuple[float, float] | None:
     return alpha, beta
 
 
-def _axis(one: MovePower) -> dict[str, Any]:
+def axis_row(one: MovePower) -> dict[str, Any]:
+    """As it is printed."""
     return {
         "axis": one.axis,
         "way_deg": one.way_deg,
@@ -88,7 +89,8 @@ def _axis(one: MovePower) -> dict[str, Any]:
     }
 
 
-def _array(found: ArrayPower) -> dict[str, Any]:
+def array_row(found: ArrayPower) -> dict[str, Any]:
+    """As it is printed."""
     return {
         "positioners": found.n,
         "time_s": round(found.time_s, 2),
