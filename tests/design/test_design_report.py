@@ -28,8 +28,8 @@ class Page(HTMLParser):
 
 
 def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path):
-    out = tmp_path / "lamost.html"
-    code, _, _ = fl("design", "report", "lamost", "--core", 320, "--scale", 97, "--fields", 2, "--out", out)
+    out = tmp_path / "megara.html"
+    code, _, _ = fl("design", "report", "megara", "--core", 600, "--scale", 800, "--fields", 2, "--out", out)
     assert code == 0
     text = out.read_text()
     page = Page(text)
@@ -45,8 +45,8 @@ def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path):
     ]
     assert page.pictures == ["data:image/png;base64,iVBORw0K"[:30]] * 3
     assert page.foreign == []
-    assert "not looked at: lamost: alpha is a stepper" in text
-    assert "config hash" in text
+    assert "not looked at: megara: alpha is a stepper" in text
+    assert "config_hash" in text
 
 
 def test_what_is_written_is_text_and_no_markup():

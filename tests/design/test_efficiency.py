@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from fiberloom.design.efficiency import efficiency, endless, inner_part, of_list, whole_array
+from fiberloom.design.efficiency import (
+    EfficiencySettings,
+    efficiency,
+    endless,
+    inner_part,
+    of_list,
+    whole_array,
+)
 from fiberloom.errors import InputError
 from fiberloom.instruments import Instrument, generate, load_instrument
 from fiberloom.targets.generate import random_targets
@@ -31,7 +38,7 @@ TORUS = {
 @pytest.mark.parametrize("name", TORUS)
 def test_shares_are_those_of_an_independent_count(name):
     where, fibre = part_of(name)
-    found = efficiency(where, fibre, [1.0, 4.0], ("free", "tips", "arms"), fields=6)
+    found = efficiency(where, fibre, [1.0, 4.0], EfficiencySettings(("free", "tips", "arms"), fields=6))
     for rule, shares in TORUS[name].items():
         for one, share in zip([f for f in found if f.rule == rule], shares, strict=True):
             # its own error is 0.01 to 0.02 at density 1, 0.004 at 4; ours where no unit was left is 0
@@ -42,7 +49,7 @@ def test_shares_are_those_of_an_independent_count(name):
 def test_more_rules_leave_fewer_targets_in_the_same_fields():
     """Tips kept one pitch apart cannot be more than a lattice has cells, and arms do not add targets."""
     where, fibre = part_of("moons", rings=4)
-    found = efficiency(where, fibre, [2.5], fields=3, seed=1, exclusion_mm=25.0)
+    found = efficiency(where, fibre, [2.5], EfficiencySettings(fields=3, seed=1, exclusion_mm=25.0))
     observed = {one.rule: one.observed for one in found}
     assert observed["free"] >= observed["arms"] >= observed["assigned"] - 0.02
     assert observed["tips"] < observed["free"] - 0.1
@@ -51,7 +58,7 @@ def test_more_rules_leave_fewer_targets_in_the_same_fields():
 def test_units_that_share_nothing_are_poisson():
     """A pitch of more than two reaches: a unit has a target with 1 - exp(-density)."""
     where, fibre = part_of("pfs", rings=8, pitch_mm=10.0)
-    (one,) = efficiency(where, fibre, [1.3], ("free",), fields=12)
+    (one,) = efficiency(where, fibre, [1.3], EfficiencySettings(("free",), fields=12))
     assert where.counted.sum() > 100
     assert one.used == pytest.approx(1.0 - math.exp(-1.3), abs=4.0 * max(one.used_error, 0.005))
 
@@ -65,7 +72,7 @@ def test_clusters_and_broken_units_leave_targets_and_exposures_catch_up():
         "broken": {"broken": 0.3},
         "twice": {"exposures": 2},
     }.items():
-        (one,) = efficiency(where, fibre, [1.5], ("free",), fields=8, **asked)
+        (one,) = efficiency(where, fibre, [1.5], EfficiencySettings(("free",), fields=8, **asked))
         shares[name] = one.observed
     assert shares["clustered"] < shares["plain"] - 0.05
     assert shares["broken"] < shares["plain"] - 0.05
@@ -75,7 +82,7 @@ def test_clusters_and_broken_units_leave_targets_and_exposures_catch_up():
 def test_a_list_on_the_whole_array():
     plane = generate(load_instrument("sdssv"), 0, n_positioners=19)
     targets = random_targets(plane, 60, seed=0)
-    found = of_list(whole_array(plane, "BOSS"), "BOSS", targets, ("free", "assigned"))
+    found = of_list(whole_array(plane, "BOSS"), "BOSS", targets, EfficiencySettings(("free", "assigned")))
     assert [one.rule for one in found] == ["free", "assigned"]
     assert found[0].observed >= found[1].observed > 0.2
     assert np.isnan(found[0].used_error)
@@ -93,8 +100,9 @@ def test_a_list_on_the_whole_array():
 )
 def test_bad_numbers_are_refused(asked, says):
     where, fibre = part_of("pfs", rings=2)
+    densities = asked.pop("densities", [1.0])
     with pytest.raises(InputError, match=says):
-        efficiency(where, fibre, **({"densities": [1.0]} | asked))
+        efficiency(where, fibre, densities, EfficiencySettings(**asked))
 
 
 def test_the_command_draws_and_refuses_unknown_rules(fl, tmp_path):

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from fiberloom.design.merits import MeritSettings, merits, pareto, varied
-from fiberloom.design.power import array_power, care_lines, limited, motor, move_power
+from fiberloom.design.power import PowerSettings, array_power, care_lines, limited, motor, move_power
 from fiberloom.design.sweep import ranges_of, sweep
 from fiberloom.errors import InputError
 from fiberloom.instruments import load_instrument
@@ -33,7 +33,9 @@ def test_three_seconds_at_2000_rpm():
 def test_a_limit_is_kept_slower_or_in_waves():
     full = array_power(SDSSV)
     within = limited(SDSSV, 0.5 * full.peak_W)
-    assert array_power(SDSSV, share=within.speed_share).peak_W == pytest.approx(0.5 * full.peak_W, rel=1e-3)
+    assert array_power(SDSSV, PowerSettings(share=within.speed_share)).peak_W == pytest.approx(
+        0.5 * full.peak_W, rel=1e-3
+    )
     assert within.waves == 2
     assert full.time_s < within.time_s <= within.waves_s
     assert limited(SDSSV, 2.0 * full.peak_W).time_s == pytest.approx(full.time_s)
@@ -53,9 +55,11 @@ def test_lines_of_care_are_read_by_the_instrument():
 
 
 def test_heat_goes_with_positioners_and_ways():
-    one, all_ = array_power(SDSSV, 1), array_power(SDSSV, 500)
+    one, all_ = array_power(SDSSV, PowerSettings(1)), array_power(SDSSV)
     assert all_.move_J == pytest.approx(500 * one.move_J)
-    assert array_power(SDSSV, 1, (180.0, 90.0)).move_J == pytest.approx(0.5 * one.move_J, rel=0.02)
+    assert array_power(SDSSV, PowerSettings(1, (180.0, 90.0))).move_J == pytest.approx(
+        0.5 * one.move_J, rel=0.02
+    )
     assert one.warmer_K == pytest.approx(one.move_J / 900.0 * 30.0)
     with pytest.raises(InputError, match="stepper of gear 2050"):
         array_power(load_instrument("moons"))

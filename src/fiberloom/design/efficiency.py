@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -82,8 +82,8 @@ def endless(instrument: Instrument, rings: int = RINGS) -> FocalPlane:
 
 
 def inner_part(plane: FocalPlane, fibre: str) -> ObservedPart:
-    """The units of an endless patch that are two reaches from its edge; where it is too small for that, the
-    innermost seven at least."""
+    """The units of an endless patch, `plane`, that are two reaches of a `fibre` from its edge; the innermost
+    seven at least."""
     reach_mm = Lattice.of(plane.instrument, fibre).reach_mm
     far_mm = np.linalg.norm(plane.centres_mm, axis=1)
     edge_mm = 0.5 * math.sqrt(3.0) * float(far_mm.max())
@@ -92,98 +92,118 @@ def inner_part(plane: FocalPlane, fibre: str) -> ObservedPart:
 
 
 def whole_array(plane: FocalPlane, fibre: str) -> ObservedPart:
-    """Every unit, and every target between the outermost centres."""
+    """Every unit of a `plane`, and every target between the outermost centres; `fibre`: that is used."""
     middle = 0.5 * (plane.centres_mm.min(axis=0) + plane.centres_mm.max(axis=0))
     far_mm = float(np.linalg.norm(plane.centres_mm - middle, axis=1).max())
     reach_mm = Lattice.of(plane.instrument, fibre).reach_mm
     return ObservedPart(plane, np.ones(plane.n, dtype=bool), middle, far_mm, far_mm + reach_mm)
 
 
+@dataclass(frozen=True)
+class EfficiencySettings:
+    """How fields are drawn and observed.
+
+    Raises
+    ------
+    InputError
+        Numbers or a share out of range.
+    """
+
+    rules: Sequence[Rule] = RULES
+    exposures: int = 1
+    """Of one field; targets observed before are left out."""
+    fields: int = 10
+    """Drawn for each density; the same for all rules."""
+    clustered: bool = False
+    broken: float = 0.0
+    """Share of the units, 0 to 1."""
+    exclusion_mm: float | None = None
+    """Between two fibres; None: two collision buffers."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.exposures < 1 or self.fields < 2:
+            raise InputError(
+                f"efficiency: {self.exposures} exposures and {self.fields} fields: 1 and 2 at least"
+            )
+        if not 0.0 <= self.broken < 1.0:
+            raise InputError(f"efficiency: broken {self.broken:g}: a share of the units, 0 or more, below 1")
+
+    def exclusion_of(self, plane: FocalPlane) -> float:
+        """mm between two fibres of a `plane`."""
+        return 2.0 * plane.collision_buffer_mm if self.exclusion_mm is None else self.exclusion_mm
+
+
 def efficiency(
     where: ObservedPart,
     fibre: str,
     densities: Sequence[float],
-    rules: Sequence[Rule] = RULES,
-    exposures: int = 1,
-    fields: int = 10,
-    clustered: bool = False,
-    broken: float = 0.0,
-    exclusion_mm: float | None = None,
-    seed: int = 0,
+    settings: EfficiencySettings,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> list[Efficiency]:
     """Shares for each density and rule; the same fields for all rules.
 
     `where`: plane and what counts; `fibre` that targets ask for; `densities`: targets in the annulus that one
-    unit reaches; `exposures` of one field, without targets observed before; `fields` drawn by `seed`,
-    Poisson, or `clustered`; `broken`: share of the units, 0 to 1; `exclusion_mm` between two fibres, by
-    default two collision buffers; `progress` is told the fields done and their number.
+    unit reaches; `settings`: rules, exposures, fields; `progress` is told the fields done and their number.
 
     Raises
     ------
     InputError
-        A density, number or share out of its range, or more targets than 200000.
+        A density that is not above 0, or more targets than 200000.
     """
-    _refuse(where, fibre, densities, exposures, fields, broken)
-    exclusion_mm = 2.0 * where.plane.collision_buffer_mm if exclusion_mm is None else exclusion_mm
+    _refuse(where, fibre, densities)
     found = []
     for k, density in enumerate(densities):
-        shares = np.empty((len(rules), fields, 2))
-        for field in range(fields):
-            rng = np.random.default_rng([seed, k, field])
-            plane = where.plane
-            if broken > 0.0:
-                plane = broken_plane(plane, round(broken * plane.n), int(rng.integers(2**31)))
-            xy_mm = _draw(where, _per_mm2(where, fibre, density), clustered, rng)
-            for row, rule in enumerate(rules):
-                shares[row, field] = _observe(where, plane, fibre, xy_mm, rule, exposures, exclusion_mm, rng)
-            progress(k * fields + field + 1, len(densities) * fields)
-        per_fibre = density / Lattice.of(where.plane.instrument, fibre).mean / (1.0 - broken)
-        for rule, of_rule in zip(rules, shares, strict=True):
-            found.append(_mean(density, per_fibre, rule, exposures, of_rule))
+        shares = np.empty((len(settings.rules), settings.fields, 2))
+        for field in range(settings.fields):
+            rng = np.random.default_rng([settings.seed, k, field])
+            shares[:, field] = _field(where, fibre, density, settings, rng)
+            progress(k * settings.fields + field + 1, len(densities) * settings.fields)
+        per_fibre = density / Lattice.of(where.plane.instrument, fibre).mean / (1.0 - settings.broken)
+        found += [
+            _mean(density, per_fibre, rule, settings.exposures, of_rule)
+            for rule, of_rule in zip(settings.rules, shares, strict=True)
+        ]
     return found
+
+
+def _field(
+    where: ObservedPart, fibre: str, density: float, settings: EfficiencySettings, rng: np.random.Generator
+) -> Floats:
+    """(rules, 2) shares in one field."""
+    if settings.broken > 0.0:
+        n = round(settings.broken * where.plane.n)
+        where = replace(where, plane=broken_plane(where.plane, n, int(rng.integers(2**31))))
+    xy_mm = _draw(where, _per_mm2(where, fibre, density), settings.clustered, rng)
+    return np.array([_observe(where, fibre, xy_mm, rule, settings, rng) for rule in settings.rules])
 
 
 def of_list(
-    where: ObservedPart,
-    fibre: str,
-    targets: TargetList,
-    rules: Sequence[Rule] = RULES,
-    exposures: int = 1,
-    exclusion_mm: float | None = None,
-    seed: int = 0,
+    where: ObservedPart, fibre: str, targets: TargetList, settings: EfficiencySettings
 ) -> list[Efficiency]:
     """The same of a list of `targets` in mm: one field, no standard errors (NaN).
 
-    `where`, `fibre`, `rules`, `exposures`, `exclusion_mm`, `seed`: as of `efficiency`.
+    `where`, `fibre`, `settings`: as of `efficiency`; InputError for an empty list.
     """
-    exclusion_mm = 2.0 * where.plane.collision_buffer_mm if exclusion_mm is None else exclusion_mm
-    xy_mm = targets.xy_mm
-    if not len(xy_mm):
+    if not len(targets):
         raise InputError("efficiency: the list of targets is empty")
-    per_fibre = len(xy_mm) / where.plane.n
+    per_fibre = len(targets) / where.plane.n
     density = per_fibre * Lattice.of(where.plane.instrument, fibre).mean
     found = []
-    for rule in rules:
-        rng = np.random.default_rng(seed)
-        share = _observe(where, where.plane, fibre, xy_mm, rule, exposures, exclusion_mm, rng)
-        found.append(_mean(density, per_fibre, rule, exposures, np.array([share])))
+    for rule in settings.rules:
+        rng = np.random.default_rng(settings.seed)
+        share = _observe(where, fibre, targets.xy_mm, rule, settings, rng)
+        found.append(_mean(density, per_fibre, rule, settings.exposures, np.array([share])))
     return found
 
 
-def _refuse(
-    where: ObservedPart, fibre: str, densities: Sequence[float], exposures: int, fields: int, broken: float
-) -> None:
+def _refuse(where: ObservedPart, fibre: str, densities: Sequence[float]) -> None:
     for density in densities:
         if not 0.0 < density < math.inf:
             raise InputError(f"efficiency: density {density:g}: must be above 0 targets per annulus")
         n = _per_mm2(where, fibre, density) * math.pi * where.field_radius_mm**2
         if n > MOST_TARGETS:
             raise InputError(f"efficiency: density {density:g} is {n:.0f} targets, {MOST_TARGETS} at most")
-    if exposures < 1 or fields < 2:
-        raise InputError(f"efficiency: {exposures} exposures and {fields} fields: 1 and 2 at least")
-    if not 0.0 <= broken < 1.0:
-        raise InputError(f"efficiency: broken {broken:g}: a share of the units, 0 or more and below 1")
 
 
 def _per_mm2(where: ObservedPart, fibre: str, density: float) -> float:
@@ -219,22 +239,21 @@ def _draw(where: ObservedPart, per_mm2: float, clustered: bool, rng: np.random.G
 
 def _observe(
     where: ObservedPart,
-    plane: FocalPlane,
     fibre: str,
     xy_mm: Floats,
     rule: Rule,
-    exposures: int,
-    exclusion_mm: float,
+    settings: EfficiencySettings,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
     """Share of the fibres that are used, mean of the exposures, and of the targets that are observed."""
+    plane = where.plane
     left = np.ones(len(xy_mm), dtype=bool)
     units = where.counted & ~plane.offline
     used = 0.0
-    for _ in range(exposures):
+    for _ in range(settings.exposures):
         rows = np.flatnonzero(left)
-        taken = _taken(plane, _targets(xy_mm[rows], fibre), rule, exclusion_mm, rng)
-        used += float((taken[units] >= 0).mean()) / exposures
+        taken = _taken(plane, _targets(xy_mm[rows], fibre), rule, settings.exclusion_of(plane), rng)
+        used += float((taken[units] >= 0).mean()) / settings.exposures
         left[rows[taken[taken >= 0]]] = False
     here = np.linalg.norm(xy_mm - where.middle_mm, axis=1) <= where.counted_radius_mm
     return used, float((~left[here]).mean()) if here.any() else math.nan
@@ -271,7 +290,7 @@ def _taken(
 
 
 def _matched(n: int, n_targets: int, found: Candidates, rng: np.random.Generator) -> Ints:
-    """Most targets, whoever is in whose way; of equal choices one at random."""
+    """Most targets, arms in the way or not; of equal choices one at random."""
     units, sky = rng.permutation(n), rng.permutation(n_targets)
     rows = np.argsort(units)[found.positioner]
     columns = np.argsort(sky)[found.target]

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from fiberloom.design.budget.monte_carlo import random_goals_deg
 from fiberloom.design.budget.terms import BudgetSettings, budget
 from fiberloom.design.coverage import coverage
-from fiberloom.design.efficiency import efficiency, endless, inner_part
+from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
 from fiberloom.design.gear import gear_window, move_s
 from fiberloom.design.lattice import Lattice
 from fiberloom.design.power import array_power
@@ -67,7 +67,8 @@ class MeritSettings:
 
 
 def merits(instrument: Instrument, settings: MeritSettings) -> dict[str, float | None]:
-    """The figures of an `instrument`, by the names of `SENSES`; None: of motors that the twin does not know.
+    """The figures of an `instrument`, by the names of `SENSES` with the units in them (mm, um, s, J, W); None:
+    of motors that the twin does not know.
 
     `settings`: density, fields, corrections, seed.
     """
@@ -108,7 +109,8 @@ def _shares(
 ) -> dict[str, float | None]:
     where = inner_part(endless(instrument, settings.rings), fibre)
     density = settings.per_fibre * lattice.mean
-    (one,) = efficiency(where, fibre, [density], ("assigned",), fields=settings.fields, seed=settings.seed)
+    asked = EfficiencySettings(("assigned",), fields=settings.fields, seed=settings.seed)
+    (one,) = efficiency(where, fibre, [density], asked)
     return {"fibres_used": one.used, "targets_observed": one.observed}
 
 

@@ -28,7 +28,7 @@ HEAT_J_K = 2.0
 HEAT_K_W = 30.0
 """Assumed: from a positioner to the plate and the air (an EC 13 housing: 32 K/W)."""
 SLOWEST = 0.02
-"""Of the speed; slower than that nobody waits."""
+"""Of the speed; no reconfiguration takes so long."""
 
 
 @dataclass(frozen=True)
@@ -144,59 +144,67 @@ def move_power(
     )
 
 
-def array_power(
-    instrument: Instrument,
-    n: int | None = None,
-    way_deg: tuple[float, float] | None = None,
-    every_s: float = 900.0,
-    rest_W: float = 0.0,
-    share: float = 1.0,
-    seed: int = 0,
-) -> ArrayPower:
-    """`n` positioners of an `instrument` at once, all by default.
-
-    `way_deg` of alpha and beta, by default their whole ranges; `every_s`: from one reconfiguration to the
-    next; `rest_W`: of the electronics of one, which is not published; `share`: of the speeds; `seed` of the
-    units.
+@dataclass(frozen=True)
+class PowerSettings:
+    """What moves, and how often.
 
     Raises
     ------
     InputError
-        A motor that the twin does not know, or numbers out of range.
+        Numbers out of range.
     """
-    n = instrument.layout.n_positioners if n is None else n
-    ranges = [axis.target_range_deg[1] - axis.target_range_deg[0] for axis in instrument.axes]
-    ways = way_deg or (ranges[0], ranges[1])
-    if n < 1 or min(ways) <= 0.0 or every_s <= 0.0 or rest_W < 0.0:
-        raise InputError(
-            f"power: {n} positioners, ways {ways[0]:g} and {ways[1]:g} deg every {every_s:g} s, {rest_W:g} W "
-            "at rest: must be above 0 (rest: 0 or more)"
-        )
+
+    n: int | None = None
+    """Positioners at once; None: all."""
+    way_deg: tuple[float, float] | None = None
+    """Of alpha and beta; None: their whole ranges."""
+    every_s: float = 900.0
+    """From one reconfiguration to the next."""
+    rest_W: float = 0.0
+    """Of the electronics of one positioner, which is not published."""
+    share: float = 1.0
+    """Of the axes' speeds, 0 to 1."""
+
+    def __post_init__(self) -> None:
+        ways = self.way_deg or (1.0, 1.0)
+        if (self.n is not None and self.n < 1) or min(*ways, self.every_s) <= 0.0 or self.rest_W < 0.0:
+            raise InputError(
+                f"power: {self.n} positioners, ways {ways[0]:g} and {ways[1]:g} deg every {self.every_s:g} "
+                f"s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
+            )
+
+
+ALL_AT_ONCE = PowerSettings()
+
+
+def array_power(instrument: Instrument, settings: PowerSettings = ALL_AT_ONCE, seed: int = 0) -> ArrayPower:
+    """Positioners of an `instrument` that move at once; `settings`: how many, how far; `seed` of the units.
+
+    Raises
+    ------
+    InputError
+        A motor that the twin does not know.
+    """
     plants = [motor(instrument, axis, seed) for axis in (0, 1)]
-    return _array(instrument, plants, n, ways, every_s, rest_W, share)
+    return _array(instrument, plants, settings)
 
 
-def _array(
-    instrument: Instrument,
-    plants: list[Records],
-    n: int,
-    ways: tuple[float, float],
-    every_s: float,
-    rest_W: float,
-    share: float,
-) -> ArrayPower:
-    alpha, beta = (move_power(instrument, k, plants[k], ways[k], share) for k in (0, 1))
+def _array(instrument: Instrument, plants: list[Records], settings: PowerSettings) -> ArrayPower:
+    n = instrument.layout.n_positioners if settings.n is None else settings.n
+    ranges = [axis.target_range_deg[1] - axis.target_range_deg[0] for axis in instrument.axes]
+    ways = settings.way_deg or ranges
+    alpha, beta = (move_power(instrument, k, plants[k], ways[k], settings.share) for k in (0, 1))
     one_J = alpha.supply_J + beta.supply_J
     return ArrayPower(
         n=n,
         alpha=alpha,
         beta=beta,
         time_s=max(alpha.time_s, beta.time_s),
-        peak_W=n * (alpha.peak_W + beta.peak_W + rest_W),
+        peak_W=n * (alpha.peak_W + beta.peak_W + settings.rest_W),
         peak_A=n * (alpha.peak_A + beta.peak_A),
         move_J=n * one_J,
         warmer_by_move_K=one_J / HEAT_J_K,
-        warmer_K=HEAT_K_W * (one_J / every_s + rest_W),
+        warmer_K=HEAT_K_W * (one_J / settings.every_s + settings.rest_W),
     )
 
 
@@ -209,20 +217,19 @@ def limited(instrument: Instrument, limit_W: float, n: int | None = None, seed: 
         A limit that not even one positioner keeps, or all at 2 % of the speed: with the one that would.
     """
     n = instrument.layout.n_positioners if n is None else n
-    full = array_power(instrument, n, seed=seed)
+    plants = [motor(instrument, axis, seed) for axis in (0, 1)]
+    full = _array(instrument, plants, PowerSettings(n))
     one_W = full.peak_W / n
     if not limit_W >= one_W:
         raise InputError(f"--limit {limit_W:g}: one positioner takes {one_W:.3f} W; give at least that")
-    plants = [motor(instrument, axis, seed) for axis in (0, 1)]
-    ways = full.alpha.way_deg, full.beta.way_deg
 
     def over_W(share: float) -> float:
-        return _array(instrument, plants, n, ways, 900.0, 0.0, share).peak_W - limit_W
+        return _array(instrument, plants, PowerSettings(n, share=share)).peak_W - limit_W
 
     share = 1.0 if over_W(1.0) <= 0.0 else 0.0
     if share == 0.0 and over_W(SLOWEST) < 0.0:
         share = float(brentq(over_W, SLOWEST, 1.0, xtol=1e-6))
-    slower_s = _array(instrument, plants, n, ways, 900.0, 0.0, share).time_s if share else math.inf
+    slower_s = _array(instrument, plants, PowerSettings(n, share=share)).time_s if share else math.inf
     waves = math.ceil(n / math.floor(limit_W / one_W))
     return Limited(limit_W, slower_s, share, waves, waves * full.time_s)
 
@@ -234,8 +241,8 @@ def care_lines(instrument: Instrument, limit_W: float, seed: int = 0) -> list[st
     """
     plants = [motor(instrument, axis, seed) for axis in (0, 1)]
     volt = float(plants[0]["supply"])
-    full = array_power(instrument, 1, seed=seed)
-    slow = array_power(instrument, 1, share=SLOWEST, seed=seed)
+    full = _array(instrument, plants, PowerSettings(1))
+    slow = _array(instrument, plants, PowerSettings(1, share=SLOWEST))
     friction = [slow.alpha.peak_A, slow.beta.peak_A]
     added = [full.alpha.peak_A - friction[0], full.beta.peak_A - friction[1]]
     return [

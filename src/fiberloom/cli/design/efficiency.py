@@ -84,29 +84,24 @@ def _densities(text: str) -> list[float]:
 def _found(
     options: EfficiencyOptions, instrument: Instrument, fibre: str, densities: list[float], progress: Any
 ) -> list[Efficiency]:
+    from fiberloom.design.efficiency import EfficiencySettings, of_list
     from fiberloom.design.efficiency import efficiency as efficiency_of
-    from fiberloom.design.efficiency import of_list
 
-    rules = _rules(options.rules)
+    settings = EfficiencySettings(
+        rules=_rules(options.rules),
+        exposures=options.exposures,
+        fields=options.fields,
+        clustered=options.clustered,
+        broken=options.broken,
+        exclusion_mm=options.exclusion,
+        seed=options.seed,
+    )
     where = _where(options, instrument, fibre)
     if options.targets is not None:
         from fiberloom.targets import read_targets
 
-        targets = read_targets(options.targets)
-        return of_list(where, fibre, targets, rules, options.exposures, options.exclusion, options.seed)
-    return efficiency_of(
-        where,
-        fibre,
-        densities,
-        rules,
-        options.exposures,
-        options.fields,
-        options.clustered,
-        options.broken,
-        options.exclusion,
-        options.seed,
-        progress,
-    )
+        return of_list(where, fibre, read_targets(options.targets), settings)
+    return efficiency_of(where, fibre, densities, settings, progress)
 
 
 def _rules(text: str) -> list[Rule]:

@@ -37,12 +37,13 @@ def power(options: PowerOptions) -> int:
     """
     require_instrument(options.file)
     ways = _ways(options.ways)
-    from fiberloom.design.power import array_power, care_lines, limited
+    from fiberloom.design.power import PowerSettings, array_power, care_lines, limited
     from fiberloom.instruments import load_instrument
 
     instrument = load_instrument(options.file)
     n = options.positioners
-    found = array_power(instrument, n, ways, options.every, options.rest, seed=options.seed)
+    asked = PowerSettings(n, ways, options.every, options.rest)
+    found = array_power(instrument, asked, options.seed)
     report: dict[str, Any] = {"axes": [axis_row(one) for one in (found.alpha, found.beta)]}
     report["array"] = array_row(found)
     if options.limit is not None:

@@ -128,13 +128,14 @@ def _coverage(options: ReportOptions, instrument: Instrument, folder: Path) -> D
 
 def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.efficiency import efficiency_row
-    from fiberloom.design.efficiency import efficiency, endless, inner_part
+    from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
     from fiberloom.design.figures import draw_efficiency
     from fiberloom.report.design import DesignSection
 
     fibre = instrument.science_fibres[0]
     where = inner_part(endless(instrument, 6), fibre)
-    found = efficiency(where, fibre, [0.5, 1.0, 2.0, 4.0], fields=options.fields, seed=options.seed)
+    settings = EfficiencySettings(fields=options.fields, seed=options.seed)
+    found = efficiency(where, fibre, [0.5, 1.0, 2.0, 4.0], settings)
     picture = folder / "efficiency.png"
     draw_efficiency(picture, f"{instrument.name}, {fibre}", found)
     return DesignSection("Efficiency", (), [[efficiency_row(one) for one in found]], picture)

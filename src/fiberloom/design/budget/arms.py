@@ -8,6 +8,8 @@ Jacobian of Kronig 2020, Eq. 1: zeros = J(sweep)^+ d(sweep), and what is left at
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fiberloom.typing import Floats
@@ -24,9 +26,10 @@ def left_mm2(l_alpha_mm: float, l_beta_mm: float, beta_range_deg: tuple[float, f
     annulus, so that beta has the density sin(beta); `beta_range_deg` of the sweep.
     """
     turn = np.linspace(0.0, 2.0 * np.pi, POINTS)[:-1]
-    bend = np.linspace(*np.deg2rad(beta_range_deg), POINTS)
+    low, high = (math.radians(angle) for angle in beta_range_deg)
+    bend = np.linspace(low, high, POINTS)
     sweep_alpha = np.concatenate([turn, np.full(len(bend), np.pi)])
-    sweep_beta = np.concatenate([np.full(len(turn), np.deg2rad(SWEEP_BETA_DEG)), bend])
+    sweep_beta = np.concatenate([np.full(len(turn), math.radians(SWEEP_BETA_DEG)), bend])
     moved, jacobian = _linear(l_alpha_mm, l_beta_mm, sweep_alpha, sweep_beta)
     zeros = np.linalg.pinv(jacobian.reshape(-1, 2)) @ moved.reshape(-1, 4)
     moved, jacobian = _linear(l_alpha_mm, l_beta_mm, *_targets())

@@ -15,6 +15,7 @@ from fiberloom.calibration.transmission.evaluate import evaluate
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.design.budget.terms import BudgetSettings, require_maps
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF
 from fiberloom.metrology.noise import CorrectionNoise
 from fiberloom.operation.correction import CorrectionLoop
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Units, draw_units
@@ -89,7 +90,8 @@ def simulate(
 def swept(
     plane: FocalPlane, units: Units, knots: int, camera_um: float, rng: np.random.Generator
 ) -> TransmissionMaps:
-    """Maps as a bench finds them; `knots` of each axis and direction, images with `camera_um` of noise."""
+    """Maps as a bench finds them, of the `units` of a `plane`; `knots` of each axis and direction, images
+    with `camera_um` of noise from `rng`."""
     bench = StatisticalTwin(plane, units, seed=units.seed + 1)
     sigma_mm = MM_PER_UM * camera_um / np.sqrt(2.0)
     sweep = SweepSettings(knots)
@@ -206,5 +208,6 @@ def _quiet(plane: FocalPlane, units: Units) -> Units:
 def _of_layout_zeros(plane: FocalPlane, units: Units) -> Floats:
     """True centres and lengths, zeros as in the layout: those are in the maps."""
     arms = units.arms.copy()
-    arms[:, 3:] = plane.arms[:, 3:]
+    for column in (ALPHA_OFF, BETA_OFF):
+        arms[:, column] = plane.arms[:, column]
     return arms
