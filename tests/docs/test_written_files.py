@@ -16,6 +16,7 @@ READ = {
     "pfs_2394_cobras_scalars.csv",  # beside a summary of motor maps
     "*.toml",  # presets
     "image.fits",  # temporary, of an INDI camera
+    *("coverage.png", "efficiency.png", "gear.png", "spring.png"),  # temporary, inside the page of a design
     "maps.npz",  # of the learnt maps beside it, where no file of maps was given
 }
 """Files that the package reads, or that it does not keep."""

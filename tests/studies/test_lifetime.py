@@ -14,9 +14,10 @@ from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.calibration.transmission.evaluate import evaluate
 from fiberloom.calibration.transmission.maps import Provenance
 from fiberloom.cli.app import app
-from fiberloom.studies.lifetime import WAYS, LifetimeSettings, calibrate, lifetime, sweeps
+from fiberloom.studies.lifetime import WAYS, LifetimeSettings, calibrate, lifetime
 from fiberloom.twin import NoiseCamera, StatisticalTwin, Twin, TwinTransport, bench_units, worn
 from fiberloom.twin.noise import UnitNoise
+from fiberloom.twin.statistical import sweeps
 
 SMALL = LifetimeSettings(
     cycles=100,

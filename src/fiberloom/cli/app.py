@@ -23,8 +23,14 @@ from fiberloom.cli.calibrate.identification import arms, coast, friction, inerti
 from fiberloom.cli.calibrate.learnt import history, undo
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
+from fiberloom.cli.design.budget import budget
+from fiberloom.cli.design.check import check
+from fiberloom.cli.design.compare import compare, sweep
 from fiberloom.cli.design.coverage import coverage
+from fiberloom.cli.design.efficiency import efficiency
 from fiberloom.cli.design.gear import gear, spring
+from fiberloom.cli.design.power import power
+from fiberloom.cli.design.report import report
 from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
@@ -101,9 +107,16 @@ add(sky, guide)
 add(sky, survey)
 
 app.add_typer(design, name="design")
+add(design, budget)
+add(design, check)
+add(design, compare)
 add(design, coverage)
+add(design, efficiency)
 add(design, gear)
+add(design, power)
+add(design, report)
 add(design, spring)
+add(design, sweep)
 add(design, throughput)
 
 app.add_typer(calibrate, name="calibrate")

@@ -12,9 +12,11 @@ from matplotlib.axes import Axes
 
 from fiberloom.design.array_coverage import ArrayCoverage
 from fiberloom.design.coverage import Coverage
+from fiberloom.design.efficiency import Efficiency
 from fiberloom.design.gear import GearWindow
 from fiberloom.design.lattice import Lattice, Pattern
 from fiberloom.design.spring import SpringWindow
+from fiberloom.design.sweep import VariedDesign
 from fiberloom.report.figures import figure_with, save
 
 GRID = 400
@@ -113,4 +115,54 @@ def draw_spring(path: Path, name: str, windows: Sequence[SpringWindow]) -> None:
         axes.set_title(f"{name} {one.axis}: {word}, {one.good_share:.0%} of units by {one.factor:g}")
         axes.set(xlabel=f"{one.axis} [deg]", ylabel="torque at the output [mNm]", ylim=(0.0, None))
     panels[0, 0].legend()
+    save(figure, path)
+
+
+def draw_efficiency(path: Path, name: str, found: Sequence[Efficiency]) -> None:
+    """Shares of fibres used and of targets observed against targets per fibre: `found` of `name`, into
+    `path`."""
+    figure, (left, right) = figure_with((11.0, 4.6), 1, 2)
+    for rule in dict.fromkeys(one.rule for one in found):
+        rows = [one for one in found if one.rule == rule]
+        per_fibre = [one.per_fibre for one in rows]
+        for axes, share in ((left, "used"), (right, "observed")):
+            value, error = ([getattr(one, word) for one in rows] for word in (share, f"{share}_error"))
+            axes.errorbar(per_fibre, value, error, marker="o", ms=4, capsize=3, label=rule)
+    last = found[-1]
+    many = f"{last.exposures} exposures" if last.exposures > 1 else "one exposure"
+    left.set(
+        ylabel="share of the fibres that are used",
+        title=f"{name}: {last.used:.1%} at {last.per_fibre:.2f} targets per fibre",
+    )
+    right.set(ylabel="share of the targets observed", title=f"{last.observed:.1%} of them after {many}")
+    for axes in (left, right):
+        axes.set(xlabel="targets per working fibre", ylim=(0.0, 1.03), xlim=(0.0, None))
+    left.legend()
+    save(figure, path)
+
+
+def draw_front(
+    path: Path, name: str, found: Sequence[VariedDesign], front: Sequence[bool], objectives: Sequence[str]
+) -> None:
+    """The first two `objectives` of all designs `found` of `name`, those on the `front` named, into
+    `path`."""
+    first, second = [*objectives, *objectives][:2]
+    figure, axes = figure_with((8.0, 5.5))
+    known = [
+        (one, on)
+        for one, on in zip(found, front, strict=True)
+        if one.figures and None not in (one.figures[first], one.figures[second])
+    ]
+    middle = float(np.median([one.figures[first] for one, _ in known])) if known else 0.0
+    for one, on in known:
+        at = one.figures[first], one.figures[second]
+        axes.plot(*at, "o", color="tab:red" if on else "0.7", zorder=3 if on else 2)
+        if on:
+            words = ", ".join(f"{key} {value:g}" for key, value in one.changes.items())
+            side, off = ("left", 6) if at[0] < middle else ("right", -6)
+            axes.annotate(words, at, (off, 5), textcoords="offset points", fontsize=8, ha=side)
+    many = sum(on for _, on in known)
+    axes.set(xlabel=first.replace("_", " "), ylabel=second.replace("_", " "))
+    axes.margins(0.12)
+    axes.set_title(f"{name}: {many} of {len(found)} designs on the front")
     save(figure, path)

@@ -109,9 +109,14 @@ class SpringWindow:
 
 
 def spring_window(
-    instrument: Instrument, axis: int, load_mNm: float | None = None, factor: float = FACTOR, seed: int = 0
+    instrument: Instrument,
+    axis: int,
+    load_mNm: float | None = None,
+    factor: float = FACTOR,
+    seed: int = 0,
+    n: int = UNITS,
 ) -> SpringWindow:
-    """The window of an `axis` of an `instrument`, 0 alpha or 1 beta, over 500 units of the twin drawn by
+    """The window of an `axis` of an `instrument`, 0 alpha or 1 beta, over `n` units of the twin drawn by
     `seed`.
 
     `load_mNm`: largest outside torque, None: assumed; `factor`: margin asked for. Tables `[twin.alpha]`
@@ -131,7 +136,13 @@ def spring_window(
         )
     if not load_mNm > 0.0 or not factor >= 1.0:
         raise InputError(f"spring: load {load_mNm:g} mNm must be above 0, factor {factor:g} at least 1")
-    return _of_units(generate(instrument, seed, n_positioners=UNITS), axis, load_mNm, factor, seed)
+    return _of_units(
+        generate(instrument, seed, n_positioners=min(n, instrument.layout.n_positioners)),
+        axis,
+        load_mNm,
+        factor,
+        seed,
+    )
 
 
 def _of_units(plane: FocalPlane, axis: int, load_mNm: float, factor: float, seed: int) -> SpringWindow:

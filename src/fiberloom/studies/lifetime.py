@@ -25,10 +25,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiberloom.calibration import SweepData, SweepSettings, wire_grid
+from fiberloom.calibration import SweepSettings
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration, AdaptiveSettings
 from fiberloom.calibration.transmission.evaluate import CalibrationReport, evaluate
-from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, Provenance, TransmissionMaps
+from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.instruments.arms import CENTRE, L_ALPHA
@@ -37,7 +37,7 @@ from fiberloom.twin.bench import bench_units
 from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.faults.ailments import chosen_ailments, loosened
 from fiberloom.twin.noise import UnitNoise
-from fiberloom.twin.statistical import StatisticalTwin
+from fiberloom.twin.statistical import StatisticalTwin, sweeps
 from fiberloom.twin.wear import Wear, WearModel
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import GEAR, MM_PER_UM, UM_PER_MM, deg_to_rad, rad_to_deg
@@ -292,22 +292,6 @@ def angles_deg(plane: FocalPlane, xy_mm: Floats) -> Floats:
     n, _, m = xy_mm.shape
     found = plane.inverse(xy_mm.swapaxes(1, 2).reshape(-1, 2), index=np.repeat(np.arange(n), m))
     return np.stack([found.alpha_deg, found.beta_deg]).reshape(2, n, m).swapaxes(0, 1)
-
-
-def sweeps(twin: StatisticalTwin, settings: SweepSettings, look: object = None) -> SweepData:
-    """What `measure_sweeps` would see of this twin, without the moves: Kronig 2020, Eq. 6 and 7."""
-    wire = wire_grid(twin.plane, settings)
-    n, k = len(twin.plane), settings.n_points
-    xy = np.empty((2, 2, k, n, 2))
-    for axis, rest in enumerate((settings.beta_lever_deg, settings.alpha_rest_deg)):
-        resting = twin.stand(np.full((n, 2), rest))
-        for side, direction in enumerate((NEGATIVE, POSITIVE)):
-            theta = twin.stand(np.broadcast_to(wire[axis], (n, 2, k)), direction)
-            theta[:, 1 - axis] = resting[:, 1 - axis, None]
-            true = twin.fibre_xy(METROLOGY, theta)
-            images = [look(true) if callable(look) else true for _ in range(settings.images)]
-            xy[axis, side] = np.mean(images, axis=0).transpose(2, 0, 1)
-    return SweepData(wire, xy, [""] * n)
 
 
 def calibrate(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiberloom._core import geometry
+from fiberloom.calibration import SweepData, SweepSettings, wire_grid
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane
 from fiberloom.twin.gears import NODE_RAD, Gears
@@ -132,7 +133,7 @@ class StatisticalTwin:
         """True position in mm of a fibre: (N, 2) now, or (N, 2, M) at output angles (N, 2, M)."""
         if fibre not in self.plane.points:
             raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
-        points = self.units.points_mm(self.plane.points[fibre])
+        points = self.units.points_mm(self.plane.points[fibre], fibre)
         theta = self.truth() if theta_deg is None else np.asarray(theta_deg, dtype=np.float64)
         flat = _moves(theta)
         count = flat.shape[2]
@@ -167,6 +168,22 @@ class StatisticalTwin:
         ends = self.gears.output_of(np.stack([before_rad, after_rad], axis=-1))
         way = ends[..., 1] - ends[..., 0]
         return (np.where(way < 0.0, self.follows[..., 0], self.follows[..., 1]) - 1.0) * way
+
+
+def sweeps(twin: StatisticalTwin, settings: SweepSettings, look: object = None) -> SweepData:
+    """What `measure_sweeps` would see of this twin, without the moves: Kronig 2020, Eq. 6 and 7."""
+    wire = wire_grid(twin.plane, settings)
+    n, k = len(twin.plane), settings.n_points
+    xy = np.empty((2, 2, k, n, 2))
+    for axis, rest in enumerate((settings.beta_lever_deg, settings.alpha_rest_deg)):
+        resting = twin.stand(np.full((n, 2), rest))
+        for side, direction in enumerate((NEGATIVE, POSITIVE)):
+            theta = twin.stand(np.broadcast_to(wire[axis], (n, 2, k)), direction)
+            theta[:, 1 - axis] = resting[:, 1 - axis, None]
+            true = twin.fibre_xy(METROLOGY, theta)
+            images = [look(true) if callable(look) else true for _ in range(settings.images)]
+            xy[axis, side] = np.mean(images, axis=0).transpose(2, 0, 1)
+    return SweepData(wire, xy, [""] * n)
 
 
 def hall_error_rad(units: Units, motor_rad: Floats) -> Floats:

@@ -62,7 +62,7 @@ def coverage(options: CoverageOptions) -> None:
     fibres = [options.fibre] if options.fibre else list(instrument.science_fibres)
     if options.out is not None and len(fibres) > 1:
         raise InputError(f"--out: one map is of one fibre; add --fibre, one of {', '.join(fibres)}")
-    rows = [_of_fibre(options, instrument, fibre) for fibre in fibres]
+    rows = [coverage_row(options, instrument, fibre) for fibre in fibres]
     if options.as_json:
         options.print_json(rows)
         return
@@ -70,7 +70,8 @@ def coverage(options: CoverageOptions) -> None:
         options.show(row)
 
 
-def _of_fibre(options: CoverageOptions, instrument: Instrument, fibre: str) -> dict[str, Any]:
+def coverage_row(options: CoverageOptions, instrument: Instrument, fibre: str) -> dict[str, Any]:
+    """As it is printed; draws the map where one is asked for."""
     from fiberloom.design.coverage import coverage as coverage_of
     from fiberloom.design.coverage import fillings
 

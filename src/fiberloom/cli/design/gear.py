@@ -54,11 +54,12 @@ def gear(options: GearOptions) -> int:
         from fiberloom.design.figures import draw_gear
 
         draw_gear(options.out, instrument.name, found)
-    options.show([_gear_row(one) for one in found])
+    options.show([gear_row(one) for one in found])
     return int(not all(one.fits for one in found))
 
 
-def _gear_row(one: GearWindow) -> dict[str, Any]:
+def gear_row(one: GearWindow) -> dict[str, Any]:
+    """As it is printed."""
     return {
         "axis": one.axis,
         "lever_mm": round(one.lever_mm, 3),
@@ -107,7 +108,7 @@ def spring(options: SpringOptions) -> int:
         from fiberloom.design.figures import draw_spring
 
         draw_spring(options.out, instrument.name, found)
-    rows = [_spring_row(one) for one in found]
+    rows = [spring_row(one) for one in found]
     if options.as_json:
         options.print_json(rows)
     else:
@@ -126,7 +127,8 @@ def _loads(text: str | None) -> tuple[float | None, float | None]:
     return alpha, beta
 
 
-def _spring_row(one: SpringWindow) -> dict[str, Any]:
+def spring_row(one: SpringWindow) -> dict[str, Any]:
+    """As it is printed."""
     import numpy as np
 
     row: dict[str, Any] = {

@@ -12,6 +12,7 @@ from fiberloom.cli.options import require_instrument
 
 if TYPE_CHECKING:
     from fiberloom.design.throughput import CorrectionCosts, FibreOptics
+    from fiberloom.instruments import Instrument
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,22 +38,29 @@ def throughput(options: ThroughputOptions) -> None:
     by the sky. What is left after corrections is the noise of the instrument's camera.
     """
     require_instrument(options.file)
-    from fiberloom.design.throughput import CorrectionCosts, FibreOptics
     from fiberloom.instruments import load_instrument
 
-    instrument = load_instrument(options.file)
-    optics = FibreOptics(options.core, options.scale, options.seeing)
-    blind_um = instrument.drive.blind_um if options.blind is None else options.blind
-    floor_um = instrument.metrology.noise_rms_um
-    moves = CorrectionCosts(blind_um, options.remains, floor_um, options.each)
-    requirement_um = instrument.operation.requirement_um
-    rows = _moves(options, optics, moves, requirement_um)
-    told = _summary(options, optics, moves, requirement_um)
+    rows, told = throughput_tables(options, load_instrument(options.file))
     if options.as_json:
         options.print_json({"corrections": rows, "summary": told})
         return
     options.show(rows)
     options.show(told)
+
+
+def throughput_tables(
+    options: ThroughputOptions, instrument: Instrument
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows of the numbers of corrections, and the summary, as they are printed."""
+    from fiberloom.design.throughput import CorrectionCosts, FibreOptics
+
+    optics = FibreOptics(options.core, options.scale, options.seeing)
+    blind_um = instrument.drive.blind_um if options.blind is None else options.blind
+    floor_um = instrument.metrology.noise_rms_um
+    moves = CorrectionCosts(blind_um, options.remains, floor_um, options.each)
+    requirement_um = instrument.operation.requirement_um
+    told = _summary(options, optics, moves, requirement_um)
+    return _moves(options, optics, moves, requirement_um), told
 
 
 def _moves(

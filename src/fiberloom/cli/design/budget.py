@@ -1,0 +1,153 @@
+"""`fiberloom design budget`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fiberloom.cli.design.coverage import DesignOptions
+from fiberloom.cli.options import require_instrument
+from fiberloom.cli.terminal import Waiting, waiting
+
+if TYPE_CHECKING:
+    from fiberloom.design.budget.monte_carlo import Simulated
+    from fiberloom.design.budget.terms import Budget, BudgetSettings
+    from fiberloom.instruments import FocalPlane
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetOptions(DesignOptions):
+    """Of `fiberloom design budget`."""
+
+    corrections: Annotated[int, typer.Option(min=0, max=20, help="After the blind move.")] = 2
+    knots: Annotated[int, typer.Option(help="Of a map, for each axis and direction.")] = 200
+    errors: Annotated[
+        str, typer.Option(help="What tables have wrong, as `observe --errors`: none, all, fibre=2, ...")
+    ] = "none"
+    zenith: Annotated[float, typer.Option(help="Zenith distance, deg; with gravity among the errors.")] = 0.0
+    turn: Annotated[float, typer.Option(help="By which the rotator turns from image to exposure, deg.")] = 0.0
+    units: Annotated[int, typer.Option(min=7, help="Of the twin, drawn.")] = 120
+    fields: Annotated[int, typer.Option(min=1, help="Random configurations of all of them.")] = 6
+    observe: Annotated[
+        int, typer.Option(min=0, help="So many positioners of the full twin, firmware and all; 0: none.")
+    ] = 0
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
+
+
+def budget(options: BudgetOptions) -> int:
+    """Error budget of the blind move and after corrections: by formula, and on the twin beside it.
+
+    Terms come from the instrument's file and from the units that the twin draws by it; nothing is fitted.
+    Below: what halving each cause would win. Exit code 1 where more than 1 % of the fibres are beyond the
+    requirement after the corrections.
+    """
+    require_instrument(options.file)
+    from fiberloom.instruments import load_instrument
+
+    instrument = load_instrument(options.file)
+    with waiting() as shown:
+        report, beyond = budget_report(options, instrument, shown)
+    if options.as_json:
+        options.print_json(report)
+    else:
+        for part in report.values():
+            options.show(part)
+    return int(beyond > 0.01)
+
+
+def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tuple[dict[str, Any], float]:
+    """The tables by name, and the share of the fibres beyond the requirement at the end."""
+    from fiberloom.design.budget.improve import improvements
+    from fiberloom.design.budget.monte_carlo import alone_um, simulate
+    from fiberloom.design.budget.terms import budget as budget_of
+    from fiberloom.design.budget.terms import require_maps
+    from fiberloom.instruments import generate
+    from fiberloom.twin import draw_units
+
+    require_maps(instrument)
+    settings = _settings(options, instrument)
+    plane = generate(instrument, options.seed, n_positioners=options.units)
+    shown.say("drawing units")
+    bench = draw_units(plane, options.seed, errors=settings.errors.at_calibration())
+    found = budget_of(plane, bench, settings)
+    shown.say("one term after the other on the twin")
+    alone = alone_um(plane, options.seed, settings, options.fields)
+    shown.say("all terms on the twin")
+    night = draw_units(plane, options.seed, errors=settings.errors)
+    seen = simulate(plane, night, settings, options.fields, on_bench=bench)
+    full = _full(options, plane, settings, shown)
+    requirement_um = instrument.operation.requirement_um
+    report = {
+        "terms": _terms(found, alone),
+        "moves": _moves(found, seen, full, requirement_um),
+        "halved": _halved(improvements(plane, bench, settings)),
+    }
+    return report, found.beyond(settings.corrections, requirement_um)
+
+
+def _settings(options: BudgetOptions, instrument: Any) -> BudgetSettings:
+    from fiberloom.design.budget.terms import BudgetSettings
+    from fiberloom.twin.errors.sizes import TwinErrors
+
+    errors = TwinErrors.of(instrument, options.errors)
+    return BudgetSettings(options.corrections, options.knots, options.zenith, options.turn, errors)
+
+
+def _full(options: BudgetOptions, plane: FocalPlane, settings: BudgetSettings, shown: Waiting) -> list[float]:
+    """True errors of each move on the full twin; empty: not asked for."""
+    if not options.observe:
+        return []
+    import tempfile
+
+    from fiberloom.field import Field
+    from fiberloom.instruments import generate
+    from fiberloom.targets.generate import random_targets
+
+    shown.say("the full twin: maps, targets, moves, images")
+    some = generate(plane.instrument, options.seed, n_positioners=options.observe)
+    targets = random_targets(some, 4 * options.observe, options.seed)
+    field = Field.twin(some, options.seed, camera="noise", errors=options.errors)
+    with tempfile.TemporaryDirectory() as folder:
+        seen = field.run.observe(targets, settings.corrections, out=folder)
+    return [float(move["true_rms_um"]) for move in seen.summary()["moves"]]
+
+
+def _terms(found: Budget, alone: dict[str, float]) -> list[dict[str, Any]]:
+    return [
+        {
+            "term": one.name,
+            "blind_um": round(one.blind_um, 3),
+            "blind_um_twin": round(alone[one.name], 3) if one.name in alone else "",
+            "corrected_um": round(one.corrected_um, 3),
+        }
+        for one in found.terms
+    ]
+
+
+def _moves(found: Budget, seen: Simulated, full: list[float], requirement_um: float) -> list[dict[str, Any]]:
+    rows = []
+    for k, um in enumerate(found.total_um):
+        row = {
+            "corrections": k,
+            "rms_um": round(um, 3),
+            "rms_um_twin": round(float(seen.rms_um[k]), 3),
+            "p95_um_twin": round(float(seen.p95_um[k]), 3),
+            "beyond_requirement_percent": round(100.0 * found.beyond(k, requirement_um), 3),
+        }
+        rows.append(row | ({"rms_um_full_twin": round(full[k], 3)} if full else {}))
+    return rows
+
+
+def _halved(found: list[Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "halved": one.change,
+            "blind_um": round(one.blind_um, 3),
+            "won_blind_um": round(one.blind_won_um, 3),
+            "corrected_um": round(one.corrected_um, 3),
+            "won_corrected_um": round(one.corrected_won_um, 3),
+        }
+        for one in found
+    ]

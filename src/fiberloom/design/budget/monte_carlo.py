@@ -1,0 +1,213 @@
+"""The same budget on the twin: maps are swept, moves made, images taken, corrections computed.
+
+Standstill positions of the statistical twin (`fiberloom.twin.statistical`), the project's own evaluation of
+sweeps and its own corrections. One term at a time: all others are switched off in the units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiberloom.calibration import SweepSettings
+from fiberloom.calibration.transmission.evaluate import evaluate
+from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
+from fiberloom.design.budget.terms import BudgetSettings, require_maps
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF
+from fiberloom.metrology.noise import CorrectionNoise
+from fiberloom.operation.correction import CorrectionLoop
+from fiberloom.twin import NoiseCamera, StatisticalTwin, Units, draw_units
+from fiberloom.twin.errors.sizes import NO_ERRORS
+from fiberloom.twin.statistical import sweeps
+from fiberloom.typing import Floats
+from fiberloom.units import MM_PER_UM, UM_PER_MM
+
+INSIDE_MM = 0.1
+"""Targets keep this far from the ends of the reach."""
+
+
+@dataclass(frozen=True)
+class Noises:
+    """What a run of the twin has, um rms in two dimensions."""
+
+    sweep_um: float
+    """Of the camera while maps are measured."""
+    image_um: float
+    """Of the camera while fibres are corrected."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Errors of the science fibre on the twin."""
+
+    rms_um: Floats
+    """(k + 1,) of the blind move and after each correction."""
+    p95_um: Floats
+    """(k + 1,) 95 % of them are within."""
+    error_um: float
+    """Standard error of the blind rms, over units."""
+
+
+def simulate(
+    plane: FocalPlane,
+    units: Units,
+    settings: BudgetSettings,
+    fields: int = 10,
+    noises: Noises | None = None,
+    on_bench: Units | None = None,
+) -> Simulated:
+    """`fields` random configurations of all `units` of a `plane`, each with its own targets.
+
+    `settings`: corrections, knots, errors of tables and air; `noises`: of the camera, default the
+    instrument's; `on_bench`: the units as they were when their maps were measured, default the same.
+
+    Raises
+    ------
+    InputError
+        An instrument whose motors have no transmission map.
+    """
+    require_maps(plane.instrument)
+    own_um = plane.instrument.metrology.noise_rms_um
+    noises = noises or Noises(own_um, own_um)
+    rng = np.random.default_rng([units.seed, 0xB0D6])
+    twin = StatisticalTwin(plane, units, seed=units.seed)
+    maps = swept(plane, units if on_bench is None else on_bench, settings.knots, noises.sweep_um, rng)
+    camera = NoiseCamera(twin, noises.image_um, units.seed, settings.errors)
+    square = np.empty((fields, settings.corrections + 1, plane.n))
+    for field in range(fields):
+        square[field] = _field(twin, maps, camera, noises, settings.corrections, rng)
+    by_unit = square[:, 0].mean(axis=0)
+    rms = np.sqrt(square.mean(axis=(0, 2)))
+    return Simulated(
+        rms_um=rms,
+        p95_um=np.sqrt(np.quantile(square, 0.95, axis=(0, 2))),
+        error_um=float(by_unit.std(ddof=1) / np.sqrt(plane.n) / (2.0 * max(rms[0], 1e-12))),
+    )
+
+
+def swept(
+    plane: FocalPlane, units: Units, knots: int, camera_um: float, rng: np.random.Generator
+) -> TransmissionMaps:
+    """Maps as a bench finds them, of the `units` of a `plane`; `knots` of each axis and direction, images
+    with `camera_um` of noise from `rng`."""
+    bench = StatisticalTwin(plane, units, seed=units.seed + 1)
+    sigma_mm = MM_PER_UM * camera_um / np.sqrt(2.0)
+    sweep = SweepSettings(knots)
+    data = sweeps(bench, sweep, lambda true: true + rng.normal(0.0, sigma_mm, true.shape))
+    maps, _ = evaluate(plane, data, sweep.seen_at_least, Provenance())
+    return maps
+
+
+def _field(
+    twin: StatisticalTwin,
+    maps: TransmissionMaps,
+    camera: NoiseCamera,
+    noises: Noises,
+    corrections: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """(corrections + 1, N) um^2 of the science fibres from their targets."""
+    plane = twin.plane
+    fibre = plane.instrument.science_fibres[0]
+    goal_deg = random_goals_deg(plane, rng)
+    target_mm = plane.forward(goal_deg[:, 0], goal_deg[:, 1], fibre)
+    noise = replace(CorrectionNoise.of(plane), camera_um=noises.image_um)
+    filtered = plane.instrument.operation.correction == "filtered"
+    loop = CorrectionLoop(plane, goal_deg, fibre=np.full(plane.n, fibre), noise=noise, filtered=filtered)
+    wanted_deg, found = goal_deg, []
+    for move in range(corrections + 1):
+        twin.move(maps.to_wire(wanted_deg))
+        found.append(((UM_PER_MM * (twin.fibre_xy(fibre) - target_mm)) ** 2).sum(axis=1))
+        if move < corrections:
+            image = camera.measure()
+            seen_mm = np.column_stack([image.x_mm, image.y_mm])
+            wanted_deg = loop.update(wanted_deg, seen_mm, np.ones(plane.n, dtype=bool))
+    return np.array(found)
+
+
+def random_goals_deg(plane: FocalPlane, rng: np.random.Generator) -> Floats:
+    """(N, 2) of the first science fibre, spread evenly over the annulus of each unit."""
+    fibre = plane.instrument.science_fibres[0]
+    low_mm, high_mm = (abs(x) for x in plane.instrument.reach_mm)
+    goals = np.zeros((plane.n, 2))
+    left = np.arange(plane.n)
+    while len(left):
+        radius = np.sqrt(rng.uniform((low_mm + INSIDE_MM) ** 2, (high_mm - INSIDE_MM) ** 2, len(left)))
+        turn = rng.uniform(0.0, 2.0 * np.pi, len(left))
+        xy_mm = plane.centres_mm[left] + np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
+        found = plane.inverse(xy_mm, fibre, left)
+        goals[left] = np.column_stack([found.alpha_deg, found.beta_deg])
+        left = left[~found.reachable]
+    return goals
+
+
+# one term at a time
+
+_HALL = ("hall_offset_a", "hall_offset_b", "hall_amplitude_a", "hall_amplitude_b", "hall_phase")
+
+
+def alone_um(plane: FocalPlane, seed: int, settings: BudgetSettings, fields: int) -> dict[str, float]:
+    """um rms of the blind move for each term that the twin can have alone.
+
+    `plane`: of N positioners whose units are drawn by `seed`; `settings`: knots, errors; `fields`: random
+    configurations.
+    """
+    blind = replace(settings, corrections=0, errors=NO_ERRORS)
+    units = draw_units(plane, seed, errors=settings.errors.at_calibration())
+    quiet = _quiet(plane, units)
+    noise_um = plane.instrument.metrology.noise_rms_um
+    none = Noises(0.0, 0.0)
+    gear = replace(quiet, gear=units.gear)
+    seat = replace(quiet, plant=units.plant, firmware=units.firmware)
+    arms = replace(quiet, arms=_of_layout_zeros(plane, units), beta_longer_mm=units.beta_longer_mm)
+    runs = {
+        "gear between knots": (gear, none),
+        "camera at knots": (quiet, Noises(noise_um, 0.0)),
+        "arms of the table": (arms, none),
+    }
+    if any(mm.any() for mm in units.fibre_offset_mm.values()):
+        runs["fibre"] = (replace(quiet, fibre_offset_mm=units.fibre_offset_mm), none)
+    found = {k: float(simulate(plane, u, blind, fields, n).rms_um[0]) for k, (u, n) in runs.items()}
+    found["arrival"] = float(simulate(plane, seat, blind, fields, none, on_bench=quiet).rms_um[0])
+    in_map = float(simulate(plane, quiet, blind, fields, none, on_bench=seat).rms_um[0])
+    found["seat at knots"] = in_map
+    if settings.errors.temperature.on:
+        night = draw_units(plane, seed, errors=replace(NO_ERRORS, temperature=settings.errors.temperature))
+        grown = replace(
+            quiet,
+            arms=_of_layout_zeros(plane, night),
+            beta_longer_mm=night.beta_longer_mm,
+            fibre_offset_mm=night.fibre_offset_mm,
+        )
+        warm = simulate(plane, grown, blind, fields, none, on_bench=quiet)
+        found["temperature"] = float(warm.rms_um[0])
+    return found
+
+
+def _quiet(plane: FocalPlane, units: Units) -> Units:
+    """Units of whom all is known and nothing scatters; the backlash stays."""
+    plant, gear, firmware = units.plant.copy(), units.gear.copy(), units.firmware.copy()
+    plant["seat_rms"] = 0.0
+    gear["delta_rad"] = 0.0
+    for name in _HALL:
+        firmware[name] = plant[name]
+    still = {name: np.zeros_like(mm) for name, mm in units.fibre_offset_mm.items()}
+    return replace(
+        units,
+        plant=plant,
+        gear=gear,
+        firmware=firmware,
+        arms=plane.arms.copy(),
+        beta_longer_mm=np.zeros(plane.n),
+        fibre_offset_mm=still,
+    )
+
+
+def _of_layout_zeros(plane: FocalPlane, units: Units) -> Floats:
+    """True centres and lengths, zeros as in the layout: those are in the maps."""
+    arms = units.arms.copy()
+    for column in (ALPHA_OFF, BETA_OFF):
+        arms[:, column] = plane.arms[:, column]
+    return arms

@@ -1,0 +1,130 @@
+"""Many designs at once: every combination of the numbers that are varied, on all cores by Dask."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from fiberloom.design.merits import MeritSettings, merits, varied
+from fiberloom.errors import InputError
+from fiberloom.instruments import Instrument
+
+MOST_DESIGNS = 2000
+SCHEDULER = "processes"
+"""Of Dask, on this machine."""
+
+
+@dataclass(frozen=True)
+class VariedDesign:
+    """One combination."""
+
+    changes: Mapping[str, float]
+    """What is varied: key and value."""
+    figures: Mapping[str, float | None]
+    """By the names of `merits.SENSES`; empty: it cannot be."""
+    refused: str = ""
+    """Why it cannot be."""
+
+
+def ranges_of(text: str) -> dict[str, list[float]]:
+    """Keys and values of `arms.alpha=5:9:0.5,pitch=20;22.4`: from, to and step, or single values.
+
+    Raises
+    ------
+    InputError
+        Words that are no such ranges.
+    """
+    found = {}
+    for word in text.split(","):
+        key, sign, values = word.partition("=")
+        try:
+            found[key.strip()] = _values(values)
+        except ValueError:
+            sign = ""
+        if not sign or not found.get(key.strip()):
+            raise InputError(f"--vary {word}: give key=from:to:step or key=a;b;c, as in arms.alpha=5:9:0.5")
+    return found
+
+
+def _values(text: str) -> list[float]:
+    if ":" not in text:
+        return [float(value) for value in text.split(";")]
+    low, high, step = (float(value) for value in text.split(":"))
+    if not (step > 0.0 and high >= low and (high - low) / step < MOST_DESIGNS):
+        raise ValueError(text)
+    return [float(round(x, 9)) for x in np.arange(low, high + 1e-9 * step + 1e-12, step)]
+
+
+def sweep(
+    instrument: Instrument,
+    ranges: Mapping[str, Sequence[float]],
+    settings: MeritSettings,
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> list[VariedDesign]:
+    """All combinations of the `ranges` of an `instrument`, in their order.
+
+    `settings`: at what figures are taken; `workers`: processes on this machine; `scheduler`: address of a
+    Dask cluster in place of them.
+
+    Raises
+    ------
+    InputError
+        More than 2000 designs, a key that there is not, or no cluster at the address.
+    """
+    combinations = [dict(zip(ranges, values, strict=True)) for values in product(*ranges.values())]
+    if len(combinations) > MOST_DESIGNS:
+        raise InputError(f"--vary: {len(combinations)} designs, {MOST_DESIGNS} at most; take wider steps")
+    for key in ranges:
+        _refuse_unknown(instrument, key, ranges[key][0])
+    return _computed(instrument, combinations, settings, workers, scheduler)
+
+
+def _refuse_unknown(instrument: Instrument, key: str, value: float) -> None:
+    """A key that there is not is told at once; an instrument that cannot be is a row of the table."""
+    try:
+        varied(instrument, {key: value})
+    except InputError as error:
+        if str(error).startswith("--vary"):
+            raise
+
+
+def _computed(
+    instrument: Instrument,
+    combinations: list[dict[str, float]],
+    settings: MeritSettings,
+    workers: int,
+    scheduler: str | None,
+) -> list[VariedDesign]:
+    if workers <= 1 and scheduler is None:
+        return [_design(instrument, changes, settings) for changes in combinations]
+    import dask
+
+    one = dask.delayed(_design)
+    jobs = [one(instrument, changes, settings) for changes in combinations]
+    if scheduler is not None:
+        with _cluster(scheduler):
+            return list(dask.compute(*jobs))
+    return list(dask.compute(*jobs, scheduler=SCHEDULER, num_workers=workers, chunksize=1))
+
+
+def _cluster(address: str) -> Any:
+    from distributed import Client
+
+    try:
+        return Client(address, timeout=10)  # type: ignore[no-untyped-call]  # Dask has no types here
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: {error}; start one with 'dask scheduler', or leave the option out"
+        ) from None
+
+
+def _design(instrument: Instrument, changes: dict[str, float], settings: MeritSettings) -> VariedDesign:
+    try:
+        return VariedDesign(changes, merits(varied(instrument, changes), settings))
+    except InputError as error:
+        return VariedDesign(changes, {}, str(error))
