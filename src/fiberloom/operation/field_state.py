@@ -148,6 +148,7 @@ class FieldState:
         it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal;
         `hidden` (N,): fibres that it need not show: where they are not seen they are not dark.
         """
+        image = self._told_by(image, np.ones(len(self.plane), dtype=bool))
         ended = [results.get(int(p)) for p in self.plane.positioner_id]
         asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
@@ -181,6 +182,13 @@ class FieldState:
         again: Flags = self.mobile & (away | unfinished)
         return again
 
+    def _told_by(self, image: Measurement, there: Flags) -> Measurement:
+        """What faults are judged by: the image; of a blind drive where those `there` (N,) are believed."""
+        if not self.model.blind:
+            return image
+        at_mm = np.where(there[:, None], self.metrology_mm(self.here_deg), np.nan)
+        return Measurement(at_mm[:, 0], at_mm[:, 1], there, image.time_s)
+
     def _trust_the_camera(self, image: Measurement) -> None:
         """Where a report is not trusted, the position is that of the image, or unknown."""
         doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
@@ -194,7 +202,8 @@ class FieldState:
         `answered` (N,): on the bus; `vouched` (N,): whose datum is on record. InputError where most
         fibres are dark, or most positioners are not where they report.
         """
-        if (~image.seen & self.mobile).sum() > MOST * len(self.plane):
+        image = self._told_by(image, answered)
+        if (~image.seen & self.mobile & (answered | ~np.array(self.model.blind))).sum() > MOST * len(self.plane):
             raise InputError(
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"

@@ -15,7 +15,7 @@ from fiberloom.errors import InputError
 
 MOST_ROBOT = 2**9 - 1
 """11-bit identifiers."""
-_GOAL_BYTES, _STATE_BYTES = 5, 6
+_GOAL_BYTES, _STATE_BYTES, _NUMBER_BYTES = 5, 6, 5
 
 
 class MegaraCommand(IntEnum):
@@ -30,6 +30,10 @@ class MegaraCommand(IntEnum):
     STATE = 4
     """Asks; the answer has a `RotorState` and i32 steps as counted."""
     STOP = 5
+    IDENTIFY = 6
+    """Asks; the answer has the u32 number of the robot itself, whatever place it is plugged in."""
+    SLIP = 7
+    """Asks; the answer has i32 steps as counted when the home switch was met last."""
 
 
 class RotorState(IntEnum):
@@ -99,6 +103,19 @@ def _steps(steps: int) -> bytes:
     if abs(steps) > MOST_STEPS:
         raise InputError(f"megara: {steps} steps; 31 bits fit")
     return steps.to_bytes(4, "big", signed=True)
+
+
+def number_frame(robot: int, rotor: int, command: MegaraCommand, number: int) -> MegaraFrame:
+    """The answer to IDENTIFY or SLIP, the `command`, of a `rotor` of a `robot`: a `number`."""
+    return MegaraFrame.of(robot, rotor, command, _steps(number))
+
+
+def decode_number(frame: MegaraFrame) -> int:
+    """The number in an answer to IDENTIFY or SLIP; InputError where it is none."""
+    asked = command_of(frame) in (MegaraCommand.IDENTIFY, MegaraCommand.SLIP)
+    if not asked or len(frame.data) != _NUMBER_BYTES:
+        raise InputError(f"megara: robot {frame.robot}: {frame.data.hex()} is no number of {_NUMBER_BYTES} bytes")
+    return int.from_bytes(frame.data[1:], "big", signed=True)
 
 
 def command_of(frame: MegaraFrame) -> MegaraCommand:

@@ -1,0 +1,21 @@
+"""The arrays of steppers by the protocol of their instrument."""
+
+from __future__ import annotations
+
+from fiberloom.drive.megara.link import MegaraLink
+from fiberloom.drive.steppers.bench import BenchSettings
+from fiberloom.drive.steppers.drive import TRIAL_DEG
+from fiberloom.drive.steppers.square import SquareMaker
+from fiberloom.twin.desi.transport import DesiTransport
+from fiberloom.twin.steppers.megara import BUSES, MegaraBus
+from fiberloom.twin.steppers.source import ArrayKind
+
+KINDS = {
+    "megara": ArrayKind(
+        bus=MegaraBus,
+        link=lambda bus, faults: MegaraLink(DesiTransport(bus, faults)),
+        maker=lambda instrument: SquareMaker.of(instrument, TRIAL_DEG),
+        bench=BenchSettings(knots=25, sweeps=3),
+        gateway_of=lambda number: number % BUSES,
+    ),
+}
