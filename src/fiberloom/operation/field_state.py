@@ -148,7 +148,7 @@ class FieldState:
         it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal;
         `hidden` (N,): fibres that it need not show: where they are not seen they are not dark.
         """
-        image = self._told_by(image, np.ones(len(self.plane), dtype=bool))
+        image = self._told_by(image)
         ended = [results.get(int(p)) for p in self.plane.positioner_id]
         asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
@@ -182,12 +182,13 @@ class FieldState:
         again: Flags = self.mobile & (away | unfinished)
         return again
 
-    def _told_by(self, image: Measurement, there: Flags) -> Measurement:
-        """What faults are judged by: the image; of a blind drive where those `there` (N,) are believed."""
+    def _told_by(self, image: Measurement) -> Measurement:
+        """What faults are judged by: the image; of a blind drive where all are believed to be."""
         if not self.model.blind:
             return image
-        at_mm = np.where(there[:, None], self.metrology_mm(self.here_deg), np.nan)
-        return Measurement(at_mm[:, 0], at_mm[:, 1], there, image.time_s)
+        every = np.ones(len(self.plane), dtype=bool)
+        x_mm, y_mm = self.metrology_mm(self.here_deg).T
+        return Measurement(x_mm, y_mm, every, image.time_s)
 
     def _trust_the_camera(self, image: Measurement) -> None:
         """Where a report is not trusted, the position is that of the image, or unknown."""
@@ -202,8 +203,8 @@ class FieldState:
         `answered` (N,): on the bus; `vouched` (N,): whose datum is on record. InputError where most
         fibres are dark, or most positioners are not where they report.
         """
-        image = self._told_by(image, answered)
-        if (~image.seen & self.mobile & (answered | ~np.array(self.model.blind))).sum() > MOST * len(self.plane):
+        image = self._told_by(image)
+        if (~image.seen & self.mobile).sum() > MOST * len(self.plane):
             raise InputError(
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "
                 "check the back-illumination"

@@ -31,7 +31,7 @@ class MegaraCommand(IntEnum):
     """Asks; the answer has a `RotorState` and i32 steps as counted."""
     STOP = 5
     IDENTIFY = 6
-    """Asks; the answer has the u32 number of the robot itself, whatever place it is plugged in."""
+    """Asks; the answer has the i32 number of the robot itself, whatever place it is plugged in."""
     SLIP = 7
     """Asks; the answer has i32 steps as counted when the home switch was met last."""
 
@@ -114,7 +114,9 @@ def decode_number(frame: MegaraFrame) -> int:
     """The number in an answer to IDENTIFY or SLIP; InputError where it is none."""
     asked = command_of(frame) in (MegaraCommand.IDENTIFY, MegaraCommand.SLIP)
     if not asked or len(frame.data) != _NUMBER_BYTES:
-        raise InputError(f"megara: robot {frame.robot}: {frame.data.hex()} is no number of {_NUMBER_BYTES} bytes")
+        raise InputError(
+            f"megara: robot {frame.robot}: {frame.data.hex()} is no number of {_NUMBER_BYTES} bytes"
+        )
     return int.from_bytes(frame.data[1:], "big", signed=True)
 
 

@@ -54,7 +54,9 @@ class MegaraLink:
         asked = list(ids)
         states = await self._states(asked)
         numbers = await self._numbers(asked, MegaraCommand.IDENTIFY, 0)
-        there = [robot for robot in asked if (robot, 1) in states and (robot, 2) in states and robot in numbers]
+        there = [
+            robot for robot in asked if (robot, 1) in states and (robot, 2) in states and robot in numbers
+        ]
         return {robot: _told(numbers[robot], states[robot, 1], states[robot, 2]) for robot in there}
 
     async def _states(self, robots: Sequence[int]) -> dict[tuple[int, int], ToldState]:
@@ -123,7 +125,9 @@ class MegaraLink:
         end_s = self.time_s + LONGEST_SEARCH_S
         while True:
             states = await self._states(ids)
-            moving = [r for (r, which), one in states.items() if which == rotor and one.state is RotorState.MOVING]
+            moving = [
+                r for (r, which), one in states.items() if which == rotor and one.state is RotorState.MOVING
+            ]
             if not moving or self.time_s > end_s:
                 return states
             await self.sleep(POLL_S)
@@ -151,7 +155,9 @@ def _is(frame: MegaraFrame, command: MegaraCommand) -> bool:
 def _told(serial: int, first: ToldState, second: ToldState) -> UnitTold:
     known = {RotorState.STILL, RotorState.MOVING}
     homed = first.state in known and second.state in known
-    return UnitTold(serial, homed, (first.steps, second.steps), RotorState.MOVING in (first.state, second.state))
+    return UnitTold(
+        serial, homed, (first.steps, second.steps), RotorState.MOVING in (first.state, second.state)
+    )
 
 
 def _ended(goal: tuple[int, int], states: dict[tuple[int, int], ToldState], robot: int) -> Outcome:

@@ -1,8 +1,8 @@
-"""Calibration of steppers on a bench, each unit alone under a camera: mechanical zeros and errors of the gears.
+"""Calibration of steppers on a bench, each unit alone under a camera: mechanical zeros, errors of the gears.
 
-One axis turns to and fro over its range while the other stands, sweep after sweep, each begun by a search of the
-datum. Alpha is found with the arm at a right angle, where a fibre tells both angles; beta from the elbow that
-follows then. Layout and arms are those of the plane. ukatc/FPUVerification finds MOONS' tables so.
+One axis turns to and fro over its range while the other stands, sweep after sweep, each begun by a search of
+the datum. Alpha is found with the arm at a right angle, where a fibre tells both angles; beta from the elbow
+that follows then. Layout and arms are those of the plane. ukatc/FPUVerification finds MOONS' tables so.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The drive of steppers without encoders: what is planned becomes legs of counts, whatever carries them.
 
 Where an arm is follows from the counts since its datum, and from what a bench has found of the unit. At the
-begin all search their switches, go a little way and come back: one that counts otherwise at its switch then
+begin all search their switches, go a little way and search again: one that does not count there what it went
 loses steps, or does not move, and is left where it is.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -27,9 +27,10 @@ from fiberloom.drive.port import (
     with_tube,
 )
 from fiberloom.drive.steppers.known import KnownUnits
-from fiberloom.drive.steppers.link import Leg, StepperLink, UnitTold
+from fiberloom.drive.steppers.link import Homed, Leg, StepperLink, UnitTold
 from fiberloom.drive.steppers.ways import ArmWays
 from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.handicaps import Handicaps
 from fiberloom.metrology import Measurement
 from fiberloom.planning import MotionLimits, Plan, Trajectory, Verification, verify
 from fiberloom.typing import Flags, Floats, Ints
@@ -47,12 +48,17 @@ ROUNDS = 5
 class Maker(Protocol):
     """Makes legs of what is wanted, as an instrument's controllers can run them."""
 
-    def legs(self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits) -> tuple[list[Leg], dict[int, str]]:
-        """Legs of those that move (N,), from `counts` (N, 2) on; and by row why one does not move."""
+    def legs(
+        self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits
+    ) -> tuple[list[Leg], dict[int, str]]:
+        """Legs of what is `wanted` of those that `moves` (N,); and by row why one does not move.
+
+        `counts` (N, 2): now; `known` of the units.
+        """
         ...
 
     def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
-        """Legs by which folded units `rows` turn alpha a little, from `counts` (N, 2), and back."""
+        """Legs by which folded units `rows` turn alpha a little, from `counts` (N, 2)."""
         ...
 
 
@@ -67,7 +73,7 @@ class StepperDrive:
     """Steppers on a link. Implements `fiberloom.drive.Drive`."""
 
     def __init__(self, plane: FocalPlane, link: StepperLink, known: KnownUnits, maker: Maker) -> None:
-        """`plane`: N positioners; `link` to their controllers; `known` of the units; `maker` of their legs."""
+        """`plane`: N positioners; `link` to controllers; `known` of the units; `maker` of their legs."""
         self.plane, self.link, self.known, self.maker = plane, link, known, maker
         self.model = DriveModel.of(plane, step_deg=tuple(known.steps.step_deg.tolist()))
         self.ids: list[int] = []
@@ -75,6 +81,8 @@ class StepperDrive:
         self.counts = np.zeros((n, 2), dtype=np.int64)
         self.rising = np.full((n, 2), -known.steps.sign)
         """(N, 2) 1 or -1: how angles changed last."""
+        self.doubt_deg = np.zeros((n, 2))
+        """(N, 2) by so much an arm may be off where it is believed, that fell silent on its way."""
         self._found: dict[int, Suspect] = {}
 
     # who is there
@@ -119,11 +127,13 @@ class StepperDrive:
 
     def _believe(self, told: dict[int, UnitTold]) -> None:
         for number, one in told.items():
-            self.counts[self.plane.index_of(number)] = one.counts
+            row = self.plane.index_of(number)
+            self.counts[row], self.doubt_deg[row] = one.counts, 0.0
 
     async def home(self, ids: Iterable[int]) -> Results:
-        """Searches the switches of these, no two neighbours at once; how each ended. Who ends well is there."""
-        asked, found = list(ids), {}
+        """Searches the switches of these, no two neighbours at once. Who ends well is there."""
+        asked = list(ids)
+        found: dict[int, Homed] = {}
         for rows in ArmWays(self.plane).apart(np.atleast_1d(self.plane.index_of(asked))):
             found |= await self.link.home(self.plane.positioner_id[rows].tolist())
         results = {}
@@ -182,6 +192,7 @@ class StepperDrive:
 
     def _prepared(self, wanted: Wanted) -> Programme:
         begun_s = time.thread_time()
+        wanted = replace(wanted, obstacles=self._doubted(wanted.obstacles))
         moves = (np.abs(wanted.goal_deg - wanted.here_deg).max(axis=1) > 1e-9) & ~wanted.obstacles.offline
         refused: dict[int, str] = {}
         made = self._made(wanted, moves, refused)
@@ -229,7 +240,9 @@ class StepperDrive:
                 span = begin_s + leg.time_s[k - 1, goes], begin_s + leg.time_s[k, goes]
                 at.add(going, span, before[going], after[going])
             begin_s += leg.duration_s
-        here = np.where(wanted.obstacles.offline[:, None], wanted.here_deg, self.known.true_deg(self.counts, self.rising))
+        here = np.where(
+            wanted.obstacles.offline[:, None], wanted.here_deg, self.known.true_deg(self.counts, self.rising)
+        )
         return Plan(
             self.plane.instrument.name,
             self.plane.collision_buffer_mm,
@@ -246,7 +259,15 @@ class StepperDrive:
 
     def verify(self, obstacles: FocalPlane, programme: Programme) -> Verification:
         """Proves the way that counts make arms go; `obstacles`, `programme` as in the port."""
-        return verify(with_tube(obstacles, programme.tube_mm), programme.plan, limits=CLOCK)
+        plane = self._doubted(with_tube(obstacles, programme.tube_mm))
+        return verify(plane, programme.plan, limits=CLOCK)
+
+    def _doubted(self, obstacles: FocalPlane) -> FocalPlane:
+        """With what is not known of those that fell silent."""
+        if not self.doubt_deg.any():
+            return obstacles
+        known = obstacles.handicaps or Handicaps.none(obstacles.n)
+        return replace(obstacles, handicaps=replace(known, doubt_deg=self.doubt_deg))
 
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
         """Leg by leg; one that fails is left out of the rest, and so is whatever its way was proven with.
@@ -263,6 +284,9 @@ class StepperDrive:
             ended |= told
             gone = np.array([told.get(int(n)) is Outcome.DONE for n in ids[leg.rows]], dtype=bool)
             self._went(leg, gone)
+            self._lose(leg, np.array([told.get(int(n)) is Outcome.DISCONNECTED for n in ids[leg.rows]]))
+            if not gone.all():
+                ended |= await self._silent(set(ended) - set(told))
         return Results({number: Result(number, how) for number, how in ended.items()})
 
     def _went(self, leg: Leg, gone: Flags) -> None:
@@ -271,6 +295,20 @@ class StepperDrive:
         for before, after in zip(leg.counts[:-1, gone], leg.counts[1:, gone], strict=True):
             self.rising[rows] = np.where(after == before, self.rising[rows], np.sign(sign * (after - before)))
         self.counts[rows] = leg.counts[-1, gone]
+
+    async def _silent(self, ids: set[int]) -> dict[int, Outcome]:
+        """Those of the others that do not answer either: they stand where they were."""
+        silent = ids - set(await self.link.ask(sorted(ids)))
+        self.ids = sorted(set(self.ids) - silent)
+        return dict.fromkeys(silent, Outcome.DISCONNECTED)
+
+    def _lose(self, leg: Leg, silent: Flags) -> None:
+        """Those of a leg that have fallen `silent` (m,): anywhere on their way."""
+        rows = leg.rows[silent]
+        ends = leg.counts[[0, -1]][:, silent]
+        self.counts[rows] = ends.sum(axis=0) // 2
+        self.doubt_deg[rows] = 0.5 * np.abs(ends[1] - ends[0]) * self.known.steps.step_deg
+        self.ids = sorted(set(self.ids) - set(self.plane.positioner_id[rows].tolist()))
 
     async def settle(self, ids: list[int]) -> None:
         """After a move that went wrong: all stand, and say where."""

@@ -1,8 +1,8 @@
 """Moves as groups: fold, turn with arms folded, unfold one group of non-neighbours after the other.
 
-A folded arm stays within its own territory, however alpha turns. While one unfolds, each neighbour stands still,
-folded or at its goal; where the way touches one of these two, it says which of the two goes first. Units that
-would have to wait for each other in a circle do not move. Folding is unfolding backwards.
+A folded arm stays within its own territory, however alpha turns. While one unfolds, each neighbour stands,
+folded or at its goal; where its way touches that neighbour, this tells which of the two goes first. Units
+that would have to wait for each other in a circle do not move. Folding is unfolding backwards.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ class Unfolding:
                 row = max(sorted(left), key=lambda r: sum(r in first[other] for other in left))
                 why[row] = "its way and those of its neighbours wait for each other"
                 left.discard(row)
-                why |= {other: f"{_NAME.format(row)} is in its way" for other in left if self._blocks(row, other)}
+                why |= {
+                    other: f"{_NAME.format(row)} is in its way" for other in left if self._blocks(row, other)
+                }
                 left -= set(why)
                 continue
             groups.append(self.ways.apart(np.array(free, dtype=np.int64))[0])
@@ -90,7 +92,7 @@ _NAME = "{{{}}}"
 
 
 def grouped(plane: FocalPlane, here_deg: Floats, goal_deg: Floats, moves: Flags) -> Groups:
-    """Stages from `here_deg` to `goal_deg` (N, 2) in deg of those that move (N,); the others stand."""
+    """Stages of a `plane` from `here_deg` to `goal_deg` (N, 2), of those that `moves` (N,); the others stand."""
     ways, folded_deg = ArmWays(plane), plane.instrument.positioner.park_deg[1]
     out, moves = Groups(), moves.copy()
     out_of, why = Unfolding(ways, here_deg, moves, folded_deg).ordered()
@@ -125,7 +127,9 @@ def _without(
 def _named(text: str, ids: Ints) -> str:
     """A reason with the number of the positioner whose row is in braces."""
     begin, end = text.find("{"), text.find("}")
-    return text if begin < 0 else f"{text[:begin]}positioner {ids[int(text[begin + 1 : end])]}{text[end + 1 :]}"
+    return (
+        text if begin < 0 else f"{text[:begin]}positioner {ids[int(text[begin + 1 : end])]}{text[end + 1 :]}"
+    )
 
 
 def _turned(out: Groups, now: Floats, rows: Ints, axis: int, to_deg: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """What a bench has found of single units: by how much an arm is off the place that its steps say.
 
-The mechanical zero is where an arm stands when its datum switch has closed. A table says what the gear adds over
-the range, for either direction of the last motion: the play is in it too.
+The mechanical zero is where an arm stands when its datum switch has closed. A table says what the gear adds
+over the range, for either direction of the last motion: the play is in it too.
 """
 
 from __future__ import annotations

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from fiberloom.bus.outcome import Outcome
 from fiberloom.typing import Floats, Ints
 

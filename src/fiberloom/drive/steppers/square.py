@@ -13,6 +13,7 @@ from fiberloom.drive.steppers.link import Leg
 from fiberloom.instruments import Instrument
 from fiberloom.typing import Flags, Floats, Ints
 
+
 @dataclass(frozen=True, eq=False)
 class SquareMaker:
     """Groups of moves with square profiles. Implements `fiberloom.drive.steppers.drive.Maker`."""
@@ -44,9 +45,8 @@ class SquareMaker:
         return legs, found.refused
 
     def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
-        """Alpha out and back. `rows` (m,), `counts` (N, 2): as of `Maker`."""
-        out = counts[rows] + np.array([self.trial_steps, 0])
-        return [self.leg(rows, counts[rows], out), self.leg(rows, out, counts[rows])]
+        """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
+        return [self.leg(rows, counts[rows], counts[rows] + np.array([self.trial_steps, 0]))]
 
     def leg(self, rows: Ints, before: Ints, after: Ints) -> Leg:
         """One leg of units `rows` (m,) from counts to counts (m, 2)."""

@@ -1,7 +1,7 @@
 """Signs and steps of motors that count from a datum: angle = home + sign x steps x step.
 
-Home is where an arm is folded at its switches, `park_deg` of the instrument. MEGARA's alpha turns backwards
-with the steps of rotor 1, and its rotor 2 counts 0 or below (sample programme of guaix-ucm/megara-fmpt, 2017).
+Home is where an arm is folded at its switches, `park_deg` of the instrument. MEGARA's alpha turns
+backwards with the steps of rotor 1, and its rotor 2 counts 0 or below (a sample programme of megara-fmpt).
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class AxisSteps:
 
     def angles_deg(self, steps: Ints | Floats) -> Floats:
         """(..., 2) angles in deg of the arms after steps (..., 2), of arms that lost none."""
-        out: Floats = self.home_deg + self.sign * np.asarray(steps) * self.step_deg
+        counted = np.asarray(steps, dtype=np.float64)
+        out: Floats = self.home_deg + self.sign * counted * self.step_deg
         return out
 
     def of_plane(self, plane: FocalPlane, angles_deg: Floats) -> Ints:

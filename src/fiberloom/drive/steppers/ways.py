@@ -43,14 +43,16 @@ class ArmWays:
         return np.broadcast_to(self.plane.collision_buffer_mm + wider, (len(self.plane),))
 
     def hits(self, rows: Ints, corners_deg: Floats, others: Ints, others_deg: Floats) -> Flags:
-        """(M,) whether arms `rows` (M,) touch `others` (M,) on ways through corners (M, C, 2) in deg.
+        """(M,) whether arms `rows` (M,) touch `others` (M,) on ways through `corners_deg` (M, C, 2).
 
         The others stand at `others_deg` (M, 2).
         """
         out = np.zeros(len(rows), dtype=bool)
         standing = self.plane.beta_segments(others_deg[:, 0], others_deg[:, 1], index=others)
         need = self.radius_mm[rows] + self.radius_mm[others] + SPARE_MM
-        for first, second in zip(corners_deg[:, :-1].swapaxes(0, 1), corners_deg[:, 1:].swapaxes(0, 1), strict=True):
+        for first, second in zip(
+            corners_deg[:, :-1].swapaxes(0, 1), corners_deg[:, 1:].swapaxes(0, 1), strict=True
+        ):
             out |= self._leg_hits(rows, first, second, standing, need)
         return out
 

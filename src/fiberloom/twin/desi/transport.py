@@ -1,4 +1,4 @@
-"""A bus of frames of another kind than SDSS-V's in this process: time passes while a host waits for an answer."""
+"""A bus of other frames than SDSS-V's in this process: time passes while a host waits for an answer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fiberloom.bus.transport import Frame
 from fiberloom.twin.faults.clock import Breakable, FaultClock
 
 
-class Reply(Protocol):
+class UnitFrame(Protocol):
     """A frame of a unit."""
 
     @property
@@ -27,11 +27,11 @@ class Reply(Protocol):
 class OnBus(Breakable, Protocol):
     """Units of a twin that take frames."""
 
-    def send(self, frames: Iterable[tuple[int, bytes]]) -> Sequence[Reply]:
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> Sequence[UnitFrame]:
         """Puts frames (identifier, data) on the bus now; the replies."""
         ...
 
-    def run(self, duration_s: float) -> Sequence[Reply]:
+    def run(self, duration_s: float) -> Sequence[UnitFrame]:
         """Lets time pass, s; what units say unasked."""
         ...
 

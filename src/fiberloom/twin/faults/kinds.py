@@ -84,5 +84,7 @@ SEEN = Reach((*sorted(FaultKind), *ServiceKind, *CameraFaultKind), timed=True)
 """`twin` with a camera."""
 AGED = Reach(tuple(sorted(AilmentKind)))
 """`lifetime`: faults begin half-way through the cycles."""
-ANYWHERE = Reach(tuple(sorted({*FaultKind, *ServiceKind, *CameraFaultKind, *AilmentKind, *WiringKind})), timed=True)
+ANYWHERE = Reach(
+    tuple(sorted({*FaultKind, *ServiceKind, *CameraFaultKind, *AilmentKind, *WiringKind})), timed=True
+)
 """All that the grammar knows."""

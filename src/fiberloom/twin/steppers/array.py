@@ -9,7 +9,7 @@ import numpy as np
 
 from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.arms import pairs_within
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.cobras.contacts import ArmBodies, touching
@@ -21,7 +21,7 @@ from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 MOST_CORNERS, MOMENTS = 260, 120
-"""A motion with more corners than these is kept at so many moments: groups in which all end at other times."""
+"""A motion with more corners is kept at so many moments: a group in which each ends at its own time."""
 LOSES_SHARE = (0.02, 0.2)
 """[A] Of a way, that a weak motor loses: drawn for each move."""
 
@@ -53,8 +53,8 @@ class _Running:
 class StepperArray:
     """The steppers of a focal plane as they really are. Arms pass through each other; it is counted.
 
-    `plane`: the layout; `units`: the true ones, drawn by the `seed` when left out; `contacts`: whether arms can
-    meet, False on a bench.
+    `plane`: the layout; `units`: the true ones, drawn by the `seed` when left out; `contacts`: whether arms
+    can meet, False on a bench.
     """
 
     def __init__(
@@ -94,9 +94,11 @@ class StepperArray:
         return float(path.time_s[-1].max())
 
     def seek(self, rows: Ints, axis: int, rate_Hz: float) -> tuple[Floats, Flags, Ints]:
-        """Units `rows` (m,) search the datum switch of an axis, 0 alpha or 1 beta, at `rate_Hz` steps a second.
+        """Units `rows` (m,) search the datum switch of an axis, 0 alpha or 1 beta.
 
-        Returns when each has ended, s from now; which have found it; and their slip: what was counted there.
+        `rate_Hz`: steps a second.
+
+        Returns (m,) s from now when each has ended; which have found it; and their slip, the counts there.
         """
         start = self._rotor_now()
         self._datum_deg[rows, axis] = self._drawn_datum_deg()[rows, axis]
@@ -249,8 +251,8 @@ def _rising(rotor: Floats, before: Floats, sign: float) -> Floats:
 def _bodies_of(plane: FocalPlane, units: StepperUnits) -> ArmBodies:
     """Real beta arms, then fiducials."""
     fixed, n = plane.fiducials, len(plane)
-    links = np.column_stack([units.arms[:, 2], np.full(n, plane.instrument.bodies.beta_segment_mm[1])])
-    zero = rad_to_deg(units.arms[:, 3:5])
+    links = np.column_stack([units.arms[:, L_ALPHA], np.full(n, plane.instrument.bodies.beta_segment_mm[1])])
+    zero = rad_to_deg(units.arms[:, [ALPHA_OFF, BETA_OFF]])
     return ArmBodies(
         np.vstack([units.arms[:, :2], fixed[:, :2]]),
         np.vstack([links, np.zeros((len(fixed), 2))]),

@@ -14,8 +14,8 @@ FAULTS = Reach(
     ("busoff", "dark", "dead", "deaf", "lost", "lying", "slipping", "swapped"),
     timed=True,
 )
-"""Of --faults. A stepper that is dead counts as one that turns; `slipping` loses steps; `busoff` takes bus and
-power from all units of a gateway."""
+"""Of --faults. A stepper that is dead counts as one that turns; `slipping` loses steps; `busoff` takes bus
+and power from all units of a gateway."""
 
 
 class StepperBus:

@@ -117,7 +117,7 @@ class StepperSource:
 
     def know(self, file: Path) -> None:
         """InputError for any `file`: the twin's bench is the twin's own."""
-        raise InputError(f"{file}: units of this twin are calibrated on its own bench; leave out --calibration")
+        raise InputError(f"{file}: the twin has its own bench; leave out --calibration")
 
     def keep(self, file: Path | None) -> None:
         """InputError for any `file`: steppers teach nothing that is kept."""

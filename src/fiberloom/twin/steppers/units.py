@@ -12,7 +12,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, Instrument
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.table import NotNegative, Positive, Table
-from fiberloom.twin.actuators.stepper import FULL_STEPS, DatumSwitches, StepperDrive
+from fiberloom.twin.actuators.stepper import FULL_STEPS, DatumSwitches, GearedStepper
 from fiberloom.typing import Floats
 
 ORDERS = np.array([1.0, 2.0, 3.0])
@@ -70,15 +70,13 @@ class StepperUnits:
     """(N, 2, orders) phases."""
     play_deg: Floats
     """(N, 2)."""
-    drives: tuple[StepperDrive, StepperDrive]
+    drives: tuple[GearedStepper, GearedStepper]
     sizes: StepperSizes
 
     def __len__(self) -> int:
         return len(self.arms)
 
-    def output_deg(
-        self, counts: Floats, rising: Floats, datum_deg: Floats, at_rest: bool = True
-    ) -> Floats:
+    def output_deg(self, counts: Floats, rising: Floats, datum_deg: Floats, at_rest: bool = True) -> Floats:
         """(..., N, 2) true angles in deg of rotors in step with `counts` (..., N, 2).
 
         `rising` (..., N, 2): 1 or -1, how angles changed last; `datum_deg` (N, 2): where the switches closed;
@@ -119,7 +117,7 @@ def draw_stepper_units(plane: FocalPlane, seed: int) -> StepperUnits:
     amplitude = sizes.gear_deg * (1.0 + 0.3 * rng.standard_normal(shape))
     play = np.zeros((n, 2)) if sizes.spring else sizes.play_deg * rng.uniform(0.5, 1.5, (n, 2))
     full_deg = 360.0 / 20.0  # a full step of the motor of the twin
-    drives = tuple(StepperDrive(gear=full_deg / step) for step in steps.step_deg)
+    drives = tuple(GearedStepper(gear=full_deg / step) for step in steps.step_deg)
     return StepperUnits(
         steps,
         arms,
