@@ -92,7 +92,7 @@ _NAME = "{{{}}}"
 
 
 def grouped(plane: FocalPlane, here_deg: Floats, goal_deg: Floats, moves: Flags) -> Groups:
-    """Stages of a `plane` from `here_deg` to `goal_deg` (N, 2), of those that `moves` (N,); the others stand."""
+    """Stages of a `plane` from `here_deg` to `goal_deg` (N, 2), of those that `moves` (N,) names."""
     ways, folded_deg = ArmWays(plane), plane.instrument.positioner.park_deg[1]
     out, moves = Groups(), moves.copy()
     out_of, why = Unfolding(ways, here_deg, moves, folded_deg).ordered()

@@ -34,6 +34,10 @@ class KnownUnits:
         """Nothing is known: no errors of `n` units that go by `steps`."""
         return cls(steps, steps.home_deg[:, None], np.zeros((n, 2, 2, 1)))
 
+    def of_unit(self, row: int) -> KnownUnits:
+        """Of one unit, for any number of places of it."""
+        return KnownUnits(self.steps, self.knots_deg, self.error_deg[row : row + 1])
+
     def true_deg(self, counts: Ints | Floats, rising: Floats) -> Floats:
         """(N, 2) angles in deg of the arms after `counts` (N, 2), that came `rising` (N, 2) 1 or -1."""
         nominal = self.steps.angles_deg(counts)
@@ -48,6 +52,7 @@ class KnownUnits:
 
     def _error_deg(self, nominal_deg: Floats, rising: Floats) -> Floats:
         unit, axis = np.indices(nominal_deg.shape)
+        unit = np.minimum(unit, len(self.error_deg) - 1)
         own = self.error_deg[unit, axis, np.where(rising < 0.0, 1, 0)]
         knots = self.knots_deg.shape[1]
         if knots == 1:

@@ -85,10 +85,8 @@ class StepperArray:
 
     def go(self, path: CountPath) -> float:
         """Motors follow counts from now on; how long it takes, s. What touches on the way is noted."""
-        start, time_s = self._rotor_now(), _moments_s(np.unique(path.time_s))
-        way = _gone(path, time_s) * self._kept(path.rows)
-        rotor = np.broadcast_to(start, (len(time_s), *start.shape)).copy()
-        rotor[:, path.rows] += way
+        time_s, rotor = self._others(np.unique(path.time_s), path.rows)
+        rotor[:, path.rows] += _gone(path, time_s) * self._kept(path.rows)
         self.counts[path.rows] = np.rint(path.counts[-1]).astype(np.int64)
         self._run(time_s, rotor)
         return float(path.time_s[-1].max())
@@ -108,8 +106,7 @@ class StepperArray:
         took_s = np.abs(way) / rate_Hz
         self.counts[rows[found], axis] = 0
         end_s = max(float(took_s.max(initial=0.0)), 1e-3)
-        time_s = _moments_s(np.unique(np.append(took_s, [0.0, end_s])))
-        rotor = np.broadcast_to(start, (len(time_s), *start.shape)).copy()
+        time_s, rotor = self._others(np.unique(np.append(took_s, [0.0, end_s])), rows)
         gone = np.clip(time_s[:, None] / np.maximum(took_s, 1e-9), 0.0, 1.0)
         rotor[:, rows, axis] += gone * way
         self._run(time_s, rotor)
@@ -124,6 +121,25 @@ class StepperArray:
         rotor = self._path.rotor.copy()
         rotor[np.ix_(later, rows)] = here[rows]
         self._path = replace(self._path, rotor=rotor)
+
+    def _others(self, corners_s: Floats, rows: Ints) -> tuple[Floats, Floats]:
+        """Moments (K,) in s from now of a motion with these corners, and rotors (K, N, 2) of all then.
+
+        Those `rows` that begin it stand where they are; the others go on as they do.
+        """
+        old, now = self._path, self.time_s
+        later_s = old.time_s[old.time_s > now] - now
+        time_s = _moments_s(np.unique(np.concatenate([corners_s, later_s])))
+        start = self._rotor_now()
+        rotor = np.broadcast_to(start, (len(time_s), *start.shape)).copy()
+        if len(later_s):
+            going = np.setdiff1d(np.arange(len(self.plane)), rows)
+            at = np.clip(np.searchsorted(old.time_s, now + time_s, side="right"), 1, len(old.time_s) - 1)
+            span = old.time_s[at] - old.time_s[at - 1]
+            share = np.clip((now + time_s - old.time_s[at - 1]) / np.maximum(span, 1e-12), 0.0, 1.0)
+            before, after = old.rotor[at - 1][:, going], old.rotor[at][:, going]
+            rotor[:, going] = before + share[:, None, None] * (after - before)
+        return time_s, rotor
 
     def _run(self, after_s: Floats, rotor: Floats) -> None:
         begin_s = self.time_s
