@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
-STEPPERS = ("megara", "moons")
+STEPPERS = ("lamost", "megara", "moons")
 """Protocols of steppers without encoders."""
 
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from fiberloom.drive.megara.programme import MOST_STEPS
 from fiberloom.errors import InputError
 
-MOST_ROBOT = 2**9 - 1
-"""11-bit identifiers."""
+MOST_ROBOT = 2**14 - 1
+"""Identifiers of 16 bits; those of CAN's 11 bits, which MEGARA has, go up to 511."""
 _GOAL_BYTES, _STATE_BYTES, _NUMBER_BYTES = 5, 6, 5
 
 
@@ -122,7 +122,7 @@ def decode_number(frame: MegaraFrame) -> int:
 
 def command_of(frame: MegaraFrame) -> MegaraCommand:
     """What a frame asks; InputError for one that is none of ours."""
-    if not 0 <= frame.identifier < 2**11 or frame.rotor == 3 or not 0 < len(frame.data) <= 8:
+    if not 0 <= frame.identifier < 2**16 or frame.rotor == 3 or not 0 < len(frame.data) <= 8:
         raise InputError(
             f"megara: identifier {frame.identifier:#x}, {len(frame.data)} bytes: no frame of ours"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -86,7 +87,8 @@ class MegaraLink:
                     frame = MegaraFrame(reply.id, reply.data)
                     if _is(frame, command):
                         found[frame.robot, frame.rotor] = frame
-                left = [r for r in left if sum(robot == r for robot, _ in found) < answers]
+                heard = Counter(robot for robot, _ in found)
+                left = [robot for robot in left if heard[robot] < answers]
                 if not left:
                     break
         return list(found.values())
