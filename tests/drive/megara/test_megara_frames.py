@@ -40,7 +40,7 @@ def test_there_and_back(robot, r1, r2, state):
     assert decode_state(state_frame(robot, 1, ToldState(state, r1))) == (state, r1)
 
 
-@given(st.integers(-1, 2**11 + 3), st.binary(max_size=9))
+@given(st.integers(-1, 2**16 + 3), st.binary(max_size=9))
 def test_any_bytes_are_read_or_refused(identifier, data):
     for decode in (command_of, decode_goal, decode_state, decode_number):
         with contextlib.suppress(InputError):
@@ -62,9 +62,9 @@ def test_what_contradicts_itself_is_refused(decode, frame, match):
         decode(frame)
 
 
-@pytest.mark.parametrize(("robot", "rotor"), [(512, 1), (-1, 1), (1, 3)])
+@pytest.mark.parametrize(("robot", "rotor"), [(16384, 1), (-1, 1), (1, 3)])
 def test_robots_and_rotors_that_do_not_fit_are_refused(robot, rotor):
-    with pytest.raises(InputError, match="0 to 511 and 0 to 2 fit"):
+    with pytest.raises(InputError, match="0 to 16383 and 0 to 2 fit"):
         MegaraFrame.of(robot, rotor, MegaraCommand.GOAL)
 
 

@@ -14,8 +14,8 @@ from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, plan_correc
 from fiberloom.typing import Flags, Floats, Ints
 
 SETTINGS = PlanSettings(speed_deg_s=14.0, acceleration_deg_s2=56.0, grid_deg=11.7, in_hand_mm=0.3)
-"""[A] Speed: a waveform that is behind its plan can catch up. The other numbers: ways within 256 segments, and
-what waveforms differ from plans by, some 60 steps of either axis. What is executed is verified by itself."""
+"""[A] Speed: a waveform that is behind its plan can catch up. The other numbers: ways within 256 segments,
+and what waveforms differ from plans by. What is executed is verified by itself."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,14 @@
 """Waveforms of MOONS: steps of each axis in segments of 125 ms, as near to a planned way as its rules allow.
 
-In a segment an axis makes no step, or 62 to 250 (500 to 2000 a second); from one segment to the next the number
-changes by 50 at most; from rest and before rest it is 68 at most (550 a second), and the last before rest may be
-smaller than 62. A turn back counts as a rest (ukatc/fpu_driver, rules of version 5).
+In a segment an axis makes no step, or 62 to 250 (500 to 2000 a second); from one segment to the next the
+number changes by 50 at most; from rest and before rest it is 68 at most (550 a second), and the last before rest
+may be smaller than 62. A turn back counts as a rest (ukatc/fpu_driver, rules of version 5).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def _runs(time_s: Floats, counts: Floats, start: int) -> list[tuple[float, float
         elif abs(ahead) >= LEAST or k == len(at) - 1:
             corners.append(k)
     runs = []
-    for first, last in zip(corners[:-1], corners[1:], strict=True):
+    for first, last in pairwise(corners):
         if at[last] != at[first]:
             runs.append((_leaves_s(time_s, at, first, last), float(time_s[last]), int(at[last])))
     return runs

@@ -305,9 +305,9 @@ class StepperDrive:
     def _lose(self, leg: Leg, silent: Flags) -> None:
         """Those of a leg that have fallen `silent` (m,): anywhere on their way."""
         rows = leg.rows[silent]
-        ends = leg.counts[[0, -1]][:, silent]
-        self.counts[rows] = ends.sum(axis=0) // 2
-        self.doubt_deg[rows] = 0.5 * np.abs(ends[1] - ends[0]) * self.known.steps.step_deg
+        low, high = (end(leg.counts[:, silent], axis=0) for end in (np.min, np.max))
+        self.counts[rows] = (low + high) // 2
+        self.doubt_deg[rows] = 0.5 * (high - low) * self.known.steps.step_deg
         self.ids = sorted(set(self.ids) - set(self.plane.positioner_id[rows].tolist()))
 
     async def settle(self, ids: list[int]) -> None:

@@ -33,7 +33,9 @@ class SquareMaker:
     def legs(
         self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits
     ) -> tuple[list[Leg], dict[int, str]]:
-        """Fold, turn, unfold. `wanted`, `moves` (N,), `counts` (N, 2), `known`: as of `Maker`."""
+        """Fold, turn, unfold; a correction straight. `wanted`, `moves`, `counts`, `known`: as of `Maker`."""
+        if wanted.small:
+            return self._straight(wanted, moves, counts, known), {}
         found = grouped(wanted.obstacles, wanted.here_deg, wanted.goal_deg, moves)
         now, angles, legs = counts.copy(), wanted.here_deg, []
         for rows, after in found.stages:
@@ -43,6 +45,13 @@ class SquareMaker:
             legs.append(self.leg(rows, now[rows], then[rows]))
             now, angles = then, after
         return legs, found.refused
+
+    def _straight(self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits) -> list[Leg]:
+        """All at once."""
+        rows = np.flatnonzero(moves)
+        way = wanted.goal_deg - wanted.here_deg
+        after = np.where(way == 0.0, counts, known.counts(wanted.goal_deg, np.sign(way)))
+        return [self.leg(rows, counts[rows], after[rows])] if len(rows) else []
 
     def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
         """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
