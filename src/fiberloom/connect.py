@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
+STEPPERS = ("lamost", "megara", "moons")
+"""Protocols of steppers without encoders."""
 
 
 def open_hardware(
@@ -93,6 +95,12 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
         from fiberloom.twin.desi.source import DesiSource
 
         return DesiSource(plane, seed, camera, faults, errors)
+    if plane.instrument.drive.protocol in STEPPERS:
+        from fiberloom.twin.steppers.kinds import KINDS
+        from fiberloom.twin.steppers.source import StepperSource
+
+        kind = KINDS[plane.instrument.drive.protocol]
+        return StepperSource(plane, kind, seed, camera, faults, errors)
     from fiberloom.twin.source import TwinSource
 
     return TwinSource(plane, seed, camera, faults, errors)

@@ -203,5 +203,5 @@ def test_the_protocol_follows_from_the_motors_where_it_is_left_out(data, key, va
 
 def test_presets_name_their_protocols():
     named = {name: load_instrument(name).drive.protocol for name in instrument_names()}
-    spoken = {"desi": "desi", "pfs": "pfs", "sdssv": "sdssv"}
+    spoken = {name: name for name in ("desi", "lamost", "megara", "moons", "pfs", "sdssv")}
     assert named == {name: spoken.get(name, "none") for name in named}

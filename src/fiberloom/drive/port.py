@@ -49,6 +49,8 @@ class DriveModel:
     """Smallest steps of alpha and beta, of which corrections are made; 0: the drive itself sees to it."""
     seen_is_believed: bool = False
     """After an image the drive believes what it shows: it is told the goal again, not a correction of it."""
+    blind: bool = False
+    """No camera looks while the instrument observes: what an image shows scores, and decides nothing."""
     reports: bool = True
     """Positioners tell where they are; else the drive adds up what it has told them."""
 
@@ -62,6 +64,7 @@ class DriveModel:
             "still_share": said.still_share,
             "scatter_mm": said.scatter_mm,
             "allowed_mm": said.allowed_mm,
+            "blind": not plane.instrument.metrology.present,
         }
         return cls(CorrectionNoise.of(plane), **(known | others))
 

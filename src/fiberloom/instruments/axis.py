@@ -13,7 +13,7 @@ from fiberloom.typing import Floats, Ints
 from fiberloom.units import AXES, GEAR
 
 Range = tuple[Finite, Finite]
-Protocol = Literal["sdssv", "desi", "pfs", "none"]
+Protocol = Literal["sdssv", "desi", "pfs", "megara", "moons", "lamost", "none"]
 
 OVER_BACKLASH = 1.2
 """The shortest approach over the largest backlash. Where the slope of the gear is 0.15 too small, the worst

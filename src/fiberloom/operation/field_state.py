@@ -148,6 +148,7 @@ class FieldState:
         it; `before_deg`: (N, 2) reported angles before it; `commanded_deg`: (N, 2) angles of its goal;
         `hidden` (N,): fibres that it need not show: where they are not seen they are not dark.
         """
+        image = self._told_by(image)
         ended = [results.get(int(p)) for p in self.plane.positioner_id]
         asked = [Outcome.DONE if result is None else result.outcome for result in ended]
         evidence = Evidence(
@@ -181,6 +182,14 @@ class FieldState:
         again: Flags = self.mobile & (away | unfinished)
         return again
 
+    def _told_by(self, image: Measurement) -> Measurement:
+        """What faults are judged by: the image; of a blind drive where all are believed to be."""
+        if not self.model.blind:
+            return image
+        every = np.ones(len(self.plane), dtype=bool)
+        x_mm, y_mm = self.metrology_mm(self.here_deg).T
+        return Measurement(x_mm, y_mm, every, image.time_s)
+
     def _trust_the_camera(self, image: Measurement) -> None:
         """Where a report is not trusted, the position is that of the image, or unknown."""
         doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
@@ -194,6 +203,7 @@ class FieldState:
         `answered` (N,): on the bus; `vouched` (N,): whose datum is on record. InputError where most
         fibres are dark, or most positioners are not where they report.
         """
+        image = self._told_by(image)
         if (~image.seen & self.mobile).sum() > MOST * len(self.plane):
             raise InputError(
                 f"the camera sees only {int(image.seen.sum())} of {len(self.plane)} fibres; "

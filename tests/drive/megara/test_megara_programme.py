@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fiberloom as fl
-from fiberloom.drive.megara import MoveProgramme, RotorSteps, read_programme
+from fiberloom.drive.megara import MoveProgramme, read_programme
+from fiberloom.drive.steppers import AxisSteps
 from fiberloom.errors import InputError
 
 FIRST = "\tgroup_1 {\n\trp1 r1 40685\n\trp1 r2 -0\n\t}\n"
@@ -66,7 +67,7 @@ def test_what_is_wrong_is_named(old, new, match):
 
 
 def test_signs_and_steps_of_the_published_turns():
-    steps = RotorSteps.of(fl.Instrument.of("megara"))
+    steps = AxisSteps.of(fl.Instrument.of("megara"))
     turn = steps.of_angles(np.array([[-360.0, -180.0], [0.0, 0.0], [-90.0, -135.0]]))
     assert turn.tolist() == [[194086, 0], [0, -15360], [48522, -3840]]
     angles = np.random.default_rng(0).uniform([-362.0, -180.0], [0.0, 0.0], (50, 2))
@@ -79,4 +80,4 @@ def test_angles_beyond_the_stops_are_refused_by_name():
     angles = plane.park_deg.copy()
     angles[1, 1] = 20.0
     with pytest.raises(InputError, match=rf"robot {plane.positioner_id[1]}, rotor 2: 20 deg"):
-        RotorSteps.of(plane.instrument).of_plane(plane, angles)
+        AxisSteps.of(plane.instrument).of_plane(plane, angles)

@@ -6,7 +6,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.twin.actuators.field_open import integrate, locked_rad, rest_rad
 from fiberloom.twin.actuators.planetary import played
-from fiberloom.twin.actuators.stepper import PM_STEPPER, DatumSwitches, StepperDrive, lost_turns
+from fiberloom.twin.actuators.stepper import PM_STEPPER, DatumSwitches, GearedStepper, lost_turns
 
 STEP_S = 2e-5
 GEAR = 2050.175633
@@ -29,7 +29,7 @@ def driven(drive, rates_Hz, ramp_Hz2, full_steps):
 
 
 def test_full_steps_land_where_lag_and_detent_say():
-    drive = StepperDrive(gear=GEAR)
+    drive = GearedStepper(gear=GEAR)
     count = np.arange(1, 9)
     out = drive.output_deg(count, 1.0)
     step = 360.0 / (20.0 * GEAR)
@@ -42,12 +42,12 @@ def test_full_steps_land_where_lag_and_detent_say():
 
 
 def test_a_load_beyond_the_field_has_no_rest():
-    drive = StepperDrive(gear=GEAR)
+    drive = GearedStepper(gear=GEAR)
     assert np.isnan(drive.output_deg(np.array([3]), 1.0, load_Nm=0.3e-3 * GEAR)[0])
 
 
 def test_a_rotor_that_is_not_pulled_out_counts_right_and_one_that_is_loses_whole_turns():
-    drive = StepperDrive(gear=GEAR)
+    drive = GearedStepper(gear=GEAR)
     rates = np.array([600.0, 1500.0, 6000.0, 9000.0])
     assert drive.pulled_out(rates, 20000.0).tolist() == [False, False, True, True]
     field, rotor = driven(drive, rates, 20000.0, 400)
@@ -64,7 +64,7 @@ def test_a_rotor_that_is_not_pulled_out_counts_right_and_one_that_is_loses_whole
 
 
 def test_back_emf_takes_torque():
-    drive = StepperDrive(corner_Hz=1000.0)
+    drive = GearedStepper(corner_Hz=1000.0)
     assert drive.at_rate(0.0).hold_Nm == PM_STEPPER.hold_Nm
     assert drive.at_rate(1000.0).hold_Nm == pytest.approx(PM_STEPPER.hold_Nm / np.sqrt(2.0))
     # a load that is held at rest pulls out at speed
@@ -73,13 +73,13 @@ def test_back_emf_takes_torque():
 
 
 def test_what_a_pull_out_loses_is_what_moons_would_see():
-    turn = StepperDrive(gear=np.array([GEAR, 1517.662482])).turn_deg
+    turn = GearedStepper(gear=np.array([GEAR, 1517.662482])).turn_deg
     np.testing.assert_allclose(turn, [4 * 0.00878, 4 * 0.01186], rtol=1e-3)
 
 
 @pytest.mark.parametrize("turns", [0, 1, -3])
 def test_the_datum_finds_lost_turns_through_its_scatter(turns):
-    drive = StepperDrive(gear=np.full(500, GEAR))
+    drive = GearedStepper(gear=np.full(500, GEAR))
     switch = DatumSwitches(np.zeros(500), repeat_deg=0.003, hysteresis_deg=0.01)
     closed = switch.closes_deg(np.random.default_rng(3))
     assert closed.std() == pytest.approx(0.003, rel=0.1)
@@ -90,7 +90,7 @@ def test_the_datum_finds_lost_turns_through_its_scatter(turns):
 
 
 def test_play_leaves_the_arm_behind_after_a_turn_of_direction():
-    drive = StepperDrive(gear=GEAR)
+    drive = GearedStepper(gear=GEAR)
     counts = np.array([0, 1000, 900])
     rotor = np.stack([drive.output_deg(counts, np.array([1.0, 1.0, -1.0]))] * 2, axis=1)[None]
     arm = played(np.zeros((1, 2)), rotor, np.full((1, 2), 0.5))[0, :, 0]
@@ -102,4 +102,4 @@ def test_play_leaves_the_arm_behind_after_a_turn_of_direction():
 @pytest.mark.parametrize("wrong", [{"microsteps": 0}, {"gear": 0.0}, {"corner_Hz": -1.0}])
 def test_motors_that_cannot_be_are_refused(wrong):
     with pytest.raises(InputError, match="stepper"):
-        StepperDrive(**wrong)
+        GearedStepper(**wrong)

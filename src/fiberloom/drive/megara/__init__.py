@@ -2,13 +2,11 @@
 
 from fiberloom.drive.megara.frames import MegaraCommand, MegaraFrame, decode_goal, decode_state, goal_frames
 from fiberloom.drive.megara.programme import MoveProgramme, read_programme
-from fiberloom.drive.megara.steps import RotorSteps
 
 __all__ = [
     "MegaraCommand",
     "MegaraFrame",
     "MoveProgramme",
-    "RotorSteps",
     "decode_goal",
     "decode_state",
     "goal_frames",

@@ -13,9 +13,9 @@ from typing import NamedTuple
 from fiberloom.drive.megara.programme import MOST_STEPS
 from fiberloom.errors import InputError
 
-MOST_ROBOT = 2**9 - 1
-"""11-bit identifiers."""
-_GOAL_BYTES, _STATE_BYTES = 5, 6
+MOST_ROBOT = 2**14 - 1
+"""Identifiers of 16 bits; those of CAN's 11 bits, which MEGARA has, go up to 511."""
+_GOAL_BYTES, _STATE_BYTES, _NUMBER_BYTES = 5, 6, 5
 
 
 class MegaraCommand(IntEnum):
@@ -30,6 +30,10 @@ class MegaraCommand(IntEnum):
     STATE = 4
     """Asks; the answer has a `RotorState` and i32 steps as counted."""
     STOP = 5
+    IDENTIFY = 6
+    """Asks; the answer has the i32 number of the robot itself, whatever place it is plugged in."""
+    SLIP = 7
+    """Asks; the answer has i32 steps as counted when the home switch was met last."""
 
 
 class RotorState(IntEnum):
@@ -101,9 +105,24 @@ def _steps(steps: int) -> bytes:
     return steps.to_bytes(4, "big", signed=True)
 
 
+def number_frame(robot: int, rotor: int, command: MegaraCommand, number: int) -> MegaraFrame:
+    """The answer to IDENTIFY or SLIP, the `command`, of a `rotor` of a `robot`: a `number`."""
+    return MegaraFrame.of(robot, rotor, command, _steps(number))
+
+
+def decode_number(frame: MegaraFrame) -> int:
+    """The number in an answer to IDENTIFY or SLIP; InputError where it is none."""
+    asked = command_of(frame) in (MegaraCommand.IDENTIFY, MegaraCommand.SLIP)
+    if not asked or len(frame.data) != _NUMBER_BYTES:
+        raise InputError(
+            f"megara: robot {frame.robot}: {frame.data.hex()} is no number of {_NUMBER_BYTES} bytes"
+        )
+    return int.from_bytes(frame.data[1:], "big", signed=True)
+
+
 def command_of(frame: MegaraFrame) -> MegaraCommand:
     """What a frame asks; InputError for one that is none of ours."""
-    if not 0 <= frame.identifier < 2**11 or frame.rotor == 3 or not 0 < len(frame.data) <= 8:
+    if not 0 <= frame.identifier < 2**16 or frame.rotor == 3 or not 0 < len(frame.data) <= 8:
         raise InputError(
             f"megara: identifier {frame.identifier:#x}, {len(frame.data)} bytes: no frame of ours"
         )

@@ -29,7 +29,7 @@ PM_STEPPER = FieldMotor(
 
 
 @dataclass(frozen=True, eq=False)
-class StepperDrive:
+class GearedStepper:
     """Motors and gears of M axes."""
 
     motor: FieldMotor = PM_STEPPER
@@ -47,7 +47,7 @@ class StepperDrive:
                 f"{self.corner_Hz:g} Hz; the first must be 1 or more, the others above 0"
             )
 
-    def field_rad(self, count: Ints) -> Floats:
+    def field_rad(self, count: Ints | Floats) -> Floats:
         """Electrical angle of the field in rad after `count` microsteps, any shape."""
         out: Floats = 0.5 * np.pi * np.asarray(count, dtype=np.float64) / self.microsteps
         return out
@@ -57,7 +57,9 @@ class StepperDrive:
         """What one electrical turn is at the arm, deg, (M,) or one: the least that a pull-out loses."""
         return np.asarray(np.rad2deg(TURN_RAD / self.motor.pole_pairs) / self.gear)
 
-    def output_deg(self, count: Ints, direction: Floats | float, load_Nm: Floats | float = 0.0) -> Floats:
+    def output_deg(
+        self, count: Ints | Floats, direction: Floats | float, load_Nm: Floats | float = 0.0
+    ) -> Floats:
         """(M,) deg of the gear's output at rest after `count` (M,) microsteps.
 
         `direction` (M,): 1 or -1, from which the rotor came; `load_Nm` at the arm, against positive angles.
@@ -104,7 +106,7 @@ class DatumSwitches:
         return np.asarray(closed_deg - np.sign(direction) * self.hysteresis_deg)
 
 
-def lost_turns(drive: StepperDrive, slip_deg: Floats) -> Ints:
+def lost_turns(drive: GearedStepper, slip_deg: Floats) -> Ints:
     """(M,) electrical turns that were lost, by what counts (M,) in deg were off at the datum.
 
     The nearest whole number: a switch that repeats to less than half a turn tells it exactly.

@@ -1,19 +1,45 @@
-"""DESI's bus in this process: time passes while a host waits for an answer."""
+"""A bus of other frames than SDSS-V's in this process: time passes while a host waits for an answer."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 from fiberloom.bus.transport import Frame
-from fiberloom.twin.desi.array import DesiTwin
-from fiberloom.twin.faults.clock import FaultClock
+from fiberloom.twin.faults.clock import Breakable, FaultClock
+
+
+class UnitFrame(Protocol):
+    """A frame of a unit."""
+
+    @property
+    def identifier(self) -> int:
+        """On the bus."""
+        ...
+
+    @property
+    def data(self) -> bytes:
+        """At most 8."""
+        ...
+
+
+class OnBus(Breakable, Protocol):
+    """Units of a twin that take frames."""
+
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> Sequence[UnitFrame]:
+        """Puts frames (identifier, data) on the bus now; the replies."""
+        ...
+
+    def run(self, duration_s: float) -> Sequence[UnitFrame]:
+        """Lets time pass, s; what units say unasked."""
+        ...
 
 
 class DesiTransport:
     """Implements `fiberloom.bus.transport.Transport` on the twin's virtual clock."""
 
-    def __init__(self, twin: DesiTwin, faults: FaultClock | None = None) -> None:
+    def __init__(self, twin: OnBus, faults: FaultClock | None = None) -> None:
         """`faults`: what begins and ends meanwhile."""
         self._twin, self._faults = twin, faults or FaultClock(twin, (), 0)
         self._replies: list[Frame] = []

@@ -61,6 +61,12 @@ class AilmentKind(StrEnum):
     DARK = "dark"  # the camera does not see the fibre
 
 
+class WiringKind(StrEnum):
+    """Faults of plugs, where units know their own numbers."""
+
+    SWAPPED = "swapped"  # its plug and that of its nearest neighbour are exchanged
+
+
 @dataclass(frozen=True)
 class Reach:
     """The faults that a command can act on."""
@@ -78,5 +84,7 @@ SEEN = Reach((*sorted(FaultKind), *ServiceKind, *CameraFaultKind), timed=True)
 """`twin` with a camera."""
 AGED = Reach(tuple(sorted(AilmentKind)))
 """`lifetime`: faults begin half-way through the cycles."""
-ANYWHERE = Reach(tuple(sorted({*FaultKind, *ServiceKind, *CameraFaultKind, *AilmentKind})), timed=True)
+ANYWHERE = Reach(
+    tuple(sorted({*FaultKind, *ServiceKind, *CameraFaultKind, *AilmentKind, *WiringKind})), timed=True
+)
 """All that the grammar knows."""

@@ -1,0 +1,232 @@
+"""MOONS' units behind their gateways: waveforms are loaded, all start together, and counters tell the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from fiberloom.bus.outcome import Outcome
+from fiberloom.drive.moons.frames import (
+    ALPHA_START,
+    BROADCAST,
+    BUSES,
+    GATEWAYS,
+    MoonsAnswer,
+    MoonsCommand,
+    MoonsError,
+    MoonsState,
+    PacketReader,
+    Segment,
+    UnitPlace,
+    command_frame,
+    decode_answer,
+    packed,
+    segment_data,
+    unwrapped,
+)
+from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
+from fiberloom.errors import InputError
+from fiberloom.typing import Ints
+
+ANSWER_S = 0.5
+TRIES = 3
+LONGEST_SEARCH_S = 120.0
+"""[D] The whole range of alpha at the speed of a start takes 82 s."""
+SETTLE_S = 0.05
+NONE = Segment(0)
+
+
+class Gateways(Protocol):
+    """Connections to the gateways. Their clock may be virtual."""
+
+    @property
+    def time_s(self) -> float:
+        """Never runs backwards."""
+        ...
+
+    async def send(self, gateway: int, data: bytes) -> None:
+        """Bytes to a gateway, 0 to 2; lost where it has no power."""
+        ...
+
+    async def receive(self, timeout_s: float) -> list[tuple[int, bytes]]:
+        """What gateways have said; waits up to `timeout_s` for anything."""
+        ...
+
+    async def close(self) -> None:
+        """Lets go."""
+        ...
+
+
+class MoonsLink:
+    """Implements `fiberloom.drive.steppers.StepperLink`."""
+
+    def __init__(self, gateways: Gateways) -> None:
+        self.gateways = gateways
+        self._readers = [PacketReader() for _ in range(GATEWAYS)]
+        self._counts: dict[int, tuple[int, int]] = {}
+        """Last known, by which counters are unwrapped."""
+        self._sequence = 0
+
+    @property
+    def time_s(self) -> float:
+        """Of the gateways."""
+        return self.gateways.time_s
+
+    async def sleep(self, duration_s: float) -> None:
+        """Lets time pass, s; what is said meanwhile is dropped."""
+        end_s = self.time_s + duration_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            await self._heard(left_s)
+
+    async def _heard(self, timeout_s: float) -> list[tuple[int, MoonsAnswer]]:
+        """Answers by number of the unit."""
+        out = []
+        for gateway, data in await self.gateways.receive(timeout_s):
+            for frame in self._readers[gateway].feed(data):
+                try:
+                    answer = decode_answer(frame)
+                    out.append((UnitPlace(gateway, frame.bus, frame.address).number, answer))
+                except InputError:
+                    continue
+        return out
+
+    async def _send(self, commands: Iterable[tuple[int, MoonsCommand, bytes]]) -> None:
+        streams = [bytearray() for _ in range(GATEWAYS)]
+        for number, command, data in commands:
+            self._sequence += 1
+            place = UnitPlace.of(number)
+            streams[place.gateway] += packed(command_frame(place, self._sequence, command, data))
+        for gateway, stream in enumerate(streams):
+            if stream:
+                await self.gateways.send(gateway, bytes(stream))
+
+    async def _to_all(self, command: MoonsCommand) -> None:
+        """To every bus."""
+        for gateway in range(GATEWAYS):
+            frames = [command_frame(UnitPlace(gateway, bus, BROADCAST), 0, command) for bus in range(BUSES)]
+            await self.gateways.send(gateway, b"".join(map(packed, frames)))
+
+    async def _asked(
+        self, ids: Iterable[int], command: MoonsCommand, data: bytes = b""
+    ) -> dict[int, MoonsAnswer]:
+        """Answers to a command; who has not answered is asked again."""
+        found: dict[int, MoonsAnswer] = {}
+        left = set(ids)
+        for _ in range(TRIES):
+            if not left:
+                break
+            await self._send((number, command, data) for number in sorted(left))
+            found |= await self._until(left, {command}, ANSWER_S)
+            left -= set(found)
+        return found
+
+    async def _until(
+        self, ids: set[int], kinds: set[MoonsCommand], timeout_s: float
+    ) -> dict[int, MoonsAnswer]:
+        """The first answer of these kinds of each, or what came in time."""
+        found: dict[int, MoonsAnswer] = {}
+        end_s = self.time_s + timeout_s
+        while len(found) < len(ids) and (left_s := end_s - self.time_s) > 1e-9:
+            for number, answer in await self._heard(left_s):
+                if number in ids and answer.command in kinds:
+                    found.setdefault(number, answer)
+        return found
+
+    async def ask(self, ids: Iterable[int]) -> dict[int, UnitTold]:
+        """What these say of themselves; one that does not answer is missing."""
+        told = await self._asked(ids, MoonsCommand.PING)
+        serials = await self._asked(told, MoonsCommand.SERIAL_NUMBER)
+        return {
+            number: UnitTold(
+                serials[number].counters[0],
+                answer.state is not MoonsState.UNINITIALISED,
+                self._count(number, answer),
+                answer.state in (MoonsState.MOVING, MoonsState.DATUM_SEARCH),
+            )
+            for number, answer in told.items()
+            if number in serials
+        }
+
+    def _count(self, number: int, answer: MoonsAnswer) -> tuple[int, int]:
+        """Counts from the datum, by a counter that wraps."""
+        alpha, beta = self._counts.get(number, (0, 0))
+        shown = answer.counters
+        self._counts[number] = unwrapped(shown[0] - ALPHA_START, alpha), unwrapped(shown[1], beta)
+        return self._counts[number]
+
+    async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
+        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold its own."""
+        ready = await self._load(ids, leg)
+        missing = {n for n in ids if n not in ready or ready[n].error is not MoonsError.NONE}
+        if missing:
+            why = {n: Outcome.REFUSED if n in ready else Outcome.DISCONNECTED for n in missing}
+            return {number: why.get(number, Outcome.STOPPED) for number in ids}
+        await self._to_all(MoonsCommand.EXECUTE)
+        await self.sleep(leg.duration_s + SETTLE_S)
+        goals = {number: (int(a), int(b)) for number, (a, b) in zip(ids, leg.counts[-1], strict=True)}
+        self._counts |= goals
+        told = await self._asked(ids, MoonsCommand.PING)
+        return {number: self._ended(number, goals[number], told.get(number)) for number in ids}
+
+    def _ended(self, number: int, goal: tuple[int, int], answer: MoonsAnswer | None) -> Outcome:
+        if answer is None:
+            return Outcome.DISCONNECTED
+        there = self._count(number, answer) == goal and answer.state is MoonsState.RESTING
+        return Outcome.DONE if there else Outcome.COLLIDED if answer.error else Outcome.TIMED_OUT
+
+    async def _load(self, ids: Sequence[int], leg: Leg) -> dict[int, MoonsAnswer]:
+        """The answer of each to its last segment."""
+        steps = np.diff(leg.counts, axis=0)
+        found: dict[int, MoonsAnswer] = {}
+        left = dict(zip(ids, range(len(ids)), strict=True))
+        for _ in range(TRIES):
+            if not left:
+                break
+            await self._send(
+                (number, MoonsCommand.CONFIG_MOTION, data)
+                for number, k in left.items()
+                for data in _segments(steps[:, k])
+            )
+            found |= await self._until(set(left), {MoonsCommand.CONFIG_MOTION}, ANSWER_S)
+            left = {number: k for number, k in left.items() if number not in found}
+        return found
+
+    async def home(self, ids: Sequence[int]) -> dict[int, Homed]:
+        """Searches both switches of all at once; one that does not answer is missing."""
+        await self._send((number, MoonsCommand.FIND_DATUM, b"\0") for number in ids)
+        ends = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
+        there = await self._asked(ids, MoonsCommand.PING)
+        told = await self._until(set(there), ends, LONGEST_SEARCH_S)
+        slips = await self._asked(told, MoonsCommand.COUNTER_DEVIATION)
+        for number in told:
+            self._counts[number] = 0, 0
+        return {
+            number: Homed(told[number].command is MoonsCommand.DATUM_FINISHED, slips[number].counters)
+            for number in told
+            if number in slips
+        }
+
+    async def stop(self) -> None:
+        """Aborts all motion, and lets units move again."""
+        await self._to_all(MoonsCommand.ABORT)
+        await self._to_all(MoonsCommand.ENABLE_MOVE)
+
+    async def close(self) -> None:
+        """Lets go of the gateways."""
+        await self.gateways.close()
+
+
+def _segments(steps: Ints) -> list[bytes]:
+    """Data of CONFIG_MOTION for the steps (K, 2) of a unit, without the rests at its end."""
+    moving = np.flatnonzero(steps.any(axis=1))
+    whole = steps[: moving[-1] + 1] if len(moving) else steps[:1]
+    last = len(whole) - 1
+    return [
+        segment_data(
+            (int(a), int(b)),
+            (Segment.FIRST if k == 0 else NONE) | (Segment.LAST | Segment.REPLY if k == last else NONE),
+        )
+        for k, (a, b) in enumerate(whole.tolist())
+    ]

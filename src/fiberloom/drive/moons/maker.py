@@ -1,0 +1,83 @@
+"""Waveforms of a whole field: the planner's ways, as near as the rules of the controllers allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiberloom.drive.moons.waveform import LEAST, MOST_SEGMENTS, SEGMENT_S, waveform
+from fiberloom.drive.port import Wanted
+from fiberloom.drive.steppers.known import KnownUnits
+from fiberloom.drive.steppers.link import Leg
+from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, plan_corrections
+from fiberloom.typing import Flags, Floats, Ints
+
+SETTINGS = PlanSettings(speed_deg_s=14.0, acceleration_deg_s2=56.0, grid_deg=11.7, in_hand_mm=0.3)
+"""[A] Speed: a waveform that is behind its plan can catch up. The other numbers: ways within 256 segments,
+and what waveforms differ from plans by. What is executed is verified by itself."""
+
+
+@dataclass(frozen=True)
+class WaveformMaker:
+    """One waveform for each unit. Implements `fiberloom.drive.steppers.drive.Maker`."""
+
+    trial_steps: int
+
+    def legs(
+        self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits
+    ) -> tuple[list[Leg], dict[int, str]]:
+        """The planned ways as waveforms. `wanted`, `moves` (N,), `counts` (N, 2), `known`: as of `Maker`."""
+        goal = np.where(moves[:, None], wanted.goal_deg, wanted.here_deg)
+        make = plan_corrections if wanted.small else plan
+        made = make(
+            wanted.obstacles, wanted.here_deg, goal, seed=wanted.seed, approach_deg=0.0, settings=SETTINGS
+        )
+        rows = np.array([k for k, robot in enumerate(made.robots) if robot.moves], dtype=np.int64)
+        refused = {int(wanted.obstacles.index_of(number)): why for number, why in made.refused.items()}
+        if not len(rows):
+            return [], refused
+        waves, late = _waves(made, rows, counts, known)
+        leg = leg_of(rows, counts[rows], waves)
+        if late.any():
+            refused |= dict.fromkeys(rows[late].tolist(), f"its way takes more than {MOST_SEGMENTS} segments")
+        return [leg], refused
+
+    def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
+        """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
+        way = np.full(self.trial_steps // LEAST, LEAST)
+        waves = np.zeros((len(way), len(rows), 2), dtype=np.int64)
+        waves[..., 0] = way[:, None]
+        return [leg_of(rows, counts[rows], waves)]
+
+
+def leg_of(rows: Ints, before: Ints, waves: Ints) -> Leg:
+    """The leg of units `rows` (m,) that begin at counts (m, 2), by steps (K, m, 2) of segments."""
+    counts = np.concatenate([before[None], before + np.cumsum(waves, axis=0)])
+    time_s = np.broadcast_to(SEGMENT_S * np.arange(len(counts))[:, None], counts.shape[:2])
+    return Leg(rows, time_s, counts)
+
+
+def _waves(made: Plan, rows: Ints, counts: Ints, known: KnownUnits) -> tuple[Ints, Flags]:
+    """Steps (K, m, 2) of all that move; and (m,) whose ways are too long."""
+    ways = [_counted(made.robots[row], int(row), known) for row in rows.tolist()]
+    both = [
+        [waveform(made.robots[row].time_s, way[:, axis], int(counts[row, axis])) for axis in (0, 1)]
+        for row, way in zip(rows.tolist(), ways, strict=True)
+    ]
+    late = np.array([max(map(len, pair)) > MOST_SEGMENTS for pair in both])
+    out = np.zeros((max(max(map(len, pair)) for pair in both), len(rows), 2), dtype=np.int64)
+    for k, pair in enumerate(both):
+        for axis, steps in enumerate(pair):
+            out[: len(steps), k, axis] = steps
+    return out, late
+
+
+def _counted(robot: Trajectory, row: int, known: KnownUnits) -> Floats:
+    """(n, 2) counts at the points of a trajectory of the unit in `row`."""
+    points = robot.points_deg
+    change = np.sign(np.diff(points, axis=0, prepend=points[:1]))
+    for k in range(1, len(change)):
+        change[k] = np.where(change[k] == 0.0, change[k - 1], change[k])
+    out: Floats = known.of_unit(row).counts(points, np.where(change == 0.0, 1.0, change)).astype(np.float64)
+    return out

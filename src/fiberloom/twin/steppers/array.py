@@ -1,0 +1,285 @@
+"""Steppers of the twin: rotors that follow counts, arms, datum switches, and which arms touch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiberloom._core import geometry
+from fiberloom.instruments import FocalPlane
+from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.instruments.pointing import Pointing
+from fiberloom.twin.cobras.contacts import ArmBodies, touching
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import AilmentKind, FaultKind
+from fiberloom.twin.steppers.units import StepperUnits, draw_stepper_units
+from fiberloom.twin.twin import Touch
+from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import deg_to_rad, rad_to_deg
+
+MOST_CORNERS, MOMENTS = 260, 120
+"""A motion with more corners is kept at so many moments: a group in which each ends at its own time."""
+LOSES_SHARE = (0.02, 0.2)
+"""[A] Of a way, that a weak motor loses: drawn for each move."""
+
+
+@dataclass(frozen=True, eq=False)
+class CountPath:
+    """Counts of m units at C corners of their own, straight in between."""
+
+    rows: Ints
+    """(m,)."""
+    time_s: Floats
+    """(C, m) from the start, never falling."""
+    counts: Floats
+    """(C, m, 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Running:
+    """A motion of all N: rotors at K moments."""
+
+    time_s: Floats
+    """(K,) of the twin."""
+    rotor: Floats
+    """(K, N, 2) counts that rotors are in step with."""
+    rising: Floats
+    """(K, N, 2)."""
+
+
+class StepperArray:
+    """The steppers of a focal plane as they really are. Arms pass through each other; it is counted.
+
+    `plane`: the layout; `units`: the true ones, drawn by the `seed` when left out; `contacts`: whether arms
+    can meet, False on a bench.
+    """
+
+    def __init__(
+        self, plane: FocalPlane, units: StepperUnits | None = None, *, seed: int = 0, contacts: bool = True
+    ) -> None:
+        self.plane, n = plane, len(plane)
+        self.units = draw_stepper_units(plane, seed) if units is None else units
+        self.pointing, self.dark = Pointing(), np.zeros(n, dtype=bool)
+        self.dead, self.weak = plane.offline.copy(), np.zeros(n, dtype=bool)
+        self.clock: Callable[[], float] = lambda: 0.0
+        self.counts = np.zeros((n, 2), dtype=np.int64)
+        """(N, 2) as the controllers have them."""
+        self._rng = np.random.default_rng([seed, 0x57EA])
+        self._datum_deg = self._drawn_datum_deg()
+        falling = np.full((1, n, 2), -self.units.steps.sign)
+        self._path = _Running(np.zeros(1), np.zeros((1, n, 2)), falling)
+        self._touches: list[Touch] = []
+        self._given = 0
+        self._bodies = _bodies_of(plane, self.units)
+        self._pairs = _pairs_of(plane) if contacts else np.zeros((0, 2), dtype=np.int64)
+
+    # motion
+
+    @property
+    def time_s(self) -> float:
+        """Now."""
+        return self.clock()
+
+    def go(self, path: CountPath) -> float:
+        """Motors follow counts from now on; how long it takes, s. What touches on the way is noted."""
+        time_s, rotor = self._others(np.unique(path.time_s), path.rows)
+        rotor[:, path.rows] += _gone(path, time_s) * self._kept(path.rows)
+        self.counts[path.rows] = np.rint(path.counts[-1]).astype(np.int64)
+        self._run(time_s, rotor)
+        return float(path.time_s[-1].max())
+
+    def seek(self, rows: Ints, axis: int, rate_Hz: float) -> tuple[Floats, Flags, Ints]:
+        """Units `rows` (m,) search the datum switch of an axis, 0 alpha or 1 beta.
+
+        `rate_Hz`: steps a second.
+
+        Returns (m,) s from now when each has ended; which have found it; and their slip, the counts there.
+        """
+        start = self._rotor_now()
+        self._datum_deg[rows, axis] = self._drawn_datum_deg()[rows, axis]
+        found = ~(self.dead[rows] & (np.abs(start[rows, axis]) > self.units.turn_steps))
+        way = np.where(self.dead[rows], 0.0, -start[rows, axis])
+        slip = np.rint(self.counts[rows, axis] + way).astype(np.int64)
+        took_s = np.abs(way) / rate_Hz
+        self.counts[rows[found], axis] = 0
+        end_s = max(float(took_s.max(initial=0.0)), 1e-3)
+        time_s, rotor = self._others(np.unique(np.append(took_s, [0.0, end_s])), rows)
+        gone = np.clip(time_s[:, None] / np.maximum(took_s, 1e-9), 0.0, 1.0)
+        rotor[:, rows, axis] += gone * way
+        self._run(time_s, rotor)
+        return took_s, found, slip
+
+    def halt(self, rows: Ints) -> None:
+        """Motors of these stand still now; their controllers count what was gone."""
+        now, here = self.time_s, self._rotor_now()
+        lost = self._path.rotor[-1, rows] - here[rows]
+        self.counts[rows] -= np.rint(lost).astype(np.int64)
+        later = self._path.time_s >= now
+        rotor = self._path.rotor.copy()
+        rotor[np.ix_(later, rows)] = here[rows]
+        self._path = replace(self._path, rotor=rotor)
+
+    def _others(self, corners_s: Floats, rows: Ints) -> tuple[Floats, Floats]:
+        """Moments (K,) in s from now of a motion with these corners, and rotors (K, N, 2) of all then.
+
+        Those `rows` that begin it stand where they are; the others go on as they do.
+        """
+        old, now = self._path, self.time_s
+        later_s = old.time_s[old.time_s > now] - now
+        time_s = _moments_s(np.unique(np.concatenate([corners_s, later_s])))
+        start = self._rotor_now()
+        rotor = np.broadcast_to(start, (len(time_s), *start.shape)).copy()
+        if len(later_s):
+            going = np.setdiff1d(np.arange(len(self.plane)), rows)
+            at = np.clip(np.searchsorted(old.time_s, now + time_s, side="right"), 1, len(old.time_s) - 1)
+            span = old.time_s[at] - old.time_s[at - 1]
+            share = np.clip((now + time_s - old.time_s[at - 1]) / np.maximum(span, 1e-12), 0.0, 1.0)
+            before, after = old.rotor[at - 1][:, going], old.rotor[at][:, going]
+            rotor[:, going] = before + share[:, None, None] * (after - before)
+        return time_s, rotor
+
+    def _run(self, after_s: Floats, rotor: Floats) -> None:
+        begin_s = self.time_s
+        rising = _rising(rotor, self._rising_now(), self.units.steps.sign)
+        self._path = _Running(begin_s + after_s, rotor, rising)
+        self._note_contacts(begin_s)
+
+    def _kept(self, rows: Ints) -> Floats:
+        """(m, 2) share of a way that rotors go: the rest a weak motor loses, in whole electrical turns."""
+        lost = self._rng.uniform(*LOSES_SHARE, (len(rows), 2))
+        kept = np.where(self.weak[rows, None], 1.0 - lost, 1.0)
+        return np.where(self.dead[rows, None], 0.0, kept)
+
+    def _drawn_datum_deg(self) -> Floats:
+        """(N, 2) where switches close in a search, about home."""
+        return np.column_stack([switch.closes_deg(self._rng) for switch in self.units.switches])
+
+    def _index(self) -> tuple[int, float]:
+        k = int(np.searchsorted(self._path.time_s, self.time_s, side="right"))
+        if k == len(self._path.time_s) or k == 0:
+            return min(k, len(self._path.time_s) - 1), 1.0
+        before, after = self._path.time_s[k - 1], self._path.time_s[k]
+        return k, (self.time_s - before) / (after - before)
+
+    def _rotor_now(self) -> Floats:
+        k, share = self._index()
+        before = self._path.rotor[max(k - 1, 0)]
+        now: Floats = before + share * (self._path.rotor[k] - before)
+        return now
+
+    def _rising_now(self) -> Floats:
+        return np.asarray(self._path.rising[self._index()[0]])
+
+    def _note_contacts(self, begin_s: float) -> None:
+        if not len(self._pairs):
+            return
+        way_deg = self.units.output_deg(self._path.rotor, self._path.rising, self._datum_deg, at_rest=False)
+        fixed = len(self._bodies.radius_mm) - len(self.plane)
+        way_deg = np.concatenate([way_deg, np.zeros((len(way_deg), fixed, 2))], axis=1)
+        hit = touching(self._bodies, self._pairs, way_deg)
+        ids, n = self.plane.positioner_id, len(self.plane)
+        for i, j in self._pairs[hit].tolist():
+            self._touches.append(Touch(begin_s, int(ids[i]), int(ids[j]) if j < n else None))
+
+    # what cameras and reports ask of a twin
+
+    def truth(self) -> Floats:
+        """(N, 2) true alpha and beta in deg."""
+        return self.units.output_deg(self._rotor_now(), self._rising_now(), self._datum_deg)
+
+    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
+        """(N, 2) true places of a fibre in mm."""
+        longer = np.column_stack([self.units.beta_longer_mm, np.zeros(len(self.plane))])
+        points = np.ascontiguousarray(self.plane.points[fibre] + longer)
+        return geometry.forward(self.units.arms, points, deg_to_rad(self.truth()))
+
+    def point(self, pointing: Pointing) -> None:
+        """Points the telescope; gears of these ratios do not yield to gravity here."""
+        self.pointing = pointing
+
+    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
+        """As `fibre_xy`, (N, 2) mm, whatever the `pointing`."""
+        return self.fibre_xy(fibre)
+
+    def touches(self) -> list[Touch]:
+        """Contacts since the last call."""
+        found, self._touches = self._touches, []
+        self._given += len(found)
+        return found
+
+    def contacts(self) -> int:
+        """How many of these there have been so far."""
+        return self._given + len(self._touches)
+
+    # what goes wrong
+
+    def inject(self, fault: Fault) -> None:
+        """Breaks something: `dark` a fibre; `slipping` makes a motor lose steps; the others stop it."""
+        self._set(fault, True)
+
+    def clear(self, fault: Fault) -> None:
+        """Repairs it."""
+        self._set(fault, False)
+
+    def _set(self, fault: Fault, on: bool) -> None:
+        row = int(self.plane.index_of(fault.positioner_id))
+        match fault.kind:
+            case FaultKind.DARK:
+                self.dark[row] = on
+            case AilmentKind.SLIPPING:
+                self.weak[row] = on
+            case _:
+                self.dead[row] = on
+
+
+def _gone(path: CountPath, time_s: Floats) -> Floats:
+    """(K, m, 2) counts gone at moments (K,)."""
+    out = np.zeros((len(time_s), *path.counts.shape[1:]))
+    for k in range(len(path.time_s) - 1):
+        before, after = path.time_s[k], path.time_s[k + 1]
+        share = np.clip((time_s[:, None] - before) / np.maximum(after - before, 1e-9), 0.0, 1.0)
+        out += share[..., None] * (path.counts[k + 1] - path.counts[k])
+    return out
+
+
+def _moments_s(corners_s: Floats) -> Floats:
+    """Moments at which rotors are kept: the corners, or so many that what lies between them is short."""
+    if len(corners_s) <= MOST_CORNERS:
+        return corners_s
+    return np.linspace(corners_s[0], corners_s[-1], MOMENTS)
+
+
+def _rising(rotor: Floats, before: Floats, sign: float) -> Floats:
+    """(K, N, 2) 1 or -1: how each angle changed last, up to each moment."""
+    out = np.empty_like(rotor)
+    last = before
+    for k in range(len(rotor)):
+        # at the first moment what comes is known already: play is crossed at once
+        change = rotor[min(k + 1, len(rotor) - 1)] - rotor[k] if k == 0 else rotor[k] - rotor[k - 1]
+        last = np.where(change == 0.0, last, np.sign(sign * change))
+        out[k] = last
+    return out
+
+
+def _bodies_of(plane: FocalPlane, units: StepperUnits) -> ArmBodies:
+    """Real beta arms, then fiducials."""
+    fixed, n = plane.fiducials, len(plane)
+    links = np.column_stack([units.arms[:, L_ALPHA], np.full(n, plane.instrument.bodies.beta_segment_mm[1])])
+    zero = rad_to_deg(units.arms[:, [ALPHA_OFF, BETA_OFF]])
+    return ArmBodies(
+        np.vstack([units.arms[:, :2], fixed[:, :2]]),
+        np.vstack([links, np.zeros((len(fixed), 2))]),
+        np.vstack([zero, np.zeros((len(fixed), 2))]),
+        np.concatenate([np.full(n, units.sizes.body_radius_mm), fixed[:, 2]]),
+    )
+
+
+def _pairs_of(plane: FocalPlane) -> Ints:
+    """(P, 2) rows of bodies that can meet: arms, and arms with fiducials."""
+    gap = np.hypot(*np.moveaxis(plane.centres_mm[:, None] - plane.fiducials[None, :, :2], 2, 0))
+    i, j = np.nonzero(gap < plane.body_reach_mm[:, None] + plane.fiducials[None, :, 2])
+    arms = pairs_within(plane.centres_mm, plane.body_reach_mm, 0.0)
+    return np.vstack([arms, np.column_stack([i, j + len(plane)])])

@@ -1,0 +1,76 @@
+"""Groups of moves: who unfolds first, and who cannot."""
+
+import numpy as np
+import pytest
+
+import fiberloom as fl
+from fiberloom.drive.steppers.groups import Unfolding, grouped
+from fiberloom.drive.steppers.ways import ArmWays
+
+PLANE = fl.FocalPlane.of("moons", seed=0, n=2)
+EAST = np.array([True, True])
+
+
+def towards(row, plane=PLANE):
+    """Alpha at which the arm of one of two positioners points at the other."""
+    way = plane.centres_mm[1 - row] - plane.centres_mm[row]
+    alpha = np.rad2deg(np.arctan2(way[1], way[0]) - plane.alpha_off_rad[row])
+    return (alpha + 180.0) % 360.0 - 180.0
+
+
+def unfolding(goals):
+    return Unfolding(ArmWays(PLANE), np.array(goals), EAST, 180.0).ordered()
+
+
+def test_one_that_sweeps_the_goal_of_another_goes_first():
+    """The first swings its long arm over where the second stands afterwards, which keeps near its centre."""
+    a, b = towards(0), towards(1)
+    groups, why = unfolding([[a - 60.0, 300.0], [b, 95.0]])
+    assert not why
+    assert [group.tolist() for group in groups] in ([[0], [1]], [[1], [0]])
+
+
+def test_two_that_reach_through_each_other_cannot_both():
+    groups, why = unfolding([[towards(0), 10.0], [towards(1), 10.0]])
+    assert len(why) + sum(map(len, groups)) == 2
+    assert len(why) >= 1
+
+
+def test_no_group_has_neighbours_and_stages_come_to_the_goals():
+    plane = fl.FocalPlane.of("megara", seed=0, n=30)
+    rng = np.random.default_rng(0)
+    goal = np.column_stack([rng.uniform(-360.0, 0.0, 30), rng.uniform(-175.0, -120.0, 30)])
+    here = np.column_stack([rng.uniform(-360.0, 0.0, 30), rng.uniform(-175.0, -120.0, 30)])
+    made = grouped(plane, here, goal, np.ones(30, dtype=bool))
+    assert not made.refused
+    assert np.array_equal(made.stages[-1][1], goal)
+    near = {tuple(pair) for pair in plane.neighbour_pairs().tolist()}
+    before = here
+    for rows, after in made.stages:
+        turned = np.abs(after - before).max(axis=0)
+        assert min(turned) == 0.0  # one axis at a time
+        if turned[1] > 0.0:
+            own = set(rows.tolist())
+            assert not any(i in own and j in own for i, j in near)
+        before = after
+
+
+def test_a_standing_arm_in_the_way_is_named():
+    goal = np.array([[towards(0), 10.0], [towards(1), 10.0]])
+    here = np.array([[towards(0), 180.0], [towards(1), 10.0]])
+    made = grouped(PLANE, here, np.where([[True], [False]], goal, here), np.array([True, False]))
+    assert made.refused == {
+        0: f"positioner {PLANE.positioner_id[1]}, which does not move, is in its way; it stays where it is"
+    }
+
+
+@pytest.mark.parametrize("others_deg", [[0.0, 180.0], [90.0, 180.0]])
+def test_ways_are_looked_at_between_their_ends(others_deg):
+    """An arm that swings over its neighbour's centre and stops behind it touches it on the way."""
+    alpha = towards(0)
+    corners = np.array([[[alpha - 60.0, 0.0], [alpha + 60.0, 0.0]]])
+    ways, one, two = ArmWays(PLANE), np.array([0]), np.array([1])
+    assert ways.hits(one, corners, two, np.array([others_deg])).all()
+    for end in (0, 1):
+        standing = corners[:, [end, end]]
+        assert not ways.hits(one, standing, two, np.array([others_deg])).any()

@@ -1,0 +1,146 @@
+"""MEGARA on the twin: blind fields by its own motors and frames; what is wrong is flagged."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+import fiberloom as fl
+from fiberloom.connect import twin_source
+from fiberloom.errors import InputError
+from fiberloom.targets.generate import random_targets
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.steppers.array import CountPath, StepperArray
+
+PLANE = fl.FocalPlane.of("megara", seed=0, n=30)
+TARGETS = random_targets(PLANE, 75, seed=1)
+
+
+def observed(faults="", folder=None):
+    """Summary of a field, and its source."""
+    field = fl.Field.twin(PLANE, seed=0, camera="noise", faults=faults)
+    seen = field.run.observe(TARGETS, out=folder)
+    return seen.summary(), field.source
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A field of healthy units."""
+    return observed(folder=tmp_path_factory.mktemp("whole") / "run")
+
+
+def test_a_blind_field_meets_the_requirement_in_truth(whole):
+    summary, source = whole
+    last = summary["moves"][-1]
+    assert len(summary["moves"]) == 1
+    assert summary["n_within_requirement"] == summary["n_assigned"] >= 25
+    # sizes of the preset: switches 0.02 deg, arms 10 um, half a step; 102 um are asked for
+    assert 4.0 < last["true_rms_um"] < 25.0
+    assert summary["contacts_true"] == summary["collisions_verified"] == 0
+    assert source.bus.array.contacts() == 0
+
+
+def test_the_bench_finds_zeros_and_gears(whole):
+    """In between the knots: what is left are arms of the table, and the bench's camera and switches."""
+    _, source = whole
+    rng, n = np.random.default_rng(3), len(PLANE)
+    goal = np.column_stack([rng.uniform(-350.0, -10.0, n), rng.uniform(-110.0, -70.0, n)])
+    rising = np.full((n, 2), -1.0)
+    counts = source.known.counts(goal, rising)
+    true = source.units.output_deg(counts.astype(float), rising, np.zeros((n, 2)) + _switches(source))
+    miss_um = 1e3 * np.hypot(*(_places(source, true) - PLANE.forward(*goal.T)).T)
+    blind = source.units.output_deg(
+        source.known.steps.of_angles(goal).astype(float), rising, _switches(source)
+    )
+    plain_um = 1e3 * np.hypot(*(_places(source, blind) - PLANE.forward(*goal.T)).T)
+    assert np.sqrt(np.mean(miss_um**2)) < 20.0
+    assert np.sqrt(np.mean(plain_um**2)) > 3.0 * np.sqrt(np.mean(miss_um**2))
+
+
+def _switches(source):
+    return np.column_stack([one.offset_deg for one in source.units.switches])
+
+
+def _places(source, angles_deg):
+    return source.true_plane.forward(*angles_deg.T)
+
+
+def test_lost_steps_dead_and_exchanged_units_are_flagged_and_the_rest_goes_on(tmp_path):
+    summary, source = observed("slipping=1,dead=1,swapped=1", tmp_path / "run")
+    broken = {fault.positioner_id for fault in source.faults}
+    flagged = set(summary["faults"]["dead"])
+    assert broken <= flagged
+    assert len(flagged) == 4  # and the one with which it is exchanged
+    with_target = summary["n_assigned"] - summary["n_within_requirement"]
+    assert with_target <= 4
+    assert summary["contacts_true"] == 0
+
+
+def test_a_gateway_without_power_is_flagged_and_the_rest_goes_on(tmp_path):
+    """It goes while the first arms unfold: arms of that group stand anywhere on their way."""
+    summary, source = observed("busoff=1@75", tmp_path / "run")
+    silent = {one.positioner_id for one in source.schedule}
+    assert set(summary["faults"]["disconnected"]) == silent
+    lost = len(silent) + len(summary["faults"].get("blocked", []))
+    assert summary["n_within_requirement"] >= summary["n_assigned"] - lost
+    assert len(summary["moves"]) == 2
+    assert summary["contacts_true"] == 0
+
+
+def test_a_second_field_folds_first(tmp_path):
+    field = fl.Field.twin(PLANE, seed=0, camera="noise")
+
+    async def two():
+        await field.observe(TARGETS, out=tmp_path / "a")
+        return await field.observe(random_targets(PLANE, 75, seed=2), out=tmp_path / "b")
+
+    summary = asyncio.run(two()).summary()
+    assert summary["n_within_requirement"] == summary["n_assigned"]
+    assert summary["contacts_true"] == 0
+
+
+def test_arms_that_are_driven_into_each_other_are_counted():
+    """Without plan and verifier: two neighbours stretched towards each other."""
+    plane = fl.FocalPlane.of("megara", seed=0, n=2)
+    array = StepperArray(plane, seed=0)
+    to_other = np.rad2deg(np.arctan2(*(plane.centres_mm[1] - plane.centres_mm[0])[::-1]))
+    goal = np.array([[to_other, 0.0], [to_other - 180.0, 0.0]])
+    goal[:, 0] = -((-goal[:, 0]) % 360.0)
+    counts = array.units.steps.of_angles(goal)
+    path = CountPath(np.arange(2), np.array([[0.0, 0.0], [60.0, 60.0]]), np.stack([0 * counts, counts]) * 1.0)
+    now = [0.0]
+    array.clock = lambda: now[0]
+    array.go(path)
+    now[0] = 61.0
+    assert np.abs(array.truth() - goal).max() < 2.0
+    assert array.contacts() == 1
+
+
+def test_a_weak_motor_is_found_at_its_switch():
+    array, now = StepperArray(PLANE, seed=0, contacts=False), [0.0]
+    array.clock = lambda: now[0]
+    array.inject(Fault("slipping", int(PLANE.positioner_id[4])))
+    every, counts = np.arange(len(PLANE)), np.tile([16000, 0], (len(PLANE), 1))
+    array.go(
+        CountPath(
+            every, np.array([[0.0], [10.0]]) + np.zeros(len(PLANE)), np.stack([0 * counts, counts]) * 1.0
+        )
+    )
+    now[0] = 11.0
+    _, found, slip = array.seek(every, 0, 3000.0)
+    assert found.all()
+    assert 0.02 * 16000 <= slip[4] <= 0.2 * 16000
+    assert np.abs(np.delete(slip, 4)).max() == 0
+
+
+def test_a_table_without_the_twins_sizes_is_refused_in_one_line():
+    instrument = PLANE.instrument.model_copy(update={"twin": {"steppers": {"body_radius_mm": -1.0}}})
+    plane = fl.FocalPlane.of("megara", seed=0, n=3)
+    object.__setattr__(plane, "instrument", instrument)
+    with pytest.raises(InputError, match=r"megara: twin\.steppers\.body_radius_mm: "):
+        StepperArray(plane)
+
+
+def test_faults_that_steppers_do_not_have_are_refused():
+    with pytest.raises(InputError, match="stuck_hall"):
+        twin_source(PLANE, 0, "noise", "stuck_hall=1")
