@@ -100,6 +100,12 @@ bool Robot::clear(Cell c, VelocityChanges changes) {
     return clearance == some_clear ? clear(swept(c, changes)) : clearance == all_clear;
 }
 
+// A step to a neighbouring cell, from rest to rest.
+bool Robot::clear_move(Cell here, Cell next) {
+    const int a = next.alpha - here.alpha, b = next.beta - here.beta;
+    return clear(here, {{0, a}, {0, b}}) && clear(next, {{-a, 0}, {-b, 0}});
+}
+
 Robot::Flood Robot::flood(std::optional<Cell> until) {
     Flood out{{start()}, List<int>(cells(), -1)};
     out.steps[index(start())] = 0;
@@ -107,10 +113,8 @@ Robot::Flood Robot::flood(std::optional<Cell> until) {
         const Cell here = out.cells[k];
         if (here == until) break;
         for (int move = 0; move < 9; ++move) {
-            const int a = move % 3 - 1, b = move / 3 - 1;
-            const Cell next{here.alpha + a, here.beta + b};
-            if (!inside(next) || out.steps[index(next)] >= 0) continue;
-            if (!clear(here, {{0, a}, {0, b}}) || !clear(next, {{-a, 0}, {-b, 0}})) continue;
+            const Cell next{here.alpha + move % 3 - 1, here.beta + move / 3 - 1};
+            if (!inside(next) || out.steps[index(next)] >= 0 || !clear_move(here, next)) continue;
             out.steps[index(next)] = out.steps[index(here)] + 1;
             out.cells.push_back(next);
         }
@@ -118,10 +122,20 @@ Robot::Flood Robot::flood(std::optional<Cell> until) {
     return out;
 }
 
+// Whether nothing at rest is in the way if both axes go at once until the nearer one is at its goal.
+bool Robot::straight_is_clear() {
+    const auto towards = [](int from, int to) { return from + (to > from) - (to < from); };
+    for (Cell here = start(), next; !(here == goal()); here = next) {
+        next = {towards(here.alpha, goal().alpha), towards(here.beta, goal().beta)};
+        if (!clear_move(here, next)) return false;
+    }
+    return true;
+}
+
 int Robot::steps_alone() {
     if (obstacles_.empty()) return travel_steps();
     if (!clear(start(), {}) || !clear(goal(), {})) return -1;
-    return flood(goal()).steps[index(goal())];
+    return straight_is_clear() ? travel_steps() : flood(goal()).steps[index(goal())];
 }
 
 List<Cell> Robot::reachable() {

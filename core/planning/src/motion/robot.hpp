@@ -101,6 +101,8 @@ class Robot {
         List<Cell> cells; // in the order in which they are reached
         List<int> steps;  // to each cell, by its index; -1: not reached
     };
+    bool clear_move(Cell here, Cell next);
+    bool straight_is_clear();
     // With a stop at each cell; it ends at one cell, if that is given.
     Flood flood(std::optional<Cell> until);
     struct Obstacle {

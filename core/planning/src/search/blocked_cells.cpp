@@ -65,12 +65,18 @@ FL_INLINE CellBits bits_of(Int8 mask) {
 
 } // namespace
 
+int &BlockedCells::begin_of(int slot, const Robot &neighbour, Cell at) {
+    if (slot >= begins_.size()) begins_.resize(slot + 1);
+    auto &of_neighbour = begins_[slot];
+    if (of_neighbour.empty()) of_neighbour.resize(neighbour.alpha().size());
+    auto &on_line = of_neighbour[at.alpha];
+    if (on_line.empty()) on_line.assign(neighbour.beta().size(), -1);
+    return on_line[at.beta];
+}
+
 const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
                                  TouchTables &tables) {
-    if (slot >= begins_.size()) begins_.resize(slot + 1);
-    auto &begins = begins_[slot];
-    if (begins.empty()) begins.assign(neighbour.cells(), -1);
-    int &begin = begins[neighbour.index(at)];
+    int &begin = begin_of(slot, neighbour, at);
     if (begin < 0) {
         begin = bits_.size();
         bits_.resize(begin + words(me), 0);

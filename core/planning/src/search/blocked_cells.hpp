@@ -57,7 +57,11 @@ class BlockedCells {
     void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words, CellBits *out) const;
     void mark_borders(int alpha, Directions directions, int words, CellBits *out) const;
 
-    List<List<int>> begins_; // for each neighbour and cell of it: where its bits begin; -1: not looked at
+    int &begin_of(int slot, const Robot &neighbour, Cell at);
+
+    // For each neighbour, line of alpha and line of beta of it: where its bits begin; -1: not looked at. Lines
+    // of alpha on which it has never been are empty.
+    List<List<List<int>>> begins_;
     List<CellBits> bits_;
     List<CellBits> borders_; // of one look
     Elbows elbows_;
