@@ -185,7 +185,7 @@ fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch
     const float coarse = 1.0f + FL_TOUCH_COARSE * (1.0f - pace);
     /* until it is learnt, the scatter is taken for errors of the angle, which grow with w^2 */
     const float scale = st->share > 2.0f * FL_TOUCH_SHARE ? pace * pace : coarse;
-    st->dip_Nm = fl_max(watched ? -st->rise_Nm : 0.0f, FL_TOUCH_DIP_FADE * st->dip_Nm);
+    st->dip_Nm = fl_max(watched ? -st->rise_Nm : FL_LEAST, FL_TOUCH_DIP_FADE * st->dip_Nm);
     const float both_Nm = coarse * fl_max(cfg->threshold_Nm, FL_TOUCH_DIPS * st->dip_Nm);
     const float known_Nm = fl_max(both_Nm, scale * FL_TOUCH_WILD * st->scatter_Nm);
     const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +

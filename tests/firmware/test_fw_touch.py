@@ -218,6 +218,16 @@ def test_the_watch_is_the_rule_of_its_header(seed):
     assert np.abs(got - want)[:, 3:].max() < 5e-11
 
 
+def test_a_dip_fades_to_nothing_that_slows_a_processor():
+    """Subnormal floats do (FL_LEAST), and short moves leave a dip behind that none of them renews."""
+    rows = np.zeros((50_000, 10))
+    rows[:2000, 3], rows[:, 4] = 100.0, 1.0
+    rows[1000:1100, 1] = -1e-6
+    limit_Nm = fw.touch(rig.alpha_params(touch_torque=1e-36), rows)[:, 1]
+    assert limit_Nm[1100:2000].max() > 1e-7
+    assert 1e-30 < limit_Nm[-1] < 1e-28
+
+
 # what repeats with the rotor's turn: firmware/law/fl_ripple.h
 
 LEARNT = ("once_sin", "once_cos", "twice_sin", "twice_cos")

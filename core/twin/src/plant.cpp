@@ -145,7 +145,7 @@ AxisState Plant::state(size_t axis) const {
 void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double gear_rad) {
     set(axis, &AxisGroup::theta_rad, theta_rad);
     set(axis, &AxisGroup::p_Nms, momentum_Nms);
-    group_of(axis).still = 0;
+    set(axis, &AxisGroup::still, 0);
     set(axis, &AxisGroup::gear_rad, gear_rad);
     axes_[axis].cell =
         cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
@@ -181,7 +181,7 @@ double Plant::speed_limit_rad_s(size_t axis) const {
 
 void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
-    group_of(axis).still = 0;
+    set(axis, &AxisGroup::still, 0);
     const PlantParams &p = params(axis);
     const double spring_Nm = p.spring_rate * p.spring_free;
     set(axis, &AxisGroup::load_0_Nms, h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio);
@@ -203,7 +203,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
     axes_[axis].unit.params = params;
-    group_of(axis).still = 0;
+    set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
 
@@ -212,7 +212,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].unit.transmission = transmission;
-    group_of(axis).still = 0;
+    set(axis, &AxisGroup::still, 0);
     const Cell start = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
     axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
     load_cell(axis);
@@ -249,7 +249,7 @@ bool Plant::diodes_conduct(size_t axis) const {
 
 void Plant::switch_bridge(size_t axis, Bridge bridge) {
     axes_[axis].bridge = bridge;
-    group_of(axis).still = 0;
+    set(axis, &AxisGroup::still, 0);
     configure_drive(axis);
     configure_gear(axis);
 }

@@ -3,7 +3,11 @@
 //   FL_KERNEL_SYMBOL the Kernel to define
 //   FL_KERNEL_WIDTH  floats in a vector
 // Nothing here may call an inline function of another header: the linker would keep one copy of it,
-// perhaps the one that only runs on newer machines.
+// perhaps the one that only runs on newer machines; intrinsics leave none.
+#if FL_KERNEL_WIDTH > 4
+#include <immintrin.h>
+#endif
+
 #include "fiberloom/twin/axis_group.hpp"
 #include "law_body.hpp"
 
@@ -98,26 +102,20 @@ inline float bridge(float duty, float steps) {
 }
 
 // Torque of three delta coils at standstill, Eq. 16 with 17: (lambda/R) sum u_k cos(theta + k 120 deg).
-// Returns whether the field of the chunk has changed.
-inline bool drive_chunk(AxisGroup &g, int chunk) {
-    int32_t changed = 0;
-    for (int i = chunk; i < chunk + chunk_size; ++i) {
+// An axis whose field changes is no longer still.
+void drive(AxisGroup &g) {
+    for (int i = 0; i < lane_count; ++i) {
         const float a = bridge(g.duty[0][i], g.pwm_steps[i]), b = bridge(g.duty[1][i], g.pwm_steps[i]);
         const float c = bridge(g.duty[2][i], g.pwm_steps[i]);
         const float ab = b - a, bc = c - b, ca = a - c; // u_AB = u_B - u_A and cyclic
         const float along = g.drive_scale_Nms[i] * (ab - 0.5f * (bc + ca));
         const float across = g.drive_scale_Nms[i] * (0.8660254f * (ca - bc));
-        changed |= static_cast<int32_t>(along != g.drive_cos_Nms[i]) |
-                   static_cast<int32_t>(across != g.drive_sin_Nms[i]);
+        const int32_t same = static_cast<int32_t>(along == g.drive_cos_Nms[i]) &
+                             static_cast<int32_t>(across == g.drive_sin_Nms[i]);
+        g.still[i] &= -same;
         g.drive_cos_Nms[i] = along;
         g.drive_sin_Nms[i] = across;
     }
-    return changed != 0;
-}
-
-void drive(AxisGroup &g) {
-    for (int c = 0; c < lane_count; c += chunk_size)
-        if (drive_chunk(g, c)) g.still &= ~(1U << (c / chunk_size));
 }
 
 // Spring, outside torque and hard stops change by less than 1e-9 of the friction inside a tick. The gear
@@ -145,9 +143,9 @@ inline void begin_ways(AxisGroup &g, int chunk) {
 }
 
 // And back. In contact the gear is where the rotor puts it, to the last bit of a double: rounded ways would
-// open the contact again.
-inline uint32_t end_ways(AxisGroup &g, int chunk) {
-    uint32_t changed = 0;
+// open the contact again. An axis at rest now, and where it was, has rested all the time, for the field does
+// not turn in a tick: it is still.
+inline void end_ways(AxisGroup &g, int chunk) {
     for (int i = chunk; i < chunk + chunk_size; ++i) {
         const float turned = g.turned_rad[i], from_below = g.closed_rad[i] + turned * g.closed_scale[i];
         const float pushed = g.gear_ahead_rad[i] > from_below ? g.gear_ahead_rad[i] : from_below;
@@ -157,9 +155,8 @@ inline uint32_t end_ways(AxisGroup &g, int chunk) {
         const double alone = gear == g.gear_start_rad[i] ? g.gear_rad[i] : start + static_cast<double>(gear);
         g.gear_rad[i] = from_below >= gear ? closed : (turned <= gear ? theta : alone);
         g.theta_rad[i] = theta;
-        changed |= static_cast<uint32_t>(turned != 0.0f) | static_cast<uint32_t>(g.p_Nms[i] != 0.0f);
+        g.still[i] = -(static_cast<int32_t>(turned == 0.0f) & static_cast<int32_t>(g.p_Nms[i] == 0.0f));
     }
-    return changed;
 }
 
 inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
@@ -195,7 +192,7 @@ inline void store_motion(AxisGroup &g, int i, const Motion &m) {
 
 // The series are cut where, at 600 rad/s and 50 us, they err by 5e-8 a step: the torque feels it in the
 // seventh digit, and each tick starts from exact values again.
-inline void drift(Motion &m, V by) {
+template <class M> inline void drift(M &m, V by) {
     const V z = by * by;
     const V s = by - by * (z * (1.0f / 6.0f)), c = 1.0f - 0.5f * z;
     const V turned = m.sine * c + m.cosine * s;
@@ -276,25 +273,142 @@ template <int count> inline void move(AxisGroup &g, const int *chunks, int subst
     });
 }
 
-template <int most> inline void move_all(AxisGroup &g, const int *chunks, int count, int substeps) {
-    if (count == most) return move<most>(g, chunks, substeps);
-    if constexpr (most > 1) move_all<most - 1>(g, chunks, count, substeps);
+// -- the same while the rotor pushes its gear -----------------------------------------------------
+
+// Contact lasts until the rotor turns back, so that no kick has to ask for it.
+struct Pushing {
+    V turned, p, sine, cosine;
+    V resist;  // what rotor and gear take, signed as the motion is
+    V slowest; // what friction has left of the momentum at least, in the direction of the motion
+    Mask down; // the sign bit where that is to smaller angles
+};
+
+inline Mask still(const AxisGroup &g, int i) { return *reinterpret_cast<const Mask *>(g.still + i); }
+inline V turned_by(V v, Mask sign) { return reinterpret_cast<V>(reinterpret_cast<Mask>(v) ^ sign); }
+
+// Lanes that set out pushing, or are still.
+inline Mask sets_out_pushing(const AxisGroup &g, int i) {
+    const V p = load(g.p_Nms + i);
+    V gear = load(g.gear_ahead_rad + i);
+    const Contact contact = close_gap(g, i, load(g.turned_rad + i), gear);
+    return (contact.positive & (p > V{})) | (contact.negative & (p < V{})) | still(g, i);
+}
+
+inline Pushing load_pushing(const AxisGroup &g, int i) {
+    const V p = load(g.p_Nms + i), motor = load(g.coulomb_motor_Nms + i);
+    const V up = motor + load(g.resist_up_Nms + i), down = motor + load(g.resist_down_Nms + i);
+    const Mask falls = p < V{};
+    return {load(g.turned_rad + i), p,         load(g.sine + i), load(g.cosine + i),
+            falls ? -down : up,     up + down, falls << 31};
+}
+
+// kick() where the rotor pushes.
+inline V push(const AxisGroup &g, int i, Pushing &m) {
+    const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
+    const V moved = free - load(g.drag_push + i) * m.p - m.resist;
+    m.slowest = smaller(m.slowest, turned_by(moved, m.down));
+    m.p = moved * load(g.drag_push_inverse + i);
+    return m.p * load(g.step_per_p_push + i);
+}
+
+// Lanes that have pushed all the time, or are still.
+inline Mask kept_pushing(const AxisGroup &g, int i, const Pushing &m) {
+    return (m.slowest > load(g.coulomb_motor_Nms + i) * stick_share) | still(g, i);
+}
+
+// turned: at the last kick, which sets the gear.
+inline void store_pushing(AxisGroup &g, int i, const Pushing &m, V turned) {
+    const Mask moves = ~still(g, i);
+    V gear = load(g.gear_ahead_rad + i);
+    close_gap(g, i, both(moves, turned), gear);
+    store(g.gear_ahead_rad + i, gear);
+    store(g.turned_rad + i, both(moves, m.turned));
+    store(g.p_Nms + i, both(moves, m.p));
+}
+
+inline bool all(Mask flags) {
+#if FL_KERNEL_WIDTH == 16
+    return _mm512_movepi32_mask(reinterpret_cast<__m512i>(flags)) == 0xffff;
+#elif FL_KERNEL_WIDTH == 8
+    return _mm256_movemask_ps(reinterpret_cast<__m256>(flags)) == 0xff;
+#else
+    int32_t every = -1;
+    for (int k = 0; k < width; ++k) every &= flags[k];
+    return every != 0;
+#endif
+}
+
+// Whether a flag is set in all lanes of a chunk.
+template <class Flags> inline bool all_of_chunk(int chunk, Flags &&flags_of) {
+    Mask every = flags_of(chunk, 0);
+    for (int v = 1; v < chunk_size / width; ++v) every &= flags_of(chunk + v * width, v);
+    return all(every);
+}
+
+// Some chunks of a group.
+struct Chunks {
+    int at[lane_count / chunk_size];
+    int count = 0;
+    void add(int chunk) { at[count++] = chunk; }
+};
+
+// As move(), to the bit. Chunks in which a rotor has come to rest or turned back stay as they were: `others`
+// gets them.
+template <int count> inline void move_pushing(AxisGroup &g, const int *chunks, int substeps, Chunks &others) {
+    constexpr int vectors = chunk_size / width;
+    Pushing motion[count][vectors];
+    V turned[count][vectors];
+    const auto each = [&](auto &&what) {
+        for (int k = 0; k < count; ++k)
+            for (int v = 0; v < vectors; ++v) what(motion[k][v], chunks[k] + v * width, turned[k][v]);
+    };
+    each([&](Pushing &m, int i, V &) {
+        m = load_pushing(g, i);
+        drift(m, 0.5f * (m.p * load(g.step_per_p_push + i)));
+    });
+    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push(g, i, m)); });
+    each([&](Pushing &m, int i, V &at_kick) {
+        at_kick = m.turned;
+        drift(m, 0.5f * push(g, i, m));
+    });
+    for (int k = 0; k < count; ++k) {
+        const int chunk = chunks[k];
+        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(g, i, motion[k][v]); }))
+            others.add(chunk);
+        else
+            for (int v = 0; v < vectors; ++v) store_pushing(g, chunk + v * width, motion[k][v], turned[k][v]);
+    }
+}
+
+// -- a tick -------------------------------------------------------------------------------------
+
+template <int most> inline void move_all(AxisGroup &g, const Chunks &chunks, int substeps) {
+    if (chunks.count == most) return move<most>(g, chunks.at, substeps);
+    if constexpr (most > 1) move_all<most - 1>(g, chunks, substeps);
+}
+
+template <int most> inline void push_all(AxisGroup &g, const Chunks &chunks, int substeps, Chunks &others) {
+    if (chunks.count == most) return move_pushing<most>(g, chunks.at, substeps, others);
+    if constexpr (most > 1) push_all<most - 1>(g, chunks, substeps, others);
 }
 
 TickEvents step(AxisGroup &g, int substeps) {
-    int chunks[lane_count / chunk_size], count = 0;
+    constexpr int most = lane_count / chunk_size;
+    Chunks moving, pushing, others;
     for (int c = 0; c < lane_count; c += chunk_size)
-        if ((g.still >> (c / chunk_size) & 1U) == 0) chunks[count++] = c;
-    for (int k = 0; k < count; ++k) {
-        load_gear(g, chunks[k]);
-        begin_ways(g, chunks[k]);
+        if (!all_of_chunk(c, [&](int i, int) { return still(g, i); })) moving.add(c);
+    for (int k = 0; k < moving.count; ++k) {
+        const int c = moving.at[k];
+        load_gear(g, c);
+        begin_ways(g, c);
+        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(g, i); }) ? pushing : others).add(c);
     }
-    move_all<lane_count / chunk_size>(g, chunks, count, substeps);
+    push_all<most>(g, pushing, substeps, others);
+    move_all<most>(g, others, substeps);
     TickEvents events;
-    for (int k = 0; k < count; ++k) {
-        // at rest now, and where it was: then at rest all the time, for the field does not turn in a tick
-        if (end_ways(g, chunks[k]) == 0) g.still |= 1U << (chunks[k] / chunk_size);
-        events.left_cell |= lanes_out_of_cell(g, chunks[k]);
+    for (int k = 0; k < moving.count; ++k) {
+        end_ways(g, moving.at[k]);
+        events.left_cell |= lanes_out_of_cell(g, moving.at[k]);
     }
     return events;
 }

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import chi2 as chi2_of
+from scipy.special import chdtri
 
 from fiberloom.calibration.fibres.estimate import FieldOffsets
 from fiberloom.calibration.fibres.frame import FAR_UM, FRAME_UM, OF_CAMERA, TERMS, FrameOffset
@@ -136,7 +136,7 @@ class _Entries:
             several = dof > 0
             if not several.any():
                 return -1.0
-            return float(np.median(square[several] / chi2_of.ppf(0.5, dof[several]))) - 1.0
+            return float(np.median(square[several] / chdtri(dof[several], 0.5))) - 1.0
 
         if too_far(least_um) <= 0.0:
             return least_um
@@ -148,7 +148,7 @@ class _Entries:
         """The worst entry of each fibre whose fields disagree; all of those that have two left."""
         solution = self.solved()
         square, dof = solution.chi2()
-        bad = square > chi2_of.isf(np.where(dof > 2, _UNLIKELY[1], _UNLIKELY[0]), np.maximum(dof, 1))
+        bad = square > chdtri(np.maximum(dof, 1), np.where(dof > 2, _UNLIKELY[1], _UNLIKELY[0]))
         off = np.where(self.used & bad[self.fibre_of], solution.alone(), -1.0)
         out: list[int] = []
         for fibre in np.flatnonzero(bad):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_of
+from scipy.special import chdtri
 
 from fiberloom.calibration.fibres.descent import fitted
 from fiberloom.calibration.fibres.dithered import DitheredField
@@ -234,7 +234,7 @@ class _Result:
         shared = (n_e * (OF_STAR + 2) - MODES) / max(n, 1)
         self.dof = np.maximum(self.count - OF_STAR - shared, 1.0)
         self.chi2 = square.sum(axis=0)
-        half = chi2_of.ppf(0.5, self.dof)
+        half = chdtri(self.dof, 0.5)
         # what all fibres have in common, e.g. scintillation or another profile, counts as noise
         self.noisier = max(float(np.median(self.chi2 / half)), 1.0)
 
@@ -260,7 +260,7 @@ class _Result:
         n_seen = self.model.seen.sum(axis=0)
         cut = n_seen - self.count
         sigma = np.sqrt(np.linalg.eigvalsh(self.spread_um2())[:, 1])
-        unlikely = chi2_of.isf(_UNLIKELY, self.dof) * self.noisier
+        unlikely = chdtri(self.dof, _UNLIKELY) * self.noisier
         most = self.model.settings.most_sigma_um
         out = []
         for k in range(len(cut)):

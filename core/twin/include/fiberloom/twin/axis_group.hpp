@@ -67,7 +67,7 @@ struct alignas(64) AxisGroup {
 
     float duty[3][lane_count]; // phases A, B, C as the firmware last set them
     uint32_t noise_key[lane_count];
-    uint32_t still; // a bit for each chunk: the last tick changed nothing, and nothing has been changed since
+    int32_t still[lane_count]; // all bits: the last tick changed nothing, and nothing has been changed since
     int32_t hall_cnt[2][lane_count];
 };
 
