@@ -330,6 +330,8 @@ class FieldMotion:
             )
             if self.witness is not None:
                 rule.on_start = self.witness.started
+                if not isinstance(self.drive, SdssvDrive):  # others do not say when they start
+                    self.witness.started(self.drive.time_s)
             results = await self.drive.run(programme, rule, self.progress)
             if not results.ok.all():
                 await self._come_to_rest(moving)

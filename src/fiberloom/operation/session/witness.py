@@ -33,7 +33,11 @@ class Witness(Recorder, Protocol):
         ...
 
     def started(self, time_s: float) -> None:
-        """Called when positioners have been told to go; `time_s`: of the bus."""
+        """Called when positioners are told to go; `time_s`: of the bus."""
+        ...
+
+    def rests(self, angles_deg: Floats) -> None:
+        """Called when the store has where all are: `angles_deg` (N, 2), NaN: not known."""
         ...
 
 
