@@ -360,6 +360,6 @@ def plane_about(plane: FocalPlane) -> dict[str, Any]:
 
 
 def rounded(values: Floats, digits: int = 4) -> list[Any]:
-    """Numbers for JSON with so many digits after the point; NaN becomes None."""
+    """Numbers (mm, um, rad) for JSON with so many digits after the point; NaN becomes None."""
     array = np.round(np.asarray(values, dtype=np.float64), digits)
     return np.where(np.isfinite(array), array, None).tolist()  # type: ignore[no-any-return, call-overload]

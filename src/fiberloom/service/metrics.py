@@ -28,8 +28,8 @@ class Metrics:
         self.commands = Counter(
             "fiberloom_commands", "Commands that have ended.", ("command", "result"), registry=self._registry
         )
-        self.stage_s = Counter(
-            "fiberloom_stage_seconds", "Time spent in commands.", ("command",), registry=self._registry
+        self.command_s = Counter(
+            "fiberloom_command_seconds", "Time spent in commands.", ("command",), registry=self._registry
         )
         self.lag_s = Gauge(
             "fiberloom_loop_lag_seconds", "By which the server's loop was late.", registry=self._registry
@@ -45,7 +45,8 @@ class Metrics:
             self._begun[name] = time.monotonic()
             return
         self.commands.labels(name, result).inc()
-        self.stage_s.labels(name).inc(time.monotonic() - self._begun.pop(name, time.monotonic()))
+        if (begun_s := self._begun.pop(name, None)) is not None:
+            self.command_s.labels(name).inc(time.monotonic() - begun_s)
 
     def text(self) -> bytes:
         """As Prometheus reads it."""

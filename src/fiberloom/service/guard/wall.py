@@ -43,7 +43,7 @@ HEADERS = (
 _log = logging.getLogger("fiberloom.service")
 
 
-class Refusal(Exception):
+class TurnedAway(Exception):
     """A request that goes no further: status, what is wrong and what to do."""
 
     def __init__(self, status: int, text: str, more: dict[bytes, bytes] | None = None) -> None:
@@ -67,7 +67,7 @@ class Gate:
     failures: Failures = field(default_factory=Failures)
 
     def identity(self, scope: Scope) -> Identity | None:
-        """Checks a request and says whose it is; None: unknown. Refusal where it may go no further."""
+        """Checks a request and says whose it is; None: unknown. TurnedAway where it may go no further."""
         headers = _headers(scope)
         self._check_host(headers)
         method = scope.get("method", "GET")
@@ -76,13 +76,13 @@ class Gate:
         if changes:
             self._check_origin(headers, token is not None)
         if changes and scope["type"] == "http" and HEADER not in headers:
-            raise Refusal(403, "the header X-Fiberloom is missing: send X-Fiberloom: 1")
+            raise TurnedAway(403, "the header X-Fiberloom is missing: send X-Fiberloom: 1")
         return self._who(scope, headers, token)
 
     def _check_host(self, headers: dict[bytes, bytes]) -> None:
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if host not in self.hosts:
-            raise Refusal(421, "unknown host: name it by --allow-host, if it is one of this machine's")
+            raise TurnedAway(421, "unknown host: name it by --allow-host, if it is one of this machine's")
 
     def _check_origin(self, headers: dict[bytes, bytes], by_token: bool) -> None:
         origin = headers.get(b"origin")
@@ -90,7 +90,7 @@ class Gate:
             return
         ours = {f"{self.scheme}://{host}" for host in self.hosts}
         if origin is None or origin.decode("latin-1").lower() not in ours:
-            raise Refusal(403, "the Origin is not that of this service")
+            raise TurnedAway(403, "the Origin is not that of this service")
 
     def _who(self, scope: Scope, headers: dict[bytes, bytes], token: str | None) -> Identity | None:
         if self.tokens is None:
@@ -105,12 +105,12 @@ class Gate:
         # a stop is never made to wait, whatever was tried before it
         if scope["path"] != STOP and (wait_s := self.failures.wait_s(address)) > 0.0:
             again = str(int(wait_s) + 1).encode()
-            raise Refusal(429, "too many wrong tokens; wait a minute", {b"retry-after": again})
+            raise TurnedAway(429, "too many wrong tokens; wait a minute", {b"retry-after": again})
         found = tokens.identity(token)
         if found is None:
             self.failures.count(address)
             _log.warning("wrong token from %s", address)
-            raise Refusal(401, "this token is not known")
+            raise TurnedAway(401, "this token is not known")
         return found
 
 
@@ -129,11 +129,11 @@ class Wall:
         try:
             identity = self._gate.identity(scope)
             if identity is None and not _is_open(scope["path"]):
-                raise Refusal(401, "log in: show a token", {b"www-authenticate": b"Bearer"})
+                raise TurnedAway(401, "log in: show a token", {b"www-authenticate": b"Bearer"})
             scope.setdefault("state", {})["identity"] = identity
             limit = _limit_of(scope)
             _check_length(scope, limit)
-        except Refusal as refusal:
+        except TurnedAway as refusal:
             await _refuse(scope, receive, guarded, refusal)
             return
         if scope["type"] == "websocket":
@@ -206,7 +206,7 @@ def _limit_of(scope: Scope) -> int:
 def _check_length(scope: Scope, limit: int) -> None:
     said = dict(scope["headers"]).get(b"content-length", b"0")
     if not said.isdigit() or int(said[:20]) > limit:
-        raise Refusal(413, f"larger than {limit} bytes")
+        raise TurnedAway(413, f"larger than {limit} bytes")
 
 
 def _with_headers(send: Send) -> Send:
@@ -222,7 +222,7 @@ def _with_headers(send: Send) -> Send:
 Sender = Callable[[Message], Awaitable[None]]
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Sender, refusal: Refusal) -> None:
+async def _refuse(scope: Scope, receive: Receive, send: Sender, refusal: TurnedAway) -> None:
     _log.info("refused %s %s: %d %s", scope["type"], scope["path"][:200], refusal.status, refusal.text)
     if scope["type"] == "websocket":
         await receive()

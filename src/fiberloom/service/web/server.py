@@ -65,7 +65,7 @@ class Listening:
         return made
 
 
-class _Server(uvicorn.Server):
+class _ArrayServer(uvicorn.Server):
     """Stops the array first, then itself."""
 
     def __init__(self, config: uvicorn.Config, on_end: Callable[[], None]) -> None:
@@ -107,7 +107,7 @@ def serve(app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket) 
         ssl_certfile=at.certificate,
         ssl_keyfile=at.key,
     )
-    server = _Server(config, lambda: array.stop_own(Author("the end of the service", "engineer")))
+    server = _ArrayServer(config, lambda: array.stop_own(Author("the end of the service", "engineer")))
     try:
         array.begin()
         asyncio.run(server.serve([sock]))

@@ -26,30 +26,28 @@ async def serve_stream(socket: WebSocket, hub: Hub, live: Live) -> None:
     if client is None:
         await socket.close(TRY_LATER, "too many clients")
         return
+    client.show(live.frame(0)[1])
+    sending = asyncio.create_task(_send(socket, client))
     try:
-        client.show(live.frame(0)[1])
-        async with asyncio.TaskGroup() as both:
-            both.create_task(_send(socket, client))
-            both.create_task(_until_left(socket))
-    except* (WebSocketDisconnect, RuntimeError, OSError):  # a client that leaves is no error
-        pass
+        await _until_left(socket)
     finally:
         hub.leave(client)
+        sending.cancel()
 
 
 async def _send(socket: WebSocket, client: StreamClient) -> None:
-    while True:
-        for message in await client.next():
-            if isinstance(message, bytes):
-                await socket.send_bytes(message)
-            else:
-                await socket.send_text(message)
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):  # a client that leaves is no error
+        while True:
+            for message in await client.next():
+                if isinstance(message, bytes):
+                    await socket.send_bytes(message)
+                else:
+                    await socket.send_text(message)
 
 
 async def _until_left(socket: WebSocket) -> None:
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
-    raise WebSocketDisconnect
 
 
 async def show_pictures(hub: Hub, live: Live, metrics: Metrics) -> None:
