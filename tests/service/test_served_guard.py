@@ -156,7 +156,8 @@ def test_a_token_becomes_a_cookie_that_scripts_cannot_read(client, array):
     assert client.post("/api/stop", headers={"Origin": "http://evil.example"}).status_code == 403
     assert array.commands.last()[0].author == "oli"
     assert client.post("/api/v1/logout").json() == {"out": True}
-    assert client.get("/api/v1/whoami").status_code == 401
+    assert client.get("/api/v1/whoami").json()["role"] == "none"
+    assert client.get("/api/v1/state").status_code == 401
 
 
 def test_a_program_with_a_token_needs_no_origin(array, folder, tokens):

@@ -25,7 +25,7 @@ BODY_BYTES, UPLOAD_BYTES = 1 << 16, 16 << 20
 """Of a command; of a target list that is sent."""
 TARGETS = "/api/v1/targets/"
 STOP = "/api/stop"
-OPEN = frozenset({"/", "/healthz", "/readyz", "/openapi.json", "/api/v1/login"})
+OPEN = frozenset({"/", "/healthz", "/readyz", "/openapi.json", "/api/v1/login", "/api/v1/whoami"})
 """Needs no identity: nothing of the array is in it, or it gives one."""
 PAGE = "/page/"
 

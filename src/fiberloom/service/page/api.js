@@ -32,10 +32,15 @@ export async function send(path, body, headers = {}, method = "POST") {
 
 const FIRST_MS = 300, LONGEST_MS = 4000;
 
-// `begin` is awaited after each connection, before anything that came meanwhile is handed over.
-export function stream({ begin, event, picture, cut }) {
+// `before` is awaited before each connection, `begin` after it, before what came meanwhile is handed over.
+export function stream({ before, begin, event, picture, cut }) {
   let wait = FIRST_MS;
-  const connect = () => {
+  const again = () => {
+    setTimeout(connect, wait);
+    wait = Math.min(2 * wait, LONGEST_MS);
+  };
+  const connect = async () => {
+    try { await before(); } catch { again(); return; }
     const socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/api/v1/stream`);
     socket.binaryType = "arraybuffer";
     let ready = false;
@@ -52,8 +57,7 @@ export function stream({ begin, event, picture, cut }) {
     socket.onmessage = ({ data }) => (ready ? take(data) : early.push(data));
     socket.onclose = () => {
       cut();
-      setTimeout(connect, wait);
-      wait = Math.min(2 * wait, LONGEST_MS);
+      again();
     };
   };
   connect();

@@ -1,5 +1,5 @@
 // The page: what is known, what was asked, what is drawn.
-import { get, getBytes, send, stream, Refused } from "/page/api.js";
+import { get, getBytes, send, stream } from "/page/api.js";
 import { SHAPES, shape } from "/page/look.js";
 import { element, showAlarms, showLog, showPositioner } from "/page/panel.js";
 import { anglesAt, Plane, readPicture, readPlan } from "/page/plane.js";
@@ -51,13 +51,15 @@ const view = new View($("still"), $("moving"), model);
 
 // --- what comes from the service
 
-async function begin() {
-  try {
-    model.who = await get("/api/v1/whoami");
-  } catch (error) {
-    if (error instanceof Refused && error.status === 401) await logIn();
+async function before() {
+  model.who = await get("/api/v1/whoami");
+  if (model.who.role === "none") {
+    await logIn();
     model.who = await get("/api/v1/whoami");
   }
+}
+
+async function begin() {
   const about = await get("/api/v1/plane");
   if (!model.plane || model.plane.hash !== about.hash) {
     model.plane = new Plane(about);
@@ -115,6 +117,7 @@ const EVENTS = {
 };
 
 stream({
+  before,
   begin,
   event: (event) => {
     if (event.seq <= model.sequence) return;  // it is in the snapshot

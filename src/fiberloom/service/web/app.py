@@ -96,9 +96,10 @@ def _logins(app: FastAPI, gate: Gate) -> None:
         return {"out": True}
 
     @app.get("/api/v1/whoami", responses=REFUSALS)
-    async def whoami(request: Request, _: Viewer) -> WhoAnswer:
-        """Who asks, and with which role."""
-        return who(request.state.identity)
+    async def whoami(request: Request) -> WhoAnswer:
+        """Who asks, and with which role: none where a token is to be shown first."""
+        identity: Identity | None = request.state.identity
+        return WhoAnswer(name="", role="none", tokens=True) if identity is None else who(identity)
 
 
 def _page(app: FastAPI) -> None:
