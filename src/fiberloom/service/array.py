@@ -133,6 +133,7 @@ class ServedArray:
             self._cancel(running, "the end of the service")
             running.over.wait(REST_S)
         if self._thread.is_alive():
+            asyncio.run_coroutine_threadsafe(_others(), self._loop).result(REST_S)
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(REST_S)
         self._loop.close()
@@ -427,6 +428,11 @@ class _Recorded:
         self._array.commands.end(self._number, result, text)
         told = {"id": self._number, "command": self._name, "author": self._author.name}
         self._array.hub.publish("command", told | {"result": str(result), "text": text})
+
+
+async def _others() -> None:
+    """Waits for all other tasks of the loop."""
+    await asyncio.gather(*(asyncio.all_tasks() - {asyncio.current_task()}), return_exceptions=True)
 
 
 def _told_of(seen: Observation) -> str:
