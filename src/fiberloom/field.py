@@ -27,6 +27,7 @@ from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.session.session import KnownArray, Session
 from fiberloom.operation.session.states import Deed
+from fiberloom.operation.session.witness import Witness
 from fiberloom.operation.source import OutsideArray, Source
 from fiberloom.operation.survey import FocalPlaneCalibration, SurveySettings, survey, survey_of_store
 from fiberloom.operation.sweep.array_sweep import THICKER_MM, ArraySweep
@@ -77,6 +78,8 @@ class Field:
         excluded positioners where they are, and keeps where each was left.
     exclude : tuple of int
         Positioners that are left out now; with a `book`.
+    witness : Witness or None
+        Told of moves while they are made; with a `book`.
     begun_s : float or None
         Since when an observation takes its time, of ``time.monotonic()``; None: since its call.
 
@@ -105,6 +108,7 @@ class Field:
         self.book: ArrayBook | None = None
         self.exclude: tuple[int, ...] = ()
         self.begun_s: float | None = None
+        self.witness: Witness | None = None
         self._points = 0
         self._observer: Observer | None = None
 
@@ -371,10 +375,13 @@ class Field:
         """Layout without what is excluded, and motion; an array with a book is owned until the stack ends."""
         if self.book is None:
             return plane, FieldMotion
-        array = KnownArray(plane, maps, self.source, self.book)
-        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(self._session, plane, maps, self.book)
         held = await stack.enter_async_context(session.owning(Deed.CALIBRATE))
         return session.plane, held.motion
+
+    def _session(self, plane: FocalPlane, maps: TransmissionMaps, book: ArrayBook) -> Session:
+        array = KnownArray(plane, maps, self.source, book)
+        return Session(array, self.command_line, self.watcher.say, self.exclude, self.witness)
 
     async def _recorder(self, stack: contextlib.AsyncExitStack, folder: Path) -> SurveyRecorder:
         store = await stack.enter_async_context(entered(Store.open, folder / STORE))
@@ -386,7 +393,7 @@ class Field:
         targets: TargetList,
         corrections: int | None = None,
         *,
-        out: str | Path | None = None,
+        out: str | Path | Place | None = None,
         **options: Unpack[ObserveOptions],
     ) -> Observation:
         """Puts fibres on targets: assign, plan, verify, blind move, image, corrections.
@@ -401,7 +408,7 @@ class Field:
         corrections : int, optional
             Moves after the blind one, exactly so many; when left out, the instrument's stop rule says when
             it is enough.
-        out : str or Path, optional
+        out : str, Path or Place, optional
             Folder of the record, and of pages where they are asked for. When left out the record is
             ``runs/store.sqlite``, and the folder is named after the run's number in it: ``runs/0001``.
         **options
@@ -471,8 +478,7 @@ class Field:
         if self.book is None:
             await known.feel(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
-        array = KnownArray(known.plane, known.maps, self.source, self.book)
-        session = await beside(Session, array, self.command_line, self.watcher.say, self.exclude)
+        session = await beside(self._session, known.plane, known.maps, self.book)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion

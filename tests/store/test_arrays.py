@@ -171,4 +171,4 @@ def test_an_older_store_gets_the_tables_and_loses_nothing(tmp_path, version):
         assert book.state().state == "off"
         assert store.events(run.id)["text"].tolist() == ["kept"]
     with sqlite3.connect(path) as raw:
-        assert raw.execute("SELECT version FROM fiberloom_schema").fetchall() == [(SCHEMA_VERSION,)] == [(5,)]
+        assert raw.execute("SELECT version FROM fiberloom_schema").fetchall() == [(SCHEMA_VERSION,)] == [(6,)]

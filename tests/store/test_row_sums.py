@@ -15,6 +15,8 @@ from fiberloom.store.engines import file_engine
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 from fiberloom.store.parts import pack
 from fiberloom.store.schema import Base, PlaceRow
+from fiberloom.store.service.alarms import Alarm, AlarmTable
+from fiberloom.store.service.commands import CommandBook
 from fiberloom.store.sums import _sum
 
 BUS = "cannet://10.1.10.31:19228"
@@ -37,6 +39,8 @@ def path(tmp_path):
         book.note_places(
             np.array([4]), ArrayPlaces(np.ones((1, 2)), np.ones((1, 2)), ["HOW-OF-PLACE"], [True], [None])
         )
+        CommandBook(book).begin("AUTHOR-OF-COMMAND", "operator", "park", {})
+        AlarmTable(book).write(Alarm("camera", "major", "camera", "TEXT-OF-ALARM", "look"))
         history = LearntHistory(store, "ORIGIN-OF-GENERATION")
         history.put(history.begin(OBSERVE, "INSTRUMENT-LEARNT", "beef"), {4: Learnt(1, 0.5, b"STATE-LEARNT")})
     return tmp_path / "s.sqlite"
@@ -58,6 +62,7 @@ def everything(path):
                 table(run.id)
         book = ArrayBook(store, BUS)
         book.state(), book.exclusions(), book.places(np.array([4]))
+        CommandBook(book).last(), AlarmTable(book).open()
         for generation in generations(store):
             LearntHistory(store, generation.origin).of_generation(generation.id)
             LearntHistory(store, generation.origin).latest()
@@ -75,6 +80,8 @@ CASES = {
     "places": ("HOW-OF-PLACE", "4"),
     "learnt_generations": ("INSTRUMENT-LEARNT", "1"),
     "learnt_states": ("STATE-LEARNT", "1"),
+    "array_commands": ("AUTHOR-OF-COMMAND", "1"),
+    "array_alarms": ("TEXT-OF-ALARM", "1"),
 }
 
 

@@ -8,7 +8,7 @@ if all do (docs/bus.md).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -90,6 +90,8 @@ class MotionWatch:
     """All that was found so far."""
     stopping: bool = False
     """The motion is to end, as soon as that can be done."""
+    on_start: Callable[[float], None] = lambda _: None
+    """Told when positioners are told to go; time of the bus, s."""
 
     async def to_stop(self, deviations: Sequence[Deviation], going: Going) -> frozenset[int]:
         """Which positioners are stopped now: none while the others may go on.
@@ -292,6 +294,7 @@ class MotionRun:
         self._followers = _Followers(client, self._trajectories, client.time_s)
         if await self._cut_before_start():
             return self.results
+        self._watch.on_start(client.time_s)
         started = await client.broadcast(Command.START_TRAJECTORY, self.results, POLL_TIMEOUT_S)
         self._followers.confirmed = set(started.ok_ids)
         until_s = client.time_s + longest_s

@@ -42,6 +42,7 @@ from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
+from fiberloom.cli.serve import serve
 from fiberloom.cli.sky.drift import drift
 from fiberloom.cli.sky.guide import guide
 from fiberloom.cli.sky.place import place, where
@@ -77,6 +78,7 @@ add(app, assign)
 add(app, plan)
 add(app, verify)
 add(app, twin)
+add(app, serve)
 add(app, park)
 add(app, home)
 add(app, recover)

@@ -29,6 +29,7 @@ from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
 from fiberloom.operation.session.states import Step
+from fiberloom.operation.session.witness import BegunMove, Witness
 from fiberloom.operation.truth import truths
 from fiberloom.planning import Plan
 from fiberloom.store.run import CUT_SHORT
@@ -98,6 +99,8 @@ class FieldMotion:
         self.pointing: ExposurePointing | None = None
         """Of the telescope, where it is known."""
         """After a move, at most."""
+        self.witness: Witness | None = None
+        """Told of moves while they are made."""
         self.underway = 0
         """Number of the move under way or just made; 0 before the first one."""
 
@@ -227,6 +230,8 @@ class FieldMotion:
         programme = planned if isinstance(planned, Programme) else await self.drive.compile(planned)
         await asyncio.to_thread(self._verify, programme)
         self.underway = number
+        if self.witness is not None:
+            self.witness.begins(BegunMove(number, label, programme.plan, goals, self._bus_s))
         before_deg = self.state.here_deg.copy()
         results = await self._execute(programme)
         made = MadeMove(number, label, programme.plan, goals, comparison, before_deg, results)
@@ -325,6 +330,10 @@ class FieldMotion:
             rule = MotionRule(
                 self.state.obstacles(), programme.plan, self.recorder.event, lambda: self.drive.time_s
             )
+            if self.witness is not None:
+                rule.on_start = self.witness.started
+                if not isinstance(self.drive, SdssvDrive):  # others do not say when they start
+                    self.witness.started(self.drive.time_s)
             results = await self.drive.run(programme, rule, self.progress)
             if not results.ok.all():
                 await self._come_to_rest(moving)
@@ -335,6 +344,9 @@ class FieldMotion:
             await to_its_end(self.stop(reason(error)))
             raise
         return results
+
+    def _bus_s(self) -> float:
+        return self.drive.time_s
 
     async def _back_again(self) -> list[int]:
         """Those that once gave no answer, and answer now."""

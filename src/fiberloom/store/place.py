@@ -25,8 +25,10 @@ class Place:
     """Folder of the files, from `base`; `{run}` is the number of the run."""
 
     @classmethod
-    def of(cls, out: str | Path | None) -> Place:
+    def of(cls, out: str | Path | Place | None) -> Place:
         """The folder that was asked for; None: below `runs`, one for each run."""
+        if isinstance(out, Place):
+            return out
         return cls(RUNS, NUMBERED) if out is None else cls(Path(out))
 
     @property

@@ -10,10 +10,11 @@ from datetime import datetime
 from sqlalchemy import BigInteger, DateTime, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. 4: sums of
-rows. 5: sums also of rows that change, the folder of a run, and what its files are made of. Older stores get
-the new tables and columns when they are opened to write; their rows have no sums until they change."""
+rows. 5: sums also of rows that change, the folder of a run, and what its files are made of. 6: commands and
+alarms of arrays. Older stores get the new tables and columns when they are opened to write; their rows have
+no sums until they change."""
 
 
 class Base(DeclarativeBase):
@@ -220,3 +221,41 @@ class PlaceRow(Summed, Base):
     wire_beta_deg: Mapped[float | None]
     how: Mapped[str]  # seen, reported, unknown
     datum: Mapped[bool]  # searched since power came on, as far as is known
+
+
+class ArrayCommandRow(Summed, Base):
+    """One command to an array that came from a person or a program by the service."""
+
+    __tablename__ = "array_commands"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    author: Mapped[str]
+    role: Mapped[str]
+    command: Mapped[str]
+    parameters: Mapped[str]  # JSON
+    key: Mapped[str]  # of idempotency; empty: none was given
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it goes on
+    result: Mapped[str]  # running, done, failed, stopped, refused
+    text: Mapped[str]
+
+
+class ArrayAlarmRow(Summed, Base):
+    """One alarm of an array, from when it was raised until it is gone and acknowledged."""
+
+    __tablename__ = "array_alarms"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    address: Mapped[str] = mapped_column(index=True)
+    code: Mapped[str]
+    severity: Mapped[str]
+    subject: Mapped[str]  # a positioner's number, or a part of the array
+    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    last: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    count: Mapped[int]
+    text: Mapped[str]
+    advice: Mapped[str]
+    gone: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: the cause is there
+    acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    acknowledged_by: Mapped[str]

@@ -75,6 +75,7 @@ class Site(SiteTable):
         by_command = {
             **dict.fromkeys(("observe", "park", "home", "recover"), moved),
             "doctor": moved | limits,
+            "serve": {name: v for name, v in moved.items() if name not in ("arms", "exclude")},
             **dict.fromkeys(("stop", "status"), array),
             "exclude": dict.fromkeys(("add", "list", "clear"), array),
             "calibrate": dict.fromkeys(("transmission", "focal-plane"), moved)

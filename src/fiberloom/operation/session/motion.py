@@ -286,6 +286,8 @@ class SessionMotion(FieldMotion):
         places = ArrayPlaces(angles_deg, wire_deg, how.tolist(), self.datum.copy(), [None] * len(ids))
         self.writer.later(self.lock.book.note_places, ids, places)
         self.writer.later(self.lock.book.forget_datum, ids[~self.datum])
+        if self.witness is not None:
+            self.writer.later(self.witness.rests, angles_deg)
 
 
 def _has_power(bits: int) -> bool:

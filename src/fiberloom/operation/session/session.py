@@ -26,6 +26,7 @@ from fiberloom.operation.session.motion import SessionMotion, last_status
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.states import Deed, SessionState, Step
 from fiberloom.operation.session.stop_search import StopSearch
+from fiberloom.operation.session.witness import Witness, WitnessedRecorder
 from fiberloom.operation.source import Source
 from fiberloom.store import Run, Store
 from fiberloom.store.arrays import ArrayBook
@@ -100,11 +101,14 @@ class Session:
         command_line: str,
         progress: Callable[[str], None] = lambda _: None,
         exclude: Iterable[int] = (),
+        witness: Witness | None = None,
     ) -> None:
         """`known`: the array; `command_line`: for the record, and for others who ask which process owns
-        the array; `progress`: called with the name of each step; `exclude`: for this session alone."""
+        the array; `progress`: called with the name of each step; `exclude`: for this session alone;
+        `witness`: told of moves while they are made."""
         self.known, self.command_line, self.progress = known, command_line, progress
         self.plane = known.excluded_plane(exclude)
+        self.witness = witness
 
     @property
     def _store(self) -> Store:
@@ -251,7 +255,11 @@ class HeldArray:
         progress: Callable[[str], None],
     ) -> SessionMotion:
         """Of this command: `plane`, `maps`, `hardware`, `recorder`, `progress` as in `FieldMotion`."""
+        witness = self.session.witness
+        if witness is not None:
+            recorder = WitnessedRecorder(recorder, witness)
         self._motion = SessionMotion(plane, maps, hardware, recorder, progress, self.lock)
+        self._motion.witness = witness
         return self._motion
 
     def settle(self) -> None:

@@ -1,0 +1,1 @@
+"""Alarms: raised, latched, sent to people outside."""

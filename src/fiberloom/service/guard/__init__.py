@@ -1,0 +1,1 @@
+"""Who may do what: tokens and roles, where requests may come from, how large they may be."""

@@ -1,0 +1,92 @@
+"""A served array of seven positioners on the virtual twin, for the tests of the service."""
+
+import contextlib
+import threading
+import time
+
+import uvicorn
+from starlette.testclient import TestClient
+
+from fiberloom.connect import open_hardware
+from fiberloom.field import Field
+from fiberloom.instruments import generate, load_instrument
+from fiberloom.service.array import Author, ServedArray
+from fiberloom.service.guard.tokens import Identity, Role
+from fiberloom.service.guard.wall import Gate, hosts_of
+from fiberloom.service.hub import Hub
+from fiberloom.service.pace import PacedSource
+from fiberloom.service.web.app import application
+from fiberloom.service.web.target_root import TargetRoot
+from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
+from fiberloom.targets import random_targets, write_targets
+
+N = 7
+HOST, PORT = "127.0.0.1", 8080
+OURS = {"X-Fiberloom": "1", "Origin": f"http://{HOST}:{PORT}"}
+STREAM = f"ws://{HOST}:{PORT}/api/v1/stream"
+ANN = Author("ann", "engineer")
+PATIENCE_S = 60.0
+"""What comes by itself may take so long on a machine with other work."""
+
+
+def plane_of(n=N):
+    return generate(load_instrument("sdssv"), seed=0, n_positioners=n)
+
+
+@contextlib.contextmanager
+def served(folder, speed=None, faults="", n=N):
+    """The array with maps and a target list `t.csv`; virtual seconds a second, None: as quick as it goes."""
+    plane = plane_of(n)
+    source = open_hardware(plane, "twin:", "noise", faults=faults)
+    (folder / "targets").mkdir(exist_ok=True)
+    write_targets(random_targets(plane, 20 * n, 1), folder / "targets" / "t.csv")
+    with Store.open(folder / "store.sqlite") as store:
+        field = Field(plane, source if speed is None else PacedSource(source, speed))
+        array = ServedArray(field, ArrayBook(store, "twin:test"), "twin:", folder, Hub())
+        array.begin()
+        try:
+            idle(array)
+            yield array
+        finally:
+            array.close()
+
+
+def idle(array):
+    """Waits until no command runs."""
+    wait_for(lambda: array.running is None)
+
+
+def wait_for(condition):
+    end_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end_s, "it does not come"
+        time.sleep(0.02)
+
+
+def gate(tokens=None, port=PORT, scheme="http"):
+    return Gate(hosts_of(HOST, port, ()), scheme, tokens, Identity("local", Role.ENGINEER))
+
+
+@contextlib.contextmanager
+def asking(array, folder, tokens=None, headers=OURS):
+    """A client of the service, without a network."""
+    app = application(array, gate(tokens), TargetRoot(folder / "targets"))
+    with TestClient(app, base_url=f"http://{HOST}:{PORT}", headers=headers) as client:
+        yield client
+
+
+@contextlib.contextmanager
+def listening(array, folder, sock, tokens=None):
+    """The service on a socket, in a thread."""
+    app = application(array, gate(tokens, sock.getsockname()[1]), TargetRoot(folder / "targets"))
+    config = uvicorn.Config(app, ws="websockets-sansio", log_config=None, timeout_graceful_shutdown=1)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)
+    thread.start()
+    wait_for(lambda: server.started)
+    try:
+        yield f"http://{HOST}:{sock.getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join(PATIENCE_S)
