@@ -9,10 +9,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
 NEEDED = [
     re.match(r"[\w-]+", line)[0]
-    for extra in ("cameras", "serve")
-    for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"][extra]
+    for line in sum((EXTRAS[e] for e in ("cameras", "serve", "opcua", "epics")), PROJECT["dependencies"])
 ]
 ROWS = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", (ROOT / "SECURITY.md").read_text(), flags=re.M)
 LICENCE = {name: licence for names, licence in ROWS for name in re.sub(r" \(.*\)", "", names).split(", ")}

@@ -133,7 +133,7 @@ def imported():
 
 def test_every_import_is_a_dependency():
     extras = PROJECT["optional-dependencies"]
-    lines = PROJECT["dependencies"] + extras["cameras"] + extras["survey"]
+    lines = PROJECT["dependencies"] + extras["cameras"] + extras["survey"] + extras["opcua"] + extras["epics"]
     named = [re.match(r"[\w-]+", line)[0] for line in lines]
     known = {MODULES.get(name, name) for name in named}
     # gi: GObject for Aravis cameras comes with the system, not from PyPI

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,19 @@ def killed_at(units, seed, settings):
         os.kill(os.getpid(), signal.SIGKILL)
     with Path(settings["log"]).open("a") as log:
         log.write(f"{units.start}\n")
+    return draw(units, seed, settings)
+
+
+def deadly(units, seed, settings):
+    """The process is killed at these units, each time."""
+    if set(settings["units"]) & set(units):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return draw(units, seed, settings)
+
+
+def slow(units, seed, settings):
+    """Takes a while, so that something can happen meanwhile."""
+    time.sleep(0.3)
     return draw(units, seed, settings)
 
 

@@ -9,6 +9,7 @@ import campaign_experiments as experiments
 import numpy as np
 import pytest
 
+from fiberloom import version
 from fiberloom.errors import InputError
 from fiberloom.studies.campaign import Campaign, forget, run
 
@@ -37,21 +38,6 @@ def test_one_worker_or_three(tmp_path):
     assert_same(run(study()), run(study(), tmp_path, workers=3))
 
 
-def test_a_dask_cluster_gives_the_same(tmp_path):
-    distributed = pytest.importorskip("distributed", reason="pip install distributed: a Dask cluster")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-    ) as cluster:
-        rows = run(study(), tmp_path, scheduler=cluster.scheduler_address)
-    assert_same(rows, run(study()))
-
-
-def test_nobody_at_the_schedulers_address(monkeypatch):
-    monkeypatch.setattr("fiberloom.studies.campaign.CONNECT_S", 0.5)
-    with pytest.raises(InputError, match=r"--scheduler tcp://127\.0\.0\.1:9: no Dask scheduler answers"):
-        run(study(), scheduler="tcp://127.0.0.1:9")
-
-
 def test_killed_and_resumed(tmp_path):
     """The whole process dies in the middle; the next one computes only what is missing."""
     settings = {"unit": 6, "mark": str(tmp_path / "mark"), "log": str(tmp_path / "log")}
@@ -73,13 +59,49 @@ def test_killed_and_resumed(tmp_path):
     assert not (tmp_path / "chunks").exists()
 
 
-def test_a_worker_that_dies_is_told_and_what_is_done_stays(tmp_path):
-    settings = {"unit": 10, "mark": str(tmp_path / "mark"), "log": str(tmp_path / "log")}
-    campaign = study(experiments.killed_at, settings=settings)
-    with pytest.raises(InputError, match="a worker process died"):
-        run(campaign, tmp_path, workers=2)
+def test_a_process_that_dies_once_costs_nothing_but_time(tmp_path):
+    settings = {"unit": 6, "mark": str(tmp_path / "mark"), "log": str(tmp_path / "log")}
+    assert_same(run(study(experiments.killed_at, settings=settings), tmp_path, workers=2), run(study()))
+    assert Path(settings["mark"]).exists()
     assert not multiprocessing.active_children()
-    assert_same(run(campaign, tmp_path), run(study()))
+
+
+def test_units_that_kill_their_process_each_time_are_named_and_all_else_is_done(tmp_path):
+    campaign, told = study(experiments.deadly, settings={"units": [5]}), []
+    with pytest.raises(InputError, match=r"units 4 to 5 kill their worker each time.*all others are done"):
+        run(campaign, tmp_path, workers=2, progress=lambda done, total: told.append(done))
+    assert not multiprocessing.active_children()
+    assert told[-1] == 9
+    names = {file.name for file in tmp_path.glob("chunks/*/*.npz")}
+    assert names == {f"{i:06d}.npz" for i in (0, 1, 3, 4, 5)}
+
+
+def test_where_all_units_kill_their_process_the_campaign_ends_early(tmp_path):
+    campaign = study(experiments.deadly, n=40, settings={"units": list(range(40))})
+    with pytest.raises(InputError, match=r"units (\d+ to \d+, ){2}\d+ to \d+ kill.*the campaign ends here"):
+        run(campaign, tmp_path, workers=2)
+
+
+def test_other_code_finds_no_chunks_of_this(tmp_path, monkeypatch):
+    run(study(), tmp_path)
+    monkeypatch.setattr("fiberloom.studies.campaign.code_digest", lambda: "of other code")
+    told = []
+    run(study(), tmp_path, progress=lambda done, total: told.append(done))
+    assert told[0] == 0
+
+
+def test_the_digest_is_of_every_file_of_the_package(tmp_path, monkeypatch):
+    package = tmp_path / "fiberloom"
+    (package / "__pycache__").mkdir(parents=True)
+    for name in ("version.py", "_core.so", "presets.toml", "__pycache__/version.pyc"):
+        (package / name).write_bytes(name.encode())
+    monkeypatch.setattr(version, "__file__", str(package / "version.py"))
+    digests = [version.code_digest.__wrapped__()]
+    for name in ("_core.so", "presets.toml", "version.py", "__pycache__/version.pyc"):
+        (package / name).write_bytes(b"changed")
+        digests.append(version.code_digest.__wrapped__())
+    assert len(set(digests)) == 4
+    assert digests[3] == digests[4]
 
 
 def test_other_settings_find_no_chunks_of_these(tmp_path):

@@ -14,7 +14,8 @@ from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
-    from fiberloom.studies.campaign import Campaign, Rows
+    from fiberloom.studies.campaign import Campaign
+    from fiberloom.studies.workers import Rows
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,16 +15,15 @@ by the process that called `run`; workers need no common disk.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
-import signal
+import sys
 import zipfile
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -32,16 +31,14 @@ from typing import Any
 import numpy as np
 
 from fiberloom.errors import InputError
+from fiberloom.studies.workers import Deadly, Here, Processes, Rows, Workers, cluster, computed
 from fiberloom.typing import Array
-from fiberloom.version import __version__
+from fiberloom.version import __version__, code_digest
 from fiberloom.wholefile import whole
 
-Rows = Mapping[str, Array]
 Experiment = Callable[[range, int, Any], Rows]
 Progress = Callable[[int, int], None]
 """Called with (units done, units in all)."""
-CONNECT_S = 10.0
-"""How long a Dask scheduler may take to answer."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Campaign:
         return [range(first, min(first + self.chunk, self.n_units)) for first in starts]
 
     def key(self) -> str:
-        """16 hex digits that change with anything the rows depend on."""
+        """16 hex digits that change with anything the rows depend on, the code of the package included."""
         given = self.settings
         settings = asdict(given) if is_dataclass(given) and not isinstance(given, type) else given
         inputs = {
@@ -80,9 +77,16 @@ class Campaign:
             "seed": self.seed,
             "settings": settings,
             "version": __version__,
+            "code": [code_digest(), _file_digest(self.experiment)],
         }
         text = json.dumps(inputs, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _file_digest(experiment: Experiment) -> str:
+    """Of the file that the experiment is in, which need not belong to the package."""
+    file = getattr(sys.modules.get(experiment.__module__), "__file__", None)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
 
 
 def run(
@@ -100,6 +104,9 @@ def run(
     kill continues there. `scheduler` is the address of a Dask scheduler ("tcp://host:8786"); otherwise
     `workers` processes of this machine compute, or with one this process itself. `progress` is called
     with (units done, units in all).
+
+    InputError, when all other chunks are kept, where units kill their worker each time: it names them.
+    Also where a worker of the cluster has another program than this process.
     """
     if workers < 1:
         raise InputError(f"{workers} workers: at least 1")
@@ -109,8 +116,8 @@ def run(
     found = {i: rows for i in range(len(chunks)) if (rows := store.load(i)) is not None}
     done = sum(len(chunks[i]) for i in found)
     tell(done, campaign.n_units)
-    missing = [i for i in range(len(chunks)) if i not in found]
-    with contextlib.closing(_computed(campaign, chunks, missing, workers, scheduler)) as results:
+    missing = {i: units for i, units in enumerate(chunks) if i not in found}
+    with contextlib.closing(_computed(campaign, missing, workers, scheduler)) as results:
         for i, rows in results:
             store.save(i, rows)
             found[i] = rows
@@ -143,63 +150,36 @@ def _compute(campaign: Campaign, units: range) -> Rows:
 
 
 def _computed(
-    campaign: Campaign, chunks: list[range], missing: list[int], workers: int, scheduler: str | None
+    campaign: Campaign, missing: Mapping[int, range], workers: int, scheduler: str | None
 ) -> Generator[tuple[int, Rows], None, None]:
-    """Chunks as they come; nothing is started where nothing is missing."""
+    """Chunks as they come; nothing is started where nothing is missing.
+
+    InputError at the end, when all that can be computed is kept, where a chunk kills its workers.
+    """
     if not missing:
         return
-    if scheduler is None and workers == 1:
-        for i in missing:
-            yield i, _compute(campaign, chunks[i])
-        return
-    with _executor(workers, scheduler) as executor:
-        futures = {executor.submit(_compute, campaign, chunks[i]): i for i in missing}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenProcessPool:
-            raise InputError(
-                f"campaign {campaign.name}: a worker process died (out of memory?); "
-                "what is finished is kept: run the same again, with fewer workers"
-            ) from None
-        finally:
-            for future in futures:
-                future.cancel()
+    deadly = Deadly({})
+    with _workers(workers, scheduler) as chosen:
+        yield from computed(chosen, functools.partial(_compute, campaign), missing, deadly)
+    if deadly.found:
+        raise InputError(f"campaign {campaign.name}: {_killers(missing, deadly)}")
 
 
-@contextlib.contextmanager
-def _executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
+def _workers(workers: int, scheduler: str | None) -> AbstractContextManager[Workers]:
     if scheduler is not None:
-        with _cluster(scheduler) as client:
-            yield client.get_executor(pure=False)
-        return
-    before = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")  # the twin has threads, which a fork would lose
-    executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts_to_the_caller)
-    try:
-        yield executor
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - before:
-            process.terminate()  # or a Ctrl-C would wait for chunks to end
-        raise
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+        return cluster(scheduler)
+    return contextlib.nullcontext(Here() if workers == 1 else Processes(workers))
 
 
-def _leave_interrupts_to_the_caller() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _cluster(address: str) -> Any:
-    from distributed import Client
-
-    try:
-        return Client(address, timeout=CONNECT_S)  # type: ignore[no-untyped-call]  # Dask has no types here
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there ({str(error) or type(error).__name__}); "
-            "start one with 'dask scheduler', or leave the option out"
-        ) from None
+def _killers(missing: Mapping[int, range], deadly: Deadly) -> str:
+    """Which units kill their workers, and what to do."""
+    named = ", ".join(f"{missing[i][0]} to {missing[i][-1]}" for i in sorted(deadly.found))
+    last = next(reversed(deadly.found.values())).worker
+    rest = "the campaign ends here" if deadly.many else "all others are done"
+    return (
+        f"units {named} kill their worker each time, alone too (the last: {last}; out of memory?); {rest}, "
+        "and what is finished is kept: run the same again, with more memory for each worker"
+    )
 
 
 # keeping

@@ -12,7 +12,7 @@ import numpy as np
 
 from fiberloom.instruments.model import AXES
 from fiberloom.report.lifetime import LifetimeCurves, plot_deltas, plot_lifetime, rms
-from fiberloom.studies.campaign import Campaign, Rows
+from fiberloom.studies.campaign import Campaign
 from fiberloom.studies.lifetime import (
     DELTAS,
     MOVES_PER_CYCLE,
@@ -21,6 +21,7 @@ from fiberloom.studies.lifetime import (
     delta_angles_deg,
     lifetime,
 )
+from fiberloom.studies.workers import Rows
 from fiberloom.twin.bench import bench_units
 from fiberloom.typing import Floats
 from fiberloom.version import __version__
