@@ -244,7 +244,7 @@ format: setup
 # What pyproject.toml asks for, as new as constraints.txt has it; UPGRADE="--upgrade" or "-P NAME" for newer. Needs uv.
 lock:
 	@head -2 constraints.txt > build/constraints.head
-	uv pip compile pyproject.toml --extra dev --extra cameras --extra survey --python-version 3.11 \
+	uv pip compile pyproject.toml --extra dev --extra cameras --extra survey --extra postgres --python-version 3.11 \
 	    --generate-hashes --no-header --no-annotate $(UPGRADE) --output-file constraints.txt
 	@cat build/constraints.head constraints.txt > build/constraints.new && mv build/constraints.new constraints.txt
 

@@ -11,7 +11,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 NEEDED = [
     re.match(r"[\w-]+", line)[0]
-    for line in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["cameras"]
+    for extra in (
+        PROJECT["dependencies"],
+        *(PROJECT["optional-dependencies"][e] for e in ("cameras", "postgres")),
+    )
+    for line in extra
 ]
 ROWS = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", (ROOT / "SECURITY.md").read_text(), flags=re.M)
 LICENCE = {name: licence for names, licence in ROWS for name in re.sub(r" \(.*\)", "", names).split(", ")}

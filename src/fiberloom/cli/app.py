@@ -34,6 +34,7 @@ from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
 from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
+from fiberloom.cli.past.store import store_check, store_copy, store_upgrade
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.sky.drift import drift
@@ -61,6 +62,9 @@ exclude = typer.Typer(
 )
 sky = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
+)
+store = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="Stores: brought up to date, checked, copied."
 )
 design = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="What a design promises, before anything is built."
@@ -92,6 +96,11 @@ app.add_typer(exclude, name="exclude")
 add(exclude, exclude_add, "add")
 add(exclude, exclude_list, "list")
 add(exclude, exclude_clear, "clear")
+
+app.add_typer(store, name="store")
+add(store, store_upgrade, "upgrade")
+add(store, store_check, "check")
+add(store, store_copy, "copy")
 
 app.add_typer(sky, name="sky")
 add(sky, place)
