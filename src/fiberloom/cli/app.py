@@ -34,7 +34,7 @@ from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
 from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
-from fiberloom.cli.past.store import store_check, store_copy, store_upgrade
+from fiberloom.cli.past.store import check, copy, upgrade
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.sky.drift import drift
@@ -98,9 +98,9 @@ add(exclude, exclude_list, "list")
 add(exclude, exclude_clear, "clear")
 
 app.add_typer(store, name="store")
-add(store, store_upgrade, "upgrade")
-add(store, store_check, "check")
-add(store, store_copy, "copy")
+add(store, upgrade)
+add(store, check)
+add(store, copy)
 
 app.add_typer(sky, name="sky")
 add(sky, place)

@@ -26,12 +26,12 @@ class StoreCopyOptions(StoreOptions):
     to: Annotated[str, typer.Argument(help="New store: file, or database URL.")]
 
 
-def store_upgrade(options: StoreOptions) -> None:
+def upgrade(options: StoreOptions) -> None:
     """Bring the tables of an older store up to date; a copy of a file is kept beside it."""
     from fiberloom.store.schema import SCHEMA_VERSION
-    from fiberloom.store.upkeep.upgrade import upgrade
+    from fiberloom.store.upkeep.upgrade import upgrade as upgraded
 
-    found, kept = upgrade(options.where)
+    found, kept = upgraded(options.where)
     options.show(
         {
             "store": options.where,
@@ -42,7 +42,7 @@ def store_upgrade(options: StoreOptions) -> None:
     )
 
 
-def store_check(options: StoreOptions) -> int:
+def check(options: StoreOptions) -> int:
     """Compare every row of a store with its sum; exit code 1 where something is wrong."""
     from fiberloom.store import Store
     from fiberloom.store.upkeep.check import check_store
@@ -61,7 +61,7 @@ def store_check(options: StoreOptions) -> int:
     return 0 if found.ok else 1
 
 
-def store_copy(options: StoreCopyOptions) -> None:
+def copy(options: StoreCopyOptions) -> None:
     """Copy all rows of a store into a new one: a file into a database, or back."""
     from fiberloom.store import Store
     from fiberloom.store.upkeep.copy import copy_store
