@@ -70,7 +70,7 @@ class Source(Protocol):
         ...
 
 
-class _LeftOpen:
+class LeftOpen:
     """A transport that the caller has opened and closes."""
 
     def __init__(self, transport: Transport) -> None:
@@ -144,7 +144,7 @@ class _OnBus(OutsideArray):
 
     async def _opened(self, **how: Callable[[int], int]) -> Transport:
         """The bus, opened unless the caller has opened it; `how`: as `BusSpec.open` takes it."""
-        return await self.bus.open(**how) if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
+        return await self.bus.open(**how) if isinstance(self.bus, BusSpec) else LeftOpen(self.bus)
 
 
 @dataclass(frozen=True)
