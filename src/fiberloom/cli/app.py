@@ -30,6 +30,7 @@ from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
 from fiberloom.cli.lifetime import lifetime
+from fiberloom.cli.night import night
 from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
 from fiberloom.cli.past.runs import runs
@@ -71,6 +72,7 @@ design = typer.Typer(
 )
 
 add(app, observe)
+add(app, night)
 add(app, assign)
 add(app, plan)
 add(app, verify)

@@ -13,7 +13,9 @@ BELOW = math.inf
 """Airmass of what has not risen."""
 
 
-def altitude_deg(ra_deg: float, dec_deg: float, longitude_deg: float, latitude_deg: float, utc: datetime) -> float:
+def altitude_deg(
+    ra_deg: float, dec_deg: float, longitude_deg: float, latitude_deg: float, utc: datetime
+) -> float:
     """Geometric altitude of a direction (ICRS), deg.
 
     `ra_deg`, `dec_deg`: direction; `longitude_deg` (east), `latitude_deg`: place; `utc`: time. UT1 is taken

@@ -86,7 +86,9 @@ class FieldEntry(_Table):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
-        if not 1 <= len(self.dithers_um) <= 100 or any(abs(v) > 1e4 for pair in self.dithers_um for v in pair):
+        if not 1 <= len(self.dithers_um) <= 100 or any(
+            abs(v) > 1e4 for pair in self.dithers_um for v in pair
+        ):
             raise ValueError("dithers_um: 1 to 100 pairs, each number within 10000 um")
         if self.airmass_max is not None and None in (self.ra_deg, self.dec_deg):
             raise ValueError("airmass_max: needs ra_deg and dec_deg")
@@ -115,7 +117,7 @@ class Queue(_Table):
 
     name: Annotated[str, Field(max_length=80)] = "night"
     begin: Moment | None = None
-    """When the clock of a twin begins; None: now. An array outside of this process has the clock of the world."""
+    """When the clock of a twin begins; None: now. An array outside has the clock of the world."""
     dawn: Moment
     """By when the shutter is closed, and the array parks."""
     overhead_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 90.0
@@ -179,7 +181,9 @@ def read_queue(path: Path) -> Queue:
 
 
 def _placed(queue: Queue, folder: Path) -> Queue:
-    entries = tuple(entry.model_copy(update=_from(folder, entry, "targets", "field")) for entry in queue.fields)
+    entries = tuple(
+        entry.model_copy(update=_from(folder, entry, "targets", "field")) for entry in queue.fields
+    )
     for entry in entries:
         for file in (entry.targets, entry.field):
             if file is not None and not file.is_file():

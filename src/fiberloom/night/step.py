@@ -202,9 +202,7 @@ def field_states(state: NightState, queue: Queue, now: datetime) -> dict[str, tu
     return {entry.id: _field_state(entry, state, queue, now) for entry in queue.fields}
 
 
-def _field_state(
-    entry: FieldEntry, state: NightState, queue: Queue, now: datetime
-) -> tuple[VisitState, str]:
+def _field_state(entry: FieldEntry, state: NightState, queue: Queue, now: datetime) -> tuple[VisitState, str]:
     last = state.visits[-1] if state.visits else None
     if last is not None and last.field == entry.id and last.state not in OVER:
         return last.state, ""

@@ -63,7 +63,7 @@ def steps_of(
     for number in range(exposures):
         after_s = number * sky.field.cadence_s
         there_mm = sky.places_mm(assignment.target, assignment.fibre, after_s)
-        angles_deg = _followed(plane, assignment, there_mm - first_mm)
+        angles_deg = followed(plane, assignment, there_mm - first_mm)
         limit_um = _limit_um(plane, assignment, sky, after_s)
         steps.append(SeriesStep(f"re-position {number}", there_mm, angles_deg, limit_um))
     return steps
@@ -80,8 +80,11 @@ def _limit_um(plane: FocalPlane, assignment: Assignment, sky: OnSky, after_s: fl
     return np.maximum(left_um, requirement_um / 3.0)
 
 
-def _followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
-    """(N, 2) goals whose fibres are shifted by (N, 2) mm; as before where that is out of reach."""
+def followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
+    """Goals whose fibres are shifted: (N, 2) deg; as before where that is out of reach.
+
+    `plane`: of the `assignment` of N positioners; `shift_mm`: (N, 2) mm.
+    """
     goal_deg = assignment.goal_deg.copy()
     for fibre in np.unique(assignment.fibre[assignment.target >= 0]).tolist():
         rows = np.flatnonzero((assignment.target >= 0) & (assignment.fibre == fibre))
