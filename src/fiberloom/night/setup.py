@@ -22,8 +22,8 @@ from fiberloom.night.shutter import Shutter, TimedShutter
 from fiberloom.night.step import Position
 from fiberloom.operation.known import Known
 from fiberloom.operation.safety.stop import to_its_end
-from fiberloom.operation.session.session import KnownArray
 from fiberloom.operation.series.steps import followed
+from fiberloom.operation.session.session import KnownArray
 from fiberloom.operation.source import LeftOpen, Source
 from fiberloom.store.nights.book import NightBook
 from fiberloom.targets import TargetList, read_targets
