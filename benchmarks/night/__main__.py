@@ -1,7 +1,7 @@
 """`python -m benchmarks.night [--kills 50] [--fields 5] [--positioners 37] [--seed 0] [--out FILE.json]`.
 
-One night on a twin that outlives the process which observes; that is killed (-9) at random instants and resumed.
-Exit code 1 where anything was lost, doubled or touched.
+One night on a twin that outlives the process which observes; that is killed (-9) at random instants and
+resumed. Exit code 1 where anything was lost, doubled or touched.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name, value in (("kills", 50), ("fields", 5), ("positioners", 37), ("seed", 0)):
         parser.add_argument(f"--{name}", type=int, default=value)
-    parser.add_argument("--exposure", type=float, default=300.0, help="s")
+    parser.add_argument("--exposure", type=float, default=1200.0, help="s")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="fiberloom-night-"))
@@ -38,8 +38,10 @@ def main() -> int:
     sweep = FORK.Process(target=swept, args=(plane, asked.seed, folder / "maps.npz"))
     sweep.start()
     sweep.join()
-    scene = Scene(plane, draw_units(plane, asked.seed), folder / "maps.npz", folder, asked.seed)
-    write_queue(scene, asked.fields, asked.exposure)
+    scene = Scene(
+        plane, draw_units(plane, asked.seed), folder / "maps.npz", folder, asked.seed, asked.exposure
+    )
+    write_queue(scene, asked.fields)
     account = killed_night(scene, asked.kills, asked.seed, lambda text: print(text, file=sys.stderr))
     text = json.dumps(as_dict(account), indent=1)
     print(text)

@@ -47,8 +47,8 @@ MOST_DELAY_S = 0.3
 """Between an answer and the kill, of this machine."""
 POSITIONING = 300
 """Requests, a few more than a process needs to put 37 fibres on their targets."""
-MOST_S = 350.0
-"""Until a kill that is drawn by time."""
+MOST_EXPOSURES = 0.2
+"""Until a kill that is drawn by time, in exposures."""
 STILL_UM = 1.0
 """A fibre that moves less while the shutter is open is at rest: the twin's own rest is far below."""
 
@@ -95,16 +95,17 @@ class Scene:
     maps: Path
     folder: Path
     seed: int = 0
+    exposure_s: float = 1200.0
 
 
-def write_queue(scene: Scene, fields: int, exposure_s: float) -> None:
+def write_queue(scene: Scene, fields: int) -> None:
     """Fields of random targets, two exposures in the first, two dithers in the second."""
     text = f"begin = {BEGIN.isoformat()}\ndawn = {(BEGIN + timedelta(days=2)).isoformat()}\nrequire = 0.5\n"
     for k in range(fields):
         targets = random_targets(scene.plane, 3 * len(scene.plane), scene.seed + 100 + k)
         write_targets(targets, scene.folder / f"f{k}.csv")
         more = {0: "exposures = 2", 1: "dithers_um = [[0, 0], [60, 0]]"}.get(k, "")
-        text += f'[[field]]\nid = "f{k}"\ntargets = "f{k}.csv"\nexposure_s = {exposure_s}\n{more}\n'
+        text += f'[[field]]\nid = "f{k}"\ntargets = "f{k}.csv"\nexposure_s = {scene.exposure_s}\n{more}\n'
     (scene.folder / "queue.toml").write_text(text)
 
 
@@ -187,7 +188,7 @@ def _one_process(
     assert process.pid is not None
     lit: list[bool] = []
     fuse = kill_after(process.pid, 0.0 if draw is None else draw.uniform(0.0, MOST_DELAY_S))
-    end = world.serve(ours, _when(world, draw), lambda: (lit.append(True), fuse())[1])
+    end = world.serve(ours, _when(world, draw, scene.exposure_s), lambda: (lit.append(True), fuse())[1])
     process.join()
     return end, bool(lit)
 
@@ -197,14 +198,14 @@ def _alone(ours: Connection, theirs: Connection, scene: Scene, resume: bool) -> 
     observe(theirs, scene, resume)
 
 
-def _when(world: NightWorld, draw: random.Random | None) -> Callable[[NightWorld], bool]:
+def _when(world: NightWorld, draw: random.Random | None, exposure_s: float) -> Callable[[NightWorld], bool]:
     """When to kill: after so many requests (arms move, or are asked) or after so much time (exposures)."""
     if draw is None:
         return lambda _: False
     if draw.random() < 0.5:
         number = world.requests + draw.randrange(1, POSITIONING)
         return lambda now: now.requests >= number
-    time_s = world.twin.time_s + draw.uniform(0.0, MOST_S)
+    time_s = world.twin.time_s + draw.uniform(0.0, MOST_EXPOSURES * exposure_s)
     return lambda now: now.twin.time_s >= time_s
 
 
