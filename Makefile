@@ -245,7 +245,7 @@ format: setup
 lock:
 	@head -2 constraints.txt > build/constraints.head
 	uv pip compile pyproject.toml --extra dev --extra cameras --extra survey --extra serve --extra opcua \
-	    --extra epics --python-version 3.11 \
+	    --extra epics --extra postgres --python-version 3.11 \
 	    --generate-hashes --no-header --no-annotate $(UPGRADE) --output-file constraints.txt
 	@cat build/constraints.head constraints.txt > build/constraints.new && mv build/constraints.new constraints.txt
 

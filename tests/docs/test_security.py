@@ -12,7 +12,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 NEEDED = [
     re.match(r"[\w-]+", line)[0]
-    for line in sum((EXTRAS[e] for e in ("cameras", "serve", "opcua", "epics")), PROJECT["dependencies"])
+    for line in sum(
+        (EXTRAS[e] for e in ("cameras", "serve", "opcua", "epics", "postgres")), PROJECT["dependencies"]
+    )
 ]
 ROWS = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", (ROOT / "SECURITY.md").read_text(), flags=re.M)
 LICENCE = {name: licence for names, licence in ROWS for name in re.sub(r" \(.*\)", "", names).split(", ")}

@@ -1,7 +1,6 @@
 """Arrays in the store: one owner at a time, exclusions, places; older stores get the tables."""
 
 import os
-import sqlite3
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -12,7 +11,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.arrays import STALE_S, ArrayBook, ArrayPlaces, NotOwner, arrays_of
-from fiberloom.store.schema import SCHEMA_VERSION, ArrayStateRow
+from fiberloom.store.schema import ArrayStateRow
 from fiberloom.store.sums import change
 
 BUS = "cannet://10.1.10.31:19228"
@@ -154,21 +153,3 @@ def test_places_are_the_last_ones_and_unknown_ones_keep_theirs(book):
     assert found.datum.tolist() == [False, True, False, False]
     assert abs((datetime.now(UTC) - found.utc[0]).total_seconds()) < 60
     assert found.utc[3] is None
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_an_older_store_gets_the_tables_and_loses_nothing(tmp_path, version):
-    path = tmp_path / "old.sqlite"
-    with Store.open(path) as store, store.start_run(command_line="x", instrument="sdssv") as run:
-        run.record_event("flag", "kept")
-    with sqlite3.connect(path) as raw:  # as that version left it
-        for table in ("exclusions", "array_state", "places"):
-            raw.execute(f"DROP TABLE {table}")
-        raw.execute("UPDATE fiberloom_schema SET version = ?", (version,))
-    with Store.open(path) as store:
-        book = ArrayBook(store, BUS)
-        book.exclude([4], "ann", "beta slips")
-        assert book.state().state == "off"
-        assert store.events(run.id)["text"].tolist() == ["kept"]
-    with sqlite3.connect(path) as raw:
-        assert raw.execute("SELECT version FROM fiberloom_schema").fetchall() == [(SCHEMA_VERSION,)] == [(6,)]

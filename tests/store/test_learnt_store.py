@@ -6,11 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+from databases import aged
 
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.learnt import OBSERVE, UNDO, Learnt, LearntHistory, generations
 from fiberloom.store.schema import SCHEMA_VERSION
+from fiberloom.store.upkeep.upgrade import upgrade
 
 
 def history(tmp_path, origin="abc"):
@@ -64,10 +66,8 @@ def test_a_store_of_the_first_version_gets_the_tables_and_loses_nothing(tmp_path
     path = tmp_path / "old.sqlite"
     with Store.open(path) as store, store.start_run(command_line="x", instrument="sdssv", seed=4) as run:
         run.record_move(1, "blind", {"positioner_id": np.arange(5), "error_um": np.arange(5.0)})
-    with sqlite3.connect(path) as raw:  # as version 1 left it
-        for table in ("learnt_states", "learnt_generations"):
-            raw.execute(f"DROP TABLE {table}")
-        raw.execute("UPDATE fiberloom_schema SET version = 1")
+    aged(path)
+    upgrade(str(path))
     h = LearntHistory(Store.open(path), "abc")
     h.put(h.begin(OBSERVE, "sdssv", "cafe"), {1: learnt("a")})
     with Store.open(path) as store:

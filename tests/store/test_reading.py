@@ -9,12 +9,14 @@ import sys
 
 import numpy as np
 import pytest
+from databases import aged
 from readonly import read_only
 
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.engines import sqlite_uri
 from fiberloom.store.listing import runs_below
+from fiberloom.store.upkeep.upgrade import upgrade
 
 
 def made(path, moves=1):
@@ -94,22 +96,8 @@ def test_a_store_is_read_while_another_process_writes_it(tmp_path):
             assert reader.events(run.id)["text"].tolist() == ["one", "two"]
 
 
-def aged(path):
-    """As version 1 left it."""
-    made(path)
-    with contextlib.closing(sqlite3.connect(path)) as raw, raw:
-        for table in ("learnt_states", "learnt_generations", "exclusions", "array_state", "places", "parts"):
-            raw.execute(f"DROP TABLE {table}")
-        raw.execute("ALTER TABLE runs DROP COLUMN folder")
-        raw.execute("ALTER TABLE moves DROP COLUMN n_measured")
-        for table in ("runs", "moves", "measurements", "events", "calibrations"):
-            raw.execute(f"ALTER TABLE {table} DROP COLUMN row_sum")
-        raw.execute("UPDATE fiberloom_schema SET version = 1")
-    return path
-
-
 def test_an_older_store_is_read_and_stays_as_it_is(tmp_path):
-    path = aged(tmp_path / "old.sqlite")
+    path = aged(made(tmp_path / "old.sqlite"))
     before = path.read_bytes()
     with Store.read(path) as store:
         assert store.measurements(1)["error_um"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
@@ -117,8 +105,11 @@ def test_an_older_store_is_read_and_stays_as_it_is(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_an_older_store_gets_what_it_lacks_when_it_is_written(tmp_path):
-    path = aged(tmp_path / "old.sqlite")
+def test_an_older_store_is_written_when_it_was_upgraded(tmp_path):
+    path = aged(made(tmp_path / "old.sqlite"))
+    with pytest.raises(InputError, match="of version 1, this program writes"):
+        Store.open(path)
+    upgrade(str(path))
     with Store.open(path) as store, store.start_run(command_line="", instrument="i"):
         assert [run.n_measurements for run in store.runs()] == [5, 0]
     with contextlib.closing(sqlite3.connect(path)) as raw:

@@ -13,6 +13,7 @@ from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook, ArrayPlaces
 from fiberloom.store.engines import file_engine
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
+from fiberloom.store.nights.book import NightBook, nights
 from fiberloom.store.parts import pack
 from fiberloom.store.schema import Base, PlaceRow
 from fiberloom.store.service.alarms import Alarm, AlarmTable
@@ -43,7 +44,24 @@ def path(tmp_path):
         AlarmTable(book).write(Alarm("camera", "major", "camera", "TEXT-OF-ALARM", "look"))
         history = LearntHistory(store, "ORIGIN-OF-GENERATION")
         history.put(history.begin(OBSERVE, "INSTRUMENT-LEARNT", "beef"), {4: Learnt(1, 0.5, b"STATE-LEARNT")})
+        write_night(store)
     return tmp_path / "s.sqlite"
+
+
+def write_night(store):
+    """A row in each table of nights."""
+    now = datetime.now(UTC)
+    about = {"name": "n", "queue": "FILE-OF-QUEUE", "array": BUS, "instrument": "i", "config_hash": "c"}
+    book = NightBook.begin(store, now, about | {"seed": 0, "command_line": "x"})
+    book.note_field("NAME-OF-FIELD", "{}", "queued")
+    visit = book.begin_visit(
+        now, "prepared", {"field": "FIELD-OF-VISIT", "repeat": 0, "dither": 0, "attempt": 1}
+    )
+    stage = {"visit_id": visit, "name": "NAME-OF-STAGE", "duration_s": 1.0, "wall_s": 0.5, "outcome": "done"}
+    book.note_stage(now, stage)
+    book.ask_exposure(visit, 1, "KEY-OF-EXPOSURE", 900.0)
+    book.note_command(now, "AUTHOR-OF-COMMAND", "stop", "done")
+    book.raise_alarm(now, "camera", "alarm", "camera", "TEXT-OF-ALARM")
 
 
 def flip(path, text, bit=1, at=0):
@@ -63,6 +81,8 @@ def everything(path):
         book = ArrayBook(store, BUS)
         book.state(), book.exclusions(), book.places(np.array([4]))
         CommandBook(book).last(), AlarmTable(book).open()
+        night = NightBook(store, nights(store)[0].id)
+        night.fields(), night.visits(), night.stages(), night.exposures(), night.commands(), night.alarms()
         for generation in generations(store):
             LearntHistory(store, generation.origin).of_generation(generation.id)
             LearntHistory(store, generation.origin).latest()
@@ -82,6 +102,13 @@ CASES = {
     "learnt_states": ("STATE-LEARNT", "1"),
     "array_commands": ("AUTHOR-OF-COMMAND", "1"),
     "array_alarms": ("TEXT-OF-ALARM", "1"),
+    "nights": ("FILE-OF-QUEUE", "1"),
+    "fields": ("NAME-OF-FIELD", "1"),
+    "visits": ("FIELD-OF-VISIT", "1"),
+    "stages": ("NAME-OF-STAGE", "1"),
+    "exposures": ("KEY-OF-EXPOSURE", "1"),
+    "commands": ("AUTHOR-OF-COMMAND", "1"),
+    "alarms": ("TEXT-OF-ALARM", "1"),
 }
 
 

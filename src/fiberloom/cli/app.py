@@ -36,10 +36,12 @@ from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
 from fiberloom.cli.instruments import instruments
 from fiberloom.cli.lifetime import lifetime
+from fiberloom.cli.night import night
 from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
 from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
+from fiberloom.cli.past.store import check, copy, upgrade
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.serve import serve
@@ -69,11 +71,15 @@ exclude = typer.Typer(
 sky = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
 )
+store = typer.Typer(
+    no_args_is_help=True, context_settings=HELP, help="Stores: brought up to date, checked, copied."
+)
 design = typer.Typer(
     no_args_is_help=True, context_settings=HELP, help="What a design promises, before anything is built."
 )
 
 add(app, observe)
+add(app, night)
 add(app, assign)
 add(app, plan)
 add(app, verify)
@@ -100,6 +106,11 @@ app.add_typer(exclude, name="exclude")
 add(exclude, exclude_add, "add")
 add(exclude, exclude_list, "list")
 add(exclude, exclude_clear, "clear")
+
+app.add_typer(store, name="store")
+add(store, upgrade)
+add(store, check)
+add(store, copy)
 
 app.add_typer(sky, name="sky")
 add(sky, place)

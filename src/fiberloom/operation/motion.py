@@ -28,6 +28,7 @@ from fiberloom.operation.safety.looking import PatientCamera, know_fiducials
 from fiberloom.operation.safety.loop_first import LoopFirst
 from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.safety.writing import Writer, WriterRecorder, beside
+from fiberloom.operation.series.ahead import PlannedAhead
 from fiberloom.operation.session.states import Step
 from fiberloom.operation.session.witness import BegunMove, Witness
 from fiberloom.operation.truth import truths
@@ -96,9 +97,11 @@ class FieldMotion:
         """Of arms, as only a twin knows."""
         self.moves: list[Move] = []
         self.images = 1
+        """After a move, at most."""
         self.pointing: ExposurePointing | None = None
         """Of the telescope, where it is known."""
-        """After a move, at most."""
+        self.ahead: PlannedAhead | None = None
+        """A plan of the blind move that was made before; None: it is planned when it is to begin."""
         self.witness: Witness | None = None
         """Told of moves while they are made."""
         self.underway = 0
@@ -197,13 +200,21 @@ class FieldMotion:
             label = "blind" if attempt == 0 else f"{ROUND_FAULTS} {attempt}"
             self.progress(f"planning: {label}")
             wanted = self.wanted(goals, goals.angles_deg, self.state.mobile, seed + attempt)
-            programme = await self.drive.prepare(wanted)
+            programme = await self._prepared(wanted, attempt)
             self.state.book_blocked(programme.plan)
             self.progress(label)
             interrupted = await self.move(1, label, programme, goals)
             if not interrupted.any():
                 return
             self.recorder.event("recovery", f"{int(interrupted.sum())} positioners interrupted")
+
+    async def _prepared(self, wanted: Wanted, attempt: int) -> Programme:
+        """What was planned ahead, where it holds from the true start; else what is planned now."""
+        if attempt == 0 and self.ahead is not None:
+            made = await self.ahead.programme(self.drive, wanted)
+            if made is not None:
+                return made
+        return await self.drive.prepare(wanted)
 
     def wanted(
         self, goals: Goals, angles_deg: Floats, who: Flags, seed: int = 0, small: bool = False

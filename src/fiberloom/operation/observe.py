@@ -174,6 +174,10 @@ class Observer:
     """Of the field; a session gives its own."""
     begun_s: float | None = None
     """From when on `wall_s` counts, of time.monotonic; None: from the call of `observe`."""
+    assigned: tuple[FocalPlane, Assignment] | None = None
+    """Plane and assignment that were made before; None: they are made when it observes."""
+    begun: Callable[[int], None] = lambda _: None
+    """Called with the number of the run as it begins, before anything moves."""
     last: Observation | None = None
     """The last observation, also one that was interrupted."""
     folder: Path | None = None
@@ -215,6 +219,7 @@ class Observer:
             entered(self._run, store, kept, settings.seed) as run,
         ):
             self.folder = await beside(_folder_of, run, self.place, store)
+            await beside(self.begun, run.id)
             about = self._about(run, settings) | _sky_about(targets, assignment)
             await beside(record_begin, run, kept, targets, assignment, about)
             log = ExposureLog(self.plane, self.folder, settings.pages, settings.save_images)
@@ -249,6 +254,8 @@ class Observer:
         self, targets: TargetList, settings: ObserveSettings, here_deg: Floats | None = None
     ) -> tuple[FocalPlane, Assignment]:
         """The plane with the buffer that holds, and who takes what; `here_deg` (N, 2): where they are."""
+        if self.assigned is not None:
+            return self.assigned
         aims = self.known.aims(targets)
         how = AssignSettings(strict=settings.strict, ways=way_rule(self.known.plane))
         kept, found = assign_relaxed(

@@ -123,12 +123,13 @@ def _record(run: Run, plane: FocalPlane, move: Move, targets: dict[str, Any]) ->
         move.label,
         measured | targets,
         time_s=move.measurement.time_s,
-        plan_digest=_digest(move.plan),
+        plan_digest=digest_of(move.plan),
         part=packed_move(move) if targets else None,
     )
 
 
-def _digest(plan: Plan) -> str:
+def digest_of(plan: Plan) -> str:
+    """Of all trajectories of a plan."""
     digest = hashlib.sha256()
     for robot in plan.robots:
         for values in (robot.time_s, robot.alpha_deg, robot.beta_deg):

@@ -71,32 +71,37 @@ class Source(Protocol):
         ...
 
 
-class _LeftOpen:
-    """A transport that the caller has opened and closes."""
+class LeftOpen:
+    """A transport that another one has opened and closes. Implements `Transport`."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
     @property
     def time_s(self) -> float:
+        """Of the bus."""
         return self._transport.time_s
 
     @property
     def links(self) -> Sequence[Link]:
+        """Its connections."""
         return links_of(self._transport)
 
     def link_of(self, positioner: int) -> Link | None:
+        """The connection to a positioner, where it is known."""
         find = getattr(self._transport, "link_of", None)
         return None if find is None else cast("Link | None", find(positioner))
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
+        """Sends frames."""
         await self._transport.send(frames)
 
     async def receive(self, timeout_s: float) -> list[Frame]:
+        """Waits for frames, `timeout_s` s at most."""
         return await self._transport.receive(timeout_s)
 
     async def close(self) -> None:
-        pass
+        """Nothing: it stays open."""
 
 
 class OutsideArray:
@@ -153,7 +158,7 @@ class _OnBus(OutsideArray):
 
     async def _opened(self, **how: Callable[[int], int]) -> Transport:
         """The bus, opened unless the caller has opened it; `how`: as `BusSpec.open` takes it."""
-        return await self.bus.open(**how) if isinstance(self.bus, BusSpec) else _LeftOpen(self.bus)
+        return await self.bus.open(**how) if isinstance(self.bus, BusSpec) else LeftOpen(self.bus)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import ArrayStateRow, ExclusionRow, PlaceRow
-from fiberloom.store.sums import change, checked, put
+from fiberloom.store.sums import as_utc, change, checked, put
 from fiberloom.typing import Flags, Floats, Ints
 
 HEARTBEAT_S = 2.0
@@ -317,7 +317,7 @@ class ArrayBook:
             angles[k] = row["alpha_deg"], row["beta_deg"]
             if row["wire_alpha_deg"] is not None:
                 wire[k] = row["wire_alpha_deg"], row["wire_beta_deg"]
-            how[k], datum[k], when[k] = row["how"], row["datum"], row["utc"].replace(tzinfo=UTC)
+            how[k], datum[k], when[k] = row["how"], row["datum"], as_utc(row["utc"])
         return ArrayPlaces(angles, wire, how, datum, when)
 
 
@@ -339,8 +339,8 @@ def _exclusion_of(row: Mapping[Any, Any]) -> Exclusion:
 
 
 def _utc(values: dict[str, Any]) -> dict[str, Any]:
-    """SQLite forgets the zone: all are UTC."""
-    return {k: v.replace(tzinfo=UTC) if isinstance(v, datetime) else v for k, v in values.items()}
+    """The row with its times in UTC."""
+    return {k: as_utc(v) if isinstance(v, datetime) else v for k, v in values.items()}
 
 
 def arrays_of(store: Store) -> list[str]:

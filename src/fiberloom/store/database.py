@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Engine, func, insert, inspect, select, update
+from sqlalchemy import Connection, Engine, func, insert, inspect, select
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
 from fiberloom.errors import InputError, one_line
@@ -262,19 +262,19 @@ def _column(values: list[Any]) -> Array:
 
 
 def _prepare(connection: Connection, name: str) -> None:
-    """Makes the tables that are missing; refuses those of a newer version."""
+    """Makes the tables of a new store; refuses those of another version."""
     Base.metadata.create_all(connection, tables=[Base.metadata.tables[SchemaRow.__tablename__]])
     found = connection.execute(select(SchemaRow.version)).scalar()
     if found is None:
         Base.metadata.create_all(connection)
         connection.execute(insert(SchemaRow), {"version": SCHEMA_VERSION})
-    elif found < SCHEMA_VERSION:
-        # newer versions only add tables and columns that may be empty: what is there stays as it is
-        Base.metadata.create_all(connection)
-        _add_columns(connection)
-        connection.execute(update(SchemaRow).values(version=SCHEMA_VERSION))
     else:
         _check_version(found, name)
+        if found < SCHEMA_VERSION:
+            raise InputError(
+                f"store '{name}': its tables are of version {found}, this program writes {SCHEMA_VERSION}; "
+                f"bring it up to date with 'fiberloom store upgrade {name}', which keeps a copy"
+            )
 
 
 def _look(connection: Connection, name: str) -> None:
@@ -290,16 +290,6 @@ def _check_version(found: int, name: str) -> None:
             f"store '{name}': its tables are of version {found}, this program writes "
             f"{SCHEMA_VERSION}; name another store"
         )
-
-
-def _add_columns(connection: Connection) -> None:
-    there = inspect(connection)
-    for table in Base.metadata.sorted_tables:
-        known = {column["name"] for column in there.get_columns(table.name)}
-        for column in table.columns:
-            if column.name not in known:
-                kind = column.type.compile(connection.dialect)
-                connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN {column.name} {kind}")
 
 
 _ADVICE = {

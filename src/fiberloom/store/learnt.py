@@ -16,7 +16,7 @@ from sqlalchemy import Connection, delete, func, select
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.schema import GenerationRow, LearntRow
-from fiberloom.store.sums import check, checked, put, put_one
+from fiberloom.store.sums import as_utc, check, checked, put, put_one
 from fiberloom.version import __version__
 
 OBSERVE, UNDO = "observe", "undo"
@@ -145,7 +145,7 @@ def generations(store: Store) -> list[Generation]:
 
 def _generation(row: dict[str, Any]) -> Generation:
     square = row.pop("square")
-    utc = row.pop("utc").replace(tzinfo=UTC)
+    utc = as_utc(row.pop("utc"))
     return Generation(**row, utc=utc, rms_shift_mdeg=float(square) ** 0.5)
 
 

@@ -17,7 +17,7 @@ from sqlalchemy import Connection
 from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
 from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, PartRow, RunRow
-from fiberloom.store.sums import SUM, DamagedError, change, put, put_one
+from fiberloom.store.sums import SUM, DamagedError, as_utc, change, put, put_one
 from fiberloom.timing import part
 from fiberloom.version import __version__
 
@@ -95,9 +95,9 @@ def info_of(row: Mapping[str, Any]) -> RunInfo:
     values = {name: row[name] for name in RunInfo.__dataclass_fields__}
     if values["utc_start"] is None:
         raise DamagedError(f"run {row['id']} has no time at which it began")
-    for name in ("utc_start", "utc_end"):  # SQLite forgets the zone: all are UTC
+    for name in ("utc_start", "utc_end"):
         if values[name] is not None:
-            values[name] = values[name].replace(tzinfo=UTC)
+            values[name] = as_utc(values[name])
     if row["status"] == RUNNING and not is_alive(row["host"], row["pid"], row["process_start"]):
         values["status"] = INTERRUPTED
     return RunInfo(**values)

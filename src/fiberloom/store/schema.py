@@ -6,21 +6,23 @@ NULL is "not known": a fibre that was not seen has no place, a parked positioner
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Any, ClassVar
 
-from sqlalchemy import BigInteger, DateTime, ForeignKey, Index, LargeBinary, MetaData
+from sqlalchemy import BigInteger, DateTime, Double, ForeignKey, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 SCHEMA_VERSION = 6
 """2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. 4: sums of
-rows. 5: sums also of rows that change, the folder of a run, and what its files are made of. 6: commands and
-alarms of arrays. Older stores get the new tables and columns when they are opened to write; their rows have
-no sums until they change."""
+rows. 5: sums also of rows that change, the folder of a run, and what its files are made of. 6: nights;
+commands and alarms of arrays. The steps from one to the next are in `upkeep/revisions`. Rows of before
+version 5 have no sums until they change."""
 
 
 class Base(DeclarativeBase):
     """Common metadata of all tables."""
 
     metadata = MetaData()
+    type_annotation_map: ClassVar[dict[Any, Any]] = {float: Double()}  # one type with every SQLAlchemy
 
 
 class Summed:
@@ -257,5 +259,128 @@ class ArrayAlarmRow(Summed, Base):
     text: Mapped[str]
     advice: Mapped[str]
     gone: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: the cause is there
+    acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    acknowledged_by: Mapped[str]
+
+
+class NightRow(Summed, Base):
+    """One night: a queue of fields that is worked through. Times are of the night's clock."""
+
+    __tablename__ = "nights"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    name: Mapped[str]
+    queue: Mapped[str]  # its file
+    array: Mapped[str]  # address of its bus
+    instrument: Mapped[str]
+    config_hash: Mapped[str]
+    seed: Mapped[int]
+    version: Mapped[str]
+    command_line: Mapped[str]
+    status: Mapped[str]  # running, finished, failed, interrupted
+    note: Mapped[str]
+    # which process has it: a night that was left is told from one that goes on
+    host: Mapped[str]
+    pid: Mapped[int]
+    process_start: Mapped[str]
+
+
+class FieldRow(Summed, Base):
+    """One field of a night's queue, as it was last read, and what became of it."""
+
+    __tablename__ = "fields"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    name: Mapped[str]
+    entry: Mapped[str]  # JSON
+    state: Mapped[str]  # queued, prepared, positioning, ready, exposing, done, failed, skipped
+    reason: Mapped[str]
+
+
+class VisitRow(Summed, Base):
+    """One try to put the fibres on a field; written before anything moves for it."""
+
+    __tablename__ = "visits"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    field: Mapped[str]
+    repeat: Mapped[int]  # from 0
+    dither: Mapped[int]  # from 0
+    attempt: Mapped[int]  # from 1
+    state: Mapped[str]  # as of a field
+    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    run_id: Mapped[int | None] = mapped_column(ForeignKey("runs.id"))  # its moves, goals and measurements
+    plan_digest: Mapped[str | None]  # of the blind move
+    plan_from: Mapped[str | None]  # ahead, or why it was planned anew
+    on_target: Mapped[int | None]
+    assigned: Mapped[int | None]
+    rms_um: Mapped[float | None]
+    note: Mapped[str]
+
+
+class StageRow(Summed, Base):
+    """One stage of a visit or of the night, when it has ended."""
+
+    __tablename__ = "stages"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
+    name: Mapped[str]
+    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    duration_s: Mapped[float]  # of the night's clock
+    wall_s: Mapped[float]  # of this machine
+    outcome: Mapped[str]  # done, or what went wrong
+
+
+class ExposureRow(Summed, Base):
+    """One exposure; written before the shutter is asked to open."""
+
+    __tablename__ = "exposures"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), index=True)
+    number: Mapped[int]  # from 1
+    key: Mapped[str] = mapped_column(unique=True)  # the shutter opens once for it
+    asked_s: Mapped[float]
+    utc_start: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it has not opened
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: not known to be closed
+
+
+class CommandRow(Summed, Base):
+    """One command of a person or of another system to a night."""
+
+    __tablename__ = "commands"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int | None] = mapped_column(ForeignKey("nights.id"), index=True)
+    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    who: Mapped[str]
+    command: Mapped[str]
+    key: Mapped[str | None] = mapped_column(unique=True)  # one that comes twice is done once
+    result: Mapped[str]
+
+
+class AlarmRow(Summed, Base):
+    """One alarm; it stays until its cause is gone and a person has acknowledged it."""
+
+    __tablename__ = "alarms"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    code: Mapped[str]
+    severity: Mapped[str]  # information, warning, alarm
+    subject: Mapped[str]
+    text: Mapped[str]
+    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    last: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    count: Mapped[int]
+    cleared: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
     acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
     acknowledged_by: Mapped[str]

@@ -28,6 +28,11 @@ class DamagedError(ValueError):
     """What the store holds is not what was written."""
 
 
+def as_utc(when: datetime) -> datetime:
+    """A time as a database gives it: SQLite forgets the zone, which is UTC; others tell one."""
+    return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+
+
 def put(connection: Connection, row: type[Base], values: Iterable[Mapping[str, Any]]) -> None:
     """Inserts rows of a table with their sums; a column that is not given is None."""
     table = _table(row)
@@ -141,6 +146,6 @@ def _as_read(kind: type, value: Any) -> Any:
     if value is None:
         return None
     if kind is datetime:
-        return (value.astimezone(UTC) if value.tzinfo else value).replace(tzinfo=None).isoformat()
+        return as_utc(value).replace(tzinfo=None).isoformat()
     # SQLite keeps -0.0 as 0
     return float(value) + 0.0 if kind is float else kind(value)

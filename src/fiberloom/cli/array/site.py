@@ -74,6 +74,7 @@ class Site(SiteTable):
         limits = dict(self.limits)
         by_command = {
             **dict.fromkeys(("observe", "park", "home", "recover"), moved),
+            "night": {name: moved[name] for name in ("bus", "camera", "calibration", "store", "exclude")},
             "doctor": moved | limits,
             "serve": {name: v for name, v in moved.items() if name not in ("arms", "exclude")},
             **dict.fromkeys(("stop", "status"), array),

@@ -22,19 +22,27 @@ class ShowOptions(JsonOptions):
     where: Annotated[
         str, typer.Argument(help="Store, database URL, or a folder with the store in it or below it.")
     ] = "runs"
+    night: Annotated[bool, typer.Option("--night", help="The number is that of a night, not of a run.")] = (
+        False
+    )
     out: Annotated[
         Path | None, typer.Option(help="Folder for the files; default: that of the run itself.")
     ] = None
 
 
 def show(options: ShowOptions) -> None:
-    """Show an observation of the past, and make its result files anew from the store.
+    """Show an observation or a night of the past, and make its result files anew from the store.
 
     What cannot be made, and why, is told: images and their pages are not in the store.
     """
     from fiberloom.store.find import stores_below
 
     stores_below(options.where)
+    if options.night:
+        from fiberloom.cli.night import show_night
+
+        show_night(options.run, options.where, options.out, options.as_json)
+        return
     from fiberloom.operation.past.rebuild import rebuild
     from fiberloom.store import Store
     from fiberloom.store.listing import store_with

@@ -37,6 +37,10 @@ def state_of(row: ArrayState) -> SessionState:
     return left_as(state) if row.stale else state
 
 
+class ForbiddenError(RuntimeError):
+    """Something would move or light up at a time at which nothing may, e.g. while the shutter is open."""
+
+
 class ArrayLock:
     """Owned from `take` to `release`."""
 
@@ -48,6 +52,8 @@ class ArrayLock:
         """Another process has taken it."""
         self.left_moving = False
         """The owner before was lost in a motion."""
+        self.forbidden = ""
+        """Why nothing may move and no image be taken now; empty: it may."""
         self._collision = ""
         """What an array that recovers was locked for."""
         self._token = ""
@@ -90,8 +96,11 @@ class ArrayLock:
         return self.book.address, row.text
 
     def step(self, step: Step, text: str = "") -> None:
-        """Goes on in the table; `text` says why. NotOwner where the array was lost meanwhile."""
+        """Goes on in the table; `text` says why. NotOwner where the array was lost meanwhile,
+        ForbiddenError for a motion or an image while `forbidden` says that there must be none."""
         self.check()
+        if self.forbidden and step in (Step.MOVE, Step.LOOK):
+            raise ForbiddenError(f"{self.book.address}: no {step} while {self.forbidden}")
         state = after(self.state, step)
         if self.state is SessionState.RECOVERING and step not in (Step.FREE, Step.COLLIDE):
             text = self._collision + (NOT_RECOVERED + text if state is SessionState.LOCKED else "")

@@ -265,7 +265,7 @@ class HeldArray:
     def settle(self) -> None:
         """The command has ended by itself."""
         motion = self._motion
-        if motion is None or self.lock.state is SessionState.LOCKED:
+        if motion is None or self.lock.state in (SessionState.LOCKED, SessionState.PARKED):
             return
         if collided := motion.collided:
             self.leave(Step.COLLIDE, f"collision of positioners {', '.join(map(str, collided))}")

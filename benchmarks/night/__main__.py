@@ -1,0 +1,54 @@
+"""`python -m benchmarks.night [--kills 50] [--fields 5] [--positioners 37] [--seed 0] [--out FILE.json]`.
+
+One night on a twin that outlives the process which observes; that is killed (-9) at random instants and
+resumed. Exit code 1 where anything was lost, doubled or touched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import fiberloom as fl
+from fiberloom.twin import draw_units
+
+from .killed import Scene, as_dict, killed_night, write_queue
+from .world import FORK
+
+
+def swept(plane: fl.FocalPlane, seed: int, file: Path) -> None:
+    """Maps of the twin, in a process of its own: it has threads, and the night's processes are forked."""
+    field = fl.Field.twin(plane, seed, camera="noise")
+    field.run.calibrate().save(file)
+
+
+def main() -> int:
+    """Runs it; exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name, value in (("kills", 50), ("fields", 5), ("positioners", 37), ("seed", 0)):
+        parser.add_argument(f"--{name}", type=int, default=value)
+    parser.add_argument("--exposure", type=float, default=1200.0, help="s")
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="fiberloom-night-"))
+    plane = fl.FocalPlane.of("sdssv", n=asked.positioners)
+    sweep = FORK.Process(target=swept, args=(plane, asked.seed, folder / "maps.npz"))
+    sweep.start()
+    sweep.join()
+    scene = Scene(
+        plane, draw_units(plane, asked.seed), folder / "maps.npz", folder, asked.seed, asked.exposure
+    )
+    write_queue(scene, asked.fields)
+    account = killed_night(scene, asked.kills, asked.seed, lambda text: print(text, file=sys.stderr))
+    text = json.dumps(as_dict(account), indent=1)
+    print(text)
+    if asked.out is not None:
+        asked.out.write_text(text + "\n")
+    return 0 if account.ok else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""A night: a queue of fields, chosen one by one, positioned, exposed, recorded; resumed after a crash."""

@@ -1,0 +1,498 @@
+"""A night as it is carried out: one step after the other, each on record before it is taken.
+
+What was done is read from the store before each step, so that a process that goes on after a crash does the
+same as one that was never away.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from typing import Any
+
+from fiberloom.errors import InputError
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.metrology.sources.errors import CameraError
+from fiberloom.night.clock import BusClock, NightClock
+from fiberloom.night.queue import FieldEntry
+from fiberloom.night.setup import Assigned, NightSetup
+from fiberloom.night.shutter import Shutter
+from fiberloom.night.stages import RefusedError, Stage, StageRecord, StepWatcher
+from fiberloom.night.step import (
+    OVER,
+    Close,
+    End,
+    Expose,
+    NightState,
+    Park,
+    Position,
+    Step,
+    Visited,
+    VisitState,
+    Wait,
+    field_states,
+    next_step,
+)
+from fiberloom.operation.motion import FieldMotion, UnsafePlanError
+from fiberloom.operation.move import Goals, Recorder
+from fiberloom.operation.observe import Observer, ObserveSettings
+from fiberloom.operation.recording import SurveyRecorder, digest_of
+from fiberloom.operation.reference.declare import declare_seen_right
+from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.stop import reason
+from fiberloom.operation.safety.writing import beside, entered
+from fiberloom.operation.series.ahead import PlannedAhead
+from fiberloom.operation.session.recover import Recovery
+from fiberloom.operation.session.session import HeldArray, fold
+from fiberloom.operation.session.states import SessionState
+from fiberloom.operation.session.states import Step as ArrayStep
+from fiberloom.store.nights.book import NightBook
+from fiberloom.store.nights.records import ExposureRecord, VisitRecord
+from fiberloom.store.place import NUMBERED, Place
+from fiberloom.typing import Flags
+
+FAILURES = (InputError, CameraError, UnsafePlanError, TimeoutError, RefusedError)
+"""With these a visit has failed, and the night goes on."""
+
+MOST_WAIT_S = 60.0
+"""At once, so that the queue is read again."""
+
+SHUTTER_SLACK_S = 60.0
+"""By which an exposure may last longer than it should."""
+
+RECOVERIES = 3
+"""Of an array, in one night, before a person has to come."""
+
+
+class NightStoppedError(RuntimeError):
+    """The night cannot go on without a person."""
+
+
+@dataclass
+class Ahead:
+    """The next place of a field, assigned and planned while the shutter was open."""
+
+    assigned: Assigned
+    plan: PlannedAhead | None = None
+
+
+class NightRunner:
+    """Carries out one night on an array that it holds."""
+
+    def __init__(
+        self,
+        setup: NightSetup,
+        book: NightBook,
+        held: HeldArray,
+        hardware: Hardware,
+        progress: Callable[[str], None],
+    ) -> None:
+        """`setup`: what it is made of; `book`: its record; `held`: the array; `hardware`: its bus and camera;
+        `progress`: called with the name of each step."""
+        self.setup, self.book, self.held, self.hardware = setup, book, held, hardware
+        self.queue = setup.read_queue()
+        drive = setup.drive(hardware)
+        self.clock: NightClock = setup.clock(drive, self.queue, last_time(book))
+        self.shutter: Shutter = setup.shutter(setup, book, self.clock)
+        self.stages = StageRecord(book, self.clock, progress)
+        self.progress = progress
+        self.motion: FieldMotion | None = None
+        self.ahead: Ahead | None = None
+        self.assigned: Assigned | None = None
+        """Of the last place whose fibres were on target."""
+        self.parked = False
+        self.recoveries = 0
+
+    async def run(self) -> str:
+        """Carries out the queue; returns why the night is over."""
+        await self.settle()
+        while True:
+            await beside(self._reread)
+            state = await beside(self._state)
+            step = next_step(state, self.queue, self.clock.now())
+            await beside(self._note_fields, state)
+            if isinstance(step, End):
+                return step.why
+            await self._take(step)
+
+    async def _take(self, step: Step) -> None:
+        if isinstance(step, Position):
+            await self._position(step)
+        elif isinstance(step, Expose):
+            await self._expose(step)
+        elif isinstance(step, Close):
+            await beside(self._close, step)
+        elif isinstance(step, Park):
+            await self._park()
+        elif isinstance(step, Wait):
+            await self._wait(step)
+
+    # what is known
+
+    def _reread(self) -> None:
+        """The queue as it is now; one that cannot be read is told, and the last good one is kept."""
+        try:
+            self.queue = self.setup.read_queue()
+        except InputError as error:
+            self._alarm("queue", "warning", str(self.setup.queue_file), f"{error}; the last good one is used")
+            return
+        self.book.clear_alarm(self.clock.now(), "queue", str(self.setup.queue_file))
+
+    def _state(self) -> NightState:
+        return state_of(self.book, self.parked)
+
+    def _note_fields(self, state: NightState) -> None:
+        known = {field.name: (field.entry, field.state, field.reason) for field in self.book.fields()}
+        for name, (what, why) in field_states(state, self.queue, self.clock.now()).items():
+            entry = self.queue.entry(name)
+            said = (entry.as_json if entry is not None else "", what.value, why)
+            if known.get(name) != said:
+                self.book.note_field(name, *said)
+
+    def _alarm(self, code: str, severity: str, subject: str, text: str) -> None:
+        self.progress(f"{severity}: {text}")
+        self.book.raise_alarm(self.clock.now(), code, severity, subject, text)
+
+    # after a crash
+
+    async def settle(self) -> None:
+        """Books how exposures have ended that a process before has left, and what became of their visits.
+
+        Nothing moves and no lamp is lit before every shutter is closed.
+        """
+        visits = [v for v in await beside(self.book.visits) if VisitState(v.state) not in OVER]
+        for visit in visits:
+            for exposure in await beside(self.book.exposures):
+                if exposure.visit_id == visit.id and exposure.utc_end is None:
+                    await self._settle_exposure(exposure)
+            await beside(self._settle_visit, visit)
+
+    async def _settle_exposure(self, exposure: ExposureRecord) -> None:
+        if (await self.shutter.seen(exposure.key)).start is None:
+            return  # it was asked for at most: it is asked for anew
+        self.progress("waiting for an exposure that was begun before")
+        await self._until_closed(exposure.key, exposure.id, exposure.asked_s)
+
+    def _settle_visit(self, visit: VisitRecord) -> None:
+        entry, state = self.queue.entry(visit.field), self._state()
+        whole = (
+            entry is not None and state.exposed((visit.field, visit.repeat, visit.dither)) >= entry.exposures
+        )
+        over = VisitState.DONE if whole else VisitState.INTERRUPTED
+        self.book.change_visit(visit.id, state=over.value, utc_end=self.clock.now(), note="interrupted")
+
+    # positioning
+
+    async def _position(self, step: Position) -> None:
+        entry = self.queue.entry(step.field)
+        assert entry is not None
+        visit = await beside(self._begin_visit, step)
+        seen: list[Observation] = []
+        ahead = self._taken_ahead(step, entry)
+        watcher = StepWatcher(self.stages, visit, "position")
+        stage = Stage(
+            "position",
+            lambda: self._observe(step, entry, visit, watcher, ahead, seen),
+            self.queue.stage_timeout_s,
+            lambda: self.held.lock.forbidden,
+            lambda: beside(watcher.end),
+        )
+        self.progress(f"field {step.field}, repeat {step.repeat + 1}, dither {step.dither + 1}")
+        try:
+            await self.stages.run(stage, visit)
+        except FAILURES as error:
+            await self._failed(visit, step, reason(error))
+            return
+        except BaseException:
+            await beside(self._over, visit, VisitState.INTERRUPTED, "stopped")
+            raise
+        await beside(self._ready, visit, step, seen[-1], ahead)
+        await self._settled()
+
+    def _begin_visit(self, step: Position) -> int:
+        attempt = 1 + sum(v.part == (step.field, step.repeat, step.dither) for v in self._state().visits)
+        which = {"field": step.field, "repeat": step.repeat, "dither": step.dither, "attempt": attempt}
+        self.parked = False
+        return self.book.begin_visit(self.clock.now(), VisitState.POSITIONING.value, which)
+
+    def _taken_ahead(self, step: Position, entry: FieldEntry) -> Ahead | None:
+        """What was made ahead, if it was for this place as it is now; it is used once."""
+        ahead, self.ahead = self.ahead, None
+        if ahead is None or (ahead.assigned.step, ahead.assigned.entry) != (step, entry):
+            return None
+        return ahead
+
+    async def _observe(
+        self,
+        step: Position,
+        entry: FieldEntry,
+        visit: int,
+        watcher: StepWatcher,
+        ahead: Ahead | None,
+        seen: list[Observation],
+    ) -> None:
+        setup = self.setup
+        targets = await asyncio.to_thread(setup.targets, entry, step.dither)
+        if ahead is None:
+            watcher.say("assigning targets")
+            made = await asyncio.to_thread(setup.assigned, step, entry, self.assigned)
+        else:
+            made = ahead.assigned
+        observer = Observer(
+            setup.known.plane,
+            setup.known,
+            Place(setup.out, NUMBERED),
+            setup.command_line,
+            setup.source.about() | {"night": self.book.id, "visit": visit},
+            watcher,
+            motion=self._maker(watcher, ahead),
+            assigned=(made.plane, made.assignment),
+            begun=lambda run: self.book.change_visit(visit, run_id=run),
+        )
+        settings = ObserveSettings(corrections=entry.corrections, seed=setup.seed)
+        seen.append(await observer.observe(targets, settings, self._connect))
+        self.assigned = made
+
+    async def _connect(self) -> Hardware:
+        """The bus that is open; motors of another kind are opened anew."""
+        if self.hardware.transport is None:
+            self.hardware = await self.setup.source.open()
+        return self.hardware
+
+    def _maker(self, watcher: StepWatcher, ahead: Ahead | None) -> Callable[..., FieldMotion]:
+        def make(
+            plane: FocalPlane, maps: Any, hardware: Hardware, recorder: Recorder, say: Callable[[str], None]
+        ) -> FieldMotion:
+            self.motion = self.held.motion(plane, maps, hardware, recorder, say)
+            self.motion.ahead = None if ahead is None else ahead.plan
+            self._follow(self.motion)
+            watcher.say("begin check")
+            return self.motion
+
+        return make
+
+    def _follow(self, motion: FieldMotion) -> None:
+        """The clock waits on the bus of the motion, which has to be heard while it lasts."""
+        if isinstance(self.clock, BusClock):
+            self.clock.bus = motion.drive
+
+    def _ready(self, visit: int, step: Position, seen: Observation, ahead: Ahead | None) -> None:
+        summary, last = seen.summary(), seen.moves[-1]
+        planned = "" if ahead is None or ahead.plan is None else ahead.plan.told
+        figures = {
+            "run_id": seen.about["run"],
+            "plan_digest": digest_of(seen.moves[0].plan),
+            "plan_from": planned or "planned now",
+            "on_target": summary["n_within_requirement"],
+            "assigned": summary["n_assigned"],
+            "rms_um": summary["moves"][-1]["measured_rms_um"],
+        }
+        self.book.change_visit(visit, state=VisitState.READY.value, **figures)
+        if last.interrupted:
+            self._alarm("cut short", "warning", f"visit {visit}", "not all positioners are at their goals")
+        if figures["on_target"] < self.queue.require * figures["assigned"]:
+            text = f"{figures['on_target']} of {figures['assigned']} fibres are within the requirement"
+            self._alarm("on target", "warning", f"field {step.field}", text)
+        self._alarms_of(seen.about["run"])
+
+    def _alarms_of(self, run: int) -> None:
+        """What a run has told an operator becomes an alarm of the night."""
+        events = self.book.store.events(run)
+        for kind, text, positioner in zip(
+            events["kind"].tolist(), events["text"].tolist(), events["positioner_id"].tolist(), strict=True
+        ):
+            if kind in ALARMING:
+                known = positioner == positioner
+                self._alarm(kind, ALARMING[kind], f"positioner {int(positioner)}" if known else "array", text)
+
+    async def _failed(self, visit: int, step: Position, why: str) -> None:
+        await beside(self._over, visit, VisitState.FAILED, why)
+        await beside(self._alarm, "visit", "alarm", f"field {step.field}", why)
+        self.held.leave(ArrayStep.LOSE, why)
+        await self._settled()
+
+    def _over(self, visit: int, state: VisitState, note: str) -> None:
+        self.book.change_visit(visit, state=state.value, utc_end=self.clock.now(), note=note)
+
+    async def _settled(self) -> None:
+        """The array is at rest; where arms touch they are moved apart, three times in a night at most."""
+        if self.held.lock.state is not SessionState.LOCKED:
+            await beside(self.held.settle)
+        while self.held.lock.state is SessionState.LOCKED:
+            self.recoveries += 1
+            why = self.held.lock.text
+            await beside(self._alarm, "collision", "alarm", "array", why)
+            if self.recoveries > RECOVERIES:
+                raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
+            stage = Stage("recover", self._recover, self.queue.stage_timeout_s)
+            with contextlib.suppress(*FAILURES):
+                await self.stages.run(stage)
+
+    async def _recover(self) -> None:
+        async with entered(self._start_run) as run:
+            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
+            try:
+                await motion.connect()
+                if await Recovery(motion, False).run():
+                    await fold(motion)
+            finally:
+                await motion.close()
+
+    def _start_run(self) -> Any:
+        plane = self.setup.known.plane
+        return self.book.store.start_run(
+            command_line=self.setup.command_line,
+            instrument=plane.instrument.name,
+            config_hash=plane.config_hash(),
+            seed=self.setup.seed,
+        )
+
+    def _plain_motion(self, recorder: Recorder) -> Any:
+        """A motion without targets."""
+        known = self.setup.known
+        motion = self.held.motion(known.plane, known.maps, self.hardware, recorder, self.progress)
+        self._follow(motion)
+        return motion
+
+    # exposing
+
+    async def _expose(self, step: Expose) -> None:
+        visit = (await beside(self.book.visits))[-1]
+        entry = self.queue.entry(visit.field)
+        assert entry is not None
+        stage = Stage(
+            f"expose {step.number}",
+            lambda: self._exposed(visit, entry, step.number),
+            entry.exposure_s + SHUTTER_SLACK_S,
+        )
+        try:
+            await self.stages.run(stage, visit.id)
+        except TimeoutError as error:
+            await beside(self._over, visit.id, VisitState.FAILED, f"the shutter: {error}")
+            await beside(self._alarm, "shutter", "alarm", f"field {visit.field}", f"the shutter: {error}")
+
+    async def _exposed(self, visit: VisitRecord, entry: FieldEntry, number: int) -> None:
+        tries = sum(e.visit_id == visit.id for e in await beside(self.book.exposures))
+        key = f"night {self.book.id} visit {visit.id} exposure {number}.{tries + 1}"
+        await beside(self._begin_exposing, visit.id)
+        exposure = await beside(self.book.ask_exposure, visit.id, number, key, entry.exposure_s)
+        self.held.lock.forbidden = "the shutter is open"
+        await self.shutter.start(key, entry.exposure_s)
+        planning = asyncio.create_task(self._plan_ahead(visit, entry))
+        try:
+            await self._until_closed(key, exposure, entry.exposure_s)
+            self.held.lock.forbidden = ""
+        finally:
+            # what is not ready by now is of use still: it would be made now
+            await asyncio.wait({planning})
+        with contextlib.suppress(*FAILURES):
+            self.ahead = planning.result()
+
+    def _begin_exposing(self, visit: int) -> None:
+        self.book.change_visit(visit, state=VisitState.EXPOSING.value)
+
+    async def _until_closed(self, key: str, exposure: int, asked_s: float) -> None:
+        """Waits until the shutter is closed; both its times are on record as soon as they are known."""
+        noted = False
+        while True:
+            seen = await self.shutter.seen(key)
+            if seen.start is not None and not noted:
+                await beside(self._note_exposure, exposure, "utc_start", seen.start)
+                noted = True
+            if seen.end is not None:
+                await beside(self._note_exposure, exposure, "utc_end", seen.end)
+                return
+            await self.clock.sleep(_left_s(seen.start, asked_s, self.clock.now()))
+
+    def _note_exposure(self, exposure: int, what: str, when: datetime) -> None:
+        self.book.change_exposure(exposure, **{what: when})
+
+    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry) -> Ahead | None:
+        """Assigns and plans what comes after this exposure, from where all are: nothing moves meanwhile."""
+        state = (await beside(self._state)).visits
+        exposed = replace(state[-1], exposed=state[-1].exposed + 1)
+        done = NightState((*state[:-1], exposed)).exposed(exposed.part) >= entry.exposures
+        after = replace(exposed, state=VisitState.DONE) if done else exposed
+        end = self.clock.now() + timedelta(seconds=entry.exposure_s)
+        step = next_step(NightState((*state[:-1], after)), self.queue, end)
+        if not isinstance(step, Position):
+            return None
+        wanted = self.queue.entry(step.field)
+        assert wanted is not None
+        made = await asyncio.to_thread(self.setup.assigned, step, wanted, self.assigned)
+        return Ahead(made, await self._planned(made))
+
+    async def _planned(self, made: Assigned) -> PlannedAhead | None:
+        motion = self.motion
+        if motion is None or made.plane.collision_buffer_mm != motion.plane.collision_buffer_mm:
+            return None
+        goals = Goals.of(self.setup.known.led(made.plane, made.assignment, None))
+        mobile: Flags = motion.state.mobile
+        wanted = motion.wanted(goals, goals.angles_deg, mobile, self.setup.seed)
+        programme = await motion.drive.prepare(wanted)
+        return PlannedAhead(programme.plan, wanted.here_deg.copy(), wanted.goal_deg.copy())
+
+    # the rest
+
+    def _close(self, step: Close) -> None:
+        visit = self.book.visits()[-1]
+        self._over(visit.id, step.state, step.why)
+        if step.why:
+            self._alarm("visit", "warning", f"field {visit.field}", step.why)
+
+    async def _wait(self, step: Wait) -> None:
+        left_s = (step.until - self.clock.now()).total_seconds()
+        stage = Stage("wait", lambda: self.clock.sleep(min(left_s, MOST_WAIT_S)), 2.0 * MOST_WAIT_S)
+        await self.stages.run(stage)
+
+    async def _park(self) -> None:
+        try:
+            stage = Stage("park", self._fold, self.queue.stage_timeout_s, lambda: self.held.lock.forbidden)
+            await self.stages.run(stage)
+        except FAILURES as error:
+            await beside(self._alarm, "park", "alarm", "array", reason(error))
+            raise NightStoppedError(f"the array is not parked: {reason(error)}; `fiberloom park`") from None
+        await self._settled()
+        self.parked = True
+
+    async def _fold(self) -> None:
+        async with entered(self._start_run) as run:
+            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
+            try:
+                await motion.connect()
+                await declare_seen_right(motion)
+                await fold(motion)
+            finally:
+                await motion.close()
+
+
+ALARMING = {"alarm": "alarm", "collision": "alarm", "camera": "information"}
+"""Kinds of events of a run that are alarms, by their severity."""
+
+
+def _left_s(start: datetime | None, asked_s: float, now: datetime) -> float:
+    """How long to sleep until a shutter is to be closed; a moment where it does not say."""
+    if start is None:
+        return 0.5
+    return max((start - now).total_seconds() + asked_s, 0.05)
+
+
+def state_of(book: NightBook, parked: bool = False) -> NightState:
+    """What was done in a night, by its `book`; `parked`: it was folded since the last visit."""
+    ended = [exposure.visit_id for exposure in book.exposures() if exposure.utc_end is not None]
+    visits = [
+        Visited(v.field, v.repeat, v.dither, VisitState(v.state), ended.count(v.id)) for v in book.visits()
+    ]
+    return NightState(tuple(visits), parked)
+
+
+def last_time(book: NightBook) -> datetime | None:
+    """The latest time on record of a night that has begun; None: it has not."""
+    ends = [stage.utc_start + timedelta(seconds=stage.duration_s) for stage in book.stages()]
+    ends += [visit.utc_start for visit in book.visits()]
+    ends += [when for exposure in book.exposures() for when in (exposure.utc_start, exposure.utc_end) if when]
+    return max(ends, default=None)

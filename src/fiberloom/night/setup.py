@@ -1,0 +1,141 @@
+"""What a night is made of: the array as it is known, its queue, its folder, its clock and its shutter."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from fiberloom.assignment import Assignment, AssignSettings, assign_relaxed
+from fiberloom.drive.port import Drive
+from fiberloom.drive.sdssv import SdssvDrive
+from fiberloom.drive.way_rules import way_rule
+from fiberloom.hardware import Hardware
+from fiberloom.instruments import FocalPlane
+from fiberloom.night.clock import BusClock, NightClock, WorldClock
+from fiberloom.night.queue import FieldEntry, Queue, read_queue
+from fiberloom.night.shutter import Shutter, TimedShutter
+from fiberloom.night.step import Position
+from fiberloom.operation.known import Known
+from fiberloom.operation.safety.stop import to_its_end
+from fiberloom.operation.series.follow import followed
+from fiberloom.operation.session.session import KnownArray
+from fiberloom.operation.source import LeftOpen, Source
+from fiberloom.store.nights.book import NightBook
+from fiberloom.targets import TargetList, read_targets
+from fiberloom.units import UM_PER_MM
+
+ShutterMaker = Callable[["NightSetup", NightBook, NightClock], Shutter]
+
+
+def timed_shutter(setup: NightSetup, book: NightBook, clock: NightClock) -> Shutter:
+    """A timer that keeps its log in the folder of the night: of `setup`, `book` and `clock`."""
+    folder = setup.folder(book.id)
+    folder.mkdir(parents=True, exist_ok=True)
+    return TimedShutter(folder / "exposures.jsonl", clock)
+
+
+@dataclass(frozen=True, eq=False)
+class Assigned:
+    """A place of a field, and which positioner takes which target there."""
+
+    step: Position
+    entry: FieldEntry
+    """As the queue had it."""
+    plane: FocalPlane
+    """With the collision buffer that holds."""
+    assignment: Assignment
+
+
+@dataclass
+class NightSetup:
+    """What a night is made of."""
+
+    known: Known
+    """Layout and maps."""
+    array: KnownArray
+    """The same, with its bus and what is on record of it."""
+    queue_file: Path
+    out: Path
+    """Folder of store, runs and nights."""
+    command_line: str
+    seed: int = 0
+    exclude: tuple[int, ...] = ()
+    virtual: bool = False
+    """The time is that of the bus."""
+    reborn: bool = True
+    """The time of the bus begins anew with each process."""
+    shutter: ShutterMaker = timed_shutter
+
+    @property
+    def source(self) -> Source:
+        """Where bus and camera come from."""
+        return self.array.source
+
+    def folder(self, night: int) -> Path:
+        """Of the files of a night, by its number."""
+        return self.out / f"night-{night:04d}"
+
+    def read_queue(self) -> Queue:
+        """As it is now."""
+        return read_queue(self.queue_file)
+
+    def clock(self, drive: Drive, queue: Queue, last: datetime | None) -> NightClock:
+        """The clock of a night.
+
+        `drive`: whose bus tells the time, where it is virtual; `queue`: says when it begins; `last`: the
+        latest time on record of a night that goes on.
+        """
+        if not self.virtual:
+            return WorldClock()
+        zero = queue.begin or (last or datetime.now(UTC))
+        if last is not None and self.reborn:
+            zero = last
+        return BusClock(zero - timedelta(seconds=drive.time_s if self.reborn else 0.0), drive)
+
+    @asynccontextmanager
+    async def opened(self) -> AsyncIterator[Hardware]:
+        """Bus and camera; a bus that carries frames stays open from one visit to the next."""
+        hardware = await self.source.open()
+        transport = hardware.transport
+        try:
+            yield hardware if transport is None else replace(hardware, transport=LeftOpen(transport))
+        finally:
+            if transport is not None:
+                await to_its_end(transport.close())
+
+    def drive(self, hardware: Hardware) -> Drive:
+        """The motors of `hardware`, to wait with before anything was moved."""
+        return hardware.drive or SdssvDrive(self.known.plane, self.known.maps, hardware.bus)
+
+    # fields
+
+    def targets(self, entry: FieldEntry, dither: int) -> TargetList:
+        """Targets of a field, moved by one of its dithers; mm. InputError names the file."""
+        shift_mm = np.array(entry.dithers_um[dither]) / UM_PER_MM
+        found = read_targets(entry.targets, entry.field, self.known.plane.instrument.name)
+        return found.moved(shift_mm) if shift_mm.any() else found
+
+    def assign(self, targets: TargetList) -> tuple[FocalPlane, Assignment]:
+        """Which positioner takes which of the `targets`, as an observation would."""
+        how = AssignSettings(ways=way_rule(self.known.plane))
+        return assign_relaxed(self.known.plane, self.known.aims(targets), seed=self.seed, settings=how)
+
+    def assigned(self, step: Position, entry: FieldEntry, before: Assigned | None = None) -> Assigned:
+        """What a `step` to its field, `entry`, assigns; `before`: the place that the fibres are on.
+
+        From one dither of a field to the next every fibre keeps its target.
+        """
+        if before is None or (before.step.field, before.entry) != (step.field, entry):
+            return Assigned(step, entry, *self.assign(self.targets(entry, step.dither)))
+        dithers_mm = np.array(entry.dithers_um) / UM_PER_MM
+        shift_mm = dithers_mm[step.dither] - dithers_mm[before.step.dither]
+        goal_deg = followed(
+            before.plane, before.assignment, np.tile(shift_mm, (before.plane.n, 1))
+        ).angles_deg
+        moved = replace(before.assignment, alpha_deg=goal_deg[:, 0], beta_deg=goal_deg[:, 1])
+        return Assigned(step, entry, before.plane, moved)

@@ -1,0 +1,1 @@
+"""The record of nights: queues, visits, stages, exposures, commands, alarms."""

@@ -1,0 +1,217 @@
+"""What a store keeps of a night. Every call is one transaction: the intent before the deed, the result after.
+
+Times are given by the caller: a night has a clock of its own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any, TypeVar
+
+from sqlalchemy import select
+
+from fiberloom.errors import InputError
+from fiberloom.store.database import Store
+from fiberloom.store.nights.records import (
+    AlarmRecord,
+    CommandRecord,
+    ExposureRecord,
+    FieldRecord,
+    NightRecord,
+    StageRecord,
+    VisitRecord,
+    record_of,
+)
+from fiberloom.store.process import host_name, process_start
+from fiberloom.store.run import RUNNING
+from fiberloom.store.schema import (
+    AlarmRow,
+    Base,
+    CommandRow,
+    ExposureRow,
+    FieldRow,
+    NightRow,
+    StageRow,
+    VisitRow,
+)
+from fiberloom.store.sums import change, checked, put, put_one
+from fiberloom.version import __version__
+
+Record = TypeVar("Record")
+
+
+def _this_process() -> dict[str, Any]:
+    return {"host": host_name(), "pid": os.getpid(), "process_start": process_start(os.getpid())}
+
+
+def nights(store: Store) -> list[NightRecord]:
+    """All nights of a store, oldest first."""
+    with store.transaction() as connection:
+        return [record_of(NightRecord, row) for row in checked(connection, NightRow)]
+
+
+def night_of(store: Store, number: int | None = None) -> NightRecord:
+    """A night by its number, the last one without. InputError where there is none."""
+    found = [night for night in nights(store) if number in (None, night.id)]
+    if not found:
+        which = "no night in it" if number is None else f"no night {number} in it"
+        raise InputError(f"{store.name}: {which}; `fiberloom night QUEUE` begins one")
+    return found[-1]
+
+
+class NightBook:
+    """The record of one night, read and written."""
+
+    def __init__(self, store: Store, night: int) -> None:
+        """`store`: that it is in; `night`: its number."""
+        self.store, self.id = store, night
+
+    @classmethod
+    def begin(cls, store: Store, utc: datetime, about: Mapping[str, Any]) -> NightBook:
+        """A new night from `utc` on.
+
+        `about`: columns name, queue, array, instrument, config_hash, seed, command_line.
+        """
+        own = {"utc_start": utc, "version": __version__, "status": RUNNING, "note": ""}
+        with store.transaction() as connection:
+            return cls(store, put_one(connection, NightRow, {**about, **own, **_this_process()}))
+
+    def take_over(self) -> None:
+        """This process goes on with it. InputError where another one has it that is not certainly gone."""
+        night = self.about
+        if night.goes_on:
+            raise InputError(
+                f"night {self.id} goes on in process {night.pid} on {night.host}; wait for its end"
+            )
+        self._change(NightRow, self.id, {"status": RUNNING, "utc_end": None, **_this_process()})
+
+    def end(self, utc: datetime, status: str, note: str = "") -> None:
+        """Books the end: `status` finished, failed or interrupted, and a `note`."""
+        self._change(NightRow, self.id, {"utc_end": utc, "status": status, "note": note})
+
+    @property
+    def about(self) -> NightRecord:
+        """The night itself."""
+        with self.store.transaction() as connection:
+            (row,) = checked(connection, NightRow, NightRow.id == self.id)
+            return record_of(NightRecord, row)
+
+    # queue and visits
+
+    def note_field(self, name: str, entry: str, state: str, reason: str = "") -> None:
+        """A field of the queue: its `name`, its `entry` as JSON, its `state`, and the `reason` of that."""
+        values = {"entry": entry, "state": state, "reason": reason}
+        mine = (FieldRow.night_id == self.id) & (FieldRow.name == name)
+        with self.store.transaction() as connection:
+            if not change(connection, FieldRow, mine, values):
+                put(connection, FieldRow, [{"night_id": self.id, "name": name, **values}])
+
+    def begin_visit(self, utc: datetime, state: str, which: Mapping[str, Any]) -> int:
+        """A visit that is about to begin; its number. `which`: field, repeat, dither, attempt."""
+        return self._put(VisitRow, {**which, "state": state, "utc_start": utc, "note": ""})
+
+    def change_visit(self, visit: int, **values: Any) -> None:
+        """New `values` of a `visit`, by column."""
+        self._change(VisitRow, visit, values)
+
+    def note_stage(self, utc: datetime, stage: Mapping[str, Any]) -> None:
+        """A stage that began at `utc` and has ended: visit_id, name, duration_s, wall_s, outcome."""
+        self._put(StageRow, {**stage, "utc_start": utc})
+
+    # exposures
+
+    def ask_exposure(self, visit: int, number: int, key: str, asked_s: float) -> int:
+        """An exposure that is about to be asked for; its number in the store.
+
+        `visit`: that it belongs to; `number`: from 1; `key`: unique; `asked_s`: its duration, s.
+        """
+        values = {"visit_id": visit, "number": number, "key": key, "asked_s": asked_s}
+        return self._put(ExposureRow, values)
+
+    def change_exposure(self, exposure: int, **values: Any) -> None:
+        """New `values` of an `exposure`: utc_start when the shutter has opened, utc_end when it is closed."""
+        self._change(ExposureRow, exposure, values)
+
+    # commands and alarms
+
+    def note_command(
+        self, utc: datetime, who: str, command: str, result: str, key: str | None = None
+    ) -> bool:
+        """A `command` of `who` at `utc`, and its `result`; False where one with its `key` is on record."""
+        with self.store.transaction() as connection:
+            query = select(CommandRow.id).where(CommandRow.key == key)
+            if key is not None and connection.execute(query).first() is not None:
+                return False
+            values = {"utc": utc, "who": who, "command": command, "result": result, "key": key}
+            put(connection, CommandRow, [{"night_id": self.id, **values}])
+        return True
+
+    def raise_alarm(self, utc: datetime, code: str, severity: str, subject: str, text: str) -> None:
+        """An alarm, or one more count of the same that is not cleared.
+
+        `utc`: now; `code`: its kind; `severity`: information, warning or alarm; `subject`: what it is about;
+        `text`: what is wrong and what to do.
+        """
+        with self.store.transaction() as connection:
+            mine = (AlarmRow.night_id == self.id) & (AlarmRow.code == code) & (AlarmRow.subject == subject)
+            there = checked(connection, AlarmRow, mine & AlarmRow.cleared.is_(None))
+            if there:
+                values = {"last": utc, "count": there[-1]["count"] + 1, "text": text}
+                change(connection, AlarmRow, AlarmRow.id == there[-1]["id"], values)
+                return
+            said = {"code": code, "severity": severity, "subject": subject, "text": text}
+            own = {"night_id": self.id, "since": utc, "last": utc, "count": 1, "acknowledged_by": ""}
+            put(connection, AlarmRow, [{**own, **said}])
+
+    def clear_alarm(self, utc: datetime, code: str, subject: str) -> None:
+        """The cause of an alarm is gone: of this `code` and `subject`."""
+        mine = (AlarmRow.night_id == self.id) & (AlarmRow.code == code) & (AlarmRow.subject == subject)
+        with self.store.transaction() as connection:
+            change(connection, AlarmRow, mine & AlarmRow.cleared.is_(None), {"cleared": utc})
+
+    def acknowledge(self, alarm: int, utc: datetime, who: str) -> None:
+        """`who` has seen an `alarm`; the first one counts."""
+        mine = (AlarmRow.id == alarm) & AlarmRow.acknowledged.is_(None)
+        with self.store.transaction() as connection:
+            change(connection, AlarmRow, mine, {"acknowledged": utc, "acknowledged_by": who})
+
+    # all of it
+
+    def fields(self) -> list[FieldRecord]:
+        """The queue as it was last read, in its order."""
+        return self._all(FieldRow, FieldRecord)
+
+    def visits(self) -> list[VisitRecord]:
+        """In their order."""
+        return self._all(VisitRow, VisitRecord)
+
+    def stages(self) -> list[StageRecord]:
+        """In the order in which they ended."""
+        return self._all(StageRow, StageRecord)
+
+    def exposures(self) -> list[ExposureRecord]:
+        """In their order."""
+        return self._all(ExposureRow, ExposureRecord)
+
+    def commands(self) -> list[CommandRecord]:
+        """In their order."""
+        return self._all(CommandRow, CommandRecord)
+
+    def alarms(self) -> list[AlarmRecord]:
+        """In their order."""
+        return self._all(AlarmRow, AlarmRecord)
+
+    def _all(self, row: type[Base], kind: type[Record]) -> list[Record]:
+        with self.store.transaction() as connection:
+            rows: Sequence[Mapping[Any, Any]] = checked(connection, row, row.__table__.c.night_id == self.id)
+            return [record_of(kind, values) for values in rows]
+
+    def _put(self, row: type[Base], values: Mapping[str, Any]) -> int:
+        with self.store.transaction() as connection:
+            return put_one(connection, row, {"night_id": self.id, **values})
+
+    def _change(self, row: type[Base], number: int, values: Mapping[str, Any]) -> None:
+        with self.store.transaction() as connection:
+            change(connection, row, row.__table__.c.id == number, values)

@@ -1,0 +1,1 @@
+"""Care of stores: older ones brought up to date, checked, copied."""

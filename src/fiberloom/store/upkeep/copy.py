@@ -1,0 +1,45 @@
+"""All rows of a store into another one, e.g. from a file into an observatory's database, or back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, Table, func, insert, select, text
+
+from fiberloom.errors import InputError
+from fiberloom.store.database import Store
+from fiberloom.store.schema import Base, RunRow, SchemaRow
+from fiberloom.store.sums import Row, checked
+
+_AT_ONCE = 1000
+
+
+def copy_store(source: Store, target: Store) -> dict[str, int]:
+    """Copies every row, with its number and its sum: rows by table. All or nothing.
+
+    Raises
+    ------
+    InputError
+        The target is not empty; a row of the source is damaged.
+    """
+    with source.transaction() as old, target.transaction() as new:
+        if new.execute(select(func.count()).select_from(RunRow)).scalar_one():
+            raise InputError(f"store '{target.name}': is not empty; name a new one")
+        rows = {mapper.local_table: mapper.class_ for mapper in Base.registry.mappers}
+        counts = {}
+        for table in Base.metadata.sorted_tables:
+            if (row := rows[table]) is not SchemaRow:
+                counts[table.name] = _put(new, table, checked(old, row))
+        return counts
+
+
+def _put(connection: Connection, table: Table, rows: Sequence[Row]) -> int:
+    plain = [dict(row) for row in rows]
+    for first in range(0, len(plain), _AT_ONCE):
+        connection.execute(insert(table), plain[first : first + _AT_ONCE])
+    if plain and "id" in table.c and connection.dialect.name == "postgresql":  # numbers go on after the last
+        last = (
+            f"SELECT setval(pg_get_serial_sequence('{table.name}', 'id'), (SELECT max(id) FROM {table.name}))"
+        )
+        connection.execute(text(last))
+    return len(plain)
