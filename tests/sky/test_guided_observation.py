@@ -14,6 +14,8 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.move import Goals
 from fiberloom.operation.series.guided import FARTHEST_MM, IMAGES, Guiding
+from fiberloom.operation.series.reach import to_the_end
+from fiberloom.operation.series.steps import followed
 from fiberloom.operation.stopping import StopRule
 from fiberloom.sky.guiding import FieldOffset
 from fiberloom.sky.pointed import offset_report, plate_um_arcsec
@@ -305,7 +307,6 @@ class Camera:
 
 def test_a_target_that_goes_out_of_reach_is_followed_to_the_end_of_the_arms(field):
     plane, _, assignment = field
-    from fiberloom.operation.series.follow import followed
 
     row = int(np.flatnonzero(assignment.target >= 0)[0])
     fibre = str(assignment.fibre[row])
@@ -317,7 +318,7 @@ def test_a_target_that_goes_out_of_reach_is_followed_to_the_end_of_the_arms(fiel
     out = here_mm - plane.centres_mm[row]
     shift_mm = np.zeros((plane.n, 2))
     shift_mm[row] = 30.0 * out / np.hypot(*out)
-    found = followed(plane, assignment, shift_mm)
+    found = to_the_end(plane, assignment, shift_mm, followed(plane, assignment, shift_mm))
     there_mm = at(found.angles_deg[row])
     assert there_mm + found.short_mm[row] == pytest.approx(here_mm + shift_mm[row], abs=1e-9)
     # stretched, on the line to the target
