@@ -1,7 +1,7 @@
 """An hour at airmass 1.4 with a full field of SDSS-V: twelve exposures, fibres re-positioned between.
 
 `python -m benchmarks.sky.series [--errors pointing] [--out DIR]` writes a list of stars and a field file into
-DIR, then runs `fiberloom observe` on them. Minutes; the first time some more, for the calibration of the twin.
+DIR, then runs `fiberloom observe` on them. Minutes; the first time some more, for the twin's calibration.
 """
 
 from __future__ import annotations
