@@ -187,7 +187,7 @@ def _in_reach(one: Mapping[str, Any]) -> str:
     """Where targets have gone out of reach, in words."""
     if "out_of_reach" not in one:
         return ""
-    return f", {one['worst_in_reach_um']:.1f} without {one['out_of_reach']} whose targets are out of reach"
+    return f", {one['worst_in_reach_um']:.1f} without {one['out_of_reach']} out of reach"
 
 
 def guiding_lines(summary: Mapping[str, Any]) -> list[str]:
