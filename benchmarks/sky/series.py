@@ -1,7 +1,7 @@
 """An hour at airmass 1.4 with a full field of SDSS-V: twelve exposures, fibres re-positioned between.
 
-`python -m benchmarks.sky.series [--out DIR]` writes a list of stars and a field file into DIR, then runs
-`fiberloom observe` on them. Minutes; the first time some more, for the calibration of the twin.
+`python -m benchmarks.sky.series [--errors pointing] [--out DIR]` writes a list of stars and a field file into
+DIR, then runs `fiberloom observe` on them. Minutes; the first time some more, for the twin's calibration.
 """
 
 from __future__ import annotations
@@ -40,11 +40,14 @@ def stars() -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("build/bench/series"))
-    folder = parser.parse_args().out
+    parser.add_argument("--errors", default="none", help="of the twin, as observe takes them")
+    asked = parser.parse_args()
+    folder = asked.out
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "stars.csv").write_text(stars())
     (folder / "field.toml").write_text(FIELD)
-    words = ["observe", "stars.csv", "--field", "field.toml", "--camera", "noise", "--out", "observed"]
+    words = ["observe", "stars.csv", "--field", "field.toml", "--camera", "noise", "--errors", asked.errors]
+    words += ["--out", "observed" if asked.errors == "none" else "guided"]
     command = [sys.executable, "-m", "fiberloom.cli", *words, "--exposures", str(EXPOSURES)]
     return subprocess.run(command, cwd=folder, check=False).returncode
 

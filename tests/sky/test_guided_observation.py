@@ -14,6 +14,8 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.move import Goals
 from fiberloom.operation.series.guided import FARTHEST_MM, IMAGES, Guiding
+from fiberloom.operation.series.reach import to_the_end
+from fiberloom.operation.series.steps import followed
 from fiberloom.operation.stopping import StopRule
 from fiberloom.sky.guiding import FieldOffset
 from fiberloom.sky.pointed import offset_report, plate_um_arcsec
@@ -305,7 +307,6 @@ class Camera:
 
 def test_a_target_that_goes_out_of_reach_is_followed_to_the_end_of_the_arms(field):
     plane, _, assignment = field
-    from fiberloom.operation.series.follow import followed
 
     row = int(np.flatnonzero(assignment.target >= 0)[0])
     fibre = str(assignment.fibre[row])
@@ -317,7 +318,7 @@ def test_a_target_that_goes_out_of_reach_is_followed_to_the_end_of_the_arms(fiel
     out = here_mm - plane.centres_mm[row]
     shift_mm = np.zeros((plane.n, 2))
     shift_mm[row] = 30.0 * out / np.hypot(*out)
-    found = followed(plane, assignment, shift_mm)
+    found = to_the_end(plane, assignment, shift_mm, followed(plane, assignment, shift_mm))
     there_mm = at(found.angles_deg[row])
     assert there_mm + found.short_mm[row] == pytest.approx(here_mm + shift_mm[row], abs=1e-9)
     # stretched, on the line to the target
@@ -337,3 +338,32 @@ def test_the_loop_does_not_wait_for_what_is_out_of_reach():
     short_mm[3] = [0.05, 0.0]
     loop.goals = replace(loop.goals, short_mm=short_mm)
     assert np.flatnonzero(loop._out_of_reach).tolist() == [3]
+
+
+def test_a_fibre_at_the_end_of_its_arms_is_said_to_be_off_its_star(tmp_path):
+    """By the image, in the fibre map and by name: not as if its target were where it can go."""
+    import fiberloom as fl
+    from fiberloom.health.status import FibreStatus
+    from fiberloom.operation.results.fibermap import fibermap
+
+    seed, plane = 3, FocalPlane.of("sdssv", seed=0, n=7)
+    stars, field_file = listed(tmp_path, 8)
+    chain = read_targets(stars, field_file).on_sky.chain
+    off_mm = TwinGuider(PointingSizes().times(2.0), seed).truth(chain).offset_mm
+    reach_mm = plane.l_alpha_mm[0] + np.hypot(*plane.points["BOSS"][0])
+    end_mm = plane.centres_mm[0] + (reach_mm - 0.03) * off_mm / np.hypot(*off_mm)
+    ra, dec = chain.sky(end_mm, chain.wavelength_of("BOSS"))[0]
+    number = int(plane.positioner_id[0])
+    rows = [f"end,{ra:.9f},{dec:.9f},BOSS,{number}", *(f"{row}," for row in guides(8))]
+    stars.write_text("source_id,ra,dec,fibre,positioner_id\n" + "\n".join(rows) + "\n")
+    twin = fl.Field(plane, open_hardware(plane, "twin:", "noise", seed=seed, errors="pointing=2"), seed)
+    seen = twin.run.observe(read_targets(stars, field_file), out=tmp_path / "out")
+    assert seen.about["guiding"][0]["out_of_reach"] == [number]
+    last, short_um = seen.final, 1e3 * np.hypot(*seen.final.short_mm[0])
+    assert short_um > 30.0
+    assert last.measured_error_um[0] == pytest.approx(short_um, abs=5.0)
+    assert seen.true_error_um(last)[0] == pytest.approx(short_um, abs=5.0)
+    assert last.status[0] is FibreStatus.OFF_TARGET
+    table = fibermap(seen)
+    (mine,) = table[table["TARGET_ID"] == "end"]
+    assert [mine["X_MM"], mine["Y_MM"]] == pytest.approx(last.true_mm[0], abs=5e-3)

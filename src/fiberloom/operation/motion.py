@@ -274,6 +274,7 @@ class FieldMotion:
             metrology_goal_mm=made.goals.metrology_mm,
             target_mm=made.goals.target_mm,
             star_mm=made.goals.star_mm,
+            short_mm=made.goals.short_mm,
             pointed=made.goals.pointed,
             **truths(self.hardware.truth, made.goals, self.pointing),
             status=self.state.status(made.goals.has_target, error_um),

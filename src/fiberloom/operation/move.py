@@ -89,6 +89,8 @@ class Move:
     """(N, 2) where the targets were, once they have gone from where the list has them; None: as there."""
     star_mm: Floats | None = None
     """(N, 2) where they were in truth, of a twin whose telescope points off; None: as in `target_mm`."""
+    short_mm: Floats | None = None
+    """(N, 2) from where the fibres could come to targets that have gone out of reach; None: none has."""
     pointed: FieldOffset | None = None
     """What guide stars have told, and is in `target_mm`; None: nothing."""
 

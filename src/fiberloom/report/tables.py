@@ -177,10 +177,17 @@ def series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     """How near the fibres were to guided targets in each exposure of a series."""
     return [
         f"exposure {one['exposure']}, {one['begin_s'] / 60.0:.0f} to {one['end_s'] / 60.0:.0f} min: "
-        f"worst fibre {one['worst_um']:.1f} um (drift {one['drift_um']:.1f}); not re-positioned "
-        f"{one['worst_unless_moved_um']:.1f} um (drift {one['drift_unless_moved_um']:.1f})"
+        f"worst fibre {one['worst_um']:.1f} um{_in_reach(one)} (drift {one['drift_um']:.1f}); "
+        f"not re-positioned {one['worst_unless_moved_um']:.1f} um (drift {one['drift_unless_moved_um']:.1f})"
         for one in series
     ]
+
+
+def _in_reach(one: Mapping[str, Any]) -> str:
+    """Where targets have gone out of reach, in words."""
+    if "out_of_reach" not in one:
+        return ""
+    return f", {one['worst_in_reach_um']:.1f} without {one['out_of_reach']} out of reach"
 
 
 def guiding_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -30,7 +30,7 @@ FIBERMAP = "fibermap"
 """Names of parts of a whole run."""
 
 PLACES = (
-    *("metrology_goal_mm", "target_mm", "star_mm"),
+    *("metrology_goal_mm", "target_mm", "star_mm", "short_mm"),
     *("true_mm", "true_metrology_mm", "true_image_mm", "true_ends_mm"),
 )
 """Where fibres were to be in a move, and what a twin knows of where they were."""

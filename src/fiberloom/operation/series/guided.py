@@ -16,7 +16,8 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Guider
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Goals
-from fiberloom.operation.series.follow import followed
+from fiberloom.operation.series.reach import to_the_end
+from fiberloom.operation.series.steps import followed
 from fiberloom.report.tables import guide_line
 from fiberloom.sky.chain import Chain
 from fiberloom.sky.guiding import FieldOffset, GuideFit, fit_guiding
@@ -164,7 +165,9 @@ class Guiding:
         if (fit := found.applied) is None:
             return replace(goals, pointed=None)
         target_mm = fit.applied(self._places_mm(number))
-        reached = followed(self.plane, self.assignment, target_mm - self._places_mm(0))
+        shift_mm = target_mm - self._places_mm(0)
+        angles_deg = followed(self.plane, self.assignment, shift_mm)
+        reached = to_the_end(self.plane, self.assignment, shift_mm, angles_deg)
         short = (reached.short_mm != 0.0).any(axis=1)
         self.found[number] = replace(found, out_of_reach=tuple(self.plane.positioner_id[short].tolist()))
         aim = {"angles_deg": reached.angles_deg, "short_mm": reached.short_mm, "target_mm": target_mm}

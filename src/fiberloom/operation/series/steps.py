@@ -16,12 +16,12 @@ from fiberloom.assignment import Assignment
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.move import Move
-from fiberloom.operation.series.follow import followed
+from fiberloom.operation.series.reach import to_the_end
 from fiberloom.sky.drift import drift
 from fiberloom.sky.on_sky import OnSky
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats
-from fiberloom.units import UM_PER_MM
+from fiberloom.units import UM_PER_MM, wrap_deg
 
 MOST_EXPOSURES = 200
 
@@ -66,10 +66,11 @@ def steps_of(
     for number in range(exposures):
         after_s = number * sky.field.cadence_s
         there_mm = sky.places_mm(assignment.target, assignment.fibre, after_s)
-        found = followed(plane, assignment, there_mm - first_mm)
+        angles_deg = followed(plane, assignment, there_mm - first_mm)
         limit_um = _limit_um(plane, assignment, sky, after_s)
-        label = f"re-position {number}"
-        steps.append(SeriesStep(label, there_mm, found.angles_deg, found.short_mm, limit_um))
+        reached = to_the_end(plane, assignment, there_mm - first_mm, angles_deg)
+        aim = reached.angles_deg, reached.short_mm
+        steps.append(SeriesStep(f"re-position {number}", there_mm, *aim, limit_um))
     return steps
 
 
@@ -82,6 +83,22 @@ def _limit_um(plane: FocalPlane, assignment: Assignment, sky: OnSky, after_s: fl
     requirement_um = plane.instrument.operation.requirement_um
     left_um = requirement_um - drift_um - 2.0 * plane.instrument.metrology.noise_rms_um
     return np.maximum(left_um, requirement_um / 3.0)
+
+
+def followed(plane: FocalPlane, assignment: Assignment, shift_mm: Floats) -> Floats:
+    """Goals whose fibres are shifted: (N, 2) deg; as before where that is out of reach.
+
+    `plane`: of the `assignment` of N positioners; `shift_mm`: (N, 2) mm.
+    """
+    goal_deg = assignment.goal_deg.copy()
+    for fibre in np.unique(assignment.fibre[assignment.target >= 0]).tolist():
+        rows = np.flatnonzero((assignment.target >= 0) & (assignment.fibre == fibre))
+        before_deg = goal_deg[rows]
+        xy_mm = plane.forward(before_deg[:, 0], before_deg[:, 1], fibre, index=rows) + shift_mm[rows]
+        found = plane.inverse(xy_mm, fibre, rows, near_deg=before_deg)
+        turned_deg = wrap_deg(np.column_stack([found.alpha_deg, found.beta_deg]) - before_deg)
+        goal_deg[rows] += np.where(found.reachable[:, None], turned_deg, 0.0)
+    return goal_deg
 
 
 def series_about(
@@ -105,8 +122,19 @@ def series_about(
         names = ("worst_um", "worst_unless_moved_um", "drift_um", "drift_unless_moved_um")
         begin_s = number * sky.field.cadence_s
         about = {"exposure": number + 1, "begin_s": begin_s, "end_s": begin_s + sky.field.exposure_s}
-        rows.append(about | dict(zip(names, worst, strict=True)))
+        rows.append(
+            about | dict(zip(names, worst, strict=True)) | _reached(placed[number], followed, counted)
+        )
     return rows
+
+
+def _reached(move: Move, worst_um: Floats, counted: Flags) -> dict[str, Any]:
+    """Of those that reach their targets, where some do not any more."""
+    if move.short_mm is None:
+        return {}
+    short = counted & (move.short_mm != 0.0).any(axis=1)
+    in_reach_um = float(np.nanmax(worst_um[counted & ~short], initial=0.0))
+    return {"out_of_reach": int(short.sum()), "worst_in_reach_um": in_reach_um} if short.any() else {}
 
 
 def _off_mm(move: Move, first_mm: Floats) -> Floats:
