@@ -127,7 +127,8 @@ def test_workers_find_the_same(monkeypatch):
     """Threads in place of processes, which take seconds to start."""
     monkeypatch.setattr("fiberloom.design.sweep.SCHEDULER", "threads")
     ranges = {"pitch": [21.0, 22.4]}
-    assert sweep(SDSSV, ranges, QUICK, workers=2) == sweep(SDSSV, ranges, QUICK)
+    megara = load_instrument("megara")
+    assert sweep(megara, ranges, QUICK, workers=2) == sweep(megara, ranges, QUICK)
 
 
 def test_compare_and_power_print(fl):

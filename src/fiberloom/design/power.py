@@ -209,7 +209,8 @@ def _array(instrument: Instrument, plants: list[Records], settings: PowerSetting
 
 
 def limited(instrument: Instrument, limit_W: float, n: int | None = None, seed: int = 0) -> Limited:
-    """The whole range of `n` positioners of an `instrument` within `limit_W`, all slower or in waves.
+    """The whole range of `n` positioners of an `instrument` within `limit_W`, all slower or in waves; `seed`
+    of the units.
 
     Raises
     ------

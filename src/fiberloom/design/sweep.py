@@ -33,6 +33,8 @@ class VariedDesign:
 def ranges_of(text: str) -> dict[str, list[float]]:
     """Keys and values of `arms.alpha=5:9:0.5,pitch=20;22.4`: from, to and step, or single values.
 
+    Lengths in mm, other values in the unit of their key.
+
     Raises
     ------
     InputError
@@ -66,7 +68,7 @@ def sweep(
     workers: int = 1,
     scheduler: str | None = None,
 ) -> list[VariedDesign]:
-    """All combinations of the `ranges` of an `instrument`, in their order.
+    """All combinations of the `ranges` of an `instrument`, in their order; mm, or the unit of a key.
 
     `settings`: at what figures are taken; `workers`: processes on this machine; `scheduler`: address of a
     Dask cluster in place of them.
