@@ -102,7 +102,7 @@ def motor(instrument: Instrument, axis: int, seed: int = 0) -> Records:
         )
     plane = generate(instrument, seed, n_positioners=min(UNITS, instrument.layout.n_positioners))
     plants = draw_units(plane, seed).plant[:, axis]
-    median = plants[0].copy()
+    median: Records = plants[0].copy()
     for name in plants.dtype.names or ():
         median[name] = np.median(plants[name])
     return median

@@ -104,14 +104,14 @@ def _computed(
 ) -> list[VariedDesign]:
     if workers <= 1 and scheduler is None:
         return [_design(instrument, changes, settings) for changes in combinations]
-    import dask
+    from dask import base, delayed  # type: ignore[attr-defined]  # it does not say what it exports
 
-    one = dask.delayed(_design)
-    jobs = [one(instrument, changes, settings) for changes in combinations]
+    compute: Any = base.compute
+    jobs = [delayed(_design)(instrument, changes, settings) for changes in combinations]
     if scheduler is not None:
         with _cluster(scheduler):
-            return list(dask.compute(*jobs))
-    return list(dask.compute(*jobs, scheduler=SCHEDULER, num_workers=workers, chunksize=1))
+            return list(compute(*jobs))
+    return list(compute(*jobs, scheduler=SCHEDULER, num_workers=workers, chunksize=1))
 
 
 def _cluster(address: str) -> Any:
