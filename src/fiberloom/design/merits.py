@@ -79,9 +79,14 @@ def merits(instrument: Instrument, settings: MeritSettings) -> dict[str, float |
     found |= _geometry(instrument, lattice, settings.seed)
     found |= _shares(instrument, lattice, fibre, settings)
     found |= _motion(instrument, settings.seed)
-    if instrument.drive.by_maps and all(a.kind == "bldc" and a.gear == GEAR for a in instrument.axes):
+    if motors_known(instrument):
         found |= _known_motors(instrument, settings)
     return found
+
+
+def motors_known(instrument: Instrument) -> bool:
+    """Are errors, power and springs of its motors known?"""
+    return instrument.drive.by_maps and all(a.kind == "bldc" and a.gear == GEAR for a in instrument.axes)
 
 
 def _geometry(instrument: Instrument, lattice: Lattice, seed: int) -> dict[str, float | None]:
