@@ -11,6 +11,12 @@ from fiberloom.instruments import Instrument, instrument_names, load_instrument
 from fiberloom.instruments.load import instrument_text
 
 
+@pytest.fixture(autouse=True)
+def few_springs(monkeypatch):
+    """Springs of seven units: drawing them takes most of the time."""
+    monkeypatch.setattr("fiberloom.design.check.UNITS", 7)
+
+
 def changed(name, n=61, **tables):
     """A preset of `n` positioners, without guide cameras' reach, with other numbers in its tables."""
     data = load_instrument(name).model_dump(exclude_none=True)

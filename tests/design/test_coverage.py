@@ -72,6 +72,14 @@ def test_fibres_on_a_part_of_the_units(carried, period, one, two):
     assert found.mean == pytest.approx(lattice.mean * carried / period, abs=0.01)
 
 
+def test_units_that_share_nothing_have_no_corners():
+    """Reach of 4 mm at a pitch of 9: discs of their own, and a hole up to the point amid three."""
+    found = coverage(Lattice(2.0, 2.0, 9.0))
+    assert (found.least, found.most) == (0, 1)
+    assert found.at_least[1] == pytest.approx(16.0 * math.pi / (81.0 * math.sqrt(0.75)), abs=SHARE_TOL)
+    assert found.hole_um == pytest.approx(1e3 * (9.0 / math.sqrt(3.0) - 4.0), abs=1e-6)
+
+
 def test_a_pattern_repeats_and_carries_its_share():
     q, r = (a.ravel() for a in np.meshgrid(np.arange(30), np.arange(30)))
     for pattern in (Pattern(5, 2, (0, 1, 3)), Pattern(2, 1, (0,), staggered=True)):

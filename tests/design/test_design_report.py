@@ -27,7 +27,8 @@ class Page(HTMLParser):
             self._in = ""
 
 
-def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path):
+def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path, monkeypatch):
+    monkeypatch.setattr("fiberloom.cli.design.report.RINGS", 2)
     out = tmp_path / "megara.html"
     code, _, _ = fl("design", "report", "megara", "--core", 600, "--scale", 800, "--fields", 2, "--out", out)
     assert code == 0

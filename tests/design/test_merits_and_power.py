@@ -114,8 +114,8 @@ def test_ranges_of_a_sweep():
 
 
 def test_a_sweep_refuses_single_designs_and_draws_its_front(fl, tmp_path):
-    words = ("--vary", "arms.alpha=-1;9", "--fields", 2, "--out", tmp_path / "front.png")
-    code, said, _ = fl("design", "sweep", "sdssv", *words, "--json")
+    words = ("--vary", "arms.alpha=-1;2.5", "--fields", 2, "--out", tmp_path / "front.png")
+    code, said, _ = fl("design", "sweep", "pfs", *words, "--json")
     rows = json.loads(said)
     assert code == 0
     assert (tmp_path / "front.png").exists()
@@ -127,11 +127,12 @@ def test_workers_find_the_same(monkeypatch):
     """Threads in place of processes, which take seconds to start."""
     monkeypatch.setattr("fiberloom.design.sweep.SCHEDULER", "threads")
     ranges = {"pitch": [21.0, 22.4]}
-    assert sweep(SDSSV, ranges, QUICK, workers=2) == sweep(SDSSV, ranges, QUICK)
+    megara = load_instrument("megara")
+    assert sweep(megara, ranges, QUICK, workers=2) == sweep(megara, ranges, QUICK)
 
 
 def test_compare_and_power_print(fl):
-    code, said, _ = fl("design", "compare", "lamost", "pfs", "--fields", 2)
+    code, said, _ = fl("design", "compare", "megara", "pfs", "--fields", 2)
     assert code == 0
     assert "not known" in said
     code, said, _ = fl("design", "power", "sdssv", "--limit", 10)

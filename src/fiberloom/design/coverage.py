@@ -54,7 +54,7 @@ def coverage(lattice: Lattice, pattern: Pattern = EVERY, n: int = POINTS, seed: 
         mean=float(number.mean()),
         mean_exact=lattice.mean * pattern.share,
         least=int(at_corners.min()),
-        most=int(at_corners[:, 3:].max()),
+        most=int(at_corners[:, 3:].max(initial=1)),  # no corner: units that share nothing
         hole_um=1e3 * float(lattice.gap_mm(lattice.symmetric_points_mm()).max()),
         standard_error=0.5 / n**0.5,
     )

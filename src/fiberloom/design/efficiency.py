@@ -231,7 +231,8 @@ def _draw(where: ObservedPart, per_mm2: float, clustered: bool, rng: np.random.G
     if clustered:
         xy_mm = np.repeat(xy_mm, rng.poisson(CLUSTER, n), axis=0)
         xy_mm = xy_mm + spread_mm * rng.standard_normal(xy_mm.shape)
-    return where.middle_mm + xy_mm[np.hypot(*xy_mm.T) <= where.field_radius_mm]
+    inside: Floats = where.middle_mm + xy_mm[np.hypot(*xy_mm.T) <= where.field_radius_mm]
+    return inside
 
 
 # observing

@@ -149,19 +149,18 @@ def draw_front(
     first, second = [*objectives, *objectives][:2]
     figure, axes = figure_with((8.0, 5.5))
     known = [
-        (one, on)
+        ((x, y), one, on)
         for one, on in zip(found, front, strict=True)
-        if one.figures and None not in (one.figures[first], one.figures[second])
+        if (x := one.figures.get(first)) is not None and (y := one.figures.get(second)) is not None
     ]
-    middle = float(np.median([one.figures[first] for one, _ in known])) if known else 0.0
-    for one, on in known:
-        at = one.figures[first], one.figures[second]
+    middle = float(np.median([at[0] for at, _, _ in known])) if known else 0.0
+    for at, one, on in known:
         axes.plot(*at, "o", color="tab:red" if on else "0.7", zorder=3 if on else 2)
         if on:
             words = ", ".join(f"{key} {value:g}" for key, value in one.changes.items())
             side, off = ("left", 6) if at[0] < middle else ("right", -6)
             axes.annotate(words, at, (off, 5), textcoords="offset points", fontsize=8, ha=side)
-    many = sum(on for _, on in known)
+    many = sum(on for _, _, on in known)
     axes.set(xlabel=first.replace("_", " "), ylabel=second.replace("_", " "))
     axes.margins(0.12)
     axes.set_title(f"{name}: {many} of {len(found)} designs on the front")

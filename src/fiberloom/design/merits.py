@@ -67,8 +67,9 @@ class MeritSettings:
 
 
 def merits(instrument: Instrument, settings: MeritSettings) -> dict[str, float | None]:
-    """The figures of an `instrument`, by the names of `SENSES` with the units in them (mm, um, s, J, W); None:
-    of motors that the twin does not know.
+    """The figures of an `instrument`, by the names of `SENSES` with their units: mm, um, s, J, W.
+
+    None: of motors that the twin does not know.
 
     `settings`: density, fields, corrections, seed.
     """
@@ -78,9 +79,14 @@ def merits(instrument: Instrument, settings: MeritSettings) -> dict[str, float |
     found |= _geometry(instrument, lattice, settings.seed)
     found |= _shares(instrument, lattice, fibre, settings)
     found |= _motion(instrument, settings.seed)
-    if instrument.drive.by_maps and all(a.kind == "bldc" and a.gear == GEAR for a in instrument.axes):
+    if motors_known(instrument):
         found |= _known_motors(instrument, settings)
     return found
+
+
+def motors_known(instrument: Instrument) -> bool:
+    """Are errors, power and springs of its motors known?"""
+    return instrument.drive.by_maps and all(a.kind == "bldc" and a.gear == GEAR for a in instrument.axes)
 
 
 def _geometry(instrument: Instrument, lattice: Lattice, seed: int) -> dict[str, float | None]:
@@ -154,7 +160,8 @@ def _known_motors(instrument: Instrument, settings: MeritSettings) -> dict[str, 
 
 def varied(instrument: Instrument, changes: Mapping[str, float]) -> Instrument:
     """The same with other numbers: `arms.alpha`, `arms.beta`, `pitch`, `gear`, `buffer`, `requirement`, or a
-    key of the file with dots, such as `alpha.speed_deg_s`.
+    key of the file with dots, such as `alpha.speed_deg_s`. Lengths in mm, other values in the unit of their
+    key.
 
     Raises
     ------

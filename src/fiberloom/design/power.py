@@ -102,7 +102,7 @@ def motor(instrument: Instrument, axis: int, seed: int = 0) -> Records:
         )
     plane = generate(instrument, seed, n_positioners=min(UNITS, instrument.layout.n_positioners))
     plants = draw_units(plane, seed).plant[:, axis]
-    median = plants[0].copy()
+    median: Records = plants[0].copy()
     for name in plants.dtype.names or ():
         median[name] = np.median(plants[name])
     return median
@@ -209,7 +209,8 @@ def _array(instrument: Instrument, plants: list[Records], settings: PowerSetting
 
 
 def limited(instrument: Instrument, limit_W: float, n: int | None = None, seed: int = 0) -> Limited:
-    """The whole range of `n` positioners of an `instrument` within `limit_W`, all slower or in waves.
+    """The whole range of `n` positioners of an `instrument` within `limit_W`, all slower or in waves; `seed`
+    of the units.
 
     Raises
     ------

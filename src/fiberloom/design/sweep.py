@@ -33,6 +33,8 @@ class VariedDesign:
 def ranges_of(text: str) -> dict[str, list[float]]:
     """Keys and values of `arms.alpha=5:9:0.5,pitch=20;22.4`: from, to and step, or single values.
 
+    Lengths in mm, other values in the unit of their key.
+
     Raises
     ------
     InputError
@@ -66,7 +68,7 @@ def sweep(
     workers: int = 1,
     scheduler: str | None = None,
 ) -> list[VariedDesign]:
-    """All combinations of the `ranges` of an `instrument`, in their order.
+    """All combinations of the `ranges` of an `instrument`, in their order; mm, or the unit of a key.
 
     `settings`: at what figures are taken; `workers`: processes on this machine; `scheduler`: address of a
     Dask cluster in place of them.
@@ -102,14 +104,14 @@ def _computed(
 ) -> list[VariedDesign]:
     if workers <= 1 and scheduler is None:
         return [_design(instrument, changes, settings) for changes in combinations]
-    import dask
+    from dask import base, delayed  # type: ignore[attr-defined]  # it does not say what it exports
 
-    one = dask.delayed(_design)
-    jobs = [one(instrument, changes, settings) for changes in combinations]
+    compute: Any = base.compute
+    jobs = [delayed(_design)(instrument, changes, settings) for changes in combinations]
     if scheduler is not None:
         with _cluster(scheduler):
-            return list(dask.compute(*jobs))
-    return list(dask.compute(*jobs, scheduler=SCHEDULER, num_workers=workers, chunksize=1))
+            return list(compute(*jobs))
+    return list(compute(*jobs, scheduler=SCHEDULER, num_workers=workers, chunksize=1))
 
 
 def _cluster(address: str) -> Any:

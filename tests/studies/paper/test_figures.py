@@ -45,6 +45,14 @@ def test_figure_5_counts_are_areas():
     assert 0.9 < found["fig05.second.covered"] < 1.0
 
 
+def test_section_2_has_the_papers_ratio_and_motor_angles():
+    found = {q.id: q for q in table01.section_2()}
+    assert len(found) == 3
+    assert not any(q.misses for q in found.values())
+    assert found["table1.section2.ratio"].ours == pytest.approx(500.0, abs=1.0)
+    assert "SDSS-V 391" in found["table1.section2.ratio"].note
+
+
 def test_figure_10_measures_what_the_gear_is():
     gears = fig10.measure(0, 40, n_units=2)
     low, high = gears.gap_deg

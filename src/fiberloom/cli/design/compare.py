@@ -98,9 +98,12 @@ class SweepDesignOptions(MeritOptions):
         ),
     ]
     objectives: Annotated[
-        str,
-        typer.Option(help="Figures of merit of the Pareto front, with commas; the first two are drawn."),
-    ] = "fibres_used,blind_um"
+        str | None,
+        typer.Option(
+            help="Figures of merit of the Pareto front, with commas, the first two are drawn; default: "
+            "fibres_used, and blind_um or, of motors that the twin does not know, move_s."
+        ),
+    ] = None
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask cluster, in place of them.")] = None
     out: Annotated[Path | None, typer.Option(help="The front as a diagram, PNG.")] = None
@@ -114,15 +117,16 @@ def sweep(options: SweepDesignOptions) -> int:
     require_instrument(options.file)
     if options.out is not None:
         prepare_file(options.out)
-    from fiberloom.design.merits import pareto
+    from fiberloom.design.merits import motors_known, pareto
     from fiberloom.design.sweep import ranges_of
     from fiberloom.design.sweep import sweep as sweep_of
     from fiberloom.instruments import load_instrument
 
-    objectives = options.objectives.split(",")
+    instrument = load_instrument(options.file)
+    usual = f"fibres_used,{'blind_um' if motors_known(instrument) else 'move_s'}"
+    objectives = (options.objectives or usual).split(",")
     pareto([], objectives)  # refuses unknown ones before the work
     ranges = ranges_of(options.vary)
-    instrument = load_instrument(options.file)
     with waiting() as shown:
         shown.say("figures of every design")
         found = sweep_of(instrument, ranges, options.settings(), options.workers, options.scheduler)

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from fiberloom.instruments import Instrument
     from fiberloom.report.design import DesignSection
 
+RINGS = 6
+"""Of the patch on which targets are observed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(DesignOptions):
@@ -133,7 +136,7 @@ def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) ->
     from fiberloom.report.design import DesignSection
 
     fibre = instrument.science_fibres[0]
-    where = inner_part(endless(instrument, 6), fibre)
+    where = inner_part(endless(instrument, RINGS), fibre)
     settings = EfficiencySettings(fields=options.fields, seed=options.seed)
     found = efficiency(where, fibre, [0.5, 1.0, 2.0, 4.0], settings)
     picture = folder / "efficiency.png"

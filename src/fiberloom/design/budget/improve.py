@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from fiberloom.design.budget.terms import Budget, BudgetSettings, budget
 from fiberloom.instruments import FocalPlane
 from fiberloom.twin import Units
+from fiberloom.twin.errors.sizes import TwinErrors
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,16 @@ def _halved(plane: FocalPlane, units: Units, settings: BudgetSettings) -> Iterat
     yield "steps between knots", (plane, units, replace(settings, knots=2 * settings.knots - 1))
     for change, better in _better_units(plane, units):
         yield change, (plane, better, settings)
-    errors = settings.errors
-    temperature = replace(errors.temperature, difference_K=0.5 * errors.temperature.difference_K)
-    for change, name, value in (
-        ("table of the fiducials", "fiducial_um", 0.5 * errors.fiducial_um),
-        ("air", "air_um", 0.5 * errors.air_um),
-        ("night against calibration", "temperature", temperature),
-    ):
-        if errors.any():
-            yield change, (plane, units, replace(settings, errors=replace(errors, **{name: value})))
+    if settings.errors.any():
+        for change, errors in _better_tables(settings.errors):
+            yield change, (plane, units, replace(settings, errors=errors))
+
+
+def _better_tables(errors: TwinErrors) -> Iterator[tuple[str, TwinErrors]]:
+    yield "table of the fiducials", replace(errors, fiducial_um=0.5 * errors.fiducial_um)
+    yield "air", replace(errors, air_um=0.5 * errors.air_um)
+    night = replace(errors.temperature, difference_K=0.5 * errors.temperature.difference_K)
+    yield "night against calibration", replace(errors, temperature=night)
 
 
 def _better_units(plane: FocalPlane, units: Units) -> Iterator[tuple[str, Units]]:

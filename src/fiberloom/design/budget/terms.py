@@ -293,9 +293,9 @@ def slope_rms(plane: FocalPlane, units: Units, settings: BudgetSettings) -> floa
 def corrected_um(
     blind_um: float, camera_um: float, arrival_um: float, slope: float, corrections: int
 ) -> list[float]:
-    """um rms after 1, 2, ... corrections by all images so far (Kronig 2020, Eq. 31 over the moves).
+    """um rms after 1, 2, ... `corrections` by all images so far (Kronig 2020, Eq. 31 over the moves).
 
-    An image tells the offset to `camera_um` and `arrival_um`; a way of w adds slope times w to what is not
+    An image tells the offset to `camera_um` and `arrival_um`; a way of w adds `slope` times w to what is not
     known of it; every arrival scatters anew. `blind_um`: the first way.
     """
     image_um2 = camera_um**2 + arrival_um**2

@@ -12,6 +12,7 @@ from fiberloom.assignment import assign
 from fiberloom.blocking import finish
 from fiberloom.bus import Client
 from fiberloom.calibration import TransmissionMaps, calibrate_transmission
+from fiberloom.design.gear import least_ratio, output_deg
 from fiberloom.design.lattice import EVERY, Lattice
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument, generate, load_instrument
@@ -25,7 +26,7 @@ from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, qu
 from fiberloom.targets import TargetList, random_targets
 from fiberloom.twin import NoiseCamera, Twin, TwinTransport, Units, draw_units
 from fiberloom.typing import Floats, Ints
-from fiberloom.units import UM_PER_MM
+from fiberloom.units import GEAR, UM_PER_MM
 
 UNITS, MANY_UNITS = 19, 169
 TARGETS_PER_UNIT = 3
@@ -169,7 +170,11 @@ def run(settings: Settings) -> FigureOutcome:
             settings.say(f"Table 1: {row.name}, seed {seed}")
             found[row.key].append(observe(row, seed, n_units))
     return FigureOutcome(
-        quantities=[_stringent(), *(q for row in TABLE_1 for q in _quantities(row, found[row.key]))],
+        quantities=[
+            _stringent(),
+            *section_2(),
+            *(q for row in TABLE_1 for q in _quantities(row, found[row.key])),
+        ],
         drawings=[_draw(found)],
         how=(
             f"{n_units} units of each instrument: arms, pitch, requirement and whether a camera corrects "
@@ -193,6 +198,40 @@ def _stringent() -> Quantity:
         + ", ".join(f"{row.name} {row.tolerance_mdeg:.1f}" for row in TABLE_1)
         + " mdeg",
     )
+
+
+SECTION_2_DEG = 0.01
+"""Output accuracy that Section 2 asks for."""
+
+
+def section_2() -> list[Quantity]:
+    """The numbers of Section 2 on the reduction ratio, by the rules of `fiberloom design gear`."""
+    strictest = min(TABLE_1, key=lambda row: row.tolerance_mdeg)
+    lever_mm = strictest.reach_mm
+    needed = {row.name: least_ratio(row.requirement_um, row.reach_mm) for row in TABLE_1}
+    found = [
+        quantity(
+            "table1.section2.ratio",
+            f"reduction ratio for a motor that is off by 5 deg and an output of {SECTION_2_DEG:g} deg",
+            float(least_ratio(UM_PER_MM * lever_mm * float(np.deg2rad(SECTION_2_DEG)), lever_mm)),
+            "1",
+            Kind.IDENTITY,
+            paper=500.0,
+            note=f"least for each requirement: {', '.join(f'{k} {v}' for k, v in needed.items())}",
+        )
+    ]
+    for axis, folded_mm, paper in (("alpha", 7.6, 7.7), ("beta", 15.0, 3.9)):
+        found.append(
+            quantity(
+                f"table1.section2.motor_deg_{axis}",
+                f"motor angle of {axis} that moves the fibre by 1 um at {folded_mm:g} mm",
+                GEAR * output_deg(1.0, folded_mm),
+                "deg",
+                Kind.IDENTITY,
+                paper=paper,
+            )
+        )
+    return found
 
 
 def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
