@@ -56,6 +56,7 @@ async def _server_at(endpoint: Endpoint) -> Server:
     server.set_endpoint(f"opc.tcp://{endpoint}/fiberloom/")
     server.set_server_name("fiberloom")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    server.set_identity_tokens([ua.AnonymousIdentityToken])
     return server
 
 
