@@ -5,12 +5,13 @@ farther than w = h (l_alpha + 2 far) from where it is in the cell's middle, h ha
 shut if the arm in its middle overlaps a body by more than w: then it overlaps it everywhere in the cell. If
 no chain of other cells, corners included, leads from the start to the goal, there is no way: a pocket,
 proven. A cell is open if the arm in its middle is farther than w from all bodies. If a chain of open cells,
-edge to edge, leads there, there is a way. Between both the cells are made smaller.
+edge to edge, leads there, there is a way. Between both the cells are made smaller; only those that can be
+come to and are not open are looked at again.
 
 Bodies are those that rest for good: fiducials and guide cameras. All positioners that can move are absent.
 A positioner that is in a pocket itself can move within the pocket alone; it shuts a cell of another where
-both overlap wherever in its pocket it is. Its places are halved again and again (`Places`): from the depth of
-the overlap with one place those near it follow, and single places are looked at only where that is not enough.
+both overlap wherever in its pocket it is. Its places are halved again and again (`Places`): how near the
+middle one is tells of those around it, and single places are looked at only where that is not enough.
 """
 
 from __future__ import annotations
@@ -28,10 +29,8 @@ from .bodies import Bodies, between, to_segment
 
 CELLS_DEG = (0.5, 0.25, 0.125)
 """The planner's own grid is nowhere finer than 1.46 deg."""
-BLOCK = 128
-"""So many rows of alpha at once: a gigabyte otherwise."""
-AT_ONCE = 200_000
-"""So many cells beside one in a pocket at once."""
+AT_ONCE = 100_000
+"""So many cells at once."""
 FEW = 16
 """So many places of one in a pocket are looked at one by one."""
 CORNERS, EDGES = np.ones((3, 3)), np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
@@ -73,9 +72,10 @@ def flood(
     pockets: Mapping[int, Pocket] | None = None,
 ) -> Found:
     """Whether a positioner gets from start to goal (2,) deg, all others absent but those in `pockets`."""
+    area = open_ = np.zeros((0, 0), dtype=bool)
     for cell_deg in CELLS_DEG:
         grid = _Grid(bodies, row, cell_deg)
-        shut, open_ = grid.cells(buffer_mm)
+        shut, open_ = grid.cells(buffer_mm, area, open_)
         first, last = (grid.cell_of(end) for end in ends_deg)
         near = [other for other in (pockets or {}).values() if grid.near(other, buffer_mm)]
         area = _area(~shut, first, CORNERS)
@@ -147,16 +147,29 @@ class _Grid:
         first, second = np.clip(cells, 0, [len(middle) - 1 for middle in self.middles])
         return int(first), int(second)
 
-    def cells(self, buffer_mm: float) -> tuple[Flags, Flags]:
-        """Which are shut by bodies at rest, and which are open to them."""
-        alpha, beta = self.middles
-        blocks = [alpha[k : k + BLOCK] for k in range(0, len(alpha), BLOCK)]
-        found = [self._block(block[:, None], beta[None], buffer_mm) for block in blocks]
-        shut, open_ = (np.concatenate(part) for part in zip(*found, strict=True))
-        return shut, open_
+    def cells(self, buffer_mm: float, area: Flags, open_: Flags) -> tuple[Flags, Flags]:
+        """Which are shut by bodies at rest, and which are open to them.
 
-    def _block(self, alpha: Floats, beta: Floats, buffer_mm: float) -> tuple[Flags, Flags]:
-        p, q = np.broadcast_arrays(*self.bodies.lines(self.row, alpha, beta))
+        Of cells twice as wide `area` can be come to, and `open_` are open: what is not in the one is shut,
+        what is in both is open. Empty: nothing is known.
+        """
+        shape = len(self.middles[0]), len(self.middles[1])
+        asked, out = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
+        if area.size:
+            asked, out = self._halved(area), self._halved(area & open_)
+        shut, places = ~asked, np.nonzero(asked & ~out)
+        for k in range(0, len(places[0]), AT_ONCE):
+            some = places[0][k : k + AT_ONCE], places[1][k : k + AT_ONCE]
+            shut[some], out[some] = self._seen(*some, buffer_mm)
+        return shut, out
+
+    def _halved(self, cells: Flags) -> Flags:
+        """In cells half as wide; the last ones may lie beyond the stops."""
+        first, second = (len(middle) for middle in self.middles)
+        return cells.repeat(2, axis=0).repeat(2, axis=1)[:first, :second]
+
+    def _seen(self, first: Ints, second: Ints, buffer_mm: float) -> tuple[Flags, Flags]:
+        p, q = self.bodies.lines(self.row, self.middles[0][first], self.middles[1][second])
         shut, open_ = np.zeros(p.shape, dtype=bool), np.ones(p.shape, dtype=bool)
         for k in self.bodies.near_obstacles(self.row, buffer_mm):
             x0, y0, x1, y1, radius = self.bodies.obstacles[k]
