@@ -5,11 +5,13 @@ farther than w = h (l_alpha + 2 far) from where it is in the cell's middle, h ha
 shut if the arm in its middle overlaps a body by more than w: then it overlaps it everywhere in the cell. If
 no chain of other cells, corners included, leads from the start to the goal, there is no way: a pocket,
 proven. A cell is open if the arm in its middle is farther than w from all bodies. If a chain of open cells,
-edge to edge, leads there, there is a way. Between both the cells are made smaller.
+edge to edge, leads there, there is a way. Between both the cells are made smaller; only those that can be
+come to and are not open are looked at again.
 
 Bodies are those that rest for good: fiducials and guide cameras. All positioners that can move are absent.
 A positioner that is in a pocket itself can move within the pocket alone; it shuts a cell of another where
-both overlap wherever in its pocket it is.
+both overlap wherever in its pocket it is. Its places are halved again and again (`Places`): how near the
+middle one is tells of those around it, and single places are looked at only where that is not enough.
 """
 
 from __future__ import annotations
@@ -21,14 +23,16 @@ from enum import StrEnum
 import numpy as np
 from scipy.ndimage import label
 
-from fiberloom.typing import Flags, Floats
+from fiberloom.typing import Flags, Floats, Ints
 
 from .bodies import Bodies, between, to_segment
 
 CELLS_DEG = (0.5, 0.25, 0.125)
 """The planner's own grid is nowhere finer than 1.46 deg."""
-BLOCK = 128
-"""So many rows of alpha at once: a gigabyte otherwise."""
+AT_ONCE = 100_000
+"""So many cells at once."""
+FEW = 16
+"""So many places of one in a pocket are looked at one by one."""
 CORNERS, EDGES = np.ones((3, 3)), np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
 
 
@@ -68,17 +72,59 @@ def flood(
     pockets: Mapping[int, Pocket] | None = None,
 ) -> Found:
     """Whether a positioner gets from start to goal (2,) deg, all others absent but those in `pockets`."""
+    area = open_ = np.zeros((0, 0), dtype=bool)
     for cell_deg in CELLS_DEG:
         grid = _Grid(bodies, row, cell_deg)
-        shut, open_ = grid.cells(buffer_mm, pockets or {})
+        shut, open_ = grid.cells(buffer_mm, area, open_)
         first, last = (grid.cell_of(end) for end in ends_deg)
-        areas, _ = label(~shut, structure=CORNERS)
-        if areas[first] != areas[last] or shut[first] or shut[last]:
-            return Found(Way.NONE, cell_deg, grid.pocket(areas == areas[first]) if not shut[first] else None)
-        areas, _ = label(open_, structure=EDGES)
-        if areas[first] and areas[first] == areas[last]:
+        near = [other for other in (pockets or {}).values() if grid.near(other, buffer_mm)]
+        area = _area(~shut, first, CORNERS)
+        for other in near:
+            area = _area(grid.less(area, other, buffer_mm), first, CORNERS)
+        if not area[last]:
+            return Found(Way.NONE, cell_deg, grid.pocket(area) if area[first] else None)
+        # where it meets none of the places of another is not asked: beside pockets only proofs count
+        if not near and _area(open_, first, EDGES)[last]:
             return Found(Way.THERE, cell_deg)
     return Found(Way.UNKNOWN, CELLS_DEG[-1])
+
+
+def _area(free: Flags, first: tuple[int, int], structure: Ints) -> Flags:
+    """The free cells that hang together with the first; none if that is not free."""
+    areas, _ = label(free, structure=structure)
+    return free & (areas == areas[first]) if free[first] else np.zeros_like(free)
+
+
+class Places:
+    """Places of a centre line, in halves down to a few, with how far all are from the middle one."""
+
+    def __init__(self, r: Floats, s: Floats) -> None:
+        middle = int(np.argmin(np.abs(r - r.mean()) + np.abs(s - s.mean())))
+        self.r, self.s, self.at = r, s, (r[middle], s[middle])
+        self.within_mm = float(np.maximum(np.abs(r - r[middle]), np.abs(s - s[middle])).max())
+        self._halves: list[Places] = []
+
+    @property
+    def halves(self) -> list[Places]:
+        """Of the places, along the coordinate in which they differ most; made when first asked for."""
+        if not self._halves:
+            coordinates = [part for end in (self.r, self.s) for part in (end.real, end.imag)]
+            order = np.argsort(max(coordinates, key=np.ptp), kind="stable")
+            self._halves = [Places(self.r[k], self.s[k]) for k in np.array_split(order, 2)]
+        return self._halves
+
+    def all_met(self, p: Floats, q: Floats, below_mm: float) -> Flags:
+        """Which of the lines p to q (n,) are nearer than this to every place; below 0: none."""
+        if len(self.r) <= FEW:
+            return (between(p[:, None], q[:, None], self.r, self.s) < below_mm).all(axis=1)
+        gap = between(p, q, *(np.array(end) for end in self.at))
+        met = gap < below_mm
+        doubtful = np.flatnonzero(met & (gap >= below_mm - self.within_mm))
+        for half in self.halves if len(doubtful) else []:
+            sure = half.all_met(p[doubtful], q[doubtful], below_mm)
+            met[doubtful[~sure]] = False
+            doubtful = doubtful[sure]
+        return met
 
 
 class _Grid:
@@ -101,18 +147,29 @@ class _Grid:
         first, second = np.clip(cells, 0, [len(middle) - 1 for middle in self.middles])
         return int(first), int(second)
 
-    def cells(self, buffer_mm: float, pockets: Mapping[int, Pocket]) -> tuple[Flags, Flags]:
-        """Which are shut, and which are open."""
-        alpha, beta = self.middles
-        blocks = [alpha[k : k + BLOCK] for k in range(0, len(alpha), BLOCK)]
-        found = [self._block(block[:, None], beta[None], buffer_mm, pockets) for block in blocks]
-        shut, open_ = (np.concatenate(part) for part in zip(*found, strict=True))
-        return shut, open_
+    def cells(self, buffer_mm: float, area: Flags, open_: Flags) -> tuple[Flags, Flags]:
+        """Which are shut by bodies at rest, and which are open to them.
 
-    def _block(
-        self, alpha: Floats, beta: Floats, buffer_mm: float, pockets: Mapping[int, Pocket]
-    ) -> tuple[Flags, Flags]:
-        p, q = np.broadcast_arrays(*self.bodies.lines(self.row, alpha, beta))
+        Of cells twice as wide `area` can be come to, and `open_` are open: what is not in the one is shut,
+        what is in both is open. Empty: nothing is known.
+        """
+        shape = len(self.middles[0]), len(self.middles[1])
+        asked, out = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
+        if area.size:
+            asked, out = self._halved(area), self._halved(area & open_)
+        shut, places = ~asked, np.nonzero(asked & ~out)
+        for k in range(0, len(places[0]), AT_ONCE):
+            some = places[0][k : k + AT_ONCE], places[1][k : k + AT_ONCE]
+            shut[some], out[some] = self._seen(*some, buffer_mm)
+        return shut, out
+
+    def _halved(self, cells: Flags) -> Flags:
+        """In cells half as wide; the last ones may lie beyond the stops."""
+        first, second = (len(middle) for middle in self.middles)
+        return cells.repeat(2, axis=0).repeat(2, axis=1)[:first, :second]
+
+    def _seen(self, first: Ints, second: Ints, buffer_mm: float) -> tuple[Flags, Flags]:
+        p, q = self.bodies.lines(self.row, self.middles[0][first], self.middles[1][second])
         shut, open_ = np.zeros(p.shape, dtype=bool), np.ones(p.shape, dtype=bool)
         for k in self.bodies.near_obstacles(self.row, buffer_mm):
             x0, y0, x1, y1, radius = self.bodies.obstacles[k]
@@ -120,28 +177,24 @@ class _Grid:
             gap = (to_segment(r, p, q) if r == s else between(p, q, r, s)) - radius - buffer_mm
             shut |= gap < -self.within_mm
             open_ &= gap > self.within_mm
-        for other in pockets.values():
-            if self._near(other, buffer_mm):
-                shut |= self._always_met(other, p, q, buffer_mm)
-                open_[:] = False  # where it meets none of its places is not asked: only proofs count
         return shut, open_
 
-    def _near(self, other: Pocket, buffer_mm: float) -> bool:
+    def near(self, other: Pocket, buffer_mm: float) -> bool:
+        """Can it touch the other at all?"""
         centres = self.bodies.centre[self.row], self.bodies.centre[other.row]
         reach = self.bodies.reach(self.row) + self.bodies.reach(other.row)
         return other.row != self.row and abs(centres[0] - centres[1]) < reach + 2.0 * buffer_mm
 
-    def _always_met(self, other: Pocket, p: Floats, q: Floats, buffer_mm: float) -> Flags:
-        """Cells in which it overlaps the other wherever that one is."""
-        p, q, always = p.ravel(), q.ravel(), np.ones(p.shape, dtype=bool).ravel()
-        slack = self.within_mm + other.within_mm
-        for r, s in zip(*other.ends, strict=True):
-            left = np.flatnonzero(always)
-            if not len(left):
-                break
-            gap = between(p[left], q[left], np.array(r), np.array(s)) - 2.0 * buffer_mm
-            always[left] = gap < -slack
-        return always.reshape(-1, len(self.middles[1]))
+    def less(self, cells: Flags, other: Pocket, buffer_mm: float) -> Flags:
+        """Without those in which it overlaps the other wherever that one is."""
+        left, places = cells.copy(), Places(*other.ends)
+        below_mm = 2.0 * buffer_mm - self.within_mm - other.within_mm
+        found = np.nonzero(cells)
+        for k in range(0, len(found[0]), AT_ONCE):
+            first, second = (part[k : k + AT_ONCE] for part in found)
+            p, q = self.bodies.lines(self.row, self.middles[0][first], self.middles[1][second])
+            left[first, second] = ~places.all_met(p, q, below_mm)
+        return left
 
     def pocket(self, cells: Flags) -> Pocket:
         """Where it can be: these cells."""

@@ -34,6 +34,8 @@ from fiberloom.units import deg_to_rad, rad_to_deg
 SPEED_SHARE = 0.975
 """Part of the instrument's speed that plans use. The motor must go faster than the output where the
 transmission is not linear; 12 deg/s become 11.7, 2000 rpm of the motor."""
+GRID_DEG, WIDEST_GRID_DEG = 5.85, 8.0
+"""Between these the step of the search is so wide that an axis comes to its speed in it."""
 
 DECIMALS_DEG = 9
 """Angles are rounded to this before they are verified: the JSON form says exactly what was."""
@@ -60,8 +62,9 @@ class PlanSettings:
     speed_deg_s: float | None = None
     acceleration_deg_s2: float | None = None
     collision_buffer_mm: float | None = None
-    grid_deg: float = 5.85
-    """Widest step of the search. Coarse is good: eight times fewer states than half of it."""
+    grid_deg: float | None = None
+    """Widest step of the search. None: what an axis needs to come to its speed and stop (2 v^2 / a), but 5.85
+    to 8 deg. Coarse is good: eight times fewer states than half of it."""
     clearance_mm: float = 0.001
     """Kept beyond touching, so that rounding on the bus does not matter."""
     in_hand_mm: float = 0.05
@@ -95,10 +98,14 @@ class PlanSettings:
         """With the instrument's numbers filled in."""
         axes = plane.instrument.axes
         require_late("late_s", self.late_s)
+        speed_deg_s = self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes)
+        acceleration_deg_s2 = self.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes)
+        full_speed_deg = 2.0 * speed_deg_s**2 / acceleration_deg_s2
         return replace(
             self,
-            speed_deg_s=self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes),
-            acceleration_deg_s2=self.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes),
+            speed_deg_s=speed_deg_s,
+            acceleration_deg_s2=acceleration_deg_s2,
+            grid_deg=self.grid_deg or float(np.clip(full_speed_deg, GRID_DEG, WIDEST_GRID_DEG)),
             collision_buffer_mm=self.collision_buffer_mm or plane.collision_buffer_mm,
             least_approach_deg=plane.instrument.least_approach_deg
             if self.least_approach_deg is None
@@ -111,7 +118,7 @@ class PlanSettings:
         return {
             "speed": float(deg_to_rad(self.speed_deg_s or 0.0)),
             "acceleration": float(deg_to_rad(self.acceleration_deg_s2 or 0.0)),
-            "grid": float(deg_to_rad(self.grid_deg)),
+            "grid": float(deg_to_rad(self.grid_deg or GRID_DEG)),
         }
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from benchmarks.planning import pairs
-from benchmarks.planning.bodies import Bodies, read_bodies
+from benchmarks.planning import pairs, pockets
+from benchmarks.planning.bodies import Bodies, between, read_bodies
 from benchmarks.planning.campaign import pocketed
-from benchmarks.planning.pockets import Way, flood
+from benchmarks.planning.pockets import Places, Way, flood
 
 from fiberloom.instruments import write_layout
 
@@ -68,6 +68,37 @@ def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
     assert pocketed(bodies, [2], (start, goal), BUFFER_MM) == {}
     free = made([0.0, -22.0], [])
     assert pocketed(free, [1, 2], (start, goal), BUFFER_MM) == {}
+
+
+def lines(random, n, spread_mm):
+    """Lines of 14.7 mm around 0, both ends complex."""
+    from_ = spread_mm * (random.uniform(-1, 1, n) + 1j * random.uniform(-1, 1, n))
+    return from_, from_ + 14.7 * np.exp(1j * random.uniform(-0.02, 0.02, n) * spread_mm)
+
+
+@pytest.mark.parametrize("spread_mm", [0.3, 2.0])
+def test_halved_places_tell_what_all_of_them_tell(spread_mm):
+    random = np.random.default_rng(3)
+    places, (p, q) = lines(random, 300, spread_mm), lines(random, 500, 5.0)
+    met = (between(p[:, None], q[:, None], *places) < 3.0).all(axis=1)
+    assert 10 < met.sum() < 490
+    np.testing.assert_array_equal(Places(*places).all_met(p, q, 3.0), met)
+
+
+def test_a_wide_pocket_takes_few_distances(monkeypatch):
+    """As in a real pair that took more than 600 s: each cell was held against each place of the other."""
+    looked_at = []
+
+    def counting(p, q, r, s):
+        gap = between(p, q, r, s)
+        looked_at.append(gap.size)
+        return gap
+
+    monkeypatch.setattr(pockets, "between", counting)
+    random = np.random.default_rng(3)
+    places, (p, q) = lines(random, 20_000, 0.5), lines(random, 1000, 5.0)
+    assert Places(*places).all_met(p, q, 5.0).any()
+    assert sum(looked_at) < 0.02 * 20_000 * 1000
 
 
 def test_the_bodies_of_a_written_layout_are_those_of_the_plane(tmp_path):

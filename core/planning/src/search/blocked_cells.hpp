@@ -59,8 +59,8 @@ class BlockedCells {
 
     int &begin_of(int slot, const Robot &neighbour, Cell at);
 
-    // For each neighbour, line of alpha and line of beta of it: where its bits begin; -1: not looked at. Lines
-    // of alpha on which it has never been are empty.
+    // For each neighbour, line of alpha and line of beta of it: where its bits begin; -1: not looked at.
+    // Lines of alpha on which it has never been are empty.
     List<List<List<int>>> begins_;
     List<CellBits> bits_;
     List<CellBits> borders_; // of one look

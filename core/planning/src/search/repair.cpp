@@ -14,13 +14,18 @@ constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
 constexpr int most_joint_nodes = 8000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
-constexpr Mode guided{false, 0, 0, 0}; // without a first look for a path that nothing is in the way of
-constexpr int tidy_enough = 12;        // cost above the least: three corners are not worth a search ...
-constexpr int tidy_excess = 60;        // ... and these two
-constexpr int joint_every = 12;        // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;           // a deadline grows by the first one over this
-constexpr int hurry_rounds = 25;       // repairs for one that hurries; in the end ...
-constexpr int rounds_per_step = 10;    // ... so many more for each step that it is behind the wish
+// Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
+// is not worth the search.
+constexpr Mode tidying{false, 0, 200, 0};
+constexpr Mode guided{false, 0, 0, 0};
+constexpr int tidy_enough = 12; // cost above the least: three corners are not worth a search ...
+constexpr int tidy_excess = 60; // ... and these two
+// Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
+constexpr int many_changes = 13;
+constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;        // a deadline grows by the first one over this
+constexpr int hurry_rounds = 25;    // repairs for one that hurries; in the end ...
+constexpr int rounds_per_step = 10; // ... so many more for each step that it is behind the wish
 constexpr int far_behind = 5; // the wish over what is missing at most, for one that is tried more often ...
 constexpr int last_attempts = 4; // ... so many times in all
 constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
@@ -35,6 +40,19 @@ constexpr int last_rounds = 40;       // repairs that are made even when there i
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
 constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
 constexpr int near_by = 8;            // neighbours that may join a group, or get more time with it
+
+// Of the speed of one axis; of the one with more of them.
+int velocity_changes(const List<Cell> &path) {
+    int alpha = 0, beta = 0;
+    Cell last{};
+    for (int k = 1; k < path.size(); ++k) {
+        const Cell v{path[k].alpha - path[k - 1].alpha, path[k].beta - path[k - 1].beta};
+        alpha += v.alpha != last.alpha;
+        beta += v.beta != last.beta;
+        last = v;
+    }
+    return std::max(alpha, beta);
+}
 
 } // namespace
 
@@ -449,12 +467,18 @@ void Repair::tidy_one(PathIndex i, const Costs &costs) {
     const int cost = path_cost(member, costs);
     if (cost <= least_cost(member.robot, costs) + tidy_enough) return;
     ++statistics_.searches;
-    paths_.seek(i, costs, cost, guided, search_);
+    paths_.seek(i, costs, cost, tidying, search_);
 }
 
 void Repair::tidy() {
-    const Costs costs{2, 4, 1, {}, 1}; // few corners: each costs three points on the bus
-    for (const PathIndex i : paths_.places()) paths_.at(i).cost = tidy_cost;
+    const Costs costs{2, 4, 1, {}, 2}; // few corners: each costs points on the bus
+    const int last = paths_.size() > 0 ? paths_.arrival(last_to_arrive()) : 0;
+    for (const PathIndex i : paths_.places()) {
+        Member &member = paths_.at(i);
+        member.cost = tidy_cost;
+        member.deadline = std::min(member.deadline, last); // none shall hold the others up
+    }
+    paths_.shorten();
     for (const PathIndex i : paths_.places()) {
         if (enough()) return;
         tidy_one(i, costs);
@@ -465,6 +489,18 @@ void Repair::tidy() {
         const Member &member = paths_.at(PathIndex(k));
         if (path_cost(member, costs) > least_cost(member.robot, costs) + tidy_excess)
             tidy_one(PathIndex(k), costs);
+    }
+    spare_corners();
+}
+
+// Those of which an axis would have many points go farther for fewer.
+void Repair::spare_corners() {
+    const Costs costs{1, 16, 0, {}, 1};
+    for (const PathIndex i : paths_.places()) {
+        const Member &member = paths_.at(i);
+        if (enough() || velocity_changes(member.path) <= many_changes) continue;
+        ++statistics_.searches;
+        paths_.seek(i, costs, path_cost(member, costs), guided, search_);
     }
 }
 

@@ -18,7 +18,7 @@ class Repair {
     bool run(int first_steps, int last_steps);
     // Looks for paths that end earlier, down to this many steps.
     void hurry(int wanted_steps);
-    // Replans each positioner alone for a shorter, straighter path without conflicts.
+    // Replans each positioner alone for a shorter, straighter path without conflicts, where it is found soon.
     void tidy();
     std::int64_t expansions() const { return search_.expansions() + joint_.expansions(); }
 
@@ -66,6 +66,7 @@ class Repair {
     void give_time(Pair pair);
     static int least_cost(const Robot &robot, const Costs &costs);
     void tidy_one(PathIndex i, const Costs &costs);
+    void spare_corners();
     int path_cost(const Member &member, const Costs &costs) const;
 
     PathSet &paths_;
