@@ -34,8 +34,8 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
 
 constexpr uint64_t longest_ticks = 256;
 
-// A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All pairs
-// are looked at in the same ticks, as far as may be: what that needs is then worked out once.
+// A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All
+// pairs are looked at in the same ticks, as far as may be: what that needs is then worked out once.
 uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
     const uint64_t stride = std::bit_floor(std::clamp(free_ticks, sync_ticks, longest_ticks));
     return (tick + std::max(free_ticks, stride)) / stride * stride;
