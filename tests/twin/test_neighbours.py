@@ -106,16 +106,20 @@ def test_a_fiducial_is_hit_too():
     assert [t.other for t in twin.touches()] == [None]
 
 
-def test_every_first_touch_is_found_at_its_sync_point():
+@pytest.mark.parametrize("seed", [1, 7, 11])
+def test_every_first_touch_is_found_at_its_sync_point(seed):
     """Against the distances at every sync point: far neighbours are looked at rarely, but never
-    too late."""
+    too late. A second twin takes long slices where nothing can meet.
+    """
     plane = generate(load_instrument("sdssv"), seed=4, n_positioners=7)
     units = draw_units(plane, seed=6)
-    twin = Twin(plane, units, seed=1, threads=1)
+    twin, other = (Twin(plane, units, seed=1, threads=1) for _ in range(2))
     pairs = np.array([(i, j) for i in range(7) for j in range(i + 1, 7)])
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     for number in plane.positioner_id:
-        goto(twin, int(number), rng.uniform(0, 350), rng.uniform(0, 60))
+        goal = rng.uniform(0, 350), rng.uniform(0, 60)
+        goto(twin, int(number), *goal)
+        goto(other, int(number), *goal)
     found = []
     while not found and twin.time_s < 20.0:
         free = gaps_mm(twin, pairs) > 0.0
@@ -129,3 +133,5 @@ def test_every_first_touch_is_found_at_its_sync_point():
         else:
             assert not found
     assert found
+    other.run(twin.time_s)
+    assert other.touches() == found

@@ -1,9 +1,8 @@
 #include "fiberloom/twin/neighbours.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
-
-#include "fiberloom/twin/axis_group.hpp"
 
 namespace fl::twin {
 namespace {
@@ -33,10 +32,13 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
     return {before_N.x + share * step_N.x, before_N.y + share * step_N.y};
 }
 
-// The first sync point after `tick`, and after these more ticks in which two cannot touch.
+constexpr uint64_t longest_ticks = 256;
+
+// A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All
+// pairs are looked at in the same ticks, as far as may be: what that needs is then worked out once.
 uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
-    const uint64_t first = tick + std::max<uint64_t>(free_ticks, 1);
-    return (first + sync_ticks - 1) / sync_ticks * sync_ticks;
+    const uint64_t stride = std::bit_floor(std::clamp(free_ticks, sync_ticks, longest_ticks));
+    return (tick + std::max(free_ticks, stride)) / stride * stride;
 }
 
 } // namespace
@@ -44,7 +46,7 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
-      near_(arms_.size()), next_look_(arms_.size(), 0) {
+      near_(arms_.size()), next_look_(arms_.size(), 0), next_exact_(arms_.size(), 0) {
     find_speeds();
     find_neighbours();
 }
@@ -55,7 +57,10 @@ double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_
 void Neighbours::find_speeds() {
     for (size_t i = 0; i < arms_.size(); ++i) {
         const double *w = gives_[i].speed_limit_rad_s;
-        speed_mm_s_.push_back(2.0 * (w[0] * (arms_[i].l_alpha_mm + body_.to_mm) + w[1] * body_.to_mm));
+        const double *turn = gives_[i].output_per_gear;
+        const double length_mm = arms_[i].l_alpha_mm + body_.to_mm;
+        speed_mm_s_.push_back(2.0 * (w[0] * length_mm + w[1] * body_.to_mm));
+        levers_mm_.push_back({turn[0] * length_mm, turn[1] * body_.to_mm});
     }
 }
 
@@ -76,8 +81,13 @@ void Neighbours::find_neighbours() {
 size_t Neighbours::bytes_per_positioner() const {
     size_t longest = 0;
     for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
-    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(double) + sizeof(uint64_t) +
-           longest * sizeof(Near);
+    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(double) + sizeof(Levers) +
+           2 * sizeof(uint64_t) + longest * sizeof(Near);
+}
+
+uint64_t Neighbours::next_due() const {
+    const auto first = std::min_element(next_look_.begin(), next_look_.end());
+    return first == next_look_.end() ? UINT64_MAX : *first;
 }
 
 Pose Neighbours::pose(size_t i, Angles deflected, Angles rigid) const {
@@ -124,15 +134,14 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
 }
 
 // Capsules that do not cross touch at ends of their centre lines; side by side, at two of them. Returns
-// the seconds in which the two cannot touch.
+// how far apart the two are, whatever springs back.
 double Neighbours::touch(Look &look, const Touched &body) const {
     const Segment &mine = look.poses[look.i].line;
     const double distance_mm = segment_distance(mine, body.line);
     const double gap_mm = distance_mm - body.apart_mm;
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
         // the same bits from both sides
-        const double still_mm = gap_mm - (body.spring_mm + look.poses[look.i].spring_mm);
-        return std::max(still_mm, 0.0) / (speed_mm_s_[look.i] + body.speed_mm_s);
+        return gap_mm - (body.spring_mm + look.poses[look.i].spring_mm);
     }
     const Closest places[] = {closest_point(mine.a, body.line), closest_point(mine.b, body.line),
                               turned(closest_point(body.line.a, mine)),
@@ -154,19 +163,39 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
     return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};
 }
 
-Push Neighbours::push(size_t i, const std::vector<Pose> &poses, uint64_t tick,
-                      std::vector<Contact> &contacts) {
+// How far apart two are at least. Poses are asked for where that may be nothing at the next sync point.
+double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
+    if (!near.exact) return near.meet_mm - travelled_mm;
+    const double apart_mm = touch(look, body(near.number, look.poses));
+    near.meet_mm = apart_mm + travelled_mm;
+    near.worth_mm = 0.5 * apart_mm;
+    return apart_mm;
+}
+
+void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const {
+    const double other_mm_s = near.number < arms_.size() ? speed_mm_s_[near.number] : 0.0;
+    const double free_s = std::max(apart_mm, 0.0) / (speed_mm_s_[look.i] + other_mm_s);
+    const auto free_ticks = static_cast<uint64_t>(free_s / tick_s);
+    const bool touching = in_touch(look.now, near.number);
+    near.exact = touching || free_ticks < sync_ticks || apart_mm < near.worth_mm;
+    near.next_look = touching ? tick + 1 : sync_after(tick, free_ticks);
+}
+
+Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm,
+                      uint64_t tick, std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};
     Look look{i, poses, contacts, {}, {}};
-    uint64_t next = UINT64_MAX;
+    uint64_t next = UINT64_MAX, exact = UINT64_MAX;
     for (Near &near : near_[i]) {
         if (tick >= near.next_look) {
-            const auto free_ticks = static_cast<uint64_t>(touch(look, body(near.number, poses)) / tick_s);
-            near.next_look = in_touch(look.now, near.number) ? tick + 1 : sync_after(tick, free_ticks);
+            const double other_mm = near.number < arms_.size() ? travels_mm[near.number] : 0.0;
+            plan_look(look, near, apart_mm(look, near, travels_mm[i] + other_mm), tick);
         }
         next = std::min(next, near.next_look);
+        if (near.exact) exact = std::min(exact, near.next_look);
     }
     next_look_[i] = next;
+    next_exact_[i] = exact;
     contacts = std::move(look.now);
     return look.push;
 }

@@ -16,7 +16,7 @@
 namespace fl::twin {
 namespace {
 
-constexpr uint64_t lone_ticks = 32;   // of a slice without neighbours: what a group needs stays in the cache
+constexpr uint64_t lone_ticks = 32;   // of a slice where nothing meets: what a group needs stays in the cache
 constexpr uint64_t bounce_ticks = 80; // what comes back within 40 ms is the same contact
 constexpr double two_pi = 2.0 * std::numbers::pi;
 constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
@@ -42,7 +42,8 @@ std::vector<Give> gives_of(const Plant &plant) {
         Give &g = gives[axis / 2];
         g.compliance_rad_per_Nm[axis % 2] = plant.compliance_rad_per_Nm(axis);
         // the true ratio differs locally from n by the slope of delta, a few tenths at most
-        g.speed_limit_rad_s[axis % 2] = 1.5 * plant.speed_limit_rad_s(axis) / plant.params(axis).gear_ratio;
+        g.output_per_gear[axis % 2] = 1.5 / plant.params(axis).gear_ratio;
+        g.speed_limit_rad_s[axis % 2] = g.output_per_gear[axis % 2] * plant.speed_limit_rad_s(axis);
     }
     return gives;
 }
@@ -78,11 +79,13 @@ struct Twin::State {
     void follow_loads(size_t i);
     Angles at_rest(size_t i) const;
     void publish(size_t i);
+    void travel(size_t group);
+    void show_poses();
     void hear(size_t i, const fl_can_frame_t &frame, int bus);
     bool any_awake() const;
     // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
     bool at_sync() const { return now % sync_ticks == 0; }
-    uint64_t ticks_to_sync() const { return feel || loaded ? sync_ticks - now % sync_ticks : lone_ticks; }
+    uint64_t slice_ticks() const;
     struct Rows {
         size_t begin, end;
     };
@@ -123,6 +126,9 @@ struct Twin::State {
     bool quiet = false;           // a sync point has passed with every positioner asleep: time alone goes on
     // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
+    std::vector<uint8_t> posed; // by group: somebody has written `next` since
+    // how far each has travelled by then (Neighbours::travel_mm), and where its gears were
+    std::vector<double> travels_mm, next_travels_mm, gears_rad;
     std::vector<Angles> zeros; // of the arms
     Gravity gravity;
     Workers workers;
@@ -135,8 +141,12 @@ Twin::State::State(const TwinSetup &s)
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
       skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()), pushed(s.ids.size()),
       scoped(plant.group_count()), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
+      posed(plant.group_count()), travels_mm(s.ids.size()), next_travels_mm(s.ids.size()),
+      gears_rad(plant.group_count() * lane_count),
       workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
+    for (size_t g = 0; g < plant.group_count(); ++g)
+        std::copy_n(plant.group(g).gear_rad, lane_count, &gears_rad[g * lane_count]);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
     for (const Arm &arm : s.arms) zeros.push_back({arm.alpha_off_rad, arm.beta_off_rad});
@@ -223,10 +233,37 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
         for (size_t i = rows.begin; i < rows.end; ++i) follow_loads(i);
     const uint32_t fell = lane_group.rest(now + ticks, skip_resting);
     for (size_t i = rows.begin; feel && i < rows.end; ++i)
-        if ((fell >> (i - rows.begin) & 1U) != 0 || neighbours.due(i, now + ticks)) publish(i);
+        if ((fell >> (i - rows.begin) & 1U) != 0 || neighbours.shown(i, now + ticks)) publish(i);
+    if (feel && (now + ticks) % sync_ticks == 0) travel(group);
+}
+
+// The gears since the last look. An arm that is pushed bends, too: it may be anywhere that it could have come.
+void Twin::State::travel(size_t group) {
+    const Rows rows = rows_of(group);
+    const double *gear_rad = plant.group(group).gear_rad;
+    double *before_rad = &gears_rad[group * lane_count];
+    for (size_t i = rows.begin, lane = 0; i < rows.end; ++i, ++lane) {
+        const double alpha_rad = std::abs(gear_rad[lane] - before_rad[lane]);
+        const double beta_rad =
+            std::abs(gear_rad[lane + lane_group_size] - before_rad[lane + lane_group_size]);
+        next_travels_mm[i] +=
+            felt[i] != 0 ? neighbours.farthest_mm(i) : neighbours.travel_mm(i, alpha_rad, beta_rad);
+    }
+    std::copy_n(gear_rad, lane_count, before_rad);
+}
+
+void Twin::State::show_poses() {
+    travels_mm = next_travels_mm;
+    for (size_t group = 0; group < posed.size(); ++group) {
+        if (posed[group] == 0) continue;
+        const Rows rows = rows_of(group);
+        std::copy(&next[rows.begin], &next[0] + rows.end, &seen[rows.begin]);
+        posed[group] = 0;
+    }
 }
 
 void Twin::State::publish(size_t i) {
+    posed[i / lane_group_size] = 1;
     const Angles rigid = at_rest(i);
     next[i] = neighbours.pose(
         i, {rigid.alpha_rad + plant.deflection_rad(2 * i), rigid.beta_rad + plant.deflection_rad(2 * i + 1)},
@@ -235,7 +272,7 @@ void Twin::State::publish(size_t i) {
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    const Push push = neighbours.push(i, seen, now, p.contacts);
+    const Push push = neighbours.push(i, seen, travels_mm, now, p.contacts);
     note_touches(i, outbox);
     if (push != p.push) apply_torque(i, push);
     felt[i] = !p.contacts.empty() || !p.touched.empty() || p.push != Push{};
@@ -261,6 +298,7 @@ void Twin::State::note_touches(size_t i, Outbox &outbox) {
 
 void Twin::State::apply_torque(size_t i, const Push &push) {
     Positioner &p = positioners[i];
+    next_travels_mm[i] += neighbours.farthest_mm(i);
     p.push = push;
     p.wake(now); // the rotor may give way
     put_torque(i);
@@ -292,6 +330,16 @@ bool Twin::State::any_awake() const {
     return std::any_of(awake.begin(), awake.end(), [](uint32_t group) { return group != 0; });
 }
 
+// To the next sync point; to one further on where no arm can touch another before.
+uint64_t Twin::State::slice_ticks() const {
+    if (!feel && !loaded) return lone_ticks;
+    const uint64_t to_sync = sync_ticks - now % sync_ticks;
+    const auto touches_now = [](uint8_t f) { return f != 0; };
+    if (loaded || to_sync != sync_ticks || std::any_of(felt.begin(), felt.end(), touches_now)) return to_sync;
+    const uint64_t due = neighbours.next_due();
+    return std::clamp(due - std::min(due, now), sync_ticks, lone_ticks);
+}
+
 void Twin::State::run_slice(uint64_t ticks) {
     begun = now;
     slice = ticks;
@@ -300,7 +348,7 @@ void Twin::State::run_slice(uint64_t ticks) {
     std::fill(close.begin(), close.end(), uint8_t{0});
     workers.run(turns.size());
     run_closely(ticks);
-    if (at_sync()) seen = next;
+    if (at_sync()) show_poses();
 }
 
 // The groups that are left, tick by tick where a force may change.
@@ -376,7 +424,7 @@ std::vector<Reply> Twin::run(uint64_t ticks) {
             s_->now = end;
             break;
         }
-        s_->run_slice(std::min(s_->ticks_to_sync(), end - s_->now));
+        s_->run_slice(std::min(s_->slice_ticks(), end - s_->now));
         s_->quiet = resting && at_sync && !s_->any_awake();
     }
     return s_->collect();

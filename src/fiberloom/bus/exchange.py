@@ -19,6 +19,7 @@ from fiberloom.bus.transport import Frame, Transport
 
 # A transport whose clock has not moved after this many empty receives will never reach a deadline.
 _STANDSTILL_LIMIT = 1000
+_COLLISION_DETECTED = int(Command.COLLISION_DETECTED)
 # A transport may count in ticks: less than this could be no time at all for it.
 _SHORTEST_WAIT_S = 1e-3
 # A task that begins to wait while another listens takes its turn after this time at the latest.
@@ -291,7 +292,7 @@ class Exchange:
     def _dispatch(self, frames: Sequence[Frame]) -> None:
         pending = self._pending
         for frame in frames:
-            entry = pending.pop(frame[0] >> 4, None)
+            entry = pending.pop(frame[0] >> 4, None) if pending else None
             if entry is None:
                 self._dispatch_other(frame)
             else:
@@ -305,7 +306,7 @@ class Exchange:
         positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
         if not 0 < positioner <= MAX_POSITIONER:
             self.strays += 1
-        elif command == Command.COLLISION_DETECTED:
+        elif command == _COLLISION_DETECTED:
             self.on_unsolicited(decode(number), frame)
         elif uid == 0 and (broadcast := self._broadcasts.get(command)) is not None:
             broadcast.take(positioner, frame)

@@ -139,6 +139,7 @@ class Arrivals:
         await client.exchange.wait(self._something, min(client.time_s + waiting.expected_s, deadline_s))
         while self._active:
             self._judge(await client.poll(self._active))
+            self.results.polls += 1
             if self._active and waiting.stop_on_collision and self._collided():
                 await client.abort(self._active)
                 self.results.update(all_of(self._active, Outcome.STOPPED))
@@ -162,17 +163,19 @@ class Arrivals:
 
     def _judge(self, answers: Results) -> None:
         """Books those whose motion has ended."""
+        collided, done = self._client.collided, Outcome.DONE
         for i, answer in answers.items():
-            bits = answer.values[0] if answer.ok else 0
-            if i in self._client.collided or bits & _COLLIDED:
+            ok = answer.outcome is done
+            bits = answer.values[0] if ok else 0
+            if bits & _COLLIDED or i in collided:
                 self._book(Result(i, Outcome.COLLIDED))
             elif answer.outcome is Outcome.TIMED_OUT:
                 if self._silent_for_good(i):
                     self._book(answer)
-            elif not answer.ok:
+            elif not ok:
                 self._book(answer)
             elif bits & _COMPLETED:
-                self._book(Result(i, Outcome.MISPLACED if bits & _LOST_WAY else Outcome.DONE))
+                self._book(Result(i, Outcome.MISPLACED if bits & _LOST_WAY else done))
             else:
                 self._silent.pop(i, None)
 

@@ -194,9 +194,14 @@ class CommandSpec:
                 f"{self.command.name}: values {values} do not fit the payload '{self.request}' ({error})"
             ) from None
 
+    @property
+    def layout(self) -> struct.Struct:
+        """Of a reply's payload."""
+        return _LAYOUTS[self.reply]
+
     def unpack(self, data: bytes) -> tuple[int, ...] | None:
         """The values of a reply, or None when its payload is shorter than the table says."""
-        layout = _LAYOUTS[self.reply]
+        layout = self.layout
         return layout.unpack_from(data) if len(data) >= layout.size else None
 
 

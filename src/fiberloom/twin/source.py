@@ -54,7 +54,8 @@ class TwinSource:
     @cached_property
     def bench_units(self) -> Units:
         """The same at the temperature of the calibration."""
-        return draw_units(self.plane, self.seed, errors=self.errors.at_calibration())
+        on_bench = self.errors.at_calibration()
+        return self.units if on_bench == self.errors else draw_units(self.plane, self.seed, errors=on_bench)
 
     @cached_property
     def hardware(self) -> Hardware:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -31,6 +32,10 @@ class Reply(NamedTuple):
     id: int
     data: bytes
     time_s: float
+
+
+_REPLY = partial(tuple.__new__, Reply)
+"""Of what the core tells: `Reply(*sent)` in a third of the time."""
 
 
 class Touch(NamedTuple):
@@ -126,7 +131,7 @@ class Twin:
         """Lets time pass, to the nearest tick of 0.5 ms; what was sent since the last call."""
         if not 0.0 <= duration_s < 1e6:
             raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
-        return [Reply(*r) for r in self._core.run(round(duration_s / _core.TICK_S))]
+        return list(map(_REPLY, self._core.run(round(duration_s / _core.TICK_S))))
 
     def truth(self) -> Floats:
         """Output angles (N, 2) in deg: alpha, beta."""

@@ -321,6 +321,32 @@ def test_every_kernel_gives_the_same_bytes():
     assert len(set(runs.values())) == 1, list(runs)
 
 
+def driven(companions, kernel):
+    """16 positioners, the even ones driven up and down with ramps and stops, the odd ones as told."""
+    ticks = np.arange(1200)
+    speed = 0.1 * np.clip(np.sin(2 * np.pi * ticks / 400) * 3, -1, 1)
+    ways = {"alike": np.cumsum(speed), "to and fro": 3.0 * np.sin(ticks / 9), "at rest": np.zeros(1200)}
+    angle = np.repeat(np.stack([np.cumsum(speed), ways[companions]], axis=1), 2, axis=1)
+    rows = np.arange(16) % len(UNITS)
+    params, gears = UNITS.plant[rows].ravel(), UNITS.gear[rows].ravel()
+    log, hall = plant(params, gears, np.full(32, 1.0), seed=3, kernel=kernel).run(
+        field(1.0, np.tile(angle, 8))
+    )
+    even = np.arange(32) % 4 < 2
+    return log[:, even], hall[:, even]
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+def test_what_an_axis_does_is_its_own(kernel):
+    """Axes that all push their gears are stepped by shorter code than any that has to find contacts."""
+    log, hall = driven("alike", kernel)
+    assert np.ptp(log[..., GEAR_RAD], axis=0).min() > 5.0
+    for companions in ("to and fro", "at rest"):
+        other, other_hall = driven(companions, kernel)
+        assert (other == log).all()
+        assert (other_hall == hall).all()
+
+
 def test_same_seed_same_bytes_other_seed_other_noise():
     assert random_run("") == random_run("")
     assert random_run("") != random_run("", seed=5)

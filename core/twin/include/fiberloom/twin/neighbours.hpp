@@ -8,6 +8,7 @@
 
 #include "fiberloom/arm.hpp"
 #include "fiberloom/distance.hpp"
+#include "fiberloom/twin/axis_group.hpp"
 
 namespace fl::twin {
 
@@ -27,10 +28,11 @@ struct Body {
     double from_mm = 0.0, to_mm = 14.7, radius_mm = 1.5;
 };
 
-// How one arm gives way: per axis, rad per Nm, and the fastest it can turn.
+// How one arm gives way: per axis, rad per Nm, the fastest it can turn, and the most for a way of its gear.
 struct Give {
     double compliance_rad_per_Nm[2] = {0.0, 0.0};
     double speed_limit_rad_s[2] = {0.0, 0.0}; // of the output
+    double output_per_gear[2] = {0.0, 0.0};
 };
 
 // Two bodies began to touch in this tick.
@@ -78,12 +80,26 @@ class Neighbours {
 
     // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
     // come near: the answer does not depend on it. `contacts` are those of the last sync point, and
-    // then those of this. Any thread, one call per positioner at a time.
-    Push push(size_t i, const std::vector<Pose> &poses, uint64_t tick, std::vector<Contact> &contacts);
+    // then those of this. travels_mm: of all positioners at the last sync point, see travel_mm. Any thread,
+    // one call per positioner at a time.
+    Push push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm, uint64_t tick,
+              std::vector<Contact> &contacts);
 
-    // Whether something could touch positioner i at this tick. Until then nobody asks where it is: two look
-    // at each other at the same ticks.
+    // Whether something could touch positioner i at this tick, as far as speeds tell.
     bool due(size_t i, uint64_t tick) const { return tick >= next_look_[i]; }
+    // The first tick at which something could touch something.
+    uint64_t next_due() const;
+    // Whether push() needs the pose of positioner i at this tick: two look at each other at the same ticks,
+    // and only if they have travelled as far as they were apart, but for a sync point.
+    bool shown(size_t i, uint64_t tick) const { return tick >= next_exact_[i]; }
+
+    // How far a point of arm i has come at most when its gears have turned so far, motor rad. Sums of it,
+    // sync point by sync point, are the travels of push().
+    double travel_mm(size_t i, double alpha_rad, double beta_rad) const {
+        return levers_mm_[i].alpha * alpha_rad + levers_mm_[i].beta * beta_rad;
+    }
+    // The farthest that it can come from one sync point to the next.
+    double farthest_mm(size_t i) const { return speed_mm_s_[i] * static_cast<double>(sync_ticks) * tick_s; }
 
     // Memory of one positioner, with the longest list of neighbours.
     size_t bytes_per_positioner() const;
@@ -104,7 +120,13 @@ class Neighbours {
     };
     struct Near {
         uint32_t number;        // as in Touch
+        bool exact = true;      // by their poses then, else by their travels
         uint64_t next_look = 0; // tick before which the two cannot touch
+        double meet_mm = 0.0;   // they cannot until both have travelled so far
+        double worth_mm = 0.0;  // nearer by their travels than this, another exact look pays
+    };
+    struct Levers { // mm of an arm for a motor rad of its gears
+        double alpha, beta;
     };
     struct Touched { // the other body of a contact
         uint32_t number;
@@ -125,6 +147,8 @@ class Neighbours {
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
     double touch(Look &look, const Touched &body) const;
+    double apart_mm(Look &look, Near &near, double travelled_mm) const;
+    void plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const;
     void press(Look &look, const Touched &body, const Place &at) const;
 
     std::vector<Arm> arms_;
@@ -133,7 +157,9 @@ class Neighbours {
     std::vector<Give> gives_;
     std::vector<double> speed_mm_s_; // at which a point of an arm moves at most
     std::vector<std::vector<Near>> near_;
-    std::vector<uint64_t> next_look_; // tick before which nothing can touch positioner i
+    std::vector<Levers> levers_mm_;
+    // tick before which nothing can touch positioner i; and before which nothing asks where it is
+    std::vector<uint64_t> next_look_, next_exact_;
 };
 
 } // namespace fl::twin
