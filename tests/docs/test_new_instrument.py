@@ -1,4 +1,4 @@
-"""docs/design/tutorial-new-instrument.md: its quick commands answer what the page says; all have an answer."""
+"""The tutorial of a new instrument: its quick commands answer what the page says; all have an answer."""
 
 from pathlib import Path
 
