@@ -2,7 +2,7 @@
 
 from html.parser import HTMLParser
 
-from fiberloom.report.design import DesignSection, design_html
+from fiberloom.design.page import DesignSection, design_html
 
 
 class Page(HTMLParser):

@@ -1,4 +1,4 @@
-"""docs/tutorial-new-instrument.md: its quick commands answer what the page says; all have an answer."""
+"""The tutorial of a new instrument: its quick commands answer what the page says; all have an answer."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 from tools.pages import transcript
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "tutorial-new-instrument.md").read_text()
+TEXT = (ROOT / "docs" / "design" / "tutorial-new-instrument.md").read_text()
 PIECES = {m["command"]: m for m in transcript.COMMAND.finditer(TEXT) if m["command"]}
 QUICK = [c for c in PIECES if c.split()[2] == "gear"]
 

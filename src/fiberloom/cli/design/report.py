@@ -16,8 +16,8 @@ from fiberloom.errors import InputError
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
+    from fiberloom.design.page import DesignSection
     from fiberloom.instruments import Instrument
-    from fiberloom.report.design import DesignSection
 
 RINGS = 6
 """Of the patch on which targets are observed."""
@@ -55,8 +55,8 @@ def report(options: ReportOptions) -> int:
     import tempfile
 
     from fiberloom.design.check import check
+    from fiberloom.design.page import design_html
     from fiberloom.instruments import load_instrument
-    from fiberloom.report.design import design_html
     from fiberloom.wholefile import whole
 
     instrument = load_instrument(options.file)
@@ -82,7 +82,7 @@ def _head(options: ReportOptions, instrument: Instrument) -> dict[str, Any]:
 def _sections(
     options: ReportOptions, instrument: Instrument, found: list[str], folder: Path, shown: Waiting
 ) -> Iterator[DesignSection]:
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     yield DesignSection("Check", found or ["Nothing is wrong."])
     for title, make in (
@@ -105,7 +105,7 @@ def _made(
     title: str, make: _Make, options: ReportOptions, instrument: Instrument, folder: Path
 ) -> Iterator[DesignSection]:
     """One section; what a tool refuses is said in its place."""
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     try:
         section = make(options, instrument, folder)
@@ -117,7 +117,7 @@ def _made(
 
 def _coverage(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.coverage import CoverageOptions, coverage_row
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     picture = folder / "coverage.png"
     fibres = instrument.science_fibres
@@ -133,7 +133,7 @@ def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) ->
     from fiberloom.cli.design.efficiency import efficiency_row
     from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
     from fiberloom.design.figures import draw_efficiency
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     fibre = instrument.science_fibres[0]
     where = inner_part(endless(instrument, RINGS), fibre)
@@ -148,7 +148,7 @@ def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> Desig
     from fiberloom.cli.design.gear import gear_row
     from fiberloom.design.figures import draw_gear
     from fiberloom.design.gear import gear_window
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     found = [gear_window(instrument, axis, within_s=options.within) for axis in (0, 1)]
     picture = folder / "gear.png"
@@ -159,8 +159,8 @@ def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> Desig
 def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.gear import spring_row
     from fiberloom.design.figures import draw_spring
+    from fiberloom.design.page import DesignSection
     from fiberloom.design.spring import spring_window
-    from fiberloom.report.design import DesignSection
 
     found = [spring_window(instrument, axis, seed=options.seed) for axis in (0, 1)]
     picture = folder / "spring.png"
@@ -170,7 +170,7 @@ def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> Des
 
 def _budget(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.budget import BudgetOptions, budget_report
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     asked = BudgetOptions(file=options.file, units=options.units, fields=3, seed=options.seed)
     with waiting(quiet=True) as shown:
@@ -180,8 +180,8 @@ def _budget(options: ReportOptions, instrument: Instrument, folder: Path) -> Des
 
 def _power(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.power import array_row, axis_row
+    from fiberloom.design.page import DesignSection
     from fiberloom.design.power import array_power
-    from fiberloom.report.design import DesignSection
 
     found = array_power(instrument, seed=options.seed)
     axes = [axis_row(one) for one in (found.alpha, found.beta)]
@@ -190,7 +190,7 @@ def _power(options: ReportOptions, instrument: Instrument, folder: Path) -> Desi
 
 def _throughput(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection | None:
     from fiberloom.cli.design.throughput import ThroughputOptions, throughput_tables
-    from fiberloom.report.design import DesignSection
+    from fiberloom.design.page import DesignSection
 
     if options.core is None or options.scale is None:
         return None
