@@ -270,6 +270,9 @@ def test_without_polls_a_missed_start_is_seen_too_late(monkeypatch):
         return MotionRule(*args, poll_s=math.inf)
 
     monkeypatch.setattr(operation, "MotionRule", unwatched)
-    found = [moved(f"nostart=#{i}") for i in PLANE.positioner_id[:8]]
-    assert not any(any(kind == "deviation" for kind, *_ in events) for _, _, events in found)
-    assert any(touches for _, touches, _ in found)
+    for i in PLANE.positioner_id[:8]:
+        _, touches, events = moved(f"nostart=#{i}")
+        assert not any(kind == "deviation" for kind, *_ in events)
+        if touches:
+            return
+    pytest.fail("no arms touch")

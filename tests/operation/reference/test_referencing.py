@@ -8,6 +8,7 @@ import pytest
 from fiberloom.bus.client import Client
 from fiberloom.bus.protocol import Status
 from fiberloom.calibration.transmission.nominal import nominal_maps
+from fiberloom.errors import InputError
 from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation import observe, survey
@@ -215,10 +216,13 @@ def test_one_that_does_not_follow_does_not_end_the_search_of_the_others(monkeypa
     async def keeping(motion):
         kept.append(await referencing.reference(motion))
 
+        raise InputError("seen enough: the survey itself is not asked for")
+
     monkeypatch.setattr(survey, "reference", keeping)
     (dead,) = {fault.positioner_id for fault in draw_faults(PLANE, "dead=1", SEED)}
     made = field("power", "dead=1")
-    made.run.survey(SurveySettings(configurations=6, seed=SEED), out=tmp_path)
+    with pytest.raises(InputError, match="seen enough"):
+        made.run.survey(SurveySettings(configurations=6, seed=SEED), out=tmp_path)
     assert list(kept[0].left) == [dead]
     assert len(kept[0].searched) >= N - 3  # its neighbours may not have room
     assert made.source.hardware.truth.touches() == []
