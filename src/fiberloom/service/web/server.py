@@ -68,7 +68,7 @@ class Listening:
 class _ArrayServer(uvicorn.Server):
     """Stops the array first, then itself."""
 
-    def __init__(self, config: uvicorn.Config, on_end: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, on_end: Callable[[], object]) -> None:
         super().__init__(config)
         self._on_end = on_end
 
