@@ -110,6 +110,6 @@ def serve(app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket) 
     server = _ArrayServer(config, lambda: array.stop_own(Author("the end of the service", "engineer")))
     try:
         array.begin()
-        asyncio.run(server.serve([sock]))
+        server.run([sock])
     finally:
         array.close()
