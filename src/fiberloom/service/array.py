@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fiberloom.blocking import finish
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import TransportLost
 from fiberloom.connect import TWIN, is_shared
@@ -218,7 +219,7 @@ class ServedArray:
             return "nothing moves"
         opened = BusSpec.parse(self.bus).open
         stopper = Stopper(self.book, opened, is_shared(self.bus), f"{author.name} by the service")
-        return asyncio.run(stopper.stop()).text
+        return finish(stopper.stop()).text
 
     def record_stop(self, author: Author, text: str) -> None:
         """Writes a stop; what moves was stopped before."""

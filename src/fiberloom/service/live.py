@@ -254,7 +254,8 @@ class Live:
         target_mm = np.full((len(self.plane), 2), np.nan)
         for name in set(goals.fibre[goals.has_target].tolist()):
             rows = np.flatnonzero(goals.has_target & (goals.fibre == name))
-            target_mm[rows] = self.plane.forward(*goals.angles_deg[rows].T, name or METROLOGY, rows)
+            alpha_deg, beta_deg = goals.angles_deg[rows].T
+            target_mm[rows] = self.plane.forward(alpha_deg, beta_deg, name or METROLOGY, rows)
         return target_mm
 
     def _seen_by(self, move: Move) -> _Seen:
@@ -263,7 +264,7 @@ class Live:
             return _Seen(target_mm, np.full_like(target_mm, np.nan), move.number, move.label)
         goal_mm = move.metrology_goal_mm
         if goal_mm is None:
-            goal_mm = self.plane.forward(*goals.angles_deg.T, METROLOGY)
+            goal_mm = self.plane.forward(goals.angles_deg[:, 0], goals.angles_deg[:, 1], METROLOGY)
         known = np.isfinite(move.measured_error_um)
         off_mm = np.where(known[:, None], move.measurement.xy_mm - goal_mm, np.nan)
         return _Seen(target_mm, off_mm, move.number, move.label)

@@ -37,7 +37,7 @@ CODES: dict[str, AlarmCode] = {
     "astray": AlarmCode(Severity.MINOR, "it went elsewhere: recover finds it, home searches its datum"),
     "unsure": AlarmCode(Severity.MINOR, "recover: a small move that is proven clear shows where it is"),
     "dead": AlarmCode(Severity.MINOR, "it does not move or answer: look at its power, then exclude it"),
-    "dark": AlarmCode(Severity.MINOR, "its fibre is not seen: look at its light; search its datum"),
+    "dark": AlarmCode(Severity.MINOR, "look at its light; search its datum (home)"),
     "disconnected": AlarmCode(Severity.MINOR, "its link is down: look at the gateway"),
     "health": AlarmCode(Severity.ADVICE, "look at its history; exclude it if you agree"),
     "store": AlarmCode(Severity.CRITICAL, "look at the disk: what happens is not recorded"),
@@ -84,9 +84,9 @@ class AlarmBoard:
             if there is None:
                 alarm = Alarm(code, kind.severity.value, subject, text, advice or kind.advice, now, now)
             else:
-                # one that was gone is news again: to acknowledge it once was not for ever
-                seen = {} if there.gone is None else {"acknowledged": None, "acknowledged_by": ""}
-                alarm = replace(there, last=now, count=there.count + 1, text=text, gone=None, **seen)
+                alarm = replace(there, last=now, count=there.count + 1, text=text, gone=None)
+                if there.gone is not None:  # news again: to acknowledge it once was not for ever
+                    alarm = replace(alarm, acknowledged=None, acknowledged_by="")
             kept = self._keep(alarm)
         if there is None or there.gone is not None:
             self._send(kept)

@@ -143,7 +143,7 @@ class Failures:
     def wait_s(self, address: str) -> float:
         """So long this address has to wait; 0: not at all."""
         with self._lock:
-            times = self._times.get(address, ())
-            if len(times) < FAILURES:
+            times = self._times.get(address)
+            if times is None or len(times) < FAILURES:
                 return 0.0
             return max(times[0] + WITHIN_S - self._clock_s(), 0.0)

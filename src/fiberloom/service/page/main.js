@@ -130,13 +130,14 @@ stream({
   picture: (buffer) => {
     const found = model.plane && readPicture(buffer, model.plane.n);
     if (!found) return;
-    const moved = Number.isFinite(found.time_s);
-    model.from = moved && Number.isFinite(model.time_s) ? model.shownAngles() : null;
+    const moved = Number.isFinite(found.time_s), was = Number.isFinite(model.time_s);
+    model.from = moved && was ? model.shownAngles() : null;
     model.at = performance.now();
     model.plane.angles = found.angles;
     model.states = found.states;
-    if (!moved || !Number.isFinite(model.time_s)) view.stale = true;
+    if (!moved || !was) view.stale = true;
     model.time_s = found.time_s;
+    if (moved !== was) words();
   },
   cut: () => {
     $("link").textContent = "no connection";
@@ -161,10 +162,11 @@ function words() {
   const { array, running, plane, planAbout, stages } = model;
   if (!plane) return;
   $("title").textContent = `fiberloom · ${plane.instrument} · ${plane.n}`;
-  const state = running && array.state !== "locked" && Number.isFinite(model.time_s) ? "moving" : array.state;
+  const now = Number.isFinite(model.time_s) ? "moving" : "at work";
+  const state = running ? now : array.state;
   $("array-state").textContent = state;
   $("array-state").title = array.text || array.address;
-  $("array-state").className = `badge ${state}`;
+  $("array-state").className = `badge is-${state.replace(" ", "-")}`;
   const last = stages[stages.length - 1], count = last?.total ? ` ${last.done}/${last.total}` : "";
   $("running").textContent = running ? `${running.command} by ${running.author}: ${last?.command === running.command ? last.name + count : ""}`
     : array.owner ? `in use by ${array.owner}` : "";

@@ -2,6 +2,7 @@
 import { lookOf, shape } from "/page/look.js";
 
 const ERROR_TIMES = 1000;  // error vectors are drawn so many times as long
+const LONGEST_MM = 20;  // as drawn; a longer one ends with a ring
 
 export class View {
   constructor(still, moving, model) {
@@ -219,8 +220,11 @@ export class View {
     seen.errors_um.forEach(([ex, ey], row) => {
       const [x, y] = seen.targets[row];
       if (ex === null || x === null) return;
+      const times = ERROR_TIMES / 1000, drawn_mm = times * Math.hypot(ex, ey), part = Math.min(1, LONGEST_MM / drawn_mm);
+      const tx = x + part * times * ex, ty = y + part * times * ey;
       c.moveTo(this.px(x), this.py(y));
-      c.lineTo(this.px(x + (ex / 1000) * ERROR_TIMES), this.py(y + (ey / 1000) * ERROR_TIMES));
+      c.lineTo(this.px(tx), this.py(ty));
+      if (part < 1) this.disc(c, tx, ty, 1.2);
     });
     c.stroke();
   }

@@ -68,7 +68,7 @@ class Listening:
 class _ArrayServer(uvicorn.Server):
     """Stops the array first, then itself."""
 
-    def __init__(self, config: uvicorn.Config, on_end: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, on_end: Callable[[], object]) -> None:
         super().__init__(config)
         self._on_end = on_end
 
@@ -110,6 +110,6 @@ def serve(app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket) 
     server = _ArrayServer(config, lambda: array.stop_own(Author("the end of the service", "engineer")))
     try:
         array.begin()
-        asyncio.run(server.serve([sock]))
+        server.run([sock])
     finally:
         array.close()
