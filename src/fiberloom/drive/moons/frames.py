@@ -158,7 +158,7 @@ class MoonsAnswer(NamedTuple):
 
 
 def command_frame(place: UnitPlace, sequence: int, command: MoonsCommand, data: bytes = b"") -> MoonsFrame:
-    """A command to the unit at a `place`, with a `sequence` number and at most 6 bytes of `data`."""
+    """A `command` to the unit at a `place`, with a `sequence` number and at most 6 bytes of `data`."""
     if len(data) > DATA_BYTES - 2:
         raise InputError(f"moons: {command.name}: {len(data)} bytes; at most {DATA_BYTES - 2} fit")
     body = bytes([sequence & 0xFF, command]) + data

@@ -35,7 +35,7 @@ TRIES = 3
 LONGEST_SEARCH_S = 120.0
 """[D] The whole range of alpha at the speed of a start takes 82 s."""
 SETTLE_S = 0.05
-NONE = Segment(0)
+NONE, ENDS = Segment(0), Segment.LAST | Segment.REPLY
 
 
 class Gateways(Protocol):
@@ -226,7 +226,7 @@ def _segments(steps: Ints) -> list[bytes]:
     return [
         segment_data(
             (int(a), int(b)),
-            (Segment.FIRST if k == 0 else NONE) | (Segment.LAST | Segment.REPLY if k == last else NONE),
+            (Segment.FIRST if k == 0 else NONE) | (ENDS if k == last else NONE),
         )
         for k, (a, b) in enumerate(whole.tolist())
     ]
