@@ -196,10 +196,9 @@ def decode_answer(frame: MoonsFrame) -> MoonsAnswer:
         raise InputError(
             f"moons: bus {frame.bus}, unit {frame.address}: state {state}, error {error} not known"
         )
-    counters = tuple(int.from_bytes(data[k : k + 2], "little", signed=True) for k in (4, 6))
-    return MoonsAnswer(
-        data[0], command, data[1] >> 5 | data[2] << 3, MoonsState(state), MoonsError(error), counters
-    )
+    alpha, beta = (int.from_bytes(data[k : k + 2], "little", signed=True) for k in (4, 6))
+    status = data[1] >> 5 | data[2] << 3
+    return MoonsAnswer(data[0], command, status, MoonsState(state), MoonsError(error), (alpha, beta))
 
 
 def wrapped(count: int) -> int:

@@ -157,7 +157,7 @@ class MoonsLink:
         return self._counts[number]
 
     async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
-        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold its own."""
+        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold it."""
         ready = await self._load(ids, leg)
         missing = {n for n in ids if n not in ready or ready[n].error is not MoonsError.NONE}
         if missing:
