@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
+ON_TWIN_ONLY = ("lamost", "megara", "moons")
+"""Protocols without a connection outside of this process."""
 
 
 def open_hardware(
@@ -68,6 +70,9 @@ def open_hardware(
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
+    if plane.instrument.drive.protocol in ON_TWIN_ONLY:
+        name = plane.instrument.name
+        raise InputError(f"--bus {bus}: {name} is driven on the twin only so far; leave --bus out")
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
     if isinstance(bus, str) and bus.startswith(FPGA):

@@ -144,3 +144,16 @@ def test_a_table_without_the_twins_sizes_is_refused_in_one_line():
 def test_faults_that_steppers_do_not_have_are_refused():
     with pytest.raises(InputError, match="stuck_hall"):
         twin_source(PLANE, 0, "noise", "stuck_hall=1")
+
+
+def test_a_field_of_the_real_tables(shared_megara, tmp_path):
+    """92 robots of the public table, eight more that are disabled and stand folded."""
+    plane = fl.FocalPlane.read(shared_megara, "megara")
+    seen = fl.Field.twin(plane, seed=0, camera="noise").run.observe(
+        random_targets(plane, 200, seed=0), out=tmp_path / "run"
+    )
+    summary = seen.summary()
+    assert summary["n_assigned"] >= 80
+    assert summary["n_within_requirement"] == summary["n_assigned"]
+    assert summary["moves"][0]["true_rms_um"] < 25.0
+    assert summary["contacts_true"] == 0

@@ -186,8 +186,8 @@ def run(settings: Settings) -> FigureOutcome:
         how=(
             f"{size} of each instrument by its preset: its own motors, frames, camera, planning and "
             "corrections on the twin. Units are drawn and calibrated, targets assigned, motions planned, "
-            "verified and driven over the bus. DESI's maps are empty, as before its first night. Errors are true, "
-            "of healthy fibres with a target."
+            "verified and driven over the bus. DESI's maps are empty, as before its first night. Errors are "
+            "true, of healthy fibres with a target."
         ),
         smaller=""
         if settings.full
