@@ -212,8 +212,6 @@ def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
     last = [r.error_um[-1] for r in runs]
     within = [float(np.mean(e <= row.requirement_um)) for e in last]
     moves = max(len(r.error_um) for r in runs)
-    limit = {"paper": row.requirement_um, "bound": Bound.AT_MOST}
-    share = {"paper": SHARE, "bound": Bound.AT_LEAST}
     worst = [float(e.max()) for e in last]
     told: list[tuple[str, str, list[float], str]] = [
         ("moves", "moves, the blind one with them", [float(len(r.error_um)) for r in runs], "1"),
@@ -231,9 +229,9 @@ def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
     key, name = f"table1.{row.key}", row.name
     return [
         quantity(f"{key}.max_um", f"{name}: worst healthy fibre, true", worst, "um", Kind.REQUIREMENT,
-                 note=_note(row, runs), **limit),
+                 paper=row.requirement_um, bound=Bound.AT_MOST, note=_note(row, runs)),
         quantity(f"{key}.within", f"{name}: share within {row.requirement_um:g} um", within, "1",
-                 Kind.REQUIREMENT, **share),
+                 Kind.REQUIREMENT, paper=SHARE, bound=Bound.AT_LEAST),
         *(quantity(f"{key}.{what}", f"{name}: {words}", values, unit, beyond=True)
           for what, words, values, unit in told),
     ]  # fmt: skip
