@@ -57,6 +57,18 @@ def test_the_bench_finds_zeros_and_gears(whole):
     assert np.sqrt(np.mean(plain_um**2)) > 3.0 * np.sqrt(np.mean(miss_um**2))
 
 
+def test_the_bench_tells_the_play_by_the_direction_of_the_last_motion(whole):
+    """Both ways to the same angles: 0.05 deg of play would show, steps are 0.002 and 0.012 deg."""
+    _, source = whole
+    goal = np.tile([-100.0, -90.0], (len(PLANE), 1))
+    ends = []
+    for sign in (1.0, -1.0):
+        rising = np.full((len(PLANE), 2), sign)
+        counts = source.known.counts(goal, rising)
+        ends.append(source.units.output_deg(counts.astype(float), rising, _switches(source)))
+    assert np.abs(ends[0] - ends[1]).mean(axis=0).max() < 0.015
+
+
 def _switches(source):
     return np.column_stack([one.offset_deg for one in source.units.switches])
 
