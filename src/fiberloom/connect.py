@@ -90,7 +90,7 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
     off its tables. InputError where the twin does not have such motors, or does not know one of these.
     """
     # a real array needs no line of the twin
-    from fiberloom.twin.arrays import source_of
+    from fiberloom.twin.motors.arrays import source_of
 
     return source_of(plane, seed, camera, faults, errors)
 

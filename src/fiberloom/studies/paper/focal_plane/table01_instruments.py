@@ -22,7 +22,7 @@ from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, quantity
 from fiberloom.targets import random_targets
-from fiberloom.twin.arrays import AnySource, source_of
+from fiberloom.twin.motors.arrays import AnySource, source_of
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
