@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
-STEPPERS = ("lamost", "megara", "moons")
-"""Protocols of steppers without encoders."""
+ON_TWIN_ONLY = ("lamost", "megara", "moons")
+"""Protocols without a connection outside of this process."""
 
 
 def open_hardware(
@@ -70,6 +70,9 @@ def open_hardware(
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
+    if plane.instrument.drive.protocol in ON_TWIN_ONLY:
+        name = plane.instrument.name
+        raise InputError(f"--bus {bus}: {name} is driven on the twin only so far; leave --bus out")
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
     if isinstance(bus, str) and bus.startswith(FPGA):
@@ -87,23 +90,9 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
     off its tables. InputError where the twin does not have such motors, or does not know one of these.
     """
     # a real array needs no line of the twin
-    if plane.instrument.drive.protocol == "pfs":
-        from fiberloom.twin.cobras.source import CobraSource
+    from fiberloom.twin.motors.arrays import source_of
 
-        return CobraSource(plane, seed, camera, faults, errors)
-    if plane.instrument.drive.protocol == "desi":
-        from fiberloom.twin.desi.source import DesiSource
-
-        return DesiSource(plane, seed, camera, faults, errors)
-    if plane.instrument.drive.protocol in STEPPERS:
-        from fiberloom.twin.steppers.kinds import KINDS
-        from fiberloom.twin.steppers.source import StepperSource
-
-        kind = KINDS[plane.instrument.drive.protocol]
-        return StepperSource(plane, kind, seed, camera, faults, errors)
-    from fiberloom.twin.source import TwinSource
-
-    return TwinSource(plane, seed, camera, faults, errors)
+    return source_of(plane, seed, camera, faults, errors)
 
 
 def _camera(plane: FocalPlane, address: str) -> Camera:

@@ -56,3 +56,14 @@ def test_a_desi_array_keeps_what_it_is_told_to_know_apart():
     assert (ours.known_file, ours.kept_file) == (Path("night.npz"), Path("kept.npz"))
     assert (others.known_file, others.kept_file) == (None, None)
     assert ours.named() == {"bus": "opened", "camera": "a"}
+
+
+@pytest.mark.parametrize("instrument", ["lamost", "megara", "moons"])
+def test_what_the_twin_alone_drives_is_not_opened(fl, tmp_path, instrument):
+    """No frame of SDSS-V goes to motors of another kind."""
+    targets = tmp_path / "t.csv"
+    targets.write_text(TARGETS)
+    words = ("observe", targets, "--instrument", instrument, "--positioners", 3, "--bus", "socketcan:can0")
+    code, _, err = fl(*words, "--camera", "folder:images?trigger=true")
+    assert code == 2
+    assert f"{instrument} is driven on the twin only so far" in err

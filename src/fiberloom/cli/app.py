@@ -41,7 +41,8 @@ from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
 from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
-from fiberloom.cli.past.store import check, copy, upgrade
+from fiberloom.cli.past.store import check as check_store
+from fiberloom.cli.past.store import copy, upgrade
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
 from fiberloom.cli.serve import serve
@@ -109,7 +110,7 @@ add(exclude, exclude_clear, "clear")
 
 app.add_typer(store, name="store")
 add(store, upgrade)
-add(store, check)
+add(store, check_store)
 add(store, copy)
 
 app.add_typer(sky, name="sky")

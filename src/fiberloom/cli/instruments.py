@@ -42,9 +42,8 @@ def instruments(options: InstrumentsOptions) -> None:
 def _all() -> list[dict[str, Any]]:
     from fiberloom.instruments import instrument_names, load_instrument
     from fiberloom.report.tables import overview
-    from fiberloom.twin.hardware import missing_in_twin
 
     return [
-        overview(i) | {"twin_drives_it": "yes" if not missing_in_twin(i) else "no"}
+        overview(i) | {"twin_drives_it": "no" if i.drive.protocol == "none" else "yes"}
         for i in map(load_instrument, instrument_names())
     ]

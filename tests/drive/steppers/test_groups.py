@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import fiberloom as fl
+from fiberloom.drive.steppers.drive import CLOCK
 from fiberloom.drive.steppers.groups import Unfolding, grouped
 from fiberloom.drive.steppers.ways import ArmWays
+from fiberloom.planning import Plan, Trajectory, verify
 
 PLANE = fl.FocalPlane.of("moons", seed=0, n=2)
 EAST = np.array([True, True])
@@ -22,12 +24,35 @@ def unfolding(goals):
     return Unfolding(ArmWays(PLANE), np.array(goals), EAST, 180.0).ordered()
 
 
-def test_one_that_sweeps_the_goal_of_another_goes_first():
-    """The first swings its long arm over where the second stands afterwards, which keeps near its centre."""
-    a, b = towards(0), towards(1)
-    groups, why = unfolding([[a - 60.0, 300.0], [b, 95.0]])
-    assert not why
-    assert [group.tolist() for group in groups] in ([[0], [1]], [[1], [0]])
+def unfolded_in_turn(goals, groups):
+    """The plan in which groups unfold one after the other, 10 s each."""
+    robots = []
+    for row, (alpha, beta) in enumerate(goals):
+        turn = next((k for k, group in enumerate(groups) if row in group), None)
+        time_s = [0.0] if turn is None else [0.0, 10.0 * turn, 10.0 * turn + 10.0][int(turn == 0) :]
+        beta_deg = [180.0] * (len(time_s) - 1) + [180.0 if turn is None else beta]
+        alphas = np.full(len(time_s), alpha)
+        time_s = np.array(time_s) - time_s[0]
+        robots.append(Trajectory(int(PLANE.positioner_id[row]), time_s, alphas, np.array(beta_deg)))
+    return Plan("moons", PLANE.collision_buffer_mm, tuple(robots))
+
+
+def test_the_order_is_what_the_verifier_proves_and_the_reverse_often_is_not():
+    """The verifier is other code: it knows nothing of who goes first."""
+    rng, wrong, kept = np.random.default_rng(1), 0, 0
+    for _ in range(400):
+        alpha = np.array([towards(0), towards(1)]) + rng.uniform(-90.0, 90.0, 2)
+        goals = np.column_stack([alpha, rng.uniform(20.0, 300.0, 2)])
+        groups, why = unfolding(goals)
+        if why or len(groups) < 2:
+            continue
+        there = unfolded_in_turn(goals, [group.tolist() for group in groups])
+        assert not verify(PLANE, there, limits=CLOCK).collisions
+        back = unfolded_in_turn(goals, [group.tolist() for group in groups[::-1]])
+        wrong += bool(verify(PLANE, back, limits=CLOCK).collisions)
+        kept += 1
+    assert kept > 100
+    assert wrong > 5
 
 
 def test_two_that_reach_through_each_other_cannot_both():

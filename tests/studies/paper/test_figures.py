@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fiberloom.design.lattice import Lattice
+from fiberloom.instruments import load_instrument
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.studies.lifetime import DELTAS, WAYS
 from fiberloom.studies.paper import Settings
@@ -188,20 +189,23 @@ def test_table_1_is_the_papers():
     # 5 um at 22.4 mm: 12.8 mdeg, the most stringent of the six
     assert rows["sdssv"].tolerance_mdeg == pytest.approx(12.79, abs=0.01)
     assert min(rows.values(), key=lambda r: r.tolerance_mdeg).key == "sdssv"
-    assert not rows["megara"].corrected
     for row in rows.values():
-        instrument = table01.instrument_of(row)
-        assert instrument.reach_mm[1] == pytest.approx(row.reach_mm)
-        assert instrument.operation.corrections_max == (2 if row.corrected else 0)
+        preset = load_instrument(row.preset)
+        assert preset.operation.requirement_um == row.requirement_um
+        assert preset.layout.pitch_mm == pytest.approx(row.pitch_mm, rel=0.01)
+        assert preset.positioner.l_alpha_mm == pytest.approx(row.l_alpha_mm, rel=0.01)
+        assert preset.layout.n_positioners == pytest.approx(row.units, rel=0.01)
 
 
-def test_table_1_pipeline_on_seven_small_units():
-    found = table01.observe(table01.TABLE_1[2], seed=0, n_units=7)
-    assert found.collisions == 0
+@pytest.mark.parametrize("which", [1, 4])
+def test_table_1_runs_an_instrument_with_its_own_motors(which):
+    row = table01.TABLE_1[which]
+    found = table01.observe(row, seed=0, n_units=7)
+    assert (found.collisions, found.contacts) == (0, 0)
     assert found.assigned >= 5
-    assert len(found.error_um) == 3
-    assert np.isfinite(found.error_um[-1]).all()
-    assert found.error_um[-1].max() < 5.0
+    assert len(found.error_um) == 1
+    assert found.error_um[-1].max() < row.requirement_um
+    assert found.reconfiguration_s > 20.0
 
 
 def test_figure_18_counts_in_two_dimensions():

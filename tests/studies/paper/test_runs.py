@@ -298,29 +298,35 @@ def test_figure_20_tells_after_how_many_configurations(monkeypatch, written, ful
 @pytest.mark.parametrize("full", [False, True])
 def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch, written, full):
     sizes = []
+    one_move = ("megara", "moons")
 
     def observe(row, seed, n_units):
         sizes.append(n_units)
         blind = np.array([2.0, 4.0]) * row.requirement_um
         last = np.array([0.5, 1.5]) * row.requirement_um
-        return table01.InstrumentRun([blind, last] if row.corrected else [blind], 2, n_units, 1)
+        moves = [blind] if row.key in one_move else [blind, last]
+        return table01.InstrumentRun(moves, 2, 57, 1, 3, 100.0, 7.0)
 
     monkeypatch.setattr(table01, "observe", observe)
-    monkeypatch.setattr(table01, "cover", lambda lattice, pattern, step: SimpleNamespace(covered=0.75))
     _, by_id = made(table01, SimpleNamespace(given=Settings(seed=1, n_seeds=2, full=full)))
-    assert set(sizes) == {table01.MANY_UNITS if full else table01.UNITS}
+    runs = 1 if full else 2
+    assert sizes == 6 * runs * [None if full else table01.UNITS]
     assert by_id["table1.order.strictest_is_sdssv"].ours == 1.0
     for row in table01.TABLE_1:
+        corrected = row.key not in one_move
         worst = by_id[f"table1.{row.key}.max_um"]
-        assert worst.ours == pytest.approx((1.5 if row.corrected else 4.0) * row.requirement_um)
-        assert worst.misses == (worst.ours > row.requirement_um)
-        assert f"{2 if row.corrected else 0} of 4 fibres within the requirement" in worst.note
-        assert "2 collisions" in worst.note
-        assert ("no camera" in worst.note) == (not row.corrected)
+        assert worst.ours == pytest.approx((1.5 if corrected else 4.0) * row.requirement_um)
+        assert worst.misses
+        assert f"{runs} collisions in verified plans, {3 * runs} contacts in truth" in worst.note
+        assert f"published: {row.published}" in worst.note
+        within = by_id[f"table1.{row.key}.within"]
+        assert (within.ours, within.misses) == (0.5 if corrected else 0.0, True)
         blind = by_id[f"table1.{row.key}.blind_rms_um"].ours
         assert blind == pytest.approx(np.sqrt(10.0) * row.requirement_um)
+        assert by_id[f"table1.{row.key}.moves"].ours == (2.0 if corrected else 1.0)
+        assert by_id[f"table1.{row.key}.reconfiguration_s"].ours == 100.0
     (axes,) = written[0].axes
     assert [t.get_text() for t in axes.get_xticklabels()] == [row.name for row in table01.TABLE_1]
     # dots after the blind move, after the corrections where there are any, and the requirement
-    assert len(axes.lines) == sum(3 if row.corrected else 2 for row in table01.TABLE_1)
+    assert len(axes.lines) == sum(2 if row.key in one_move else 3 for row in table01.TABLE_1)
     assert axes.get_ylabel() == "true error of a fibre [µm]"

@@ -57,6 +57,18 @@ def test_the_bench_finds_zeros_and_gears(whole):
     assert np.sqrt(np.mean(plain_um**2)) > 3.0 * np.sqrt(np.mean(miss_um**2))
 
 
+def test_the_bench_tells_the_play_by_the_direction_of_the_last_motion(whole):
+    """Both ways to the same angles: 0.05 deg of play would show, steps are 0.002 and 0.012 deg."""
+    _, source = whole
+    goal = np.tile([-100.0, -90.0], (len(PLANE), 1))
+    ends = []
+    for sign in (1.0, -1.0):
+        rising = np.full((len(PLANE), 2), sign)
+        counts = source.known.counts(goal, rising)
+        ends.append(source.units.output_deg(counts.astype(float), rising, _switches(source)))
+    assert np.abs(ends[0] - ends[1]).mean(axis=0).max() < 0.015
+
+
 def _switches(source):
     return np.column_stack([one.offset_deg for one in source.units.switches])
 
@@ -144,3 +156,16 @@ def test_a_table_without_the_twins_sizes_is_refused_in_one_line():
 def test_faults_that_steppers_do_not_have_are_refused():
     with pytest.raises(InputError, match="stuck_hall"):
         twin_source(PLANE, 0, "noise", "stuck_hall=1")
+
+
+def test_a_field_of_the_real_tables(shared_megara, tmp_path):
+    """92 robots of the public table, eight more that are disabled and stand folded."""
+    plane = fl.FocalPlane.read(shared_megara, "megara")
+    seen = fl.Field.twin(plane, seed=0, camera="noise").run.observe(
+        random_targets(plane, 200, seed=0), out=tmp_path / "run"
+    )
+    summary = seen.summary()
+    assert summary["n_assigned"] >= 80
+    assert summary["n_within_requirement"] == summary["n_assigned"]
+    assert summary["moves"][0]["true_rms_um"] < 25.0
+    assert summary["contacts_true"] == 0

@@ -1,10 +1,9 @@
-"""MOONS on the twin: waveforms through its gateways, both elbows, no correction; and what is wrong is flagged."""
+"""MOONS on the twin: waveforms through its gateways, both elbows, no correction; faults are flagged."""
 
 import numpy as np
 import pytest
 
 import fiberloom as fl
-from fiberloom.connect import twin_source
 from fiberloom.drive.moons.frames import (
     MoonsCommand,
     MoonsError,
@@ -21,8 +20,8 @@ from fiberloom.targets.generate import random_targets
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.moons import MoonsBus
 
-PLANE = fl.FocalPlane.of("moons", seed=0, n=60)
-TARGETS = random_targets(PLANE, 150, seed=1)
+PLANE = fl.FocalPlane.of("moons", seed=0, n=40)
+TARGETS = random_targets(PLANE, 100, seed=1)
 
 
 def observed(folder, faults=""):
@@ -43,8 +42,8 @@ def test_a_field_without_correction_meets_its_20_um_in_truth(whole):
     summary = seen.summary()
     last = summary["moves"][-1]
     assert len(summary["moves"]) == 1
-    assert summary["n_assigned"] == 60
-    assert summary["n_within_requirement"] >= 58
+    assert summary["n_assigned"] == 40
+    assert summary["n_within_requirement"] >= 39
     # half steps 3.5 um, switches 0.008 deg at up to 25 mm, arms 1.5 um: between 3 and 10 um
     assert 3.0 < last["true_rms_um"] < 10.0
     assert summary["contacts_true"] == source.bus.array.contacts() == 0
@@ -74,7 +73,7 @@ def test_broken_units_are_flagged_and_the_rest_goes_on(tmp_path):
 
 
 def test_a_gateway_without_power_is_flagged_and_the_rest_goes_on(tmp_path):
-    seen, source = observed(tmp_path / "run", "busoff=1@12")
+    seen, source = observed(tmp_path / "run", "busoff=1@22")
     summary, silent = seen.summary(), {one.positioner_id for one in source.schedule}
     assert set(summary["faults"]["disconnected"]) == silent
     blocked = len(summary["faults"].get("blocked", []))
@@ -137,11 +136,3 @@ def test_counters_tell_the_end_and_an_abort_stops_on_the_way():
     assert answer.counters == (-10000 + 4 * 62, 4 * 62)
     told(bus, numbers[0], MoonsCommand.ENABLE_MOVE)
     assert told(bus, numbers[0], MoonsCommand.PING).state is MoonsState.RESTING
-
-
-def test_the_table_of_a_bench_holds_what_the_gear_does(whole):
-    """Order 3 of 0.1 deg over knots of 5 deg: what is left are the switch, the camera and the interpolation."""
-    _, source = whole
-    assert np.ptp(source.known.error_deg[:, 0], axis=-1).min() > 0.05
-    other = twin_source(PLANE, 1, "noise", "")
-    assert not np.allclose(other.known.error_deg, source.known.error_deg)

@@ -158,7 +158,7 @@ class MoonsAnswer(NamedTuple):
 
 
 def command_frame(place: UnitPlace, sequence: int, command: MoonsCommand, data: bytes = b"") -> MoonsFrame:
-    """A command to the unit at a `place`, with a `sequence` number and at most 6 bytes of `data`."""
+    """A `command` to the unit at a `place`, with a `sequence` number and at most 6 bytes of `data`."""
     if len(data) > DATA_BYTES - 2:
         raise InputError(f"moons: {command.name}: {len(data)} bytes; at most {DATA_BYTES - 2} fit")
     body = bytes([sequence & 0xFF, command]) + data
@@ -196,10 +196,9 @@ def decode_answer(frame: MoonsFrame) -> MoonsAnswer:
         raise InputError(
             f"moons: bus {frame.bus}, unit {frame.address}: state {state}, error {error} not known"
         )
-    counters = tuple(int.from_bytes(data[k : k + 2], "little", signed=True) for k in (4, 6))
-    return MoonsAnswer(
-        data[0], command, data[1] >> 5 | data[2] << 3, MoonsState(state), MoonsError(error), counters
-    )
+    alpha, beta = (int.from_bytes(data[k : k + 2], "little", signed=True) for k in (4, 6))
+    status = data[1] >> 5 | data[2] << 3
+    return MoonsAnswer(data[0], command, status, MoonsState(state), MoonsError(error), (alpha, beta))
 
 
 def wrapped(count: int) -> int:

@@ -35,7 +35,7 @@ TRIES = 3
 LONGEST_SEARCH_S = 120.0
 """[D] The whole range of alpha at the speed of a start takes 82 s."""
 SETTLE_S = 0.05
-NONE = Segment(0)
+NONE, ENDS = Segment(0), Segment.LAST | Segment.REPLY
 
 
 class Gateways(Protocol):
@@ -157,7 +157,7 @@ class MoonsLink:
         return self._counts[number]
 
     async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
-        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold its own."""
+        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold it."""
         ready = await self._load(ids, leg)
         missing = {n for n in ids if n not in ready or ready[n].error is not MoonsError.NONE}
         if missing:
@@ -226,7 +226,7 @@ def _segments(steps: Ints) -> list[bytes]:
     return [
         segment_data(
             (int(a), int(b)),
-            (Segment.FIRST if k == 0 else NONE) | (Segment.LAST | Segment.REPLY if k == last else NONE),
+            (Segment.FIRST if k == 0 else NONE) | (ENDS if k == last else NONE),
         )
         for k, (a, b) in enumerate(whole.tolist())
     ]

@@ -1,8 +1,8 @@
 """Waveforms of MOONS: steps of each axis in segments of 125 ms, as near to a planned way as its rules allow.
 
 In a segment an axis makes no step, or 62 to 250 (500 to 2000 a second); from one segment to the next the
-number changes by 50 at most; from rest and before rest it is 68 at most (550 a second), and the last before rest
-may be smaller than 62. A turn back counts as a rest (ukatc/fpu_driver, rules of version 5).
+number changes by 50 at most; from rest and before rest it is 68 at most (550 a second), and the last before
+rest may be smaller than 62. A turn back counts as a rest (ukatc/fpu_driver, rules of version 5).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats, Ints
+from fiberloom.units import AXES
 
 SEGMENT_S = 0.125
 MOST_SEGMENTS = 256
@@ -47,7 +48,7 @@ def _broken(before: int, now: int, after: int) -> str:
 
 def check_waveform(steps: Ints) -> None:
     """InputError with the rule that the steps (K, 2) of a unit break first."""
-    for axis, name in enumerate(("alpha", "beta")):
+    for axis, name in enumerate(AXES):
         if why := broken_rule(steps[:, axis]):
             raise InputError(f"moons: waveform, {name}: {why}")
 
