@@ -124,8 +124,7 @@ class Loop:
 
     async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
         """Moves the fibres to where their targets have gone before exposure `number`."""
-        there = {"angles_deg": step.angles_deg, "short_mm": step.short_mm, "target_mm": step.target_mm}
-        goals = replace(self.goals, **there)
+        goals = self.goals.gone(step.target_mm, step.angles_deg, step.short_mm)
         await self._guided(corrections, goals, number)
         self._arrived[:] = False
         await self.correct(corrections, step.label)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,13 @@ class Goals:
     def of(cls, assignment: Assignment) -> Goals:
         """The goals of an assignment."""
         return cls(assignment.goal_deg, assignment.approach_deg, assignment.fibre, assignment.target >= 0)
+
+    def gone(self, target_mm: Floats, angles_deg: Floats, short_mm: Floats) -> Goals:
+        """The goals once the targets have gone to (N, 2) mm.
+
+        `angles_deg`, `short_mm` (N, 2): where the fibres shall be then, and what is missing from there.
+        """
+        return replace(self, target_mm=target_mm, angles_deg=angles_deg, short_mm=short_mm)
 
     @classmethod
     def without_targets(cls, plane: FocalPlane, angles_deg: Floats) -> Goals:

@@ -170,8 +170,7 @@ class Guiding:
         reached = to_the_end(self.plane, self.assignment, shift_mm, angles_deg)
         short = (reached.short_mm != 0.0).any(axis=1)
         self.found[number] = replace(found, out_of_reach=tuple(self.plane.positioner_id[short].tolist()))
-        aim = {"angles_deg": reached.angles_deg, "short_mm": reached.short_mm, "target_mm": target_mm}
-        return replace(goals, **aim, pointed=fit)
+        return replace(goals.gone(target_mm, reached.angles_deg, reached.short_mm), pointed=fit)
 
     def about(self) -> list[dict[str, Any]]:
         """For result files: each look."""

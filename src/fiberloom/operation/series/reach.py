@@ -35,7 +35,7 @@ def to_the_end(plane: FocalPlane, assignment: Assignment, shift_mm: Floats, angl
     wanted_mm = _fibres_mm(plane, assignment, assignment.goal_deg) + shift_mm
     short = _short(wanted_mm - _fibres_mm(plane, assignment, angles_deg))
     angles_deg = angles_deg.copy()
-    for row in np.flatnonzero(short.any(axis=1)):
+    for row in np.flatnonzero(short.any(axis=1)).tolist():
         angles_deg[row] = _stretched(plane, str(assignment.fibre[row]), row, wanted_mm[row], angles_deg[row])
     return Reached(angles_deg, _short(wanted_mm - _fibres_mm(plane, assignment, angles_deg)))
 
