@@ -20,7 +20,7 @@ def test_the_instrument_decides_it(instrument, grid_deg):
 
 
 def test_desi_moves_at_nearly_full_speed():
-    plane = generate(load_instrument("desi"), seed=0, n_positioners=19)
+    plane = generate(load_instrument("desi"), seed=0, n_positioners=7)
     start_deg, goal_deg = random_pair(plane, seed=0)
     least_s = bound_s(plane, start_deg, goal_deg)
     usual, narrow = (
