@@ -237,7 +237,8 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
     if (feel && (now + ticks) % sync_ticks == 0) travel(group);
 }
 
-// The gears since the last look. An arm that is pushed bends, too: it may be anywhere that it could have come.
+// The gears since the last look. An arm that is pushed bends, too: it may be anywhere that it could have
+// come.
 void Twin::State::travel(size_t group) {
     const Rows rows = rows_of(group);
     const double *gear_rad = plant.group(group).gear_rad;
