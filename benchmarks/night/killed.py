@@ -32,7 +32,8 @@ from fiberloom.operation.source import OpenedArray
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, nights
-from fiberloom.store.run import STOPPED
+from fiberloom.store.nights.records import NightRecord
+from fiberloom.store.run import FINISHED, STOPPED
 from fiberloom.store.upkeep.check import check_store
 from fiberloom.targets import random_targets, read_targets, write_targets
 from fiberloom.twin.units import Units
@@ -43,7 +44,7 @@ BUS = "cannet://10.0.0.1:19228"
 BEGIN = datetime(2026, 11, 25, 18, 0, tzinfo=UTC)
 GAP_S = 60.0
 """At most so long after a process was killed the next one begins."""
-MOST_DELAY_S = 0.3
+MOST_DELAY_S = 0.1
 """Between an answer and the kill, of this machine."""
 POSITIONING = 300
 """Requests, a few more than a process needs to put 37 fibres on their targets."""
@@ -167,18 +168,21 @@ def killed_night(scene: Scene, kills: int, seed: int, say: Callable[[str], None]
     world, draw = NightWorld.of(scene.plane, scene.units, scene.seed), random.Random(seed)
     done, exposing, resume = 0, 0, False
     while True:
-        end, lit = _one_process(world, scene, draw if done < kills else None, resume)
+        end, lit = _one_process(world, scene, draw if done < kills else None, resume, done)
         if end is not None:
             return _account(scene, world, end, done, exposing)
         assert lit, (scene.folder / "errors.txt").read_text()
-        done, resume = done + 1, _has_begun(scene)
+        done, found = done + 1, _night(scene)
+        resume = found is not None
         exposing += bool(world.openings) and world.openings[-1].end_mm is None
         say(f"killed {done} of {kills} at {world.twin.time_s:.1f} s")
+        if found is not None and found.status == FINISHED:  # between its end and that of the process
+            return _account(scene, world, NightEnd(found.id, FINISHED, ""), done, exposing)
         world.passes(draw.uniform(0.0, GAP_S))
 
 
 def _one_process(
-    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool
+    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool, number: int
 ) -> tuple[NightEnd | None, bool]:
     """How it has ended, None: it was killed; and whether it was killed by us."""
     ours, theirs = FORK.Pipe()
@@ -188,7 +192,9 @@ def _one_process(
     assert process.pid is not None
     lit: list[bool] = []
     fuse = kill_after(process.pid, 0.0 if draw is None else draw.uniform(0.0, MOST_DELAY_S))
-    end = world.serve(ours, _when(world, draw, scene.exposure_s), lambda: (lit.append(True), fuse())[1])
+    end = world.serve(
+        ours, _when(world, draw, scene.exposure_s, number), lambda: (lit.append(True), fuse())[1]
+    )
     process.join()
     return end, bool(lit)
 
@@ -198,20 +204,26 @@ def _alone(ours: Connection, theirs: Connection, scene: Scene, resume: bool) -> 
     observe(theirs, scene, resume)
 
 
-def _when(world: NightWorld, draw: random.Random | None, exposure_s: float) -> Callable[[NightWorld], bool]:
-    """When to kill: after so many requests (arms move, or are asked) or after so much time (exposures)."""
+def _when(
+    world: NightWorld, draw: random.Random | None, exposure_s: float, number_of_kill: int
+) -> Callable[[NightWorld], bool]:
+    """When to kill: after so many requests (arms are moved, or asked), after an opening, after a time."""
     if draw is None:
         return lambda _: False
-    if draw.random() < 0.5:
+    if number_of_kill % 4 in (0, 2):
         number = world.requests + draw.randrange(1, POSITIONING)
         return lambda now: now.requests >= number
+    if number_of_kill % 4 == 1:  # just after the shutter has opened
+        openings, more = len(world.openings), iter(range(draw.randrange(0, 20)))
+        return lambda now: len(now.openings) > openings and next(more, None) is None
     time_s = world.twin.time_s + draw.uniform(0.0, MOST_EXPOSURES * exposure_s)
     return lambda now: now.twin.time_s >= time_s
 
 
-def _has_begun(scene: Scene) -> bool:
+def _night(scene: Scene) -> NightRecord | None:
+    """As the record has it; None: it was not begun."""
     with Store.open(scene.folder / "store.sqlite") as store:
-        return bool(nights(store))
+        return next(reversed(nights(store)), None)
 
 
 # the account
