@@ -17,7 +17,7 @@ from fiberloom.night.figures import night_figures, shutter_to_ready_s
 from fiberloom.night.report import write_report
 from fiberloom.night.runner import NightRunner
 from fiberloom.night.shutter import Exposed, TimedShutter
-from fiberloom.night.stages import RefusedError, Stage, StageRecord
+from fiberloom.night.stages import RefusedError, NightStage, StageRunner
 from fiberloom.operation.session.array_lock import ArrayLock, ForbiddenError
 from fiberloom.operation.session.states import Deed, Step
 from fiberloom.store.arrays import ArrayBook
@@ -238,14 +238,14 @@ def test_a_stage_that_takes_too_long_ends_and_is_cleaned_up(done):
     async def clean():
         cleaned.append(clock.now())
 
-    record = StageRecord(done.book, clock, lambda _: None)
+    record = StageRunner(done.book, clock, lambda _: None)
     with pytest.raises(TimeoutError, match="not done within 30 s"):
-        asyncio.run(record.run(Stage("slow", forever, 30.0, cleanup=clean)))
+        asyncio.run(record.run(NightStage("slow", forever, 30.0, cleanup=clean)))
     assert len(cleaned) == 1
     last = done.book.stages()[-1]
     assert (last.name, "not done within 30 s" in last.outcome, last.duration_s > 30.0) == ("slow", True, True)
     with pytest.raises(RefusedError, match="slow: the shutter is open"):
-        asyncio.run(record.run(Stage("slow", forever, 30.0, lambda: "the shutter is open")))
+        asyncio.run(record.run(NightStage("slow", forever, 30.0, lambda: "the shutter is open")))
     with sqlite3.connect(done.folder / "store.sqlite") as raw:
         raw.execute("DELETE FROM stages WHERE name = 'slow'")
 
