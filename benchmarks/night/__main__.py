@@ -30,7 +30,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name, value in (("kills", 50), ("fields", 5), ("positioners", 37), ("seed", 0)):
         parser.add_argument(f"--{name}", type=int, default=value)
-    parser.add_argument("--exposure", type=float, default=1200.0, help="s")
+    parser.add_argument("--exposure", type=float, default=900.0, help="s")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="fiberloom-night-"))

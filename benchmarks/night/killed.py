@@ -46,10 +46,14 @@ GAP_S = 60.0
 """At most so long after a process was killed the next one begins."""
 MOST_DELAY_S = 0.1
 """Between an answer and the kill, of this machine."""
-POSITIONING = 300
-"""Requests, a few more than a process needs to put 37 fibres on their targets."""
-MOST_EXPOSURES = 0.2
+POSITIONING = 6
+"""Requests of a process that puts fibres on their targets, for each positioner."""
+AFTER_OPENING = 20
+"""Requests at most with the shutter open, before a kill that is meant for that."""
+MOST_EXPOSURES = 0.1
 """Until a kill that is drawn by time, in exposures."""
+TURNS = 3, 2, 2
+"""Kills in a row with the shutter closed, with the shutter open, by time."""
 STILL_UM = 1.0
 """A fibre that moves less while the shutter is open is at rest: the twin's own rest is far below."""
 
@@ -96,7 +100,7 @@ class Scene:
     maps: Path
     folder: Path
     seed: int = 0
-    exposure_s: float = 1200.0
+    exposure_s: float = 900.0
 
 
 def write_queue(scene: Scene, fields: int) -> None:
@@ -174,7 +178,7 @@ def killed_night(scene: Scene, kills: int, seed: int, say: Callable[[str], None]
         assert lit, (scene.folder / "errors.txt").read_text()
         done, found = done + 1, _night(scene)
         resume = found is not None
-        exposing += bool(world.openings) and world.openings[-1].end_mm is None
+        exposing += world.is_open
         say(f"killed {done} of {kills} at {world.twin.time_s:.1f} s")
         if found is not None and found.status == FINISHED:  # between its end and that of the process
             return _account(scene, world, NightEnd(found.id, FINISHED, ""), done, exposing)
@@ -205,19 +209,29 @@ def _alone(ours: Connection, theirs: Connection, scene: Scene, resume: bool) -> 
 
 
 def _when(
-    world: NightWorld, draw: random.Random | None, exposure_s: float, number_of_kill: int
+    world: NightWorld, draw: random.Random | None, exposure_s: float, number: int
 ) -> Callable[[NightWorld], bool]:
-    """When to kill: after so many requests (arms are moved, or asked), after an opening, after a time."""
+    """When to kill, by the number of the kill: with the shutter closed, with it open, at any time."""
     if draw is None:
         return lambda _: False
-    if number_of_kill % 4 in (0, 2):
-        number = world.requests + draw.randrange(1, POSITIONING)
-        return lambda now: now.requests >= number
-    if number_of_kill % 4 == 1:  # just after the shutter has opened
-        openings, more = len(world.openings), iter(range(draw.randrange(0, 20)))
-        return lambda now: len(now.openings) > openings and next(more, None) is None
+    turn = number % sum(TURNS)
+    if turn < TURNS[0]:
+        return _after(draw.randrange(1, POSITIONING * len(world.twin.plane)), lambda now: not now.is_open)
+    if turn < TURNS[0] + TURNS[1]:
+        return _after(draw.randrange(0, AFTER_OPENING), lambda now: now.is_open)
     time_s = world.twin.time_s + draw.uniform(0.0, MOST_EXPOSURES * exposure_s)
     return lambda now: now.twin.time_s >= time_s
+
+
+def _after(requests: int, counts: Callable[[NightWorld], bool]) -> Callable[[NightWorld], bool]:
+    """After so many requests at which something holds."""
+    left = [requests]
+
+    def reached(now: NightWorld) -> bool:
+        left[0] -= counts(now)
+        return left[0] < 0
+
+    return reached
 
 
 def _night(scene: Scene) -> NightRecord | None:

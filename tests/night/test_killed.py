@@ -15,15 +15,15 @@ def scene(tmp_path_factory):
     field = fl.Field.twin(plane, camera="noise")
     field.run.calibrate().save(folder / "maps.npz")
     assert len(load_for(plane, folder / "maps.npz")) == 7
-    made = Scene(plane, draw_units(plane, 0), folder / "maps.npz", folder, exposure_s=240.0)
+    made = Scene(plane, draw_units(plane, 0), folder / "maps.npz", folder, exposure_s=60.0)
     write_queue(made, fields=2)
     return made
 
 
 @pytest.mark.slow
 def test_nothing_is_lost_doubled_or_touched(scene):
-    account = killed_night(scene, kills=3, seed=2)
-    assert account.kills == 3
+    account = killed_night(scene, kills=4, seed=2)
+    assert account.kills == 4
     assert account.kills_exposing > 0
     assert account.exposures_done == account.exposures_asked == account.openings == 4
     assert (account.lost, account.doubled, account.not_still, account.off_target) == (0, 0, 0, 0)

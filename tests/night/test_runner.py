@@ -17,7 +17,7 @@ from fiberloom.night.figures import night_figures, shutter_to_ready_s
 from fiberloom.night.report import write_report
 from fiberloom.night.runner import NightRunner
 from fiberloom.night.shutter import Exposed, TimedShutter
-from fiberloom.night.stages import RefusedError, NightStage, StageRunner
+from fiberloom.night.stages import NightStage, RefusedError, StageRunner
 from fiberloom.operation.session.array_lock import ArrayLock, ForbiddenError
 from fiberloom.operation.session.states import Deed, Step
 from fiberloom.store.arrays import ArrayBook

@@ -21,7 +21,7 @@ from fiberloom.night.clock import BusClock, NightClock
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
 from fiberloom.night.shutter import Shutter
-from fiberloom.night.stages import RefusedError, NightStage, StageRunner, StepWatcher
+from fiberloom.night.stages import NightStage, RefusedError, StageRunner, StepWatcher
 from fiberloom.night.step import (
     OVER,
     Close,
@@ -451,7 +451,9 @@ class NightRunner:
 
     async def _park(self) -> None:
         try:
-            stage = NightStage("park", self._fold, self.queue.stage_timeout_s, lambda: self.held.lock.forbidden)
+            stage = NightStage(
+                "park", self._fold, self.queue.stage_timeout_s, lambda: self.held.lock.forbidden
+            )
             await self.stages.run(stage)
         except FAILURES as error:
             await beside(self._alarm, "park", "alarm", "array", reason(error))
