@@ -46,8 +46,8 @@ GAP_S = 60.0
 """At most so long after a process was killed the next one begins."""
 MOST_DELAY_S = 0.1
 """Between an answer and the kill, of this machine."""
-POSITIONING = 6
-"""Requests of a process that puts fibres on their targets, for each positioner."""
+POSITIONING = 3
+"""Requests for each positioner, at most, before a kill with the shutter closed: half a positioning."""
 AFTER_OPENING = 20
 """Requests at most with the shutter open, before a kill that is meant for that."""
 MOST_EXPOSURES = 0.1
