@@ -52,7 +52,7 @@ AFTER_OPENING = 20
 """Requests at most with the shutter open, before a kill that is meant for that."""
 MOST_EXPOSURES = 0.1
 """Until a kill that is drawn by time, in exposures."""
-TURNS = 3, 2, 2
+TURNS = 6, 3, 2
 """Kills in a row with the shutter closed, with the shutter open, by time."""
 STILL_UM = 1.0
 """A fibre that moves less while the shutter is open is at rest: the twin's own rest is far below."""
