@@ -167,12 +167,18 @@ def _setup(scene: Scene, own: Known, known: KnownArray, array: PipedArray) -> Ni
     )
 
 
-def killed_night(scene: Scene, kills: int, seed: int, say: Callable[[str], None] = lambda _: None) -> Account:
-    """Carries out the queue of a scene, with so many kills at instants drawn by the seed."""
+def killed_night(
+    scene: Scene,
+    kills: int,
+    seed: int,
+    say: Callable[[str], None] = lambda _: None,
+    turns: tuple[int, int, int] = TURNS,
+) -> Account:
+    """Carries out the queue of a scene, with so many kills at most, at instants drawn by the seed."""
     world, draw = NightWorld.of(scene.plane, scene.units, scene.seed), random.Random(seed)
     done, exposing, resume = 0, 0, False
     while True:
-        end, lit = _one_process(world, scene, draw if done < kills else None, resume, done)
+        end, lit = _one_process(world, scene, draw if done < kills else None, resume, _turn(done, turns))
         if end is not None:
             return _account(scene, world, end, done, exposing)
         assert lit, (scene.folder / "errors.txt").read_text()
@@ -186,7 +192,7 @@ def killed_night(scene: Scene, kills: int, seed: int, say: Callable[[str], None]
 
 
 def _one_process(
-    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool, number: int
+    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool, turn: int
 ) -> tuple[NightEnd | None, bool]:
     """How it has ended, None: it was killed; and whether it was killed by us."""
     ours, theirs = FORK.Pipe()
@@ -196,9 +202,7 @@ def _one_process(
     assert process.pid is not None
     lit: list[bool] = []
     fuse = kill_after(process.pid, 0.0 if draw is None else draw.uniform(0.0, MOST_DELAY_S))
-    end = world.serve(
-        ours, _when(world, draw, scene.exposure_s, number), lambda: (lit.append(True), fuse())[1]
-    )
+    end = world.serve(ours, _when(world, draw, scene.exposure_s, turn), lambda: (lit.append(True), fuse())[1])
     process.join()
     return end, bool(lit)
 
@@ -209,18 +213,23 @@ def _alone(ours: Connection, theirs: Connection, scene: Scene, resume: bool) -> 
 
 
 def _when(
-    world: NightWorld, draw: random.Random | None, exposure_s: float, number: int
+    world: NightWorld, draw: random.Random | None, exposure_s: float, turn: int
 ) -> Callable[[NightWorld], bool]:
-    """When to kill, by the number of the kill: with the shutter closed, with it open, at any time."""
+    """When to kill, by the turn: 0 with the shutter closed, 1 with it open, 2 at any time."""
     if draw is None:
         return lambda _: False
-    turn = number % sum(TURNS)
-    if turn < TURNS[0]:
+    if turn == 0:
         return _after(draw.randrange(1, POSITIONING * len(world.twin.plane)), lambda now: not now.is_open)
-    if turn < TURNS[0] + TURNS[1]:
+    if turn == 1:
         return _after(draw.randrange(0, AFTER_OPENING), lambda now: now.is_open)
     time_s = world.twin.time_s + draw.uniform(0.0, MOST_EXPOSURES * exposure_s)
     return lambda now: now.twin.time_s >= time_s
+
+
+def _turn(number: int, turns: tuple[int, int, int]) -> int:
+    """Which turn it is for a kill, by its number."""
+    left = number % sum(turns)
+    return 0 if left < turns[0] else 1 if left < turns[0] + turns[1] else 2
 
 
 def _after(requests: int, counts: Callable[[NightWorld], bool]) -> Callable[[NightWorld], bool]:
