@@ -32,7 +32,8 @@ from fiberloom.operation.source import OpenedArray
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, nights
-from fiberloom.store.run import STOPPED
+from fiberloom.store.nights.records import NightRecord
+from fiberloom.store.run import FINISHED, STOPPED
 from fiberloom.store.upkeep.check import check_store
 from fiberloom.targets import random_targets, read_targets, write_targets
 from fiberloom.twin.units import Units
@@ -43,12 +44,16 @@ BUS = "cannet://10.0.0.1:19228"
 BEGIN = datetime(2026, 11, 25, 18, 0, tzinfo=UTC)
 GAP_S = 60.0
 """At most so long after a process was killed the next one begins."""
-MOST_DELAY_S = 0.3
+MOST_DELAY_S = 0.1
 """Between an answer and the kill, of this machine."""
-POSITIONING = 300
-"""Requests, a few more than a process needs to put 37 fibres on their targets."""
-MOST_EXPOSURES = 0.2
+POSITIONING = 3
+"""Requests for each positioner, at most, before a kill with the shutter closed: half a positioning."""
+AFTER_OPENING = 20
+"""Requests at most with the shutter open, before a kill that is meant for that."""
+MOST_EXPOSURES = 0.1
 """Until a kill that is drawn by time, in exposures."""
+TURNS = 6, 3, 2
+"""Kills in a row with the shutter closed, with the shutter open, by time."""
 STILL_UM = 1.0
 """A fibre that moves less while the shutter is open is at rest: the twin's own rest is far below."""
 
@@ -95,7 +100,7 @@ class Scene:
     maps: Path
     folder: Path
     seed: int = 0
-    exposure_s: float = 1200.0
+    exposure_s: float = 900.0
 
 
 def write_queue(scene: Scene, fields: int) -> None:
@@ -162,23 +167,32 @@ def _setup(scene: Scene, own: Known, known: KnownArray, array: PipedArray) -> Ni
     )
 
 
-def killed_night(scene: Scene, kills: int, seed: int, say: Callable[[str], None] = lambda _: None) -> Account:
-    """Carries out the queue of a scene, with so many kills at instants drawn by the seed."""
+def killed_night(
+    scene: Scene,
+    kills: int,
+    seed: int,
+    say: Callable[[str], None] = lambda _: None,
+    turns: tuple[int, int, int] = TURNS,
+) -> Account:
+    """Carries out the queue of a scene, with so many kills at most, at instants drawn by the seed."""
     world, draw = NightWorld.of(scene.plane, scene.units, scene.seed), random.Random(seed)
     done, exposing, resume = 0, 0, False
     while True:
-        end, lit = _one_process(world, scene, draw if done < kills else None, resume)
+        end, lit = _one_process(world, scene, draw if done < kills else None, resume, _turn(done, turns))
         if end is not None:
             return _account(scene, world, end, done, exposing)
         assert lit, (scene.folder / "errors.txt").read_text()
-        done, resume = done + 1, _has_begun(scene)
-        exposing += bool(world.openings) and world.openings[-1].end_mm is None
+        done, found = done + 1, _night(scene)
+        resume = found is not None
+        exposing += world.is_open
         say(f"killed {done} of {kills} at {world.twin.time_s:.1f} s")
+        if found is not None and found.status == FINISHED:  # between its end and that of the process
+            return _account(scene, world, NightEnd(found.id, FINISHED, ""), done, exposing)
         world.passes(draw.uniform(0.0, GAP_S))
 
 
 def _one_process(
-    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool
+    world: NightWorld, scene: Scene, draw: random.Random | None, resume: bool, turn: int
 ) -> tuple[NightEnd | None, bool]:
     """How it has ended, None: it was killed; and whether it was killed by us."""
     ours, theirs = FORK.Pipe()
@@ -188,7 +202,7 @@ def _one_process(
     assert process.pid is not None
     lit: list[bool] = []
     fuse = kill_after(process.pid, 0.0 if draw is None else draw.uniform(0.0, MOST_DELAY_S))
-    end = world.serve(ours, _when(world, draw, scene.exposure_s), lambda: (lit.append(True), fuse())[1])
+    end = world.serve(ours, _when(world, draw, scene.exposure_s, turn), lambda: (lit.append(True), fuse())[1])
     process.join()
     return end, bool(lit)
 
@@ -198,20 +212,41 @@ def _alone(ours: Connection, theirs: Connection, scene: Scene, resume: bool) -> 
     observe(theirs, scene, resume)
 
 
-def _when(world: NightWorld, draw: random.Random | None, exposure_s: float) -> Callable[[NightWorld], bool]:
-    """When to kill: after so many requests (arms move, or are asked) or after so much time (exposures)."""
+def _when(
+    world: NightWorld, draw: random.Random | None, exposure_s: float, turn: int
+) -> Callable[[NightWorld], bool]:
+    """When to kill, by the turn: 0 with the shutter closed, 1 with it open, 2 at any time."""
     if draw is None:
         return lambda _: False
-    if draw.random() < 0.5:
-        number = world.requests + draw.randrange(1, POSITIONING)
-        return lambda now: now.requests >= number
+    if turn == 0:
+        return _after(draw.randrange(1, POSITIONING * len(world.twin.plane)), lambda now: not now.is_open)
+    if turn == 1:
+        return _after(draw.randrange(0, AFTER_OPENING), lambda now: now.is_open)
     time_s = world.twin.time_s + draw.uniform(0.0, MOST_EXPOSURES * exposure_s)
     return lambda now: now.twin.time_s >= time_s
 
 
-def _has_begun(scene: Scene) -> bool:
+def _turn(number: int, turns: tuple[int, int, int]) -> int:
+    """Which turn it is for a kill, by its number."""
+    left = number % sum(turns)
+    return 0 if left < turns[0] else 1 if left < turns[0] + turns[1] else 2
+
+
+def _after(requests: int, counts: Callable[[NightWorld], bool]) -> Callable[[NightWorld], bool]:
+    """After so many requests at which something holds."""
+    left = [requests]
+
+    def reached(now: NightWorld) -> bool:
+        left[0] -= counts(now)
+        return left[0] < 0
+
+    return reached
+
+
+def _night(scene: Scene) -> NightRecord | None:
+    """As the record has it; None: it was not begun."""
     with Store.open(scene.folder / "store.sqlite") as store:
-        return bool(nights(store))
+        return next(reversed(nights(store)), None)
 
 
 # the account

@@ -86,6 +86,11 @@ class NightWorld:
                 break
         self.contacts += self.twin.touches()
 
+    @property
+    def is_open(self) -> bool:
+        """The shutter is."""
+        return bool(self.openings) and self.openings[-1].end_mm is None
+
     def _fibres_mm(self) -> Floats:
         return np.array([self.twin.fibre_xy(name) for name in self.fibres])
 

@@ -171,7 +171,7 @@ def print_night(figures: dict[str, Any], folder: str) -> None:
 
     console, night, totals = Console(), figures["night"], figures["totals"]
     table = Table(box=box.SIMPLE, title=f"night {night['id']}: {night['name']}", title_justify="left")
-    for name in ("field", "state", "visits", "exposures", "on target", "rms [um]", "reason"):
+    for name in ("field", "state", "visits", "exposures", "on target", "rms, um", "reason"):
         table.add_column(name, justify="left" if name in ("field", "state", "reason") else "right")
     for row in figures["fields"]:
         known = row["assigned"] is not None

@@ -33,7 +33,7 @@ def altitude_deg(
 
 
 def airmass(ra_deg: float, dec_deg: float, longitude_deg: float, latitude_deg: float, utc: datetime) -> float:
-    """Of a direction (Pickering 2002, DIO 12, 20); infinite below the horizon.
+    """Of a direction, a ratio (Pickering 2002, DIO 12, 20); infinite below the horizon.
 
     `ra_deg`, `dec_deg`: direction; `longitude_deg` (east), `latitude_deg`: place; `utc`: time.
     """

@@ -153,7 +153,7 @@ class Queue(_Table):
         return end - timedelta(seconds=self.overhead_s + entry.shutter_s)
 
     def airmass_of(self, entry: FieldEntry, when: datetime) -> float | None:
-        """Of the centre of a field; None where none is asked for."""
+        """Of the centre of a field, a ratio; None where none is asked for."""
         if entry.airmass_max is None or self.site is None:
             return None
         assert entry.ra_deg is not None

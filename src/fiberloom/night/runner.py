@@ -21,7 +21,7 @@ from fiberloom.night.clock import BusClock, NightClock
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
 from fiberloom.night.shutter import Shutter
-from fiberloom.night.stages import RefusedError, Stage, StageRecord, StepWatcher
+from fiberloom.night.stages import NightStage, RefusedError, StageRunner, StepWatcher
 from fiberloom.night.step import (
     OVER,
     Close,
@@ -98,7 +98,7 @@ class NightRunner:
         drive = setup.drive(hardware)
         self.clock: NightClock = setup.clock(drive, self.queue, last_time(book))
         self.shutter: Shutter = setup.shutter(setup, book, self.clock)
-        self.stages = StageRecord(book, self.clock, progress)
+        self.stages = StageRunner(book, self.clock, progress)
         self.progress = progress
         self.motion: FieldMotion | None = None
         self.ahead: Ahead | None = None
@@ -194,7 +194,7 @@ class NightRunner:
         seen: list[Observation] = []
         ahead = self._taken_ahead(step, entry)
         watcher = StepWatcher(self.stages, visit, "position")
-        stage = Stage(
+        stage = NightStage(
             "position",
             lambda: self._observe(step, entry, visit, watcher, ahead, seen),
             self.queue.stage_timeout_s,
@@ -328,7 +328,7 @@ class NightRunner:
             await beside(self._alarm, "collision", "alarm", "array", why)
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
-            stage = Stage("recover", self._recover, self.queue.stage_timeout_s)
+            stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
             with contextlib.suppress(*FAILURES):
                 await self.stages.run(stage)
 
@@ -364,7 +364,7 @@ class NightRunner:
         visit = (await beside(self.book.visits))[-1]
         entry = self.queue.entry(visit.field)
         assert entry is not None
-        stage = Stage(
+        stage = NightStage(
             f"expose {step.number}",
             lambda: self._exposed(visit, entry, step.number),
             entry.exposure_s + SHUTTER_SLACK_S,
@@ -446,12 +446,14 @@ class NightRunner:
 
     async def _wait(self, step: Wait) -> None:
         left_s = (step.until - self.clock.now()).total_seconds()
-        stage = Stage("wait", lambda: self.clock.sleep(min(left_s, MOST_WAIT_S)), 2.0 * MOST_WAIT_S)
+        stage = NightStage("wait", lambda: self.clock.sleep(min(left_s, MOST_WAIT_S)), 2.0 * MOST_WAIT_S)
         await self.stages.run(stage)
 
     async def _park(self) -> None:
         try:
-            stage = Stage("park", self._fold, self.queue.stage_timeout_s, lambda: self.held.lock.forbidden)
+            stage = NightStage(
+                "park", self._fold, self.queue.stage_timeout_s, lambda: self.held.lock.forbidden
+            )
             await self.stages.run(stage)
         except FAILURES as error:
             await beside(self._alarm, "park", "alarm", "array", reason(error))

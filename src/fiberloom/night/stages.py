@@ -24,7 +24,7 @@ async def _nothing() -> None:
 
 
 @dataclass(frozen=True)
-class Stage:
+class NightStage:
     """What is done in one go."""
 
     name: str
@@ -37,14 +37,14 @@ class Stage:
     """Done at the end, however the stage ends."""
 
 
-class StageRecord:
+class StageRunner:
     """Runs stages and keeps how long they took."""
 
     def __init__(self, book: NightBook, clock: NightClock, progress: Callable[[str], None]) -> None:
         """`book`: of the night; `clock`: of it; `progress`: called with the name of each stage."""
         self.book, self.clock, self.progress = book, clock, progress
 
-    async def run(self, stage: Stage, visit: int | None = None) -> None:
+    async def run(self, stage: NightStage, visit: int | None = None) -> None:
         """Runs a `stage` of a `visit`, None: of the night.
 
         RefusedError where its precondition is not met, TimeoutError where it takes too long; else what the
@@ -91,7 +91,7 @@ class Lap:
 class StepWatcher:
     """Keeps how long the steps within a stage took. Implements `operation.observe.Watcher`."""
 
-    def __init__(self, record: StageRecord, visit: int, within: str) -> None:
+    def __init__(self, record: StageRunner, visit: int, within: str) -> None:
         """`record`: keeps them; `visit`: they belong to; `within`: the stage."""
         self.record, self.visit, self.within = record, visit, within
         self._lap: Lap | None = None

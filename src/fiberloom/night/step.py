@@ -138,7 +138,7 @@ def next_step(state: NightState, queue: Queue, now: datetime) -> Step:
     -------
     Step
         The same for the same arguments. Of the fields that may be begun now the one of the highest priority;
-        among equals the one that was begun, then the one whose time is over first, then the first in the queue.
+        among equals the one that was begun, then the one whose time is over first, then the queue's order.
     """
     if state.underway is not None:
         return _of_visit(state, state.underway, queue, now)

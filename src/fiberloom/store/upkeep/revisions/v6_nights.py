@@ -32,6 +32,14 @@ def _make(name: str, *columns: sa.Column[Any]) -> None:
 
 def upgrade() -> None:
     """Makes the seven tables."""
+    _queue_and_visits()
+    _what_happened()
+    for table in ("fields", "visits", "stages", "exposures", "commands", "alarms"):
+        op.create_index(f"ix_{table}_night_id", table, ["night_id"])
+    op.create_index("ix_exposures_visit_id", "exposures", ["visit_id"])
+
+
+def _queue_and_visits() -> None:
     _make(
         "nights",
         *_times("utc_start"),
@@ -57,6 +65,9 @@ def upgrade() -> None:
         sa.Column("rms_um", sa.Double),
         *_texts("note"),
     )
+
+
+def _what_happened() -> None:
     _make(
         "stages",
         _of("night"),
@@ -91,6 +102,3 @@ def upgrade() -> None:
         *_times("cleared", "acknowledged", nullable=True),
         *_texts("acknowledged_by"),
     )
-    for table in ("fields", "visits", "stages", "exposures", "commands", "alarms"):
-        op.create_index(f"ix_{table}_night_id", table, ["night_id"])
-    op.create_index("ix_exposures_visit_id", "exposures", ["visit_id"])
