@@ -163,7 +163,7 @@ def test_a_field_that_fails_is_told_and_the_night_goes_on(tmp_path):
     states = {f.name: (f.state, f.reason) for f in night.book.fields()}
     assert states == {"a": ("done", ""), "bad": ("failed", "0 of 1 places done")}
     (alarm,) = night.book.alarms()
-    assert (alarm.code, alarm.severity, alarm.subject, alarm.count) == ("visit", "alarm", "field bad", 2)
+    assert (alarm.code, alarm.severity, alarm.subject, alarm.count) == ("visit", "major", "field bad", 2)
     assert "bad.csv" in alarm.text
     assert [v.state for v in night.book.visits()] == ["failed", "failed", "done"]
 
@@ -181,7 +181,7 @@ def test_a_queue_is_edited_while_the_night_goes_on(tmp_path):
     assert [f.name for f in night.book.fields()] == ["a", "new"]
     assert {v.field for v in night.book.visits()} == {"a", "new"}
     (alarm,) = night.book.alarms()
-    assert (alarm.code, alarm.cleared is not None) == ("queue", True)
+    assert (alarm.code, alarm.gone is not None) == ("queue", True)
 
 
 def test_what_a_run_tells_an_operator_is_an_alarm_of_the_night(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.nights.book import NightBook, night_of, nights
+from fiberloom.store.service.alarms import Severity
 
 EVENING = datetime(2026, 11, 25, 18, 0, tzinfo=UTC)
 ABOUT = {
@@ -84,18 +85,18 @@ def test_visits_stages_and_exposures(book):
 
 def test_an_alarm_stays_until_its_cause_is_gone_and_a_person_has_seen_it(book):
     for k in range(3):
-        book.raise_alarm(after(k), "camera", "alarm", "camera", f"no image {k}")
-    book.raise_alarm(after(3), "camera", "alarm", "second camera", "no image")
+        book.raise_alarm(after(k), "camera", Severity.MAJOR, "camera", f"no image {k}")
+    book.raise_alarm(after(3), "camera", Severity.MAJOR, "second camera", "no image")
     first, second = book.alarms()
     assert (first.count, first.text, first.since, first.last) == (3, "no image 2", EVENING, after(2))
     book.clear_alarm(after(4), "camera", "camera")
-    assert book.alarms()[0].open
+    assert not book.alarms()[0].over
     book.acknowledge(first.id, after(5), "ann")
     book.acknowledge(first.id, after(6), "bob")
-    assert not book.alarms()[0].open
+    assert book.alarms()[0].over
     assert book.alarms()[0].acknowledged_by == "ann"
-    assert second.open
-    book.raise_alarm(after(7), "camera", "alarm", "camera", "again")
+    assert not second.over
+    book.raise_alarm(after(7), "camera", Severity.MAJOR, "camera", "again")
     assert [alarm.count for alarm in book.alarms()] == [3, 1, 1]
 
 

@@ -16,8 +16,7 @@ from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 from fiberloom.store.nights.book import NightBook, nights
 from fiberloom.store.parts import pack
 from fiberloom.store.schema import Base, PlaceRow
-from fiberloom.store.service.alarms import Alarm, AlarmTable
-from fiberloom.store.service.commands import CommandBook
+from fiberloom.store.service.alarms import Severity
 from fiberloom.store.sums import _sum
 
 BUS = "cannet://10.1.10.31:19228"
@@ -40,8 +39,6 @@ def path(tmp_path):
         book.note_places(
             np.array([4]), ArrayPlaces(np.ones((1, 2)), np.ones((1, 2)), ["HOW-OF-PLACE"], [True], [None])
         )
-        CommandBook(book).begin("AUTHOR-OF-COMMAND", "operator", "park", {})
-        AlarmTable(book).write(Alarm("camera", "major", "camera", "TEXT-OF-ALARM", "look"))
         history = LearntHistory(store, "ORIGIN-OF-GENERATION")
         history.put(history.begin(OBSERVE, "INSTRUMENT-LEARNT", "beef"), {4: Learnt(1, 0.5, b"STATE-LEARNT")})
         write_night(store)
@@ -61,7 +58,7 @@ def write_night(store):
     book.note_stage(now, stage)
     book.ask_exposure(visit, 1, "KEY-OF-EXPOSURE", 900.0)
     book.note_command(now, "AUTHOR-OF-COMMAND", "stop", "done")
-    book.raise_alarm(now, "camera", "alarm", "camera", "TEXT-OF-ALARM")
+    book.raise_alarm(now, "camera", Severity.MAJOR, "camera", "TEXT-OF-ALARM")
 
 
 def flip(path, text, bit=1, at=0):
@@ -80,7 +77,6 @@ def everything(path):
                 table(run.id)
         book = ArrayBook(store, BUS)
         book.state(), book.exclusions(), book.places(np.array([4]))
-        CommandBook(book).last(), AlarmTable(book).open()
         night = NightBook(store, nights(store)[0].id)
         night.fields(), night.visits(), night.stages(), night.exposures(), night.commands(), night.alarms()
         for generation in generations(store):
@@ -100,8 +96,6 @@ CASES = {
     "places": ("HOW-OF-PLACE", "4"),
     "learnt_generations": ("INSTRUMENT-LEARNT", "1"),
     "learnt_states": ("STATE-LEARNT", "1"),
-    "array_commands": ("AUTHOR-OF-COMMAND", "1"),
-    "array_alarms": ("TEXT-OF-ALARM", "1"),
     "nights": ("FILE-OF-QUEUE", "1"),
     "fields": ("NAME-OF-FIELD", "1"),
     "visits": ("FIELD-OF-VISIT", "1"),

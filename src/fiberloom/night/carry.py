@@ -19,6 +19,7 @@ from fiberloom.operation.session.states import Deed
 from fiberloom.store import Store
 from fiberloom.store.nights.book import NightBook, nights
 from fiberloom.store.run import FAILED, FINISHED, INTERRUPTED
+from fiberloom.store.service.alarms import Severity
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,9 @@ async def _run(setup: NightSetup, book: NightBook, held: HeldArray, progress: Ca
     async with setup.opened() as hardware:
         runner = NightRunner(setup, book, held, hardware, progress)
         if held.said:
-            await beside(book.raise_alarm, runner.clock.now(), "taken over", "warning", "array", held.said)
+            await beside(
+                book.raise_alarm, runner.clock.now(), "taken over", Severity.MINOR, "array", held.said
+            )
         return await runner.run()
 
 

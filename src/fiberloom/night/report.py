@@ -300,4 +300,4 @@ def _alarms_table(alarms: Iterable[Mapping[str, Any]]) -> str:
 
 def _commands_table(commands: Iterable[Mapping[str, Any]]) -> str:
     heads = ("time (UTC)", "by", "command", "result")
-    return _table(heads, ((_moment(c["utc"])[11:], c["who"], c["command"], c["result"]) for c in commands))
+    return _table(heads, ((_moment(c["utc"])[11:], c["author"], c["command"], c["result"]) for c in commands))

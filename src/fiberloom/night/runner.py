@@ -53,6 +53,7 @@ from fiberloom.operation.session.states import Step as ArrayStep
 from fiberloom.store.nights.book import NightBook
 from fiberloom.store.nights.records import ExposureRecord, VisitRecord
 from fiberloom.store.place import NUMBERED, Place
+from fiberloom.store.service.alarms import Severity
 from fiberloom.typing import Flags
 
 FAILURES = (InputError, CameraError, UnsafePlanError, TimeoutError, RefusedError)
@@ -138,7 +139,9 @@ class NightRunner:
         try:
             self.queue = self.setup.read_queue()
         except InputError as error:
-            self._alarm("queue", "warning", str(self.setup.queue_file), f"{error}; the last good one is used")
+            self._alarm(
+                "queue", Severity.MINOR, str(self.setup.queue_file), f"{error}; the last good one is used"
+            )
             return
         self.book.clear_alarm(self.clock.now(), "queue", str(self.setup.queue_file))
 
@@ -153,8 +156,8 @@ class NightRunner:
             if known.get(name) != said:
                 self.book.note_field(name, *said)
 
-    def _alarm(self, code: str, severity: str, subject: str, text: str) -> None:
-        self.progress(f"{severity}: {text}")
+    def _alarm(self, code: str, severity: Severity, subject: str, text: str) -> None:
+        self.progress(f"{severity.value}: {text}")
         self.book.raise_alarm(self.clock.now(), code, severity, subject, text)
 
     # after a crash
@@ -293,10 +296,12 @@ class NightRunner:
         }
         self.book.change_visit(visit, state=VisitState.READY.value, **figures)
         if last.interrupted:
-            self._alarm("cut short", "warning", f"visit {visit}", "not all positioners are at their goals")
+            self._alarm(
+                "cut short", Severity.MINOR, f"visit {visit}", "not all positioners are at their goals"
+            )
         if figures["on_target"] < self.queue.require * figures["assigned"]:
             text = f"{figures['on_target']} of {figures['assigned']} fibres are within the requirement"
-            self._alarm("on target", "warning", f"field {step.field}", text)
+            self._alarm("on target", Severity.MINOR, f"field {step.field}", text)
         self._alarms_of(seen.about["run"])
 
     def _alarms_of(self, run: int) -> None:
@@ -311,7 +316,7 @@ class NightRunner:
 
     async def _failed(self, visit: int, step: Position, why: str) -> None:
         await beside(self._over, visit, VisitState.FAILED, why)
-        await beside(self._alarm, "visit", "alarm", f"field {step.field}", why)
+        await beside(self._alarm, "visit", Severity.MAJOR, f"field {step.field}", why)
         self.held.leave(ArrayStep.LOSE, why)
         await self._settled()
 
@@ -325,7 +330,7 @@ class NightRunner:
         while self.held.lock.state is SessionState.LOCKED:
             self.recoveries += 1
             why = self.held.lock.text
-            await beside(self._alarm, "collision", "alarm", "array", why)
+            await beside(self._alarm, "collision", Severity.CRITICAL, "array", why)
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
             stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
@@ -373,7 +378,9 @@ class NightRunner:
             await self.stages.run(stage, visit.id)
         except TimeoutError as error:
             await beside(self._over, visit.id, VisitState.FAILED, f"the shutter: {error}")
-            await beside(self._alarm, "shutter", "alarm", f"field {visit.field}", f"the shutter: {error}")
+            await beside(
+                self._alarm, "shutter", Severity.MAJOR, f"field {visit.field}", f"the shutter: {error}"
+            )
 
     async def _exposed(self, visit: VisitRecord, entry: FieldEntry, number: int) -> None:
         tries = sum(e.visit_id == visit.id for e in await beside(self.book.exposures))
@@ -442,7 +449,7 @@ class NightRunner:
         visit = self.book.visits()[-1]
         self._over(visit.id, step.state, step.why)
         if step.why:
-            self._alarm("visit", "warning", f"field {visit.field}", step.why)
+            self._alarm("visit", Severity.MINOR, f"field {visit.field}", step.why)
 
     async def _wait(self, step: Wait) -> None:
         left_s = (step.until - self.clock.now()).total_seconds()
@@ -456,7 +463,7 @@ class NightRunner:
             )
             await self.stages.run(stage)
         except FAILURES as error:
-            await beside(self._alarm, "park", "alarm", "array", reason(error))
+            await beside(self._alarm, "park", Severity.MAJOR, "array", reason(error))
             raise NightStoppedError(f"the array is not parked: {reason(error)}; `fiberloom park`") from None
         await self._settled()
         self.parked = True
@@ -472,7 +479,7 @@ class NightRunner:
                 await motion.close()
 
 
-ALARMING = {"alarm": "alarm", "collision": "alarm", "camera": "information"}
+ALARMING = {"alarm": Severity.MAJOR, "collision": Severity.CRITICAL, "camera": Severity.ADVICE}
 """Kinds of events of a run that are alarms, by their severity."""
 
 

@@ -22,7 +22,7 @@ from fiberloom.night.shutter import Shutter, TimedShutter
 from fiberloom.night.step import Position
 from fiberloom.operation.known import Known
 from fiberloom.operation.safety.stop import to_its_end
-from fiberloom.operation.series.follow import followed
+from fiberloom.operation.series.steps import followed
 from fiberloom.operation.session.session import KnownArray
 from fiberloom.operation.source import LeftOpen, Source
 from fiberloom.store.nights.book import NightBook
@@ -134,8 +134,6 @@ class NightSetup:
             return Assigned(step, entry, *self.assign(self.targets(entry, step.dither)))
         dithers_mm = np.array(entry.dithers_um) / UM_PER_MM
         shift_mm = dithers_mm[step.dither] - dithers_mm[before.step.dither]
-        goal_deg = followed(
-            before.plane, before.assignment, np.tile(shift_mm, (before.plane.n, 1))
-        ).angles_deg
+        goal_deg = followed(before.plane, before.assignment, np.tile(shift_mm, (before.plane.n, 1)))
         moved = replace(before.assignment, alpha_deg=goal_deg[:, 0], beta_deg=goal_deg[:, 1])
         return Assigned(step, entry, before.plane, moved)

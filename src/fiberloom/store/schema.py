@@ -225,44 +225,6 @@ class PlaceRow(Summed, Base):
     datum: Mapped[bool]  # searched since power came on, as far as is known
 
 
-class ArrayCommandRow(Summed, Base):
-    """One command to an array that came from a person or a program by the service."""
-
-    __tablename__ = "array_commands"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    author: Mapped[str]
-    role: Mapped[str]
-    command: Mapped[str]
-    parameters: Mapped[str]  # JSON
-    key: Mapped[str]  # of idempotency; empty: none was given
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it goes on
-    result: Mapped[str]  # running, done, failed, stopped, refused
-    text: Mapped[str]
-
-
-class ArrayAlarmRow(Summed, Base):
-    """One alarm of an array, from when it was raised until it is gone and acknowledged."""
-
-    __tablename__ = "array_alarms"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    address: Mapped[str] = mapped_column(index=True)
-    code: Mapped[str]
-    severity: Mapped[str]
-    subject: Mapped[str]  # a positioner's number, or a part of the array
-    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    last: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    count: Mapped[int]
-    text: Mapped[str]
-    advice: Mapped[str]
-    gone: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: the cause is there
-    acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    acknowledged_by: Mapped[str]
-
-
 class NightRow(Summed, Base):
     """One night: a queue of fields that is worked through. Times are of the night's clock."""
 
@@ -354,33 +316,40 @@ class ExposureRow(Summed, Base):
 
 
 class CommandRow(Summed, Base):
-    """One command of a person or of another system to a night."""
+    """One command to an array, or to its night, that came from a person or a program."""
 
     __tablename__ = "commands"
 
     id: Mapped[int] = mapped_column(primary_key=True)
+    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
     night_id: Mapped[int | None] = mapped_column(ForeignKey("nights.id"), index=True)
     utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    who: Mapped[str]
+    author: Mapped[str]
+    role: Mapped[str]
     command: Mapped[str]
-    key: Mapped[str | None] = mapped_column(unique=True)  # one that comes twice is done once
-    result: Mapped[str]
+    parameters: Mapped[str]  # JSON
+    key: Mapped[str]  # one that comes twice is done once; empty: none was given
+    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it goes on
+    result: Mapped[str]  # running, done, failed, stopped, refused
+    text: Mapped[str]
 
 
 class AlarmRow(Summed, Base):
-    """One alarm; it stays until its cause is gone and a person has acknowledged it."""
+    """One alarm of an array, or of its night, from when it was raised until it is gone and acknowledged."""
 
     __tablename__ = "alarms"
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
+    address: Mapped[str] = mapped_column(index=True)
+    night_id: Mapped[int | None] = mapped_column(ForeignKey("nights.id"), index=True)
     code: Mapped[str]
-    severity: Mapped[str]  # information, warning, alarm
-    subject: Mapped[str]
-    text: Mapped[str]
+    severity: Mapped[str]
+    subject: Mapped[str]  # a positioner's number, or a part of the array
     since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
     last: Mapped[datetime] = mapped_column(DateTime(timezone=True))
     count: Mapped[int]
-    cleared: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    text: Mapped[str]
+    advice: Mapped[str]
+    gone: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: the cause is there
     acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
     acknowledged_by: Mapped[str]

@@ -9,8 +9,9 @@ from __future__ import annotations
 import sqlite3
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Table, and_, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
@@ -22,6 +23,7 @@ _LEFT_OUT = {PlaceRow.__tablename__: {"datum"}}
 """Columns that sums did not cover when stores of today began to be written; such a sum is right still."""
 
 Row = Mapping[Any, Any]
+Record = TypeVar("Record")
 
 
 class DamagedError(ValueError):
@@ -31,6 +33,13 @@ class DamagedError(ValueError):
 def as_utc(when: datetime) -> datetime:
     """A time as a database gives it: SQLite forgets the zone, which is UTC; others tell one."""
     return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+
+
+def record_of(kind: type[Record], row: Row) -> Record:
+    """The record of a row: `kind` names its columns."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    values = {name: row[name] for name in names}
+    return kind(**{k: as_utc(v) if isinstance(v, datetime) else v for k, v in values.items()})
 
 
 def put(connection: Connection, row: type[Base], values: Iterable[Mapping[str, Any]]) -> None:

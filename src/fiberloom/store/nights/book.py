@@ -8,21 +8,18 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any, TypeVar
+from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import Connection, select
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.nights.records import (
-    AlarmRecord,
-    CommandRecord,
     ExposureRecord,
     FieldRecord,
     NightRecord,
     StageRecord,
     VisitRecord,
-    record_of,
 )
 from fiberloom.store.process import host_name, process_start
 from fiberloom.store.run import RUNNING
@@ -36,10 +33,10 @@ from fiberloom.store.schema import (
     StageRow,
     VisitRow,
 )
-from fiberloom.store.sums import change, checked, put, put_one
+from fiberloom.store.service.alarms import Alarm, Severity
+from fiberloom.store.service.commands import CommandRecord
+from fiberloom.store.sums import Record, change, checked, put, put_one, record_of
 from fiberloom.version import __version__
-
-Record = TypeVar("Record")
 
 
 def _this_process() -> dict[str, Any]:
@@ -136,40 +133,38 @@ class NightBook:
 
     # commands and alarms
 
-    def note_command(
-        self, utc: datetime, who: str, command: str, result: str, key: str | None = None
-    ) -> bool:
+    def note_command(self, utc: datetime, who: str, command: str, result: str, key: str = "") -> bool:
         """A `command` of `who` at `utc`, and its `result`; False where one with its `key` is on record."""
         with self.store.transaction() as connection:
             query = select(CommandRow.id).where(CommandRow.key == key)
-            if key is not None and connection.execute(query).first() is not None:
+            if key and connection.execute(query).first() is not None:
                 return False
-            values = {"utc": utc, "who": who, "command": command, "result": result, "key": key}
-            put(connection, CommandRow, [{"night_id": self.id, **values}])
+            said = {"author": who, "role": "", "command": command, "parameters": "{}", "key": key}
+            ended = {"utc": utc, "utc_end": utc, "result": result, "text": ""}
+            put(connection, CommandRow, [{**self._whose(connection), **said, **ended}])
         return True
 
-    def raise_alarm(self, utc: datetime, code: str, severity: str, subject: str, text: str) -> None:
+    def raise_alarm(self, utc: datetime, code: str, severity: Severity, subject: str, text: str) -> None:
         """An alarm, or one more count of the same that is not cleared.
 
-        `utc`: now; `code`: its kind; `severity`: information, warning or alarm; `subject`: what it is about;
+        `utc`: now; `code`: its kind; `severity`: how much it matters; `subject`: what it is about;
         `text`: what is wrong and what to do.
         """
         with self.store.transaction() as connection:
             mine = (AlarmRow.night_id == self.id) & (AlarmRow.code == code) & (AlarmRow.subject == subject)
-            there = checked(connection, AlarmRow, mine & AlarmRow.cleared.is_(None))
+            there = checked(connection, AlarmRow, mine & AlarmRow.gone.is_(None))
             if there:
                 values = {"last": utc, "count": there[-1]["count"] + 1, "text": text}
                 change(connection, AlarmRow, AlarmRow.id == there[-1]["id"], values)
                 return
-            said = {"code": code, "severity": severity, "subject": subject, "text": text}
-            own = {"night_id": self.id, "since": utc, "last": utc, "count": 1, "acknowledged_by": ""}
-            put(connection, AlarmRow, [{**own, **said}])
+            alarm = Alarm(code, severity.value, subject, text, advice="", since=utc, last=utc)
+            put(connection, AlarmRow, [{**self._whose(connection), **alarm.columns()}])
 
     def clear_alarm(self, utc: datetime, code: str, subject: str) -> None:
         """The cause of an alarm is gone: of this `code` and `subject`."""
         mine = (AlarmRow.night_id == self.id) & (AlarmRow.code == code) & (AlarmRow.subject == subject)
         with self.store.transaction() as connection:
-            change(connection, AlarmRow, mine & AlarmRow.cleared.is_(None), {"cleared": utc})
+            change(connection, AlarmRow, mine & AlarmRow.gone.is_(None), {"gone": utc})
 
     def acknowledge(self, alarm: int, utc: datetime, who: str) -> None:
         """`who` has seen an `alarm`; the first one counts."""
@@ -199,9 +194,14 @@ class NightBook:
         """In their order."""
         return self._all(CommandRow, CommandRecord)
 
-    def alarms(self) -> list[AlarmRecord]:
+    def alarms(self) -> list[Alarm]:
         """In their order."""
-        return self._all(AlarmRow, AlarmRecord)
+        return self._all(AlarmRow, Alarm)
+
+    def _whose(self, connection: Connection) -> dict[str, Any]:
+        """The columns of a row of this night and its array."""
+        array = connection.execute(select(NightRow.array).where(NightRow.id == self.id)).scalar_one()
+        return {"night_id": self.id, "address": array}
 
     def _all(self, row: type[Base], kind: type[Record]) -> list[Record]:
         with self.store.transaction() as connection:

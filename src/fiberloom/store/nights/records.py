@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, TypeVar
 
 from fiberloom.store.process import is_alive
-from fiberloom.store.sums import as_utc
-
-Record = TypeVar("Record")
 
 
 @dataclass(frozen=True)
@@ -96,44 +91,3 @@ class ExposureRecord:
     asked_s: float
     utc_start: datetime | None
     utc_end: datetime | None
-
-
-@dataclass(frozen=True)
-class CommandRecord:
-    """One command."""
-
-    id: int
-    utc: datetime
-    who: str
-    command: str
-    key: str | None
-    result: str
-
-
-@dataclass(frozen=True)
-class AlarmRecord:
-    """One alarm."""
-
-    id: int
-    code: str
-    severity: str
-    subject: str
-    text: str
-    since: datetime
-    last: datetime
-    count: int
-    cleared: datetime | None
-    acknowledged: datetime | None
-    acknowledged_by: str
-
-    @property
-    def open(self) -> bool:
-        """Its cause is there, or it was not acknowledged."""
-        return self.cleared is None or self.acknowledged is None
-
-
-def record_of(kind: type[Record], row: Mapping[Any, Any]) -> Record:
-    """The record of a row: `kind` names its columns."""
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    values = {name: row[name] for name in names}
-    return kind(**{k: as_utc(v) if isinstance(v, datetime) else v for k, v in values.items()})

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.store.schema import ArrayAlarmRow
-from fiberloom.store.sums import change, checked, put_one
+from fiberloom.store.schema import AlarmRow
+from fiberloom.store.sums import change, checked, put_one, record_of
 
 
 class Severity(StrEnum):
@@ -48,6 +47,10 @@ class Alarm:
         """Its cause is gone, and a person knows of it."""
         return self.gone is not None and self.acknowledged is not None
 
+    def columns(self) -> dict[str, Any]:
+        """Its columns in the store, but its number."""
+        return {name: value for name, value in self.__dict__.items() if name != "id"}
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON; times as ISO 8601, UTC."""
         values = dict(self.__dict__)
@@ -62,12 +65,12 @@ class AlarmTable:
 
     def write(self, alarm: Alarm) -> Alarm:
         """Writes an alarm as it is now, in place of what was known of it; with its number."""
-        values = {name: getattr(alarm, name) for name in Alarm.__dataclass_fields__ if name != "id"}
+        values = alarm.columns()
         with self._store.transaction() as connection:
             if alarm.id:
-                change(connection, ArrayAlarmRow, ArrayAlarmRow.id == alarm.id, values)
+                change(connection, AlarmRow, AlarmRow.id == alarm.id, values)
                 return alarm
-            return replace(alarm, id=put_one(connection, ArrayAlarmRow, {"address": self._address, **values}))
+            return replace(alarm, id=put_one(connection, AlarmRow, {"address": self._address, **values}))
 
     def open(self) -> list[Alarm]:
         """Those that are not over, by number."""
@@ -76,13 +79,5 @@ class AlarmTable:
     def all(self) -> list[Alarm]:
         """All that were raised, by number."""
         with self._store.transaction() as connection:
-            rows = checked(connection, ArrayAlarmRow)
-        return [_alarm_of(row) for row in rows if row["address"] == self._address]
-
-
-def _alarm_of(row: Mapping[Any, Any]) -> Alarm:
-    values = {name: row[name] for name in Alarm.__dataclass_fields__}
-    for name in ("since", "last", "gone", "acknowledged"):  # SQLite forgets the zone: all are UTC
-        if values[name] is not None:
-            values[name] = values[name].replace(tzinfo=UTC)
-    return Alarm(**values)
+            rows = checked(connection, AlarmRow)
+        return [record_of(Alarm, row) for row in rows if row["address"] == self._address]

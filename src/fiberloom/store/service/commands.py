@@ -12,8 +12,8 @@ from typing import Any
 from sqlalchemy import func, select
 
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.store.schema import ArrayCommandRow
-from fiberloom.store.sums import change, checked, put_one
+from fiberloom.store.schema import CommandRow
+from fiberloom.store.sums import change, checked, put_one, record_of
 
 LONGEST = 2000
 """Of the parameters and of the text that are kept, letters."""
@@ -80,50 +80,40 @@ class CommandBook:
             "text": "",
         }
         with self._store.transaction() as connection:
-            return put_one(connection, ArrayCommandRow, values)
+            return put_one(connection, CommandRow, values)
 
     def end(self, number: int, result: CommandResult, text: str = "") -> None:
         """Writes how command `number` has ended: its `result`, and a `text` for the operator."""
         values = {"utc_end": datetime.now(UTC), "result": result.value, "text": text[:LONGEST]}
         with self._store.transaction() as connection:
-            change(connection, ArrayCommandRow, ArrayCommandRow.id == number, values)
+            change(connection, CommandRow, CommandRow.id == number, values)
 
     def abandon(self) -> int:
         """Books commands as failed that run on record though their process has ended; how many."""
-        running = (ArrayCommandRow.address == self._address) & (
-            ArrayCommandRow.result == CommandResult.RUNNING.value
-        )
+        running = (CommandRow.address == self._address) & (CommandRow.result == CommandResult.RUNNING.value)
         values = {"utc_end": datetime.now(UTC), "result": CommandResult.FAILED.value}
         with self._store.transaction() as connection:
             return change(
-                connection, ArrayCommandRow, running, values | {"text": "its process ended without a word"}
+                connection, CommandRow, running, values | {"text": "its process ended without a word"}
             )
 
     def get(self, number: int) -> CommandRecord | None:
         """The command with this number; None: there is none."""
-        return next(iter(self._rows(ArrayCommandRow.id == number)), None)
+        return next(iter(self._rows(CommandRow.id == number)), None)
 
     def by_key(self, author: str, key: str) -> CommandRecord | None:
         """The command that an author has given with this key of idempotency; None: there is none."""
-        given = (ArrayCommandRow.key == key) & (ArrayCommandRow.author == author)
+        given = (CommandRow.key == key) & (CommandRow.author == author)
         return next(iter(self._rows(given)), None) if key else None
 
     def last(self, most: int = 50) -> list[CommandRecord]:
         """The last commands, newest first."""
-        newest = select(func.max(ArrayCommandRow.id)).where(ArrayCommandRow.address == self._address)
+        newest = select(func.max(CommandRow.id)).where(CommandRow.address == self._address)
         with self._store.transaction() as connection:
             top = connection.execute(newest).scalar() or 0
-        return self._rows(ArrayCommandRow.id > top - most)[::-1]
+        return self._rows(CommandRow.id > top - most)[::-1]
 
     def _rows(self, where: Any) -> list[CommandRecord]:
         with self._store.transaction() as connection:
-            rows = checked(connection, ArrayCommandRow, where)
-        return [_record_of(row) for row in rows if row["address"] == self._address]
-
-
-def _record_of(row: Mapping[Any, Any]) -> CommandRecord:
-    values = {name: row[name] for name in CommandRecord.__dataclass_fields__}
-    for name in ("utc", "utc_end"):  # SQLite forgets the zone: all are UTC
-        if values[name] is not None:
-            values[name] = values[name].replace(tzinfo=UTC)
-    return CommandRecord(**values)
+            rows = checked(connection, CommandRow, where)
+        return [record_of(CommandRecord, row) for row in rows if row["address"] == self._address]

@@ -87,18 +87,26 @@ def _what_happened() -> None:
     )
     _make(
         "commands",
+        *_texts("address"),
         _of("night", nullable=True),
         *_times("utc"),
-        *_texts("who", "command"),
-        sa.Column("key", sa.String, unique=True),
-        *_texts("result"),
+        *_texts("author", "role", "command", "parameters", "key"),
+        *_times("utc_end", nullable=True),
+        *_texts("result", "text"),
     )
     _make(
         "alarms",
-        _of("night"),
-        *_texts("code", "severity", "subject", "text"),
+        *_texts("address"),
+        _of("night", nullable=True),
+        *_texts("code", "severity", "subject"),
         *_times("since", "last"),
         *_numbers("count"),
-        *_times("cleared", "acknowledged", nullable=True),
+        *_texts("text", "advice"),
+        *_times("gone", "acknowledged", nullable=True),
         *_texts("acknowledged_by"),
     )
+    for table in ("fields", "visits", "stages", "exposures", "commands", "alarms"):
+        op.create_index(f"ix_{table}_night_id", table, ["night_id"])
+    for table in ("commands", "alarms"):
+        op.create_index(f"ix_{table}_address", table, ["address"])
+    op.create_index("ix_exposures_visit_id", "exposures", ["visit_id"])
