@@ -40,7 +40,7 @@ def unfolded_in_turn(goals, groups):
 def test_the_order_is_what_the_verifier_proves_and_the_reverse_often_is_not():
     """The verifier is other code: it knows nothing of who goes first."""
     rng, wrong, kept = np.random.default_rng(1), 0, 0
-    for _ in range(400):
+    for _ in range(120):
         alpha = np.array([towards(0), towards(1)]) + rng.uniform(-90.0, 90.0, 2)
         goals = np.column_stack([alpha, rng.uniform(20.0, 300.0, 2)])
         groups, why = unfolding(goals)
@@ -51,8 +51,8 @@ def test_the_order_is_what_the_verifier_proves_and_the_reverse_often_is_not():
         back = unfolded_in_turn(goals, [group.tolist() for group in groups[::-1]])
         wrong += bool(verify(PLANE, back, limits=CLOCK).collisions)
         kept += 1
-    assert kept > 100
-    assert wrong > 5
+    assert kept > 30
+    assert wrong > 1
 
 
 def test_two_that_reach_through_each_other_cannot_both():
