@@ -55,7 +55,7 @@ def test_a_field_that_fails_is_exit_code_1(fl, queue, tmp_path):
     code, told, _ = fl("night", queue, "--out", tmp_path / "out")
     assert code == 1
     assert "failed" in told
-    assert "alarm: field a" in told
+    assert "major: field a" in told
 
 
 def test_the_example_can_be_read():

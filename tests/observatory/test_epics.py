@@ -103,7 +103,7 @@ def test_a_client_sees_an_alarm_come_and_go(ioc):
     text, severity = ioc.read("ALARM")
     assert "collision of positioners 3, 4" in text
     assert severity == 2
-    assert ioc.read("ALARMS") == (1, 2)
+    assert ioc.until("ALARMS", 1) == (1, 2)
     ioc.write("PARK", 1)
     said, severity = ioc.until("SAID", lambda text: text.startswith("refused: "))
     assert ("fiberloom recover" in said, severity) == (True, 1)

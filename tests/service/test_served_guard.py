@@ -5,7 +5,7 @@ from served import HOST, OURS, PORT, STREAM, asking, gate, served
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from fiberloom.cli.serve import ServeOptions, listening
+from fiberloom.cli.array.serve import ServeOptions, listening
 from fiberloom.errors import InputError
 from fiberloom.service.guard.tokens import FAILURES, WITHIN_S, Failures, Logins, Role, TokenFile
 from fiberloom.service.guard.wall import BODY_BYTES, UPLOAD_BYTES, hosts_of, is_loopback

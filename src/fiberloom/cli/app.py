@@ -14,6 +14,7 @@ import typer
 from fiberloom.cli.array.doctor import doctor
 from fiberloom.cli.array.exclude import exclude_add, exclude_clear, exclude_list
 from fiberloom.cli.array.move import home, park, recover, stop
+from fiberloom.cli.array.serve import serve
 from fiberloom.cli.array.status import status
 from fiberloom.cli.calibrate.acceptance import acceptance
 from fiberloom.cli.calibrate.fibres import fibres
@@ -45,7 +46,6 @@ from fiberloom.cli.past.store import check as check_store
 from fiberloom.cli.past.store import copy, upgrade
 from fiberloom.cli.plan import assign, plan, verify
 from fiberloom.cli.reproduce import reproduce
-from fiberloom.cli.serve import serve
 from fiberloom.cli.sky.drift import drift
 from fiberloom.cli.sky.guide import guide
 from fiberloom.cli.sky.place import place, where

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from fiberloom.blocking import finish
 from fiberloom.bus.spec import BusSpec
 from fiberloom.connect import TWIN, is_shared
 from fiberloom.errors import InputError, StoppedError, one_line
@@ -49,7 +50,7 @@ class _Command:
 
     def _run(self) -> None:
         try:
-            asyncio.run(self._to_its_end())
+            finish(self._to_its_end())
         finally:
             self._begun.set()
             self.over.set()
@@ -113,7 +114,7 @@ class SessionArray:
         if self._bus.startswith(TWIN):
             return "nothing moves"
         stopper = Stopper(self._book, BusSpec.parse(self._bus).open, is_shared(self._bus), who)
-        return asyncio.run(stopper.stop()).text
+        return finish(stopper.stop()).text
 
     def park(self, who: str) -> str:
         """Begins to fold all positioners."""

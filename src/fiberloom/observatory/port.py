@@ -13,8 +13,8 @@ BEATS = 1_000_000
 """A heartbeat counts the looks up to this, and begins again."""
 
 
-class Severity(IntEnum):
-    """Of an alarm, the worst last; as the severities of EPICS are named."""
+class AlarmLevel(IntEnum):
+    """Of an alarm, the worst last; named as the severities of EPICS."""
 
     NONE = 0
     MINOR = 1
@@ -30,7 +30,7 @@ class ArrayAlarm:
     """One alarm; it is there as long as its cause."""
 
     code: str
-    severity: Severity
+    severity: AlarmLevel
     subject: str
     """`array`, or `positioner N`."""
     text: str
@@ -62,9 +62,9 @@ class ArrayView:
     """The worst first."""
 
     @property
-    def severity(self) -> Severity:
+    def severity(self) -> AlarmLevel:
         """Of the worst alarm."""
-        return self.alarms[0].severity if self.alarms else Severity.NONE
+        return self.alarms[0].severity if self.alarms else AlarmLevel.NONE
 
 
 class ArrayPort(Protocol):

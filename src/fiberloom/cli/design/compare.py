@@ -112,7 +112,7 @@ class SweepDesignOptions(MeritOptions):
 def sweep(options: SweepDesignOptions) -> int:
     """Every combination of the numbers that are varied, and the Pareto front: those that none is better than.
 
-    A design that cannot be is a row with the reason. Exit code 1 where none can be.
+    A design that cannot be is a row with the reason. Exit code 1 where no design can be.
     """
     require_instrument(options.file)
     if options.out is not None:

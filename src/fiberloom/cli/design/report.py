@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.design.coverage import DesignOptions
+from fiberloom.cli.design.check import CheckOptions
 from fiberloom.cli.options import require_instrument
 from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
@@ -24,22 +24,20 @@ RINGS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(DesignOptions):
+class ReportOptions(CheckOptions):
     """Of `fiberloom design report`."""
 
     out: Annotated[Path, typer.Option(help="Page to write, HTML, with its pictures inside.")] = Path(
         "design.html"
     )
-    within: Annotated[
-        float | None, typer.Option(help="Time in which an axis must make its whole range, s.")
-    ] = None
     core: Annotated[
         float | None, typer.Option(help="Diameter of the fibre in the focal plane, um; with --scale.")
     ] = None
-    scale: Annotated[float | None, typer.Option(help="Of the focal plane, um per arcsec.")] = None
-    fields: Annotated[int, typer.Option(min=2, help="Random fields of targets.")] = 4
+    scale: Annotated[float | None, typer.Option(help="Of the focal plane, um per arcsec; with --core.")] = (
+        None
+    )
+    fields: Annotated[int, typer.Option(min=2, help="Random fields of targets, for the shares.")] = 4
     units: Annotated[int, typer.Option(min=7, help="Of the twin, for the error budget.")] = 61
-    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
 
 
 def report(options: ReportOptions) -> int:

@@ -36,6 +36,8 @@ def upgrade() -> None:
     _what_happened()
     for table in ("fields", "visits", "stages", "exposures", "commands", "alarms"):
         op.create_index(f"ix_{table}_night_id", table, ["night_id"])
+    for table in ("commands", "alarms"):
+        op.create_index(f"ix_{table}_address", table, ["address"])
     op.create_index("ix_exposures_visit_id", "exposures", ["visit_id"])
 
 
@@ -105,8 +107,3 @@ def _what_happened() -> None:
         *_times("gone", "acknowledged", nullable=True),
         *_texts("acknowledged_by"),
     )
-    for table in ("fields", "visits", "stages", "exposures", "commands", "alarms"):
-        op.create_index(f"ix_{table}_night_id", table, ["night_id"])
-    for table in ("commands", "alarms"):
-        op.create_index(f"ix_{table}_address", table, ["address"])
-    op.create_index("ix_exposures_visit_id", "exposures", ["visit_id"])
