@@ -46,7 +46,7 @@ class Ioc:
     def until(self, name, wanted, within_s=60.0):
         """Waits for a value; with its severity."""
         end_s = time.monotonic() + within_s
-        right = wanted if callable(wanted) else wanted.__eq__
+        right = wanted if callable(wanted) else lambda value: value == wanted
         while not right((found := self.read(name))[0]):
             assert time.monotonic() < end_s, (name, found, wanted)
             time.sleep(0.05)
