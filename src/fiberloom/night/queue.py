@@ -90,8 +90,8 @@ class FieldEntry(_Table):
             abs(v) > 1e4 for pair in self.dithers_um for v in pair
         ):
             raise ValueError("dithers_um: 1 to 100 pairs, each number within 10000 um")
-        if self.airmass_max is not None and None in (self.ra_deg, self.dec_deg):
-            raise ValueError("airmass_max: needs ra_deg and dec_deg")
+        if self.airmass_max is not None and self.field is None and None in (self.ra_deg, self.dec_deg):
+            raise ValueError("airmass_max: needs ra_deg and dec_deg, or a field file")
         if self.not_before and self.not_after and self.not_before >= self.not_after:
             raise ValueError("not_before: must be earlier than not_after")
         return self
@@ -188,8 +188,19 @@ def _placed(queue: Queue, folder: Path) -> Queue:
         for file in (entry.targets, entry.field):
             if file is not None and not file.is_file():
                 raise InputError(f"{file}: no such file; field '{entry.id}' of the queue names it")
+    entries = tuple(map(_centred, entries))
     array = queue.array.model_copy(update=_from(folder, queue.array, "layout", "calibration"))
     return queue.model_copy(update={"fields": entries, "array": array})
+
+
+def _centred(entry: FieldEntry) -> FieldEntry:
+    """With the centre of its field file, where an airmass is asked for and no centre is given."""
+    if entry.field is None or entry.airmass_max is None or None not in (entry.ra_deg, entry.dec_deg):
+        return entry
+    from fiberloom.sky.sky_field import SkyField
+
+    field = SkyField.read(entry.field)
+    return entry.model_copy(update={"ra_deg": field.ra_deg, "dec_deg": field.dec_deg})
 
 
 def _from(folder: Path, table: BaseModel, *names: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from statistics import median
 from typing import Any
 
 from fiberloom.errors import InputError
@@ -239,10 +240,10 @@ class NightRunner:
         seen: list[Observation],
     ) -> None:
         setup = self.setup
-        targets = await asyncio.to_thread(setup.targets, entry, step.dither)
         if ahead is None:
             watcher.say("assigning targets")
-            made = await asyncio.to_thread(setup.assigned, step, entry, self.assigned)
+            begin = self.clock.now() + await beside(self._until_ready, step)
+            made = await asyncio.to_thread(setup.assigned, step, entry, begin, self.assigned)
         else:
             made = ahead.assigned
         observer = Observer(
@@ -257,7 +258,7 @@ class NightRunner:
             begun=lambda run: self.book.change_visit(visit, run_id=run),
         )
         settings = ObserveSettings(corrections=entry.corrections, seed=setup.seed)
-        seen.append(await observer.observe(targets, settings, self._connect))
+        seen.append(await observer.observe(made.targets, settings, self._connect))
         self.assigned = made
 
     async def _connect(self) -> Hardware:
@@ -430,8 +431,26 @@ class NightRunner:
             return None
         wanted = self.queue.entry(step.field)
         assert wanted is not None
-        made = await asyncio.to_thread(self.setup.assigned, step, wanted, self.assigned)
+        begin = end + await beside(self._until_ready, step)
+        made = await asyncio.to_thread(self.setup.assigned, step, wanted, begin, self.assigned)
         return Ahead(made, await self._planned(made))
+
+    def _until_ready(self, step: Position) -> timedelta:
+        """From the begin of a `step` to its first exposure, as it took in this night; else as the queue says.
+
+        A dither is quicker than a new field.
+        """
+        visits, first = self.book.visits(), {}
+        for exposure in reversed(self.book.exposures()):
+            first[exposure.visit_id] = exposure.utc_start
+        fields = ["", *(visit.field for visit in visits)]
+        dithered = bool(visits) and self.assigned is not None and self.assigned.step.field == step.field
+        took = [
+            start - visit.utc_start
+            for before, visit in zip(fields, visits, strict=False)
+            if (start := first.get(visit.id)) is not None and (before == visit.field) == dithered
+        ]
+        return median(took) if took else timedelta(seconds=self.queue.overhead_s)
 
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion

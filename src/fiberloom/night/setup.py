@@ -22,11 +22,15 @@ from fiberloom.night.shutter import Shutter, TimedShutter
 from fiberloom.night.step import Position
 from fiberloom.operation.known import Known
 from fiberloom.operation.safety.stop import to_its_end
+from fiberloom.operation.series.goals import targets_at
 from fiberloom.operation.series.steps import followed
 from fiberloom.operation.session.session import KnownArray
 from fiberloom.operation.source import LeftOpen, Source
+from fiberloom.sky.sky_field import SkyField
 from fiberloom.store.nights.book import NightBook
 from fiberloom.targets import TargetList, read_targets
+from fiberloom.targets.read import read_sky
+from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
 ShutterMaker = Callable[["NightSetup", NightBook, NightClock], Shutter]
@@ -46,6 +50,8 @@ class Assigned:
     step: Position
     entry: FieldEntry
     """As the queue had it."""
+    targets: TargetList
+    """In mm; of a field on the sky for the middle of its exposures."""
     plane: FocalPlane
     """With the collision buffer that holds."""
     assignment: Assignment
@@ -114,26 +120,52 @@ class NightSetup:
 
     # fields
 
-    def targets(self, entry: FieldEntry, dither: int) -> TargetList:
-        """Targets of a field, moved by one of its dithers; mm. InputError names the file."""
+    def targets(self, entry: FieldEntry, dither: int, begin: datetime) -> TargetList:
+        """Targets of a field, moved by one of its dithers; mm. InputError names the file.
+
+        Of a field on the sky: for the middle of the exposures of one place, which `begin` then.
+        """
         shift_mm = np.array(entry.dithers_um[dither]) / UM_PER_MM
-        found = read_targets(entry.targets, entry.field, self.known.plane.instrument.name)
+        found = self._listed(entry, begin)
         return found.moved(shift_mm) if shift_mm.any() else found
+
+    def _listed(self, entry: FieldEntry, begin: datetime) -> TargetList:
+        if entry.field is None:
+            return read_targets(entry.targets, None, self.known.plane.instrument)
+        stars, field = read_sky(entry.targets)[0], SkyField.read(entry.field)
+        return targets_at(stars, field, self.known.plane, begin, entry.shutter_s)
 
     def assign(self, targets: TargetList) -> tuple[FocalPlane, Assignment]:
         """Which positioner takes which of the `targets`, as an observation would."""
         how = AssignSettings(ways=way_rule(self.known.plane))
         return assign_relaxed(self.known.plane, self.known.aims(targets), seed=self.seed, settings=how)
 
-    def assigned(self, step: Position, entry: FieldEntry, before: Assigned | None = None) -> Assigned:
+    def assigned(
+        self, step: Position, entry: FieldEntry, begin: datetime, before: Assigned | None = None
+    ) -> Assigned:
         """What a `step` to its field, `entry`, assigns; `before`: the place that the fibres are on.
 
-        From one dither of a field to the next every fibre keeps its target.
+        Its exposures `begin` then. From one dither of a field to the next every fibre keeps its target.
         """
-        if before is None or (before.step.field, before.entry) != (step.field, entry):
-            return Assigned(step, entry, *self.assign(self.targets(entry, step.dither)))
-        dithers_mm = np.array(entry.dithers_um) / UM_PER_MM
-        shift_mm = dithers_mm[step.dither] - dithers_mm[before.step.dither]
-        goal_deg = followed(before.plane, before.assignment, np.tile(shift_mm, (before.plane.n, 1)))
-        moved = replace(before.assignment, alpha_deg=goal_deg[:, 0], beta_deg=goal_deg[:, 1])
-        return Assigned(step, entry, before.plane, moved)
+        targets = self.targets(entry, step.dither, begin)
+        if before is None or not _goes_on(before, step, entry, targets):
+            return Assigned(step, entry, targets, *self.assign(targets))
+        kept = before.assignment
+        shift_mm = _taken_mm(targets, kept) - _taken_mm(before.targets, kept)
+        goal_deg = followed(before.plane, kept, shift_mm)
+        moved = replace(kept, alpha_deg=goal_deg[:, 0], beta_deg=goal_deg[:, 1])
+        return Assigned(step, entry, targets, before.plane, moved)
+
+
+def _goes_on(before: Assigned, step: Position, entry: FieldEntry, targets: TargetList) -> bool:
+    """The same field with the same list."""
+    same = (before.step.field, before.entry) == (step.field, entry)
+    return same and np.array_equal(before.targets.target_id, targets.target_id)
+
+
+def _taken_mm(targets: TargetList, assignment: Assignment) -> Floats:
+    """(N, 2) mm the place of each positioner's target for the fibre that takes it; 0 without a target."""
+    has = assignment.target >= 0
+    xy_mm = np.zeros((len(has), 2))
+    xy_mm[has] = targets.settled(assignment.target, assignment.fibre).xy_mm[assignment.target[has]]
+    return xy_mm

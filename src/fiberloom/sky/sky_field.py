@@ -154,9 +154,10 @@ class SkyField(_FieldTable):
         """The moment for which fibres are placed."""
         return self.begin.later(0.5 * self.exposure_s) if self.place_for == "middle" else self.begin
 
-    def begun(self, begin: SkyTime) -> SkyField:
-        """The same field with an exposure that begins at another time."""
+    def begun(self, begin: SkyTime, exposure_s: float | None = None) -> SkyField:
+        """The same field at another time; `exposure_s`: the duration of its exposure, if another."""
         told = self.model_dump() | {"time": begin.iso, "time_scale": "utc"}
+        told |= {} if exposure_s is None else {"exposure_s": exposure_s}
         return SkyField.parse(told, "field")
 
     def pointing(self) -> SkyPointing:

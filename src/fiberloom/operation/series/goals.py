@@ -32,13 +32,18 @@ class SkyGoals:
 
 
 def targets_at(
-    stars: SkyList, field: SkyField, plane: FocalPlane, begin: SkyTime | datetime | None = None
+    stars: SkyList,
+    field: SkyField,
+    plane: FocalPlane,
+    begin: SkyTime | datetime | None = None,
+    exposure_s: float | None = None,
 ) -> TargetList:
     """The targets of a field in mm, for an exposure that begins at some time.
 
-    `stars`, `field`, `plane`, `begin`: as of `goals_at`, and InputError as there.
+    `stars`, `field`, `plane`, `begin`: as of `goals_at`, and InputError as there; `exposure_s`: the duration,
+    s, the field's own when left out.
     """
-    field = field if begin is None else field.begun(_time(begin))
+    field = field.begun(field.begin if begin is None else _time(begin), exposure_s)
     return stars.placed(field.chain(plane.instrument), field)
 
 

@@ -1,0 +1,79 @@
+"""A night with RA and Dec: targets are where they will be in the middle of the exposures that are made."""
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from nights import Night
+
+from fiberloom.night.step import Position
+from fiberloom.operation.past.rebuild import rebuild
+
+RA_DEG, DEC_DEG = 230.0, 20.0
+QUEUE = """
+[site]
+longitude_deg = -105.82
+latitude_deg = 32.78
+[[field]]
+id = "sky"
+targets = "stars.csv"
+field = "field.toml"
+airmass_max = 1.5
+exposure_s = 1200
+exposures = 2
+dithers_um = [[0, 0], [60, 0], [0, 60]]
+"""
+FIELD = f"""ra_deg = {RA_DEG}
+dec_deg = {DEC_DEG}
+time = "2026-03-01T00:00:00"
+time_scale = "utc"
+exposure_s = 10.0
+"""
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sky")
+    rng = np.random.default_rng(2)
+    stars = np.array([RA_DEG, DEC_DEG]) + rng.uniform(-0.06, 0.06, (60, 2))
+    rows = [f"{k},{ra:.9f},{dec:.9f}" for k, (ra, dec) in enumerate(stars)]
+    (folder / "stars.csv").write_text("source_id,ra,dec\n" + "\n".join(rows) + "\n")
+    (folder / "field.toml").write_text(FIELD)
+    return Night(folder, QUEUE)
+
+
+def test_each_place_is_for_the_middle_of_its_exposures(night, tmp_path):
+    assert night.run().status == "finished"
+    visits, exposures = night.book.visits(), night.book.exposures()
+    assert [(v.dither, v.state) for v in visits] == [(0, "done"), (1, "done"), (2, "done")]
+    within_s = [90.0, 90.0, 3.0]  # the overhead of the queue, then that of the dither before
+    for visit, most_s in zip(visits, within_s, strict=True):
+        sky = rebuild(night.store, visit.run_id, tmp_path / str(visit.run_id)).summary["sky"]
+        mine = [e for e in exposures if e.visit_id == visit.id]
+        middle = mine[0].utc_start + (mine[-1].utc_end - mine[0].utc_start) / 2
+        placed = np.datetime64(sky["placed_for_utc"]).astype("datetime64[ms]").astype(object)
+        off_s = (placed - middle.replace(tzinfo=None)).total_seconds()
+        assert abs(off_s) < most_s + 2.0, (visit.dither, off_s)
+        assert sky["exposure_s"] == 2400.0
+
+
+def test_a_dither_follows_the_sky_and_keeps_its_targets(night):
+    setup = night.setup()
+    queue = setup.read_queue()
+    (entry,) = queue.fields
+    assert (entry.ra_deg, entry.dec_deg) == (RA_DEG, DEC_DEG)
+    first = setup.assigned(Position("sky", 0, 0), entry, queue.begin)
+    later = queue.begin + timedelta(hours=1)
+    second = setup.assigned(Position("sky", 0, 1), entry, later, first)
+    has = np.flatnonzero(first.assignment.target >= 0)
+    assert len(has) >= 5
+    assert second.assignment.target.tolist() == first.assignment.target.tolist()
+    drifted_um = []
+    for k in has:
+        fibre, row = second.assignment.fibre[k], second.assignment.target[k]
+        goal_deg = np.tile(second.assignment.goal_deg[k], (night.plane.n, 1))
+        at_mm = night.plane.forward(*goal_deg.T, fibre)[k]
+        assert at_mm == pytest.approx(second.targets.place_mm(fibre)[row], abs=1e-6)
+        moved_mm = second.targets.place_mm(fibre)[row] - first.targets.place_mm(fibre)[row]
+        drifted_um.append(1e3 * np.hypot(*(moved_mm - [0.06, 0.0])))
+    assert max(drifted_um) > 1.0
