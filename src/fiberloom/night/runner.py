@@ -445,12 +445,12 @@ class NightRunner:
             first[exposure.visit_id] = exposure.utc_start
         fields = ["", *(visit.field for visit in visits)]
         dithered = bool(visits) and self.assigned is not None and self.assigned.step.field == step.field
-        took = [
-            start - visit.utc_start
+        took_s = [
+            (start - visit.utc_start).total_seconds()
             for before, visit in zip(fields, visits, strict=False)
             if (start := first.get(visit.id)) is not None and (before == visit.field) == dithered
         ]
-        return median(took) if took else timedelta(seconds=self.queue.overhead_s)
+        return timedelta(seconds=median(took_s) if took_s else self.queue.overhead_s)
 
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion
