@@ -131,11 +131,18 @@ Pace RealTime::pace() const {
 
 void RealTime::hold() {
     std::unique_lock lock(mutex_);
+    const std::thread::id me = std::this_thread::get_id();
     ++holders_;
+    if (std::find(within_.begin(), within_.end(), me) != within_.end()) { // once more: the clock stands
+        ++inside_;
+        within_.push_back(me);
+        return;
+    }
     change_.notify_all();
     // one that comes while others hold waits for the next stop of the clock: else those who look in turn, and
     // overlap, would keep it from running at all
     change_.wait(lock, [this, before = parks_] { return parks_ != before || stop_; });
+    within_.push_back(me);
 }
 
 void RealTime::release() {
@@ -143,6 +150,8 @@ void RealTime::release() {
         const std::lock_guard lock(mutex_);
         --holders_;
         if (inside_ > 0) --inside_;
+        const auto mine = std::find(within_.begin(), within_.end(), std::this_thread::get_id());
+        if (mine != within_.end()) within_.erase(mine);
     }
     change_.notify_all();
 }

@@ -113,6 +113,15 @@ def test_ticks_are_computed_between_those_who_hold_in_turn():
     assert len(seen) > 20
 
 
+def test_one_that_holds_may_hold_once_more():
+    with Run(speed=20.0) as real, real.held() as first:
+        begin_s = first.time_s
+        with real.held() as again:
+            assert again.time_s == begin_s
+        time.sleep(0.01)
+        assert first.time_s == begin_s  # it is held still
+
+
 def test_a_clock_that_falls_far_behind_is_set_back():
     with Run(speed=1.0) as real:
         with real.held():

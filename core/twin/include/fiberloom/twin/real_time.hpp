@@ -78,10 +78,10 @@ class RealTime {
     Pace pace() const;
     // Ends the thread; the clock of the twin stops.
     void stop();
-    // Between hold and release, on one thread, no tick is computed: the twin may be touched. Once a thread at
-    // a time. Due ticks are computed between those who hold, however many there are.
+    // Between hold and release, on one thread, no tick is computed: the twin may be touched. Due ticks are
+    // computed between those who hold, however many there are; one that holds may hold once more.
     void hold();
-    // Lets the clock run again.
+    // Lets the clock run again; as often as hold() was called.
     void release();
 
   private:
@@ -121,8 +121,9 @@ class RealTime {
     // what it shares, and looks at only when no other thread does
     mutable std::mutex mutex_;
     std::condition_variable change_;
-    int inside_ = 0;     // of the holders those for whom the clock stands now
-    uint64_t parks_ = 0; // how often it has stood
+    std::vector<std::thread::id> within_; // who holds; as often as it does
+    int inside_ = 0;                      // of the holders those for whom the clock stands now
+    uint64_t parks_ = 0;                  // how often it has stood
     uint64_t posted_ = 0;
     std::vector<Posted> inbox_;
     std::vector<Reply> outbox_;
