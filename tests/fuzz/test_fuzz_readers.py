@@ -419,20 +419,16 @@ def test_a_row_that_changed_by_itself_is_told(tmp_path, kept_store, change, word
     refusal(everything, path, words)
 
 
-def test_a_store_of_the_third_version_gets_its_columns_and_is_read(tmp_path, kept_store):
+def test_a_store_of_the_third_version_is_refused_and_left_as_it_was(tmp_path, kept_store):
     path = tmp_path / "s.sqlite"
     path.write_bytes(kept_store)
-    whole = contents(path)
-    with sqlite3.connect(path) as raw:  # as version 3 left it
-        for table in ("moves", "measurements", "calibrations", "events", "learnt_states", "places"):
-            raw.execute(f"ALTER TABLE {table} DROP COLUMN row_sum")
-        raw.execute("ALTER TABLE moves DROP COLUMN n_measured")
+    with sqlite3.connect(path) as raw:
         raw.execute("UPDATE fiberloom_schema SET version = 3")
     raw.close()
-    assert contents(path) == whole
-    with Store.open(path) as store, store.start_run(command_line="x", instrument="sdssv") as run:
-        run.record_move(1, "blind", {"positioner_id": [1, 2], "x_mm": [-0.0, 1.0]})
-        assert store.measurements(run.id)["x_mm"].tolist() == [0.0, 1.0]
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"of version 3, .*fiberloom store upgrade"):
+        contents(path)
+    assert path.read_bytes() == before
 
 
 # the command line

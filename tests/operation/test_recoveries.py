@@ -30,7 +30,8 @@ class Field:
 
         self.drive, self.asked = SimpleNamespace(prepare=self.prepare), []
 
-    wanted = operation.FieldMotion.wanted
+    wanted, _prepared = operation.FieldMotion.wanted, operation.FieldMotion._prepared
+    ahead = None
 
     async def prepare(self, wanted):
         self.asked.append(wanted)

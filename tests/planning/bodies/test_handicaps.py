@@ -149,8 +149,8 @@ def test_all_places_where_one_that_is_offline_may_be_are_kept_free():
     said, doubt = np.array([120.0, 100.0]), np.array([25.0, 15.0])
     plane = plane.with_offline([dead], [said])
     unsure = handicapped(plane, [dead], doubt_deg=doubt)
-    ends = random_pair(unsure, 3)
-    made = plan(unsure, *ends, seed=3)
+    ends = random_pair(unsure, 4)
+    made = plan(unsure, *ends, seed=4)
     assert verify(unsure, made, start_deg=ends[0], goal_deg=ends[1]).ok
     table = plain_table(plane, np.full(19, made.collision_buffer_mm))
     corners = said + doubt * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
@@ -163,7 +163,7 @@ def test_all_places_where_one_that_is_offline_may_be_are_kept_free():
         moved = replace(made, robots=robots)
         assert smallest_gap(there, moved, table, fixed_table(there)) >= LEAST_MM
     # and it matters: a plan without the doubt touches it somewhere there
-    blind = plan(plane, *ends, seed=3)
+    blind = plan(plane, *ends, seed=4)
     assert not verify(unsure, blind).ok
 
 
