@@ -4,6 +4,7 @@ import http.server
 import json
 import sys
 import threading
+from datetime import timedelta
 
 import pytest
 
@@ -110,6 +111,15 @@ def test_healths_verdict_is_a_proposal_and_ends_with_it(board):
     (alarm,) = board.open()
     assert (alarm.severity, alarm.advice) == ("advice", "calibrate it anew")
     board.proposals({})
+    assert board.open()[0].gone is not None
+
+
+def test_what_a_later_look_does_not_find_again_is_gone(board):
+    board.event("alarm", "arms overlap as reported", 7)
+    found = board.open()[0].last
+    board.looked_again(found)  # by the command that has raised it
+    assert board.open()[0].gone is None
+    board.looked_again(found + timedelta(seconds=1))
     assert board.open()[0].gone is not None
 
 

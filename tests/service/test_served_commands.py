@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from served import ANN, STREAM, N, asking, idle, plane_of, served, wait_for
 
+from fiberloom.errors import InputError
 from fiberloom.service.live import FRAME, STATES
 from fiberloom.store import Store
 
@@ -115,6 +116,54 @@ def test_the_same_key_is_the_same_command(client, array):
     first = client.post("/api/v1/park", headers={"Idempotency-Key": "night-7"}).json()
     again = client.post("/api/v1/park", headers={"Idempotency-Key": "night-7"})
     assert (again.status_code, again.json()["id"]) == (202, first["id"])
+    key = {"Idempotency-Key": "night-8"}
+    refused = client.post("/api/v1/observe", json={"targets": "t.csv"}, headers=key)
+    assert refused.status_code == 409
+    idle(array)
+    # nothing was done by it: it is given again, and done
+    accepted = client.post("/api/v1/park", headers=key)
+    assert (accepted.status_code, accepted.json()["command"]) == (202, "park")
+
+
+def test_a_stop_without_a_store_stops_all_the_same(client, array, monkeypatch):
+    command(client, "/api/v1/observe", {"targets": "t.csv", "corrections": 0})
+    idle(array)
+    number = client.post("/api/v1/park").json()["id"]
+    wait_for(lambda: client.get("/api/v1/state").json()["array"]["state"] == "moving")
+
+    def lost(*_):
+        raise InputError("store: the disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(array.commands, "begin", lost)
+        stopped = client.post("/api/stop")
+        assert (stopped.status_code, stopped.json()["stopping"]) == (200, "park")
+        idle(array)
+    assert client.get(f"/api/v1/commands/{number}").json()["result"] == "stopped"
+    # that it is not on record is an alarm, which is gone when the store works again
+    alarms = {a.code: a for a in array.alarms.open()}
+    assert "store" in alarms
+    command(client, "/api/v1/park")
+    idle(array)
+    array.acknowledge(ANN, alarms["store"].id)
+    assert "store" not in {a.code for a in array.alarms.open()}
+
+
+def test_health_does_not_propose_again_what_was_excluded(client, array, monkeypatch):
+    number = int(PLANE.positioner_id[1])
+    monkeypatch.setattr(array.health, "proposals", lambda: {number: ("degraded: scale", "exclude it")})
+
+    def proposed():
+        command(client, "/api/v1/park")
+        idle(array)
+        return [a.subject for a in array.alarms.open() if a.code == "health" and a.gone is None]
+
+    assert proposed() == [str(number)]
+    client.post("/api/v1/exclude", json={"positioners": [number], "why": "as proposed"})
+    assert proposed() == []
+    client.post("/api/v1/include", json={"positioners": [number]})
+    (alarm,) = (a for a in array.alarms.open() if a.code == "health")
+    array.acknowledge(ANN, alarm.id)
 
 
 def test_excluded_positioners_stay_and_are_shown(client, array):
@@ -229,7 +278,7 @@ def test_health_and_figures(client):
 def test_a_client_that_never_reads_costs_its_queue(array):
     import asyncio
 
-    from fiberloom.service.hub import MOST_EVENTS
+    from fiberloom.service.hub import MOST_CLIENTS, MOST_EVENTS
 
     async def never_reads():
         client = array.hub.join()
@@ -237,10 +286,14 @@ def test_a_client_that_never_reads_costs_its_queue(array):
             array.hub.publish("event", {"text": "x"})
             array.hub.show(b"picture")
         found = await client.next()
-        array.hub.leave(client)
-        return found
+        others = [array.hub.join() for _ in range(MOST_CLIENTS)]
+        for joined in (client, *filter(None, others)):
+            array.hub.leave(joined)
+        return found, others
 
-    found = asyncio.run(never_reads())
+    found, others = asyncio.run(never_reads())
+    assert [one is None for one in others] == [False] * (MOST_CLIENTS - 1) + [True]
+    assert len(array.hub) == 0
     assert len(found) == MOST_EVENTS + 1
     assert json.loads(found[0])["seq"] == array.hub.sequence - MOST_EVENTS + 1
 

@@ -222,9 +222,12 @@ class ServedArray:
         return finish(stopper.stop()).text
 
     def record_stop(self, author: Author, text: str) -> None:
-        """Writes a stop; what moves was stopped before."""
-        number = self.commands.begin(author.name, author.role, "stop", {})
-        self.commands.end(number, CommandResult.DONE, text)
+        """Writes a stop; what moves was stopped before, so a lost store is an alarm and no refusal."""
+        try:
+            number = self.commands.begin(author.name, author.role, "stop", {})
+            self.commands.end(number, CommandResult.DONE, text)
+        except InputError as error:
+            self.alarms.raise_("store", "store", str(error))
         self.hub.publish("command", {"command": "stop", "author": author.name, "text": text})
 
     def history(self, positioner_id: int) -> dict[str, Any]:
@@ -291,10 +294,7 @@ class ServedArray:
     def _check_free(self, deed: Deed) -> None:
         """Raises Busy where another command runs, here or elsewhere, or the state does not allow this one."""
         if (running := self._running) is not None:
-            since = f"{running.begun:%H:%M:%S} UTC"
-            raise Busy(
-                f"{running.name} of {running.author.name} runs since {since}; wait for its end, or stop"
-            )
+            raise Busy(running.refusal)
         found = self.book.state()
         if found.owned:
             raise Busy(
@@ -322,7 +322,7 @@ class ServedArray:
                 raise Busy(running.refusal)
             number = self.commands.begin(author.name, author.role, name, asked, key)
             running = self._running = RunningCommand(number, name, author)
-        self.live.command, self.live.heard = name, None
+        self.live.command, self.live.heard = name, False
         self.hub.publish("command", running.as_dict() | {"result": "running"})
         asyncio.run_coroutine_threadsafe(self._run(running, work), self._loop)
         record = self.commands.get(number)
@@ -350,14 +350,16 @@ class ServedArray:
         try:
             self.commands.end(running.number, result, text)
             if result is CommandResult.FAILED:
-                self.reached = bool(self.live.heard) or running.name == "calibrate"
+                self.reached = self.live.heard or running.name == "calibrate"
                 self.alarms.raise_("command", running.name, text)
             elif result is CommandResult.DONE:
                 self.reached = True
                 self.alarms.clear("command", running.name)
+                if self.live.heard:
+                    self.alarms.looked_again(running.begun)
             self._look_at_state()
-            self.health.follow()
-            self.alarms.proposals(self.health.proposals())
+            self._propose()
+            self.alarms.clear("store", "store")  # all of this was written
         except InputError as error:
             self.alarms.raise_("store", "store", str(error))
         finally:
@@ -380,6 +382,13 @@ class ServedArray:
         else:
             self.alarms.clear("collision", "array")
         self.hub.publish("array", now)
+
+    def _propose(self) -> None:
+        """What health says of those that a person has not excluded yet."""
+        self.health.follow()
+        excluded = {e.positioner_id for e in self.book.exclusions()}
+        found = self.health.proposals().items()
+        self.alarms.proposals({p: said for p, said in found if p not in excluded})
 
     def _show_exclusions(self) -> None:
         rows = self.exclusions()

@@ -139,8 +139,8 @@ class Live:
         self._plan: SampledPlan | None = None
         self._stages: deque[LiveStage] = deque(maxlen=_MOST_STAGES)
         self._changed = 1
-        self.heard: bool | None = None
-        """Positioners have answered in this command; None: they were not asked yet."""
+        self.heard = False
+        """Positioners have answered in this command, and an image was looked at."""
         self.moves, self.image_utc = 0, 0.0
         """Moves that were made and the time of the last image, s since 1970; for the metrics."""
 

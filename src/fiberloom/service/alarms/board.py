@@ -152,6 +152,13 @@ class AlarmBoard:
                 for fault in FAULTS:
                     self.clear(fault, subject)
 
+    def looked_again(self, begun: datetime) -> None:
+        """A command that looked, since it had `begun`, is done: what it did not raise anew is gone."""
+        with self._lock:
+            before = [a.subject for a in self._open.values() if a.code == "alarm" and a.last < begun]
+        for subject in before:
+            self.clear("alarm", subject)
+
     def excluded(self, positioner_id: int) -> None:
         """A positioner is excluded: what was wrong with it is dealt with."""
         for code in (*FAULTS, "health"):

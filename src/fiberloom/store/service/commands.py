@@ -102,8 +102,12 @@ class CommandBook:
         return next(iter(self._rows(CommandRow.id == number)), None)
 
     def by_key(self, author: str, key: str) -> CommandRecord | None:
-        """The command that an author has given with this key of idempotency; None: there is none."""
+        """The command that an author has given with this key of idempotency; None: there is none.
+
+        One that was refused does not count: nothing was done, and it may be given again.
+        """
         given = (CommandRow.key == key) & (CommandRow.author == author)
+        given &= CommandRow.result != CommandResult.REFUSED.value
         return next(iter(self._rows(given)), None) if key else None
 
     def last(self, most: int = 50) -> list[CommandRecord]:
