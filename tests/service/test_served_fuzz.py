@@ -7,7 +7,9 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from served import OURS, asking, idle, served
 
-schemathesis = pytest.importorskip("schemathesis", reason="left out: schemathesis is not installed (pip)")
+schemathesis = pytest.importorskip(
+    "schemathesis", reason="pip install schemathesis: requests by the OpenAPI document"
+)
 from schemathesis import GenerationMode  # noqa: E402
 
 EXAMPLES = int(os.environ.get("FIBERLOOM_FUZZED", "4"))

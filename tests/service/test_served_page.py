@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from served import HOST, PATIENCE_S, idle, listening, plane_of, served, wait_for
+from served import ANN, HOST, PATIENCE_S, idle, listening, plane_of, served, wait_for
 
 from fiberloom.service.guard.tokens import TokenFile
 
-api = pytest.importorskip("playwright.sync_api", reason="left out: playwright is not installed (pip)")
+api = pytest.importorskip("playwright.sync_api", reason="pip install playwright: the page in a browser")
 CHROMIUM = Path("/usr/bin/chromium")
 ARGUMENTS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
@@ -39,6 +39,14 @@ def folder(tmp_path_factory):
 def array(folder, browser):
     with served(folder, speed=20.0) as array:
         yield array
+
+
+@pytest.fixture(scope="module")
+def observed(array, folder):
+    """Arms are at their targets: there is a plan to look at, a history, and a way to the folded places."""
+    if array.live.plan() is None:
+        array.observe(ANN, folder / "targets" / "t.csv", 0)
+        idle(array)
 
 
 def bound(port=0):
@@ -117,7 +125,7 @@ def test_a_field_is_observed_by_a_click_and_seen_in_motion(page, array, folder):
     wait_for(lambda: abs(model(page, "plane.angles[0]") - known[0]) < 0.01)
 
 
-def test_a_click_on_a_positioner_shows_its_history(page, array):
+def test_a_click_on_a_positioner_shows_its_history(observed, page, array):
     row = 2
     x, y = page.evaluate(
         "(row) => { const { view, model } = window.fiberloom, tip = model.plane.arm(row).slice(6);"
@@ -143,7 +151,7 @@ def test_a_click_on_a_positioner_shows_its_history(page, array):
     page.wait_for_selector("text=Click a positioner")
 
 
-def test_the_plan_is_looked_at_by_the_slider(page):
+def test_the_plan_is_looked_at_by_the_slider(observed, page):
     assert page.locator("#slider").is_enabled()
     page.locator("#slider").fill("0")
     page.wait_for_selector("text=by the plan, not now")
@@ -155,7 +163,7 @@ def test_the_plan_is_looked_at_by_the_slider(page):
     page.wait_for_selector("#mark", state="hidden")
 
 
-def test_park_is_stopped_by_the_button_without_a_question(page, array):
+def test_park_is_stopped_by_the_button_without_a_question(observed, page, array):
     page.click("#park")
     page.click("#dialog-yes")
     page.wait_for_selector("#mark:not([hidden])", timeout=1e3 * PATIENCE_S)

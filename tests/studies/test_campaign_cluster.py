@@ -9,7 +9,7 @@ from fiberloom.studies import workers
 from fiberloom.studies.campaign import Campaign, run
 
 distributed = pytest.importorskip("distributed", reason="pip install distributed: a Dask cluster")
-dask = pytest.importorskip("dask")
+dask = pytest.importorskip("dask", reason="pip install distributed: a Dask cluster")
 
 
 def study(experiment=experiments.draw, settings=None):
