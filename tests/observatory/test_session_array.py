@@ -10,9 +10,9 @@ from observed import BUS, PLANE, HeldArray, observed
 from fiberloom.errors import InputError
 from fiberloom.observatory.alarms import alarms_of
 from fiberloom.observatory.network import Endpoint, need
-from fiberloom.observatory.port import AlarmLevel
 from fiberloom.operation.session.states import SessionState
 from fiberloom.store.arrays import ArrayState
+from fiberloom.store.service.alarms import Severity
 from fiberloom.twin import Fault
 
 
@@ -49,7 +49,7 @@ def test_park_then_a_target_list(array):
     assert ended(array).state == "parked"
     assert array.configure("ann", "list.csv") == "configure has begun"
     view = ended(array)
-    assert (view.state, view.alarms, view.severity) == ("idle", (), AlarmLevel.NONE), view
+    assert (view.state, view.alarms, view.severity) == ("idle", (), None), view
     run = array._field.last
     assert run.summary()["n_assigned"] > 3
 
@@ -122,7 +122,7 @@ def test_a_command_that_fails_is_an_alarm_until_the_next_one(array, monkeypatch)
     (alarm,) = ended(array).alarms
     assert (alarm.code, alarm.severity, alarm.text) == (
         "command",
-        AlarmLevel.MAJOR,
+        Severity.MAJOR,
         "park: 10.1.10.31: connection refused",
     )
     monkeypatch.undo()
@@ -150,7 +150,7 @@ def test_a_store_that_cannot_be_read_is_an_alarm(array, monkeypatch):
 
     monkeypatch.setattr(array._book, "state", broken)
     view = array.view()
-    assert (view.state, view.severity, view.alarms[0].code) == ("unknown", AlarmLevel.CRITICAL, "store")
+    assert (view.state, view.severity, view.alarms[0].code) == ("unknown", Severity.CRITICAL, "store")
 
 
 def row(state, token="", beat_s=0.0, **given):
@@ -172,7 +172,7 @@ def test_alarms_the_worst_first():
     assert "collision of positioners 3, 4; look at" in str(found[0])
     assert found[2].subject == "positioner 5"
     (gone,) = alarms_of(row("moving", token="a", beat_s=100.0), "", {})
-    assert (gone.code, gone.severity) == ("owner", AlarmLevel.MAJOR)
+    assert (gone.code, gone.severity) == ("owner", Severity.MAJOR)
     # a recovery whose owner is gone leaves the array locked
     assert alarms_of(row("recovering", token="a", beat_s=100.0), "", {})[0].code == "collision"
     assert SessionState.LOCKED == "locked"

@@ -13,8 +13,9 @@ from typing import Any
 
 from fiberloom.errors import InputError
 from fiberloom.observatory.network import Endpoint, need
-from fiberloom.observatory.port import BEATS, COMMANDS, PERIOD_S, AlarmLevel, ArrayPort, ArrayView
+from fiberloom.observatory.port import BEATS, COMMANDS, PERIOD_S, ArrayPort, ArrayView
 from fiberloom.operation.session.states import SessionState
+from fiberloom.store.service.alarms import Severity
 
 DEFAULT_PORT = 5064
 AUTHOR = "EPICS"
@@ -24,7 +25,7 @@ TEXT_LENGTH = 512
 """Of a record that holds a text, in bytes."""
 
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_:-]{0,39}")
-_CA_SEVERITY = {AlarmLevel.NONE: 0, AlarmLevel.MINOR: 1, AlarmLevel.MAJOR: 2, AlarmLevel.CRITICAL: 2}
+_CA_SEVERITY = {None: 0, Severity.ADVICE: 0, Severity.MINOR: 1, Severity.MAJOR: 2, Severity.CRITICAL: 2}
 """NO_ALARM, MINOR_ALARM, MAJOR_ALARM; INVALID would say that the value means nothing."""
 _STATE_ALARM = 7
 
@@ -94,7 +95,7 @@ class EpicsIoc:
             text = await asyncio.to_thread(call, *given)
             self._said.set(_cut(text))
         except InputError as error:
-            minor = _CA_SEVERITY[AlarmLevel.MINOR]
+            minor = _CA_SEVERITY[Severity.MINOR]
             self._said.set(_cut(f"refused: {error}"), severity=minor, alarm=_STATE_ALARM)
 
     def _show(self, view: ArrayView) -> None:

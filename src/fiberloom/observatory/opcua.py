@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from fiberloom.errors import InputError
 from fiberloom.observatory.network import Endpoint, need
-from fiberloom.observatory.port import BEATS, COMMANDS, PERIOD_S, AlarmLevel, ArrayPort, ArrayView
+from fiberloom.observatory.port import BEATS, COMMANDS, PERIOD_S, ArrayPort, ArrayView
+from fiberloom.store.service.alarms import Severity
 
 if TYPE_CHECKING:
     from asyncua import Server
@@ -23,7 +24,13 @@ NAMESPACE = "urn:fiberloom:array"
 NAME = "Array"
 DEFAULT_PORT = 4840
 
-OPCUA_SEVERITY = {AlarmLevel.NONE: 0, AlarmLevel.MINOR: 300, AlarmLevel.MAJOR: 600, AlarmLevel.CRITICAL: 900}
+OPCUA_SEVERITY = {
+    None: 0,
+    Severity.ADVICE: 100,
+    Severity.MINOR: 300,
+    Severity.MAJOR: 600,
+    Severity.CRITICAL: 900,
+}
 """OPC UA Part 5 (10000-5, 6.4.2): 1 to 1000; low below 334, medium to 666, high above."""
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Protocol
+
+from fiberloom.store.service.alarms import Severity
 
 PERIOD_S = 0.25
 """Between two looks at an array, of whatever shows it."""
@@ -13,24 +14,12 @@ BEATS = 1_000_000
 """A heartbeat counts the looks up to this, and begins again."""
 
 
-class AlarmLevel(IntEnum):
-    """Of an alarm, the worst last; named as the severities of EPICS."""
-
-    NONE = 0
-    MINOR = 1
-    """A positioner did not do what was asked; the others have."""
-    MAJOR = 2
-    """A command has failed, or its process is gone."""
-    CRITICAL = 3
-    """Nothing moves before a person has looked."""
-
-
 @dataclass(frozen=True)
 class ArrayAlarm:
     """One alarm; it is there as long as its cause."""
 
     code: str
-    severity: AlarmLevel
+    severity: Severity
     subject: str
     """`array`, or `positioner N`."""
     text: str
@@ -62,9 +51,9 @@ class ArrayView:
     """The worst first."""
 
     @property
-    def severity(self) -> AlarmLevel:
-        """Of the worst alarm."""
-        return self.alarms[0].severity if self.alarms else AlarmLevel.NONE
+    def severity(self) -> Severity | None:
+        """Of the worst alarm; None: there is none."""
+        return self.alarms[0].severity if self.alarms else None
 
 
 class ArrayPort(Protocol):

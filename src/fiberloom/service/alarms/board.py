@@ -67,10 +67,9 @@ class AlarmBoard:
 
     def open(self) -> list[Alarm]:
         """Those that are not over: the worst first, of equal ones the newest."""
-        order = {str(severity): k for k, severity in enumerate(Severity)}
         with self._lock:
             found = list(self._open.values())
-        return sorted(found, key=lambda a: (order[a.severity], -a.since.timestamp()))
+        return sorted(found, key=lambda a: (Severity(a.severity).rank, -a.since.timestamp()))
 
     def raise_(self, code: str, subject: str, text: str, advice: str = "") -> None:
         """An alarm of a `code` of CODES; one that is there counts on.

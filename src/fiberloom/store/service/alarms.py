@@ -20,6 +20,11 @@ class Severity(StrEnum):
     MINOR = "minor"  # one positioner is lost to the field
     ADVICE = "advice"  # a proposal to a person
 
+    @property
+    def rank(self) -> int:
+        """0 is the worst."""
+        return list(Severity).index(self)
+
 
 @dataclass(frozen=True)
 class Alarm:
