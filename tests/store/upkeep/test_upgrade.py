@@ -1,5 +1,6 @@
 """An older store is upgraded when it is asked for, in one line of revisions; then it is like a new one."""
 
+import resource
 import sqlite3
 from datetime import UTC, datetime
 
@@ -119,6 +120,22 @@ def test_a_copy_of_the_file_is_kept_and_not_written_over(tmp_path):
         upgrade(str(path))
 
 
+def test_a_copy_that_does_not_fit_on_the_disk_is_not_left_in_the_way(tmp_path):
+    path = tmp_path / "s.sqlite"
+    before = tables(older(str(path), 5))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size // 2, limits[1]))
+    try:
+        with pytest.raises(InputError, match="cannot be upgraded, and is as it was"):
+            upgrade(str(path))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [file.name for file in tmp_path.iterdir()] == ["s.sqlite"]
+    assert tables(str(path)) == before
+    _, kept = upgrade(str(path))
+    assert tables(str(kept)) == before
+
+
 def test_an_upgrade_that_fails_half_way_leaves_the_store_as_it_was(place):
     older(place, 3)
     engine = engine_of(place)
@@ -187,6 +204,16 @@ def test_a_copy_holds_the_same_rows_and_goes_on(place, tmp_path):
             assert run.id == 2
         with pytest.raises(InputError, match="is not empty"):
             copy_store(old, new)
+
+
+def test_a_store_that_knows_an_array_and_no_run_is_not_empty(tmp_path):
+    with Store.open(tmp_path / "from.sqlite") as old, Store.open(tmp_path / "to.sqlite") as new:
+        with old.start_run(command_line="x", instrument="sdssv"):
+            pass
+        ArrayBook(new, "cannet://h:1").exclude([4], "ann", "why")
+        with pytest.raises(InputError, match="is not empty"):
+            copy_store(old, new)
+        assert new.runs() == []
 
 
 def all_rows(store):

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Table, func, insert, select, text
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
-from fiberloom.store.schema import Base, RunRow, SchemaRow
+from fiberloom.store.schema import Base, SchemaRow
 from fiberloom.store.sums import Row, checked
 
 _AT_ONCE = 1000
@@ -23,14 +23,11 @@ def copy_store(source: Store, target: Store) -> dict[str, int]:
         The target is not empty; a row of the source is damaged.
     """
     with source.transaction() as old, target.transaction() as new:
-        if new.execute(select(func.count()).select_from(RunRow)).scalar_one():
-            raise InputError(f"store '{target.name}': is not empty; name a new one")
         rows = {mapper.local_table: mapper.class_ for mapper in Base.registry.mappers}
-        counts = {}
-        for table in Base.metadata.sorted_tables:
-            if (row := rows[table]) is not SchemaRow:
-                counts[table.name] = _put(new, table, checked(old, row))
-        return counts
+        tables = [table for table in Base.metadata.sorted_tables if rows[table] is not SchemaRow]
+        if any(new.execute(select(func.count()).select_from(table)).scalar_one() for table in tables):
+            raise InputError(f"store '{target.name}': is not empty; name a new one")
+        return {table.name: _put(new, table, checked(old, rows[table])) for table in tables}
 
 
 def _put(connection: Connection, table: Table, rows: Sequence[Row]) -> int:

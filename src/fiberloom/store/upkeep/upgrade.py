@@ -16,6 +16,7 @@ from fiberloom.errors import InputError, one_line
 from fiberloom.store.engines import file_engine, url_engine
 from fiberloom.store.find import existing
 from fiberloom.store.schema import SCHEMA_VERSION, SchemaRow
+from fiberloom.wholefile import whole
 
 _HERE = Path(__file__).parent
 
@@ -89,6 +90,10 @@ def _copy(path: Path, version: int) -> Path:
     kept = path.with_name(f"{path.name}.v{version}")
     if kept.exists():
         raise InputError(f"{kept}: is there already, from an earlier upgrade; move it away first")
-    with contextlib.closing(sqlite3.connect(path)) as old, contextlib.closing(sqlite3.connect(kept)) as new:
+    with (
+        whole(kept) as part,
+        contextlib.closing(sqlite3.connect(path)) as old,
+        contextlib.closing(sqlite3.connect(part)) as new,
+    ):
         old.backup(new)
     return kept
