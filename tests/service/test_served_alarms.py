@@ -4,7 +4,7 @@ import http.server
 import json
 import sys
 import threading
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -14,6 +14,7 @@ from fiberloom.service.alarms.board import CODES, WELL_MOVES, AlarmBoard
 from fiberloom.service.alarms.send import AlarmSender, by_command, by_webhook
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.store.nights.book import NightBook
 from fiberloom.store.service.alarms import Alarm, AlarmTable, Severity
 
 
@@ -135,6 +136,16 @@ def test_alarms_outlive_the_service(table, board):
     board.acknowledge(next(a for a in board.open() if a.code == "dark").id, "ann")
     again = AlarmBoard(table, lambda *_: None)
     assert [(a.code, a.acknowledged_by) for a in again.open()] == [("camera", ""), ("dark", "ann")]
+
+
+def test_alarms_of_a_night_are_left_to_its_record(table):
+    """What a night raises no command of the service would ever end."""
+    about = {"name": "n", "queue": "q", "array": "twin:test", "instrument": "i", "config_hash": "c"}
+    now = datetime.now(UTC)
+    night = NightBook.begin(table._store, now, about | {"seed": 0, "command_line": "x"})
+    night.raise_alarm(now, "cut short", Severity.MINOR, "visit 1", "not all are at their goals")
+    assert len(night.alarms()) == 1
+    assert AlarmBoard(table, lambda *_: None).open() == []
 
 
 def test_each_change_is_told(board, told):

@@ -23,7 +23,7 @@ from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
 from fiberloom.operation.session.array_lock import state_of
-from fiberloom.operation.session.session import KnownArray, Session, SessionReport, as_table
+from fiberloom.operation.session.session import KnownArray, Session, SessionReport
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
 from fiberloom.operation.session.stopping import Stopper
 from fiberloom.service.alarms.board import CAMERA, AlarmBoard
@@ -453,9 +453,8 @@ def _told_of(seen: Observation) -> str:
 
 
 def _told_of_session(report: SessionReport) -> str:
-    table = as_table(report)
     left = "; ".join(f"{p}: {why}" for p, why in list(report.left_out.items())[:20])
-    folded = f"{table['folded']} of {table['positioners']} folded"
+    folded = f"{len(report.folded)} of {report.n_positioners} folded"
     stages = "; ".join(report.touching + report.stages)
     return "; ".join(filter(None, [folded, stages, left and f"left out: {left}"]))
 

@@ -63,7 +63,7 @@ class Alarm:
 
 
 class AlarmTable:
-    """The alarms of one array in its store."""
+    """The alarms of one array in its store; those of its nights are in the record of each night."""
 
     def __init__(self, book: ArrayBook) -> None:
         self._store, self._address = book.store, book.address
@@ -85,4 +85,5 @@ class AlarmTable:
         """All that were raised, by number."""
         with self._store.transaction() as connection:
             rows = checked(connection, AlarmRow)
-        return [record_of(Alarm, row) for row in rows if row["address"] == self._address]
+        mine = (row for row in rows if row["address"] == self._address and row["night_id"] is None)
+        return [record_of(Alarm, row) for row in mine]
