@@ -318,7 +318,7 @@ class NightRunner:
     async def _failed(self, visit: int, step: Position, why: str) -> None:
         await beside(self._over, visit, VisitState.FAILED, why)
         await beside(self._alarm, "visit", Severity.MAJOR, f"field {step.field}", why)
-        self.held.leave(ArrayStep.LOSE, why)
+        await beside(self.held.leave, ArrayStep.LOSE, why)
         await self._settled()
 
     def _over(self, visit: int, state: VisitState, note: str) -> None:
@@ -326,8 +326,7 @@ class NightRunner:
 
     async def _settled(self) -> None:
         """The array is at rest; where arms touch they are moved apart, three times in a night at most."""
-        if self.held.lock.state is not SessionState.LOCKED:
-            await beside(self.held.settle)
+        await beside(self.held.settle)
         while self.held.lock.state is SessionState.LOCKED:
             self.recoveries += 1
             why = self.held.lock.text
@@ -335,8 +334,11 @@ class NightRunner:
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
             stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
-            with contextlib.suppress(*FAILURES):
+            try:
                 await self.stages.run(stage)
+            except FAILURES as error:
+                await beside(self.held.leave, ArrayStep.LOSE, reason(error))
+            await beside(self.held.settle)
 
     async def _recover(self) -> None:
         async with entered(self._start_run) as run:
@@ -483,6 +485,7 @@ class NightRunner:
             await self.stages.run(stage)
         except FAILURES as error:
             await beside(self._alarm, "park", Severity.MAJOR, "array", reason(error))
+            await beside(self.held.leave, ArrayStep.LOSE, reason(error))
             raise NightStoppedError(f"the array is not parked: {reason(error)}; `fiberloom park`") from None
         await self._settled()
         self.parked = True

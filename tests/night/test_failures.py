@@ -1,0 +1,69 @@
+"""What a night does when positioning fails, when arms touch, and when the shutter stays open."""
+
+import pytest
+from nights import Night
+
+from fiberloom.metrology.sources.errors import CameraError
+from fiberloom.night.runner import NightRunner
+from fiberloom.operation.loop import Loop
+from fiberloom.operation.session.recover import Recovery
+from fiberloom.operation.session.states import Step
+from fiberloom.store.arrays import ArrayBook
+
+ONE = '[[field]]\nid = "a"\ntargets = "a.csv"\nexposure_s = 120\n'
+
+
+def state_of_array(night):
+    return ArrayBook(night.store, "twin:1").state()
+
+
+def test_a_visit_that_fails_while_it_moves_is_made_again(tmp_path, monkeypatch):
+    night, correct, left = Night(tmp_path, ONE), Loop.run, [1]
+
+    async def dark_once(self):
+        if left:
+            left.pop()
+            await self.blind_move()
+            raise CameraError("no image")
+        return await correct(self)
+
+    monkeypatch.setattr(Loop, "run", dark_once)
+    assert night.run().status == "finished"
+    assert [v.state for v in night.book.visits()] == ["failed", "done"]
+    (alarm,) = night.book.alarms()
+    assert (alarm.code, alarm.text) == ("visit", "stopped after an error: no image")
+    assert state_of_array(night).state == "parked"
+
+
+def test_an_array_that_cannot_be_parked_needs_a_person(tmp_path):
+    night = Night(tmp_path, "stage_timeout_s = 3\n" + ONE)
+    ended = night.run()
+    assert ended.status == "failed"
+    assert ended.why.startswith("the array is not parked: ")
+    assert [v.state for v in night.book.visits()] == ["failed", "failed"]
+    assert not state_of_array(night).owned
+
+
+@pytest.mark.parametrize("fails", [0, 1])
+def test_after_a_recovery_the_night_goes_on(tmp_path, monkeypatch, fails):
+    night, position, recover = Night(tmp_path, ONE), NightRunner._position, Recovery.run
+    collides, in_vain = [1], [CameraError("no image")] * fails
+
+    async def collided_once(self, step):
+        if not collides:
+            return await position(self, step)
+        collides.pop()
+        self.held.leave(Step.COLLIDE, "collision of positioners 3, 4")
+        await self._settled()
+
+    async def recovered(self):
+        if in_vain:
+            raise in_vain.pop()
+        return await recover(self)
+
+    monkeypatch.setattr(NightRunner, "_position", collided_once)
+    monkeypatch.setattr(Recovery, "run", recovered)
+    assert night.run().status == "finished"
+    assert [v.state for v in night.book.visits()] == ["done"]
+    (alarm,) = night.book.alarms()
+    assert (alarm.code, alarm.count) == ("collision", 1 + fails)
