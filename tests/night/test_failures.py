@@ -1,10 +1,14 @@
 """What a night does when positioning fails, when arms touch, and when the shutter stays open."""
 
+import asyncio
+
 import pytest
 from nights import Night
 
 from fiberloom.metrology.sources.errors import CameraError
+from fiberloom.night.carry import carry_out
 from fiberloom.night.runner import NightRunner
+from fiberloom.night.shutter import TimedShutter
 from fiberloom.operation.loop import Loop
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.states import Step
@@ -50,11 +54,12 @@ def test_after_a_recovery_the_night_goes_on(tmp_path, monkeypatch, fails):
     collides, in_vain = [1], [CameraError("no image")] * fails
 
     async def collided_once(self, step):
-        if not collides:
-            return await position(self, step)
-        collides.pop()
-        self.held.leave(Step.COLLIDE, "collision of positioners 3, 4")
-        await self._settled()
+        if collides:
+            collides.pop()
+            self.held.leave(Step.COLLIDE, "collision of positioners 3, 4")
+            await self._settled()
+        else:
+            await position(self, step)
 
     async def recovered(self):
         if in_vain:
@@ -67,3 +72,27 @@ def test_after_a_recovery_the_night_goes_on(tmp_path, monkeypatch, fails):
     assert [v.state for v in night.book.visits()] == ["done"]
     (alarm,) = night.book.alarms()
     assert (alarm.code, alarm.count) == ("collision", 1 + fails)
+
+
+class StuckShutter(TimedShutter):
+    """Its log says for how long it stays open, whatever it was asked for."""
+
+    async def start(self, key, exposure_s):
+        await super().start(key, 600.0)
+
+
+def test_nothing_moves_until_a_shutter_that_is_stuck_is_closed(tmp_path):
+    night = Night(tmp_path, ONE + ONE.replace('"a"', '"b"'))
+    setup, folder = night.setup(), tmp_path / "night-0001"
+    setup.shutter = lambda *parts: folder.mkdir() or StuckShutter(folder / "exposures.jsonl", parts[-1])
+    ended = asyncio.run(carry_out(setup, night.store, resume=False))
+    assert ended.status == "failed"
+    assert ended.why.startswith("the shutter: not done within 180 s; see that it is closed")
+    assert [(v.field, v.state) for v in night.book.visits()] == [("a", "failed")]  # no other has lost a try
+    assert night.book.exposures()[0].utc_end is None
+    assert night.run(resume=True).status == "finished"
+    stuck = night.book.exposures()[0]
+    assert (stuck.utc_end - stuck.utc_start).total_seconds() == 600.0
+    assert [(v.field, v.state) for v in night.book.visits()] == [("a", "failed"), ("b", "done")]
+    assert all(s.utc_start >= stuck.utc_end for s in night.book.stages() if s.visit_id == 2)
+    assert {f.name: f.state for f in night.book.fields()} == {"a": "done", "b": "done"}

@@ -168,12 +168,12 @@ class NightRunner:
 
         Nothing moves and no lamp is lit before every shutter is closed.
         """
-        visits = [v for v in await beside(self.book.visits) if VisitState(v.state) not in OVER]
-        for visit in visits:
-            for exposure in await beside(self.book.exposures):
-                if exposure.visit_id == visit.id and exposure.utc_end is None:
-                    await self._settle_exposure(exposure)
-            await beside(self._settle_visit, visit)
+        for exposure in await beside(self.book.exposures):
+            if exposure.utc_end is None:  # also of a visit that is over: its shutter has not closed in time
+                await self._settle_exposure(exposure)
+        for visit in await beside(self.book.visits):
+            if VisitState(visit.state) not in OVER:
+                await beside(self._settle_visit, visit)
 
     async def _settle_exposure(self, exposure: ExposureRecord) -> None:
         if (await self.shutter.seen(exposure.key)).start is None:
@@ -380,10 +380,12 @@ class NightRunner:
         try:
             await self.stages.run(stage, visit.id)
         except TimeoutError as error:
-            await beside(self._over, visit.id, VisitState.FAILED, f"the shutter: {error}")
-            await beside(
-                self._alarm, "shutter", Severity.MAJOR, f"field {visit.field}", f"the shutter: {error}"
-            )
+            why = f"the shutter: {error}"
+            await beside(self._over, visit.id, VisitState.FAILED, why)
+            await beside(self._alarm, "shutter", Severity.MAJOR, f"field {visit.field}", why)
+            raise NightStoppedError(
+                f"{why}; see that it is closed, then `fiberloom night --resume`"
+            ) from None
 
     async def _exposed(self, visit: VisitRecord, entry: FieldEntry, number: int) -> None:
         tries = sum(e.visit_id == visit.id for e in await beside(self.book.exposures))
