@@ -218,7 +218,7 @@ class NightRunner:
         await self._settled()
 
     def _begin_visit(self, step: Position) -> int:
-        attempt = 1 + sum(v.part == (step.field, step.repeat, step.dither) for v in self._state().visits)
+        attempt = 1 + sum(v.part == step.part for v in self._state().visits)
         which = {"field": step.field, "repeat": step.repeat, "dither": step.dither, "attempt": attempt}
         self.parked = False
         return self.book.begin_visit(self.clock.now(), VisitState.POSITIONING.value, which)
@@ -242,8 +242,7 @@ class NightRunner:
         setup = self.setup
         if ahead is None:
             watcher.say("assigning targets")
-            begin = self.clock.now() + await beside(self._until_ready, step)
-            made = await asyncio.to_thread(setup.assigned, step, entry, begin, self.assigned)
+            made = await self._assign(step, entry, self.clock.now())
         else:
             made = ahead.assigned
         observer = Observer(
@@ -260,6 +259,12 @@ class NightRunner:
         settings = ObserveSettings(corrections=entry.corrections, seed=setup.seed)
         seen.append(await observer.observe(made.targets, settings, self._connect))
         self.assigned = made
+
+    async def _assign(self, step: Position, entry: FieldEntry, begin: datetime) -> Assigned:
+        """What a `step` assigns that is to `begin` then: for the exposures that are left."""
+        ready = begin + await beside(self._until_ready, step)
+        done = (await beside(self._state)).exposed(step.part)
+        return await asyncio.to_thread(self.setup.assigned, step, entry, ready, self.assigned, done)
 
     async def _connect(self) -> Hardware:
         """The bus that is open; motors of another kind are opened anew."""
@@ -435,8 +440,7 @@ class NightRunner:
             return None
         wanted = self.queue.entry(step.field)
         assert wanted is not None
-        begin = end + await beside(self._until_ready, step)
-        made = await asyncio.to_thread(self.setup.assigned, step, wanted, begin, self.assigned)
+        made = await self._assign(step, wanted, end)
         return Ahead(made, await self._planned(made))
 
     def _until_ready(self, step: Position) -> timedelta:
