@@ -96,3 +96,10 @@ def test_nothing_moves_until_a_shutter_that_is_stuck_is_closed(tmp_path):
     assert [(v.field, v.state) for v in night.book.visits()] == [("a", "failed"), ("b", "done")]
     assert all(s.utc_start >= stuck.utc_end for s in night.book.stages() if s.visit_id == 2)
     assert {f.name: f.state for f in night.book.fields()} == {"a": "done", "b": "done"}
+
+
+def test_motors_that_make_their_own_way_are_not_planned_ahead(tmp_path):
+    night = Night(tmp_path, ONE + ONE.replace('"a"', '"b"'), instrument="desi")
+    assert night.run().status == "finished"
+    told = [(v.field, v.state, v.plan_from) for v in night.book.visits()]
+    assert told == [("a", "done", "planned now"), ("b", "done", "planned now")]

@@ -14,6 +14,7 @@ from datetime import datetime, timedelta
 from statistics import median
 from typing import Any
 
+from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -463,6 +464,8 @@ class NightRunner:
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion
         if motion is None or made.plane.collision_buffer_mm != motion.plane.collision_buffer_mm:
+            return None
+        if not isinstance(motion.drive, SdssvDrive):  # others make a way of their own to where a plan ends
             return None
         goals = Goals.of(self.setup.known.led(made.plane, made.assignment, None))
         mobile: Flags = motion.state.mobile
