@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from statistics import median
@@ -48,6 +49,7 @@ from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
+from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray, fold
 from fiberloom.operation.session.states import SessionState
@@ -55,6 +57,7 @@ from fiberloom.operation.session.states import Step as ArrayStep
 from fiberloom.store.nights.book import NightBook
 from fiberloom.store.nights.records import ExposureRecord, VisitRecord
 from fiberloom.store.place import NUMBERED, Place
+from fiberloom.store.run import Run
 from fiberloom.store.service.alarms import Severity
 from fiberloom.typing import Flags
 
@@ -347,16 +350,11 @@ class NightRunner:
             await beside(self.held.settle)
 
     async def _recover(self) -> None:
-        async with entered(self._start_run) as run:
-            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
-            try:
-                await motion.connect()
-                if await Recovery(motion, False).run():
-                    await fold(motion)
-            finally:
-                await motion.close()
+        async with self._plain_motion() as motion:
+            if await Recovery(motion).run():
+                await fold(motion)
 
-    def _start_run(self) -> Any:
+    def _start_run(self) -> Run:
         plane = self.setup.known.plane
         return self.book.store.start_run(
             command_line=self.setup.command_line,
@@ -365,12 +363,19 @@ class NightRunner:
             seed=self.setup.seed,
         )
 
-    def _plain_motion(self, recorder: Recorder) -> Any:
-        """A motion without targets."""
-        known = self.setup.known
-        motion = self.held.motion(known.plane, known.maps, self.hardware, recorder, self.progress)
-        self._follow(motion)
-        return motion
+    @asynccontextmanager
+    async def _plain_motion(self) -> AsyncIterator[SessionMotion]:
+        """A motion without targets, after its begin check, in a run of its own."""
+        known, hardware = self.setup.known, await self._connect()
+        async with entered(self._start_run) as run:
+            recorder = SurveyRecorder(run, known.plane)
+            motion = self.held.motion(known.plane, known.maps, hardware, recorder, self.progress)
+            self._follow(motion)
+            try:
+                await motion.connect()
+                yield motion
+            finally:
+                await motion.close()
 
     # exposing
 
@@ -500,14 +505,9 @@ class NightRunner:
         self.parked = True
 
     async def _fold(self) -> None:
-        async with entered(self._start_run) as run:
-            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
-            try:
-                await motion.connect()
-                await declare_seen_right(motion)
-                await fold(motion)
-            finally:
-                await motion.close()
+        async with self._plain_motion() as motion:
+            await declare_seen_right(motion)
+            await fold(motion)
 
 
 ALARMING = {"alarm": Severity.MAJOR, "collision": Severity.CRITICAL, "camera": Severity.ADVICE}
