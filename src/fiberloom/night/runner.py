@@ -207,7 +207,7 @@ class NightRunner:
             lambda: self._observe(step, entry, visit, watcher, ahead, seen),
             self.queue.stage_timeout_s,
             lambda: self.held.lock.forbidden,
-            lambda: beside(watcher.end),
+            watcher.close,
         )
         self.progress(f"field {step.field}, repeat {step.repeat + 1}, dither {step.dither + 1}")
         try:
