@@ -20,8 +20,8 @@ HEAD = "begin = 2026-11-25T18:00:00Z\ndawn = 2026-11-25T22:00:00Z\nrequire = 0.5
 class Night:
     """A folder with a queue, and the array for it."""
 
-    def __init__(self, folder, queue, faults=""):
-        self.folder, self.plane = folder, fl.FocalPlane.of("sdssv", n=7)
+    def __init__(self, folder, queue, faults="", instrument="sdssv"):
+        self.folder, self.plane = folder, fl.FocalPlane.of(instrument, n=7)
         for k, name in enumerate("abc"):
             write_targets(random_targets(self.plane, 40, k), folder / f"{name}.csv")
         self.write(queue)
@@ -34,7 +34,9 @@ class Night:
         (self.folder / "queue.toml").write_text(HEAD + queue)
 
     def setup(self):
-        known = known_so_far(self.plane, self.maps, self.field.maps_file, Learning())
+        known = known_so_far(
+            self.plane, self.maps, self.field.maps_file or self.folder / "maps.npz", Learning()
+        )
         array = KnownArray(self.plane, self.maps, self.field.source, ArrayBook(self.store, "twin:1"))
         return NightSetup(known, array, self.folder / "queue.toml", self.folder, "night", virtual=True)
 

@@ -31,9 +31,7 @@ exposure_s = 10.0
 """
 
 
-@pytest.fixture(scope="module")
-def night(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sky")
+def night_in(folder):
     rng = np.random.default_rng(2)
     stars = np.array([RA_DEG, DEC_DEG]) + rng.uniform(-0.06, 0.06, (60, 2))
     rows = [f"{k},{ra:.9f},{dec:.9f}" for k, (ra, dec) in enumerate(stars)]
@@ -42,19 +40,46 @@ def night(tmp_path_factory):
     return Night(folder, QUEUE)
 
 
+@pytest.fixture(scope="module")
+def night(tmp_path_factory):
+    return night_in(tmp_path_factory.mktemp("sky"))
+
+
+def placed_off_s(night, visit, folder):
+    """How much later than the middle of its exposures a visit is placed for, s; and its sky."""
+    sky = rebuild(night.store, visit.run_id, folder / str(visit.run_id)).summary["sky"]
+    mine = [e for e in night.book.exposures() if e.visit_id == visit.id]
+    middle = mine[0].utc_start + (mine[-1].utc_end - mine[0].utc_start) / 2
+    placed = np.datetime64(sky["placed_for_utc"]).astype("datetime64[ms]").astype(object)
+    return (placed - middle.replace(tzinfo=None)).total_seconds(), sky
+
+
 def test_each_place_is_for_the_middle_of_its_exposures(night, tmp_path):
     assert night.run().status == "finished"
-    visits, exposures = night.book.visits(), night.book.exposures()
+    visits = night.book.visits()
     assert [(v.dither, v.state) for v in visits] == [(0, "done"), (1, "done"), (2, "done")]
     within_s = [90.0, 90.0, 3.0]  # the overhead of the queue, then that of the dither before
     for visit, most_s in zip(visits, within_s, strict=True):
-        sky = rebuild(night.store, visit.run_id, tmp_path / str(visit.run_id)).summary["sky"]
-        mine = [e for e in exposures if e.visit_id == visit.id]
-        middle = mine[0].utc_start + (mine[-1].utc_end - mine[0].utc_start) / 2
-        placed = np.datetime64(sky["placed_for_utc"]).astype("datetime64[ms]").astype(object)
-        off_s = (placed - middle.replace(tzinfo=None)).total_seconds()
+        off_s, sky = placed_off_s(night, visit, tmp_path)
         assert abs(off_s) < most_s + 2.0, (visit.dither, off_s)
         assert sky["exposure_s"] == 2400.0
+
+
+def test_a_place_that_is_resumed_is_for_the_exposures_that_are_left(tmp_path):
+    night = night_in(tmp_path)
+
+    def stop(text):
+        if text == "expose 2":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        night.run(progress=stop)
+    assert night.run(resume=True).status == "finished"
+    first, second = night.book.visits()[:2]
+    assert [(v.dither, v.state) for v in (first, second)] == [(0, "interrupted"), (0, "done")]
+    off_s, sky = placed_off_s(night, second, tmp_path)
+    assert sky["exposure_s"] == 1200.0
+    assert abs(off_s) < 92.0  # the overhead of the queue
 
 
 def test_a_dither_follows_the_sky_and_keeps_its_targets(night):

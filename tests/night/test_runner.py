@@ -275,6 +275,9 @@ def test_a_shutter_opens_once_for_a_key_and_remembers(tmp_path):
     with log.open("a") as lines:
         lines.write('{"key": "half", "ut')  # the process was killed while it wrote
     assert asyncio.run(TimedShutter(log, clock).seen("half")) == Exposed()
+    asyncio.run(TimedShutter(log, clock).start("next", 100.0))
+    assert asyncio.run(TimedShutter(log, clock).seen("next")) == Exposed(clock.now(), None)
+    assert asyncio.run(TimedShutter(log, clock).seen("k")) == Exposed(NOON, NOON + timedelta(seconds=100))
 
 
 def test_an_array_that_stays_locked_needs_a_person(tmp_path, monkeypatch):

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from statistics import median
 from typing import Any
 
+from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
@@ -47,6 +49,7 @@ from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
+from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray, fold
 from fiberloom.operation.session.states import SessionState
@@ -54,6 +57,7 @@ from fiberloom.operation.session.states import Step as ArrayStep
 from fiberloom.store.nights.book import NightBook
 from fiberloom.store.nights.records import ExposureRecord, VisitRecord
 from fiberloom.store.place import NUMBERED, Place
+from fiberloom.store.run import Run
 from fiberloom.store.service.alarms import Severity
 from fiberloom.typing import Flags
 
@@ -168,12 +172,12 @@ class NightRunner:
 
         Nothing moves and no lamp is lit before every shutter is closed.
         """
-        visits = [v for v in await beside(self.book.visits) if VisitState(v.state) not in OVER]
-        for visit in visits:
-            for exposure in await beside(self.book.exposures):
-                if exposure.visit_id == visit.id and exposure.utc_end is None:
-                    await self._settle_exposure(exposure)
-            await beside(self._settle_visit, visit)
+        for exposure in await beside(self.book.exposures):
+            if exposure.utc_end is None:  # also of a visit that is over: its shutter has not closed in time
+                await self._settle_exposure(exposure)
+        for visit in await beside(self.book.visits):
+            if VisitState(visit.state) not in OVER:
+                await beside(self._settle_visit, visit)
 
     async def _settle_exposure(self, exposure: ExposureRecord) -> None:
         if (await self.shutter.seen(exposure.key)).start is None:
@@ -203,7 +207,7 @@ class NightRunner:
             lambda: self._observe(step, entry, visit, watcher, ahead, seen),
             self.queue.stage_timeout_s,
             lambda: self.held.lock.forbidden,
-            lambda: beside(watcher.end),
+            watcher.close,
         )
         self.progress(f"field {step.field}, repeat {step.repeat + 1}, dither {step.dither + 1}")
         try:
@@ -218,7 +222,7 @@ class NightRunner:
         await self._settled()
 
     def _begin_visit(self, step: Position) -> int:
-        attempt = 1 + sum(v.part == (step.field, step.repeat, step.dither) for v in self._state().visits)
+        attempt = 1 + sum(v.part == step.part for v in self._state().visits)
         which = {"field": step.field, "repeat": step.repeat, "dither": step.dither, "attempt": attempt}
         self.parked = False
         return self.book.begin_visit(self.clock.now(), VisitState.POSITIONING.value, which)
@@ -242,8 +246,7 @@ class NightRunner:
         setup = self.setup
         if ahead is None:
             watcher.say("assigning targets")
-            begin = self.clock.now() + await beside(self._until_ready, step)
-            made = await asyncio.to_thread(setup.assigned, step, entry, begin, self.assigned)
+            made = await self._assign(step, entry, self.clock.now())
         else:
             made = ahead.assigned
         observer = Observer(
@@ -260,6 +263,12 @@ class NightRunner:
         settings = ObserveSettings(corrections=entry.corrections, seed=setup.seed)
         seen.append(await observer.observe(made.targets, settings, self._connect))
         self.assigned = made
+
+    async def _assign(self, step: Position, entry: FieldEntry, begin: datetime) -> Assigned:
+        """What a `step` assigns that is to `begin` then: for the exposures that are left."""
+        ready = begin + await beside(self._until_ready, step)
+        done = (await beside(self._state)).exposed(step.part)
+        return await asyncio.to_thread(self.setup.assigned, step, entry, ready, self.assigned, done)
 
     async def _connect(self) -> Hardware:
         """The bus that is open; motors of another kind are opened anew."""
@@ -318,7 +327,7 @@ class NightRunner:
     async def _failed(self, visit: int, step: Position, why: str) -> None:
         await beside(self._over, visit, VisitState.FAILED, why)
         await beside(self._alarm, "visit", Severity.MAJOR, f"field {step.field}", why)
-        self.held.leave(ArrayStep.LOSE, why)
+        await beside(self.held.leave, ArrayStep.LOSE, why)
         await self._settled()
 
     def _over(self, visit: int, state: VisitState, note: str) -> None:
@@ -326,8 +335,7 @@ class NightRunner:
 
     async def _settled(self) -> None:
         """The array is at rest; where arms touch they are moved apart, three times in a night at most."""
-        if self.held.lock.state is not SessionState.LOCKED:
-            await beside(self.held.settle)
+        await beside(self.held.settle)
         while self.held.lock.state is SessionState.LOCKED:
             self.recoveries += 1
             why = self.held.lock.text
@@ -335,20 +343,18 @@ class NightRunner:
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
             stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
-            with contextlib.suppress(*FAILURES):
+            try:
                 await self.stages.run(stage)
+            except FAILURES as error:
+                await beside(self.held.leave, ArrayStep.LOSE, reason(error))
+            await beside(self.held.settle)
 
     async def _recover(self) -> None:
-        async with entered(self._start_run) as run:
-            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
-            try:
-                await motion.connect()
-                if await Recovery(motion, False).run():
-                    await fold(motion)
-            finally:
-                await motion.close()
+        async with self._plain_motion() as motion:
+            if await Recovery(motion).run():
+                await fold(motion)
 
-    def _start_run(self) -> Any:
+    def _start_run(self) -> Run:
         plane = self.setup.known.plane
         return self.book.store.start_run(
             command_line=self.setup.command_line,
@@ -357,12 +363,19 @@ class NightRunner:
             seed=self.setup.seed,
         )
 
-    def _plain_motion(self, recorder: Recorder) -> Any:
-        """A motion without targets."""
-        known = self.setup.known
-        motion = self.held.motion(known.plane, known.maps, self.hardware, recorder, self.progress)
-        self._follow(motion)
-        return motion
+    @asynccontextmanager
+    async def _plain_motion(self) -> AsyncIterator[SessionMotion]:
+        """A motion without targets, after its begin check, in a run of its own."""
+        known, hardware = self.setup.known, await self._connect()
+        async with entered(self._start_run) as run:
+            recorder = SurveyRecorder(run, known.plane)
+            motion = self.held.motion(known.plane, known.maps, hardware, recorder, self.progress)
+            self._follow(motion)
+            try:
+                await motion.connect()
+                yield motion
+            finally:
+                await motion.close()
 
     # exposing
 
@@ -378,10 +391,12 @@ class NightRunner:
         try:
             await self.stages.run(stage, visit.id)
         except TimeoutError as error:
-            await beside(self._over, visit.id, VisitState.FAILED, f"the shutter: {error}")
-            await beside(
-                self._alarm, "shutter", Severity.MAJOR, f"field {visit.field}", f"the shutter: {error}"
-            )
+            why = f"the shutter: {error}"
+            await beside(self._over, visit.id, VisitState.FAILED, why)
+            await beside(self._alarm, "shutter", Severity.MAJOR, f"field {visit.field}", why)
+            raise NightStoppedError(
+                f"{why}; see that it is closed, then `fiberloom night --resume`"
+            ) from None
 
     async def _exposed(self, visit: VisitRecord, entry: FieldEntry, number: int) -> None:
         tries = sum(e.visit_id == visit.id for e in await beside(self.book.exposures))
@@ -431,8 +446,7 @@ class NightRunner:
             return None
         wanted = self.queue.entry(step.field)
         assert wanted is not None
-        begin = end + await beside(self._until_ready, step)
-        made = await asyncio.to_thread(self.setup.assigned, step, wanted, begin, self.assigned)
+        made = await self._assign(step, wanted, end)
         return Ahead(made, await self._planned(made))
 
     def _until_ready(self, step: Position) -> timedelta:
@@ -455,6 +469,8 @@ class NightRunner:
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion
         if motion is None or made.plane.collision_buffer_mm != motion.plane.collision_buffer_mm:
+            return None
+        if not isinstance(motion.drive, SdssvDrive):  # others make a way of their own to where a plan ends
             return None
         goals = Goals.of(self.setup.known.led(made.plane, made.assignment, None))
         mobile: Flags = motion.state.mobile
@@ -483,19 +499,15 @@ class NightRunner:
             await self.stages.run(stage)
         except FAILURES as error:
             await beside(self._alarm, "park", Severity.MAJOR, "array", reason(error))
+            await beside(self.held.leave, ArrayStep.LOSE, reason(error))
             raise NightStoppedError(f"the array is not parked: {reason(error)}; `fiberloom park`") from None
         await self._settled()
         self.parked = True
 
     async def _fold(self) -> None:
-        async with entered(self._start_run) as run:
-            motion = self._plain_motion(SurveyRecorder(run, self.setup.known.plane))
-            try:
-                await motion.connect()
-                await declare_seen_right(motion)
-                await fold(motion)
-            finally:
-                await motion.close()
+        async with self._plain_motion() as motion:
+            await declare_seen_right(motion)
+            await fold(motion)
 
 
 ALARMING = {"alarm": Severity.MAJOR, "collision": Severity.CRITICAL, "camera": Severity.ADVICE}

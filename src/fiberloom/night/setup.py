@@ -120,20 +120,21 @@ class NightSetup:
 
     # fields
 
-    def targets(self, entry: FieldEntry, dither: int, begin: datetime) -> TargetList:
+    def targets(self, entry: FieldEntry, dither: int, begin: datetime, done: int = 0) -> TargetList:
         """Targets of a field, moved by one of its dithers; mm. InputError names the file.
 
-        Of a field on the sky: for the middle of the exposures of one place, which `begin` then.
+        Of a field on the sky: for the middle of the exposures of one place, which `begin` then; so many of
+        them are `done`.
         """
         shift_mm = np.array(entry.dithers_um[dither]) / UM_PER_MM
-        found = self._listed(entry, begin)
+        found = self._listed(entry, begin, (entry.exposures - done) * entry.exposure_s)
         return found.moved(shift_mm) if shift_mm.any() else found
 
-    def _listed(self, entry: FieldEntry, begin: datetime) -> TargetList:
+    def _listed(self, entry: FieldEntry, begin: datetime, shutter_s: float) -> TargetList:
         if entry.field is None:
             return read_targets(entry.targets, None, self.known.plane.instrument)
         stars, field = read_sky(entry.targets)[0], SkyField.read(entry.field)
-        return targets_at(stars, field, self.known.plane, begin, entry.shutter_s)
+        return targets_at(stars, field, self.known.plane, begin, shutter_s)
 
     def assign(self, targets: TargetList) -> tuple[FocalPlane, Assignment]:
         """Which positioner takes which of the `targets`, as an observation would."""
@@ -141,13 +142,19 @@ class NightSetup:
         return assign_relaxed(self.known.plane, self.known.aims(targets), seed=self.seed, settings=how)
 
     def assigned(
-        self, step: Position, entry: FieldEntry, begin: datetime, before: Assigned | None = None
+        self,
+        step: Position,
+        entry: FieldEntry,
+        begin: datetime,
+        before: Assigned | None = None,
+        done: int = 0,
     ) -> Assigned:
         """What a `step` to its field, `entry`, assigns; `before`: the place that the fibres are on.
 
-        Its exposures `begin` then. From one dither of a field to the next every fibre keeps its target.
+        Its exposures `begin` then; so many of them are `done`. From one dither of a field to the next every
+        fibre keeps its target.
         """
-        targets = self.targets(entry, step.dither, begin)
+        targets = self.targets(entry, step.dither, begin, done)
         if before is None or not _goes_on(before, step, entry, targets):
             return Assigned(step, entry, targets, *self.assign(targets))
         kept = before.assignment

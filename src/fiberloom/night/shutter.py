@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from fiberloom.night.clock import NightClock
+from fiberloom.operation.safety.writing import beside
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,26 @@ class TimedShutter:
         if (await self.seen(key)).start is not None:
             return
         line = {"key": key, "utc": self.clock.now().isoformat(), "exposure_s": exposure_s}
-        with self.log.open("a", encoding="utf-8") as log:
-            log.write(json.dumps(line) + "\n")
-            log.flush()
-            os.fsync(log.fileno())
+        await beside(self._append, json.dumps(line))
 
     async def seen(self, key: str) -> Exposed:
         """What became of the exposure of a `key`."""
-        line = self._lines().get(key)
+        line = (await beside(self._lines)).get(key)
         if line is None:
             return Exposed()
         start = datetime.fromisoformat(line["utc"])
         end = start + timedelta(seconds=line["exposure_s"])
         return Exposed(start, end if end <= self.clock.now() else None)
+
+    def _append(self, line: str) -> None:
+        """A line that was cut short, of a process that was killed or on a full disk, stays alone."""
+        with self.log.open("a+b") as log:
+            size = log.tell()
+            log.seek(max(size - 1, 0))
+            begin = b"" if log.read() in (b"", b"\n") else b"\n"
+            log.write(begin + line.encode() + b"\n")
+            log.flush()
+            os.fsync(log.fileno())
 
     def _lines(self) -> dict[str, dict[str, Any]]:
         if not self.log.exists():

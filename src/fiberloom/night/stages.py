@@ -9,7 +9,7 @@ from datetime import datetime
 
 from fiberloom.night.clock import NightClock, within
 from fiberloom.operation.safety.stop import reason
-from fiberloom.operation.safety.writing import beside
+from fiberloom.operation.safety.writing import Writer, beside
 from fiberloom.store.nights.book import NightBook
 
 DONE = "done"
@@ -64,7 +64,7 @@ class StageRunner:
             try:
                 await stage.cleanup()
             finally:
-                await beside(lap.note, self.book, self.clock.now(), outcome)
+                await beside(lap.note, self.book, self.clock.now(), time.monotonic(), outcome)
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ class Lap:
         """A stage with this `name` begins now, by the `clock`; `visit`: that it belongs to."""
         return cls(name, visit, clock.now(), time.monotonic())
 
-    def note(self, book: NightBook, now: datetime, outcome: str = DONE) -> None:
-        """Writes into the `book` that it has ended `now`, and its `outcome`."""
-        took = {"duration_s": (now - self.utc).total_seconds(), "wall_s": time.monotonic() - self.begun_s}
+    def note(self, book: NightBook, now: datetime, now_s: float, outcome: str = DONE) -> None:
+        """Writes into the `book` that it has ended `now`, `now_s` by this machine, and its `outcome`."""
+        took = {"duration_s": (now - self.utc).total_seconds(), "wall_s": now_s - self.begun_s}
         book.note_stage(self.utc, {"visit_id": self.visit, "name": self.name, "outcome": outcome, **took})
 
 
@@ -95,21 +95,26 @@ class StepWatcher:
         """`record`: keeps them; `visit`: they belong to; `within`: the stage."""
         self.record, self.visit, self.within = record, visit, within
         self._lap: Lap | None = None
+        self._writer = Writer()
 
     def say(self, text: str) -> None:
         """The step before has ended, and this one begins; the same text again is the same step."""
         name = f"{self.within}: {text}"
         if self._lap is not None and self._lap.name == name:
             return
-        self.end()
+        self._end()
         self.record.progress(text)
         self._lap = Lap.begin(name, self.visit, self.record.clock)
 
     def count(self, done: int, total: int) -> None:
         """Nothing."""
 
-    def end(self) -> None:
-        """The last step has ended."""
+    async def close(self) -> None:
+        """The last step has ended; all are on record."""
+        self._end()
+        await self._writer.close()
+
+    def _end(self) -> None:
         if self._lap is not None:
-            self._lap.note(self.record.book, self.record.clock.now())
+            self._writer.later(self._lap.note, self.record.book, self.record.clock.now(), time.monotonic())
             self._lap = None

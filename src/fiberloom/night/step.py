@@ -33,20 +33,26 @@ OVER = frozenset({VisitState.DONE, VisitState.FAILED, VisitState.INTERRUPTED})
 
 
 @dataclass(frozen=True)
-class Visited:
-    """A visit as far as it has come."""
+class Part:
+    """A place of a field, in one of its repeats."""
 
     field: str
     repeat: int
     dither: int
-    state: VisitState
-    exposed: int = 0
-    """Exposures of it that have ended."""
 
     @property
     def part(self) -> tuple[str, int, int]:
         """Field, repeat, dither."""
         return self.field, self.repeat, self.dither
+
+
+@dataclass(frozen=True)
+class Visited(Part):
+    """A visit as far as it has come."""
+
+    state: VisitState
+    exposed: int = 0
+    """Exposures of it that have ended."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +80,8 @@ class NightState:
 
 
 @dataclass(frozen=True)
-class Position:
+class Position(Part):
     """Put the fibres on a place of a field."""
-
-    field: str
-    repeat: int
-    dither: int
 
 
 @dataclass(frozen=True)

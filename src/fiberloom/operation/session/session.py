@@ -238,6 +238,10 @@ class Session:
         return SessionReport(command, now.state, now.text, len(ids), folded=at, left_out=left)
 
 
+SETTLED = frozenset({SessionState.UNKNOWN, SessionState.STOPPED, SessionState.LOCKED, SessionState.PARKED})
+"""States in which a part of a command has left the array."""
+
+
 class HeldArray:
     """An array while one command owns it."""
 
@@ -263,9 +267,9 @@ class HeldArray:
         return self._motion
 
     def settle(self) -> None:
-        """The command has ended by itself."""
+        """The command has ended by itself; a state that says already how stays."""
         motion = self._motion
-        if motion is None or self.lock.state in (SessionState.LOCKED, SessionState.PARKED):
+        if motion is None or self.lock.state in SETTLED:
             return
         if collided := motion.collided:
             self.leave(Step.COLLIDE, f"collision of positioners {', '.join(map(str, collided))}")
