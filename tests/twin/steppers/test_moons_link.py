@@ -8,10 +8,13 @@ import pytest
 import fiberloom as fl
 from fiberloom.bus.outcome import Outcome
 from fiberloom.drive.moons import MoonsLink
+from fiberloom.drive.moons.frames import MoonsCommand, UnitPlace, command_frame, packed
 from fiberloom.drive.moons.maker import leg_of
 from fiberloom.drive.moons.waveform import waveform
 from fiberloom.twin.faults.clock import FaultClock
+from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.grammar import parse_faults
+from fiberloom.twin.faults.kinds import ServiceKind
 from fiberloom.twin.faults.schedule import schedule_faults
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.bus import FAULTS
@@ -79,3 +82,33 @@ def test_lost_words_of_a_search_lose_no_unit():
         found = rig.home()
         assert sorted(found) == sorted(rig.ids)
         assert all(one.found for one in found.values())
+
+
+def test_a_search_that_is_cut_short_leaves_no_datum():
+    """Neither while it goes on, for a host that comes in then, nor once it has been stopped."""
+    rig = Rig()
+    rig.home()
+    rig.run([0, 1, 2], 2000)
+    for number in rig.ids:
+        frame = command_frame(UnitPlace.of(number), 1, MoonsCommand.FIND_DATUM, b"\0")
+        rig.bus.take(UnitPlace.of(number).gateway, packed(frame))
+    rig.bus.run(0.1)  # beta is there, alpha has 4 s to go
+    told = asyncio.run(rig.link.ask(rig.ids))
+    assert not any(one.homed for one in told.values())
+    asyncio.run(rig.link.stop())
+    at_deg = rig.bus.array.truth()
+    rig.bus.run(10.0)
+    assert np.array_equal(rig.bus.array.truth(), at_deg)
+    told = asyncio.run(rig.link.ask(rig.ids))
+    assert not any(one.homed or one.moving for one in told.values())
+    assert all(one.found for one in rig.home().values())
+
+
+def test_a_unit_whose_power_comes_back_has_no_datum():
+    rig = Rig(2)
+    rig.home()
+    off = Fault(ServiceKind.BUS_OFF, rig.ids[1])
+    rig.bus.inject(off)
+    rig.bus.clear(off)
+    told = asyncio.run(rig.link.ask(rig.ids))
+    assert [told[number].homed for number in rig.ids] == [True, False]
