@@ -108,7 +108,8 @@ def test_one_that_is_silent_at_the_begin_may_be_anywhere(faults, moves, tmp_path
     row = PLANE.index_of(silent)
     assert summary["faults"]["dead"] == [silent]
     assert summary["faults"]["blocked"]
-    flagged = np.isin(PLANE.positioner_id, sum(summary["faults"].values(), []))
+    numbers = [number for those in summary["faults"].values() for number in those]
+    flagged = np.isin(PLANE.positioner_id, numbers)
     off_mm = np.hypot(*(source.bus.array.fibre_xy() - PLANE.centres_mm[row]).T)
     assert (~flagged).sum() >= 20
     assert off_mm[~flagged].min() > PLANE.body_reach_mm[row]
