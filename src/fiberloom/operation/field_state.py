@@ -192,6 +192,8 @@ class FieldState:
 
     def _trust_the_camera(self, image: Measurement) -> None:
         """Where a report is not trusted, the position is that of the image, or unknown."""
+        if self.model.blind:
+            return
         doubted = np.array([fault in NOT_WHERE_IT_SAYS for fault in self.faults])
         rows = np.flatnonzero(doubted & image.seen)
         self.here_deg[rows], known = where_seen(self.plane, rows, image.xy_mm[rows], self.here_deg[rows])
@@ -222,6 +224,8 @@ class FieldState:
             )
         self.here_deg = np.where(found.certain[:, None], self.here_deg, found.where_deg)
         self.somewhere = found.somewhere
+        if self.model.blind:  # no image shows where one is that says nothing
+            self.somewhere |= self.standing(Standing.SILENT)
         for i, standing in enumerate(found.standing):
             self._book_standing(i, standing, found)
 

@@ -99,6 +99,22 @@ def test_a_gateway_without_power_is_flagged_and_the_rest_goes_on(tmp_path):
     assert summary["contacts_true"] == 0
 
 
+@pytest.mark.parametrize(("faults", "moves"), [("deaf=1", 1), ("deaf=1,busoff=1@75", 2)])
+def test_one_that_is_silent_at_the_begin_may_be_anywhere(faults, moves, tmp_path):
+    """Nothing tells where it stands: no arm comes within its whole reach, move after move."""
+    summary, source = observed(faults, tmp_path / "run")
+    assert len(summary["moves"]) == moves
+    (silent,) = (fault.positioner_id for fault in source.faults if fault.kind == "deaf")
+    row = PLANE.index_of(silent)
+    assert summary["faults"]["dead"] == [silent]
+    assert summary["faults"]["blocked"]
+    numbers = [number for those in summary["faults"].values() for number in those]
+    flagged = np.isin(PLANE.positioner_id, numbers)
+    off_mm = np.hypot(*(source.bus.array.fibre_xy() - PLANE.centres_mm[row]).T)
+    assert (~flagged).sum() >= 20
+    assert off_mm[~flagged].min() > PLANE.body_reach_mm[row]
+
+
 def test_a_second_field_folds_first(tmp_path):
     field = fl.Field.twin(PLANE, seed=0, camera="noise")
 

@@ -30,6 +30,7 @@ class MegaraCommand(IntEnum):
     STATE = 4
     """Asks; the answer has a `RotorState` and i32 steps as counted."""
     STOP = 5
+    """Stands still, and drops a goal that it has."""
     IDENTIFY = 6
     """Asks; the answer has the i32 number of the robot itself, whatever place it is plugged in."""
     SLIP = 7

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
 from fiberloom.bus.outcome import Outcome
 from fiberloom.bus.transport import Transport
 from fiberloom.drive.megara.frames import (
@@ -82,15 +80,13 @@ class MegaraLink:
                 break
             await self._send([MegaraFrame.of(robot, rotor, command) for robot in left])
             end_s = self.time_s + ANSWER_S
-            while len(left) * answers > 0 and (left_s := end_s - self.time_s) > 1e-9:
+            while left and (left_s := end_s - self.time_s) > 1e-9:
                 for reply in await self.transport.receive(left_s):
                     frame = MegaraFrame(reply.id, reply.data)
                     if _is(frame, command):
                         found[frame.robot, frame.rotor] = frame
                 heard = Counter(robot for robot, _ in found)
                 left = [robot for robot in left if heard[robot] < answers]
-                if not left:
-                    break
         return list(found.values())
 
     async def _send(self, frames: list[MegaraFrame]) -> None:
@@ -99,6 +95,7 @@ class MegaraLink:
     async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
         """One group of a programme: a message for each rotor, then the start for all."""
         goals = {robot: (int(a), int(b)) for robot, (a, b) in zip(ids, leg.counts[-1], strict=True)}
+        await self.stop()  # the start is for all: who still has a goal of a start that never came drops it
         await self._send(goal_frames(goals))
         await self._send([MegaraFrame.of(0, 0, MegaraCommand.START)])
         await self.sleep(leg.duration_s)
@@ -114,10 +111,11 @@ class MegaraLink:
             states |= await self._until_still(ids, rotor)
             told = await self._numbers(ids, MegaraCommand.SLIP, rotor)
             slips |= {(robot, rotor): slip for robot, slip in told.items()}
-        there = [robot for robot in ids if (robot, ALPHA) in slips and (robot, BETA) in slips]
+        rotors = (ALPHA, BETA)
+        there = [robot for robot in ids if all((robot, r) in slips and (robot, r) in states for r in rotors)]
         return {
             robot: Homed(
-                all(states[robot, rotor].state is RotorState.STILL for rotor in (ALPHA, BETA)),
+                all(states[robot, rotor].state is RotorState.STILL for rotor in rotors),
                 (slips[robot, ALPHA], slips[robot, BETA]),
             )
             for robot in there
@@ -166,5 +164,5 @@ def _ended(goal: tuple[int, int], states: dict[tuple[int, int], ToldState], robo
     told = [states.get((robot, rotor)) for rotor in (ALPHA, BETA)]
     if any(one is None for one in told):
         return Outcome.DISCONNECTED
-    there = all(one is not None and one.steps == np.int64(g) for one, g in zip(told, goal, strict=True))
+    there = all(one is not None and one.steps == g for one, g in zip(told, goal, strict=True))
     return Outcome.DONE if there else Outcome.TIMED_OUT

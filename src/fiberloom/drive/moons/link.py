@@ -35,6 +35,9 @@ TRIES = 3
 LONGEST_SEARCH_S = 120.0
 """[D] The whole range of alpha at the speed of a start takes 82 s."""
 SETTLE_S = 0.05
+MIDDLE = -ALPHA_START, 0
+"""Counts about which counters are read: all that arms can reach are within 16 bits of these."""
+SEARCHED = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
 NONE, ENDS = Segment(0), Segment.LAST | Segment.REPLY
 
 
@@ -65,8 +68,6 @@ class MoonsLink:
     def __init__(self, gateways: Gateways) -> None:
         self.gateways = gateways
         self._readers = [PacketReader() for _ in range(GATEWAYS)]
-        self._counts: dict[int, tuple[int, int]] = {}
-        """Last known, by which counters are unwrapped."""
         self._sequence = 0
 
     @property
@@ -141,23 +142,17 @@ class MoonsLink:
         return {
             number: UnitTold(
                 serials[number].counters[0],
-                answer.state is not MoonsState.UNINITIALISED,
-                self._count(number, answer),
+                answer.state not in (MoonsState.UNINITIALISED, MoonsState.DATUM_SEARCH),
+                _counts(answer),
                 answer.state in (MoonsState.MOVING, MoonsState.DATUM_SEARCH),
             )
             for number, answer in told.items()
             if number in serials
         }
 
-    def _count(self, number: int, answer: MoonsAnswer) -> tuple[int, int]:
-        """Counts from the datum, by a counter that wraps."""
-        alpha, beta = self._counts.get(number, (0, 0))
-        shown = answer.counters
-        self._counts[number] = unwrapped(shown[0] - ALPHA_START, alpha), unwrapped(shown[1], beta)
-        return self._counts[number]
-
     async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
         """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold it."""
+        await self.stop()  # the start is for all: who still holds a waveform that never ran drops it
         ready = await self._load(ids, leg)
         missing = {n for n in ids if n not in ready or ready[n].error is not MoonsError.NONE}
         if missing:
@@ -166,15 +161,8 @@ class MoonsLink:
         await self._to_all(MoonsCommand.EXECUTE)
         await self.sleep(leg.duration_s + SETTLE_S)
         goals = {number: (int(a), int(b)) for number, (a, b) in zip(ids, leg.counts[-1], strict=True)}
-        self._counts |= goals
         told = await self._asked(ids, MoonsCommand.PING)
-        return {number: self._ended(number, goals[number], told.get(number)) for number in ids}
-
-    def _ended(self, number: int, goal: tuple[int, int], answer: MoonsAnswer | None) -> Outcome:
-        if answer is None:
-            return Outcome.DISCONNECTED
-        there = self._count(number, answer) == goal and answer.state is MoonsState.RESTING
-        return Outcome.DONE if there else Outcome.COLLIDED if answer.error else Outcome.TIMED_OUT
+        return {number: _ended(goals[number], told.get(number)) for number in ids}
 
     async def _load(self, ids: Sequence[int], leg: Leg) -> dict[int, MoonsAnswer]:
         """The answer of each to its last segment."""
@@ -195,16 +183,14 @@ class MoonsLink:
 
     async def home(self, ids: Sequence[int]) -> dict[int, Homed]:
         """Searches both switches of all at once; one that does not answer is missing."""
-        await self._send((number, MoonsCommand.FIND_DATUM, b"\0") for number in ids)
-        ends = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
-        there = await self._asked(ids, MoonsCommand.PING)
-        told = await self._until(set(there), ends, LONGEST_SEARCH_S)
+        there = set(await self._asked(ids, MoonsCommand.PING))  # none waits for one that is silent
+        await self._send((number, MoonsCommand.FIND_DATUM, b"\0") for number in sorted(there))
+        told = await self._until(there, SEARCHED, LONGEST_SEARCH_S)
+        told |= await self._asked(there - set(told), MoonsCommand.PING)  # whose word was lost
         slips = await self._asked(told, MoonsCommand.COUNTER_DEVIATION)
-        for number in told:
-            self._counts[number] = 0, 0
         return {
-            number: Homed(told[number].command is MoonsCommand.DATUM_FINISHED, slips[number].counters)
-            for number in told
+            number: Homed(answer.state is MoonsState.AT_DATUM, slips[number].counters)
+            for number, answer in told.items()
             if number in slips
         }
 
@@ -216,6 +202,19 @@ class MoonsLink:
     async def close(self) -> None:
         """Lets go of the gateways."""
         await self.gateways.close()
+
+
+def _counts(answer: MoonsAnswer) -> tuple[int, int]:
+    """Counts from the datum, by counters of 16 bits."""
+    shown = answer.counters
+    return unwrapped(shown[0] - ALPHA_START, MIDDLE[0]), unwrapped(shown[1], MIDDLE[1])
+
+
+def _ended(goal: tuple[int, int], answer: MoonsAnswer | None) -> Outcome:
+    if answer is None:
+        return Outcome.DISCONNECTED
+    there = _counts(answer) == goal and answer.state is MoonsState.RESTING
+    return Outcome.DONE if there else Outcome.COLLIDED if answer.error else Outcome.TIMED_OUT
 
 
 def _segments(steps: Ints) -> list[bytes]:

@@ -38,17 +38,17 @@ class WaveformMaker:
         if not len(rows):
             return [], refused
         waves, late = _waves(made, rows, counts, known)
-        leg = leg_of(rows, counts[rows], waves)
-        if late.any():
-            refused |= dict.fromkeys(rows[late].tolist(), f"its way takes more than {MOST_SEGMENTS} segments")
-        return [leg], refused
+        refused |= dict.fromkeys(rows[late].tolist(), f"its way takes more than {MOST_SEGMENTS} segments")
+        if late.all():
+            return [], refused
+        return [leg_of(rows[~late], counts[rows[~late]], waves[:MOST_SEGMENTS, ~late])], refused
 
-    def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
+    def trial(self, rows: Ints, counts: Ints) -> Leg:
         """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
         way = np.full(self.trial_steps // LEAST, LEAST)
         waves = np.zeros((len(way), len(rows), 2), dtype=np.int64)
         waves[..., 0] = way[:, None]
-        return [leg_of(rows, counts[rows], waves)]
+        return leg_of(rows, counts[rows], waves)
 
 
 def leg_of(rows: Ints, before: Ints, waves: Ints) -> Leg:

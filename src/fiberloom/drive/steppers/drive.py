@@ -57,8 +57,8 @@ class Maker(Protocol):
         """
         ...
 
-    def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
-        """Legs by which folded units `rows` turn alpha a little, from `counts` (N, 2)."""
+    def trial(self, rows: Ints, counts: Ints) -> Leg:
+        """By which folded units `rows` turn alpha a little, from `counts` (N, 2)."""
         ...
 
 
@@ -106,6 +106,10 @@ class StepperDrive:
         if not self.ids:
             raise none_answers(self.plane)
         self._found |= self._exchanged(told) | self._from_the_bench(told)
+        await self._begin(told)
+
+    async def _begin(self, told: dict[int, UnitTold]) -> None:
+        """Believes what these count; those without a datum search it, and go to and fro."""
         self._believe(told)
         if new := [number for number, one in told.items() if not one.homed]:
             await self.home(new)
@@ -126,9 +130,11 @@ class StepperDrive:
         return {number: Suspect(False, why) for number, why in numbers.items() if number in told}
 
     def _believe(self, told: dict[int, UnitTold]) -> None:
+        """Where these are by what they have `told`; without a datum their counts say nothing."""
         for number, one in told.items():
-            row = self.plane.index_of(number)
-            self.counts[row], self.doubt_deg[row] = one.counts, 0.0
+            if one.homed:
+                row = self.plane.index_of(number)
+                self.counts[row], self.doubt_deg[row] = one.counts, 0.0
 
     async def home(self, ids: Iterable[int]) -> Results:
         """Searches the switches of these, no two neighbours at once. Who ends well is there."""
@@ -149,8 +155,7 @@ class StepperDrive:
     async def _try(self, ids: list[int]) -> None:
         """A little way with arms folded, and the switches again: who counts otherwise loses steps."""
         fit = [number for number in ids if number not in self._found]
-        for leg in self.maker.trial(np.atleast_1d(self.plane.index_of(fit)), self.counts):
-            await self.link.run(self.plane.positioner_id[leg.rows].tolist(), leg)
+        await self._trial(fit)
         again = await self.link.home(fit)
         limit = SLIP_DEG / self.known.steps.step_deg
         for number in fit:
@@ -160,13 +165,20 @@ class StepperDrive:
             elif (np.abs(one.slip) > limit).any():
                 self._found[number] = Suspect(False, _slipped(one.slip))
 
+    async def _trial(self, ids: list[int]) -> None:
+        """A little way of all that can: where one cannot the others may not have started, and do so now."""
+        while ids:
+            leg = self.maker.trial(np.atleast_1d(self.plane.index_of(ids)), self.counts)
+            told = await self.link.run(ids, leg)
+            ids = [number for number in ids if told[number] is Outcome.STOPPED]
+
     async def rest(self, alarm: Callable[[str], None], left_moving: bool = False) -> None:
         """Stops what a host that was killed has left on its way; `alarm` and `left_moving` as in the port."""
         told = await self.link.ask(self.ids)
         moving = [number for number, one in told.items() if one.moving]
         if moving or left_moving:
             await self.link.stop()
-            self._believe(await self.link.ask(self.ids))
+            await self._begin(await self.link.ask(self.ids))
             alarm(f"{len(moving)} positioners were still moving at the begin; all are stopped")
 
     async def believed(self, ids: Ints) -> BelievedPlaces:
@@ -180,7 +192,7 @@ class StepperDrive:
         """Those of the `silent` that answer now, and still know their datum."""
         told = await self.link.ask(sorted(silent))
         back = sorted(number for number, one in told.items() if one.homed)
-        self._believe({number: told[number] for number in back})
+        self._believe(told)
         self.ids = sorted({*self.ids, *back})
         return back
 
@@ -235,8 +247,8 @@ class StepperDrive:
                 before = self.known.true_deg(counts, rising)
                 counts[leg.rows] = leg.counts[k]
                 after = self.known.true_deg(counts, rising)
-                going = leg.rows[(change != 0).any(axis=1)]
                 goes = (change != 0).any(axis=1)
+                going = leg.rows[goes]
                 span = begin_s + leg.time_s[k - 1, goes], begin_s + leg.time_s[k, goes]
                 at.add(going, span, before[going], after[going])
             begin_s += leg.duration_s
@@ -311,7 +323,8 @@ class StepperDrive:
         self.ids = sorted(set(self.ids) - set(self.plane.positioner_id[rows].tolist()))
 
     async def settle(self, ids: list[int]) -> None:
-        """After a move that went wrong: all stand, and say where."""
+        """After a move that went wrong: all stop, and these say where they stand."""
+        await self.link.stop()
         self._believe(await self.link.ask(ids))
 
     async def stop(self) -> list[int]:

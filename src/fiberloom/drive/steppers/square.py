@@ -53,9 +53,9 @@ class SquareMaker:
         after = np.where(way == 0.0, counts, known.counts(wanted.goal_deg, np.sign(way)))
         return [self.leg(rows, counts[rows], after[rows])] if len(rows) else []
 
-    def trial(self, rows: Ints, counts: Ints) -> list[Leg]:
+    def trial(self, rows: Ints, counts: Ints) -> Leg:
         """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
-        return [self.leg(rows, counts[rows], counts[rows] + np.array([self.trial_steps, 0]))]
+        return self.leg(rows, counts[rows], counts[rows] + np.array([self.trial_steps, 0]))
 
     def leg(self, rows: Ints, before: Ints, after: Ints) -> Leg:
         """One leg of units `rows` (m,) from counts to counts (m, 2)."""

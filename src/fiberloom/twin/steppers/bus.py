@@ -31,6 +31,7 @@ class StepperBus:
         """Addresses that hear and say nothing."""
         self.homed = np.zeros((len(ids), 2), dtype=bool)
         self.busy_until_s = np.zeros((len(ids), 2))
+        self.search_until_s = np.zeros((len(ids), 2))
         self.slip = np.zeros((len(ids), 2), dtype=np.int64)
 
     def moving(self, row: int, axis: int) -> bool:
@@ -44,16 +45,20 @@ class StepperBus:
     def search(self, rows: Ints, axis: int, rate_Hz: float) -> Ints:
         """Units `rows` (m,) search a switch at `rate_Hz`; the rows that will not find it."""
         took_s, found, slip = self.array.seek(rows, axis, rate_Hz)
-        self.busy_until_s[rows, axis] = self.time_s + took_s
+        self.busy_until_s[rows, axis] = self.search_until_s[rows, axis] = self.time_s + took_s
         self.homed[rows, axis] = found
         self.slip[rows, axis] = slip
         return rows[~found]
 
     def halt(self, addresses: list[int]) -> None:
-        """Rotors of these stop."""
-        rows = np.array([self.row_of[a] for a in addresses if a in self.row_of], dtype=np.int64)
+        """Rotors of these stop; a search that is cut short has found nothing."""
+        every = np.array([self.row_of[a] for a in addresses if a in self.row_of], dtype=np.int64)
+        rows = every[(self.busy_until_s[every] > self.time_s).any(axis=1)]
+        if not len(rows):
+            return
         self.array.halt(rows)
-        self.busy_until_s[rows] = np.minimum(self.busy_until_s[rows], self.time_s)
+        self.homed[rows] &= self.search_until_s[rows] <= self.time_s
+        self.busy_until_s[rows] = self.search_until_s[rows] = np.minimum(self.busy_until_s[rows], self.time_s)
 
     # what goes wrong
 

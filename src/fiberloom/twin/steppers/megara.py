@@ -86,6 +86,12 @@ class MegaraBus(StepperBus):
                 ]
         return []
 
+    def halt(self, addresses: list[int]) -> None:
+        """As of all steppers; goals that wait for a start are dropped."""
+        super().halt(addresses)
+        for address in addresses:
+            self._goals.pop(address, None)
+
     def _serial(self, address: int) -> int:
         return int(self.array.plane.positioner_id[self.row_of[address]])
 

@@ -87,12 +87,12 @@ class MoonsBus(StepperBus):
         row = self.row_of[address]
         match command:
             case MoonsCommand.CONFIG_MOTION:
-                error = self._load(unit, frame)
+                error = self._load(address, frame)
                 if not frame.data[2] & Segment.REPLY and error is MoonsError.NONE:
                     return None
             case MoonsCommand.ABORT:
                 self.halt([address])
-                unit.state = MoonsState.ABORTED if self.homed[row].all() else unit.state
+                unit.state = MoonsState.ABORTED if self.homed[row].all() else MoonsState.UNINITIALISED
             case MoonsCommand.ENABLE_MOVE:
                 unit.state = MoonsState.RESTING if unit.state is MoonsState.ABORTED else unit.state
             case MoonsCommand.SERIAL_NUMBER:
@@ -107,6 +107,18 @@ class MoonsBus(StepperBus):
                 error = MoonsError.INVALID
         return self._answer(address, frame.data[0], command, error)
 
+    def halt(self, addresses: list[int]) -> None:
+        """As of all steppers; what these were about to do or say is dropped."""
+        super().halt(addresses)
+        self._due = [one for one in self._due if one[1] not in addresses]
+        for _, waiting in self._alpha_at:
+            for address in set(addresses).intersection(waiting):
+                waiting.remove(address)
+                self.homed[self.row_of[address]] = False
+        for address in addresses:
+            if self.units[address].state is MoonsState.DATUM_SEARCH:
+                self.units[address].state = MoonsState.UNINITIALISED
+
     def _answer(
         self, address: int, sequence: int, command: MoonsCommand, error: MoonsError = MoonsError.NONE
     ) -> MoonsAnswer:
@@ -116,20 +128,23 @@ class MoonsBus(StepperBus):
 
     def _state(self, address: int) -> MoonsState:
         unit, row = self.units[address], self.row_of[address]
-        if unit.state is MoonsState.MOVING and not any(self.moving(row, axis) for axis in (0, 1)):
+        if not self.homed[row].all() and unit.state is not MoonsState.DATUM_SEARCH:
+            unit.state = MoonsState.UNINITIALISED
+        elif unit.state is MoonsState.MOVING and not any(self.moving(row, axis) for axis in (0, 1)):
             unit.state = MoonsState.RESTING
         return unit.state
 
-    def _load(self, unit: _Unit, frame: MoonsFrame) -> MoonsError:
+    def _load(self, address: int, frame: MoonsFrame) -> MoonsError:
         """A segment of a waveform; with the last one all are held against the rules."""
-        if unit.state in (
+        unit, state = self.units[address], self._state(address)
+        if state in (
             MoonsState.MOVING,
             MoonsState.DATUM_SEARCH,
             MoonsState.ABORTED,
             MoonsState.OBSTACLE,
         ):
             return MoonsError.NOT_READY
-        if unit.state is MoonsState.UNINITIALISED:
+        if state is MoonsState.UNINITIALISED:
             return MoonsError.NO_DATUM
         steps, flags = decode_segment(frame.data)
         unit.segments = ([] if flags & Segment.FIRST else unit.segments) + [steps]
@@ -146,7 +161,7 @@ class MoonsBus(StepperBus):
     def _execute(self) -> None:
         """All that are told to, and hold a waveform, start."""
         armed, self._armed = self._armed, []
-        going = [a for a in armed if self.units[a].state is MoonsState.READY_FORWARD]
+        going = [a for a in armed if self._state(a) is MoonsState.READY_FORWARD]
         if not going:
             return
         rows = np.array([self.row_of[a] for a in going])
