@@ -130,7 +130,7 @@ def ours(plane: FocalPlane, ends_deg: Any, buffer_mm: float, seed: int) -> Line:
         "verify_cpu_s": made.verify_cpu_s,
         "gap_um": 1e3 * made.found.min_clearance_mm,
         "top_speed_deg_s": made.found.top_speed_deg_s,
-        "points": [len(robot.time_s) for robot in made.plan.robots],
+        "points": made.plan.points_per_axis,
     }
 
 
@@ -154,7 +154,7 @@ def theirs(plane: FocalPlane, answer: peer.Answer) -> Line:
         "raw_gap_um": 1e3 * raw.min_clearance_mm,
         "collisions": len(found.collisions),
         "top_speed_deg_s": found.top_speed_deg_s,
-        "points": [len(robot.time_s) for robot in answer.sent.robots],
+        "points": answer.sent.points_per_axis,
     }
 
 

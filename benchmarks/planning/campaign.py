@@ -26,7 +26,7 @@ from benchmarks.faults.campaign import Campaign, interruptible
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, write_layout
-from fiberloom.planning import Plan, bound_s, random_configuration, write_configuration
+from fiberloom.planning import bound_s, random_configuration, write_configuration
 from fiberloom.typing import Floats
 
 from . import goals, mutants, pairs
@@ -132,7 +132,7 @@ def one_pair(array: Array, seed: int, log: Path) -> Line:
     refused = {int(number): why for number, why in made.plan.refused.items()}
     rightly = pocketed(array.bodies, list(refused), ends_deg, array.buffer_mm)
     least_s = bound_s(array.plane, *ends_deg, refused=refused)
-    points = points_of(made.plan)
+    points = made.plan.points_per_axis or [1]
     log.unlink(missing_ok=True)
     return {
         "seed": seed,
@@ -149,11 +149,6 @@ def one_pair(array: Array, seed: int, log: Path) -> Line:
         "points_mean": float(np.mean(points)),
         "points_worst": max(points),
     }
-
-
-def points_of(plan: Plan) -> list[int]:
-    """What each axis of those that move gets over the bus."""
-    return [len(robot.corners(axis)) for robot in plan.robots if robot.moves for axis in (0, 1)] or [1]
 
 
 def pocketed(

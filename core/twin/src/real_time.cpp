@@ -141,7 +141,7 @@ void RealTime::hold() {
     change_.notify_all();
     // one that comes while others hold waits for the next stop of the clock: else those who look in turn, and
     // overlap, would keep it from running at all
-    change_.wait(lock, [this, before = parks_] { return parks_ != before || stop_; });
+    change_.wait(lock, [this, before = parks_] { return parks_ != before || ended_; });
     within_.push_back(me);
 }
 
@@ -231,6 +231,11 @@ void RealTime::loop() {
         compute(idle > 0 ? idle : std::min(ticks, agenda_.empty() ? most_ticks : 1));
     }
     exchange(std::unique_lock(mutex_));
+    {
+        const std::lock_guard lock(mutex_);
+        ended_ = true; // not before: the last tick may have been under way when the clock was stopped
+    }
+    change_.notify_all();
 }
 
 } // namespace fl::twin

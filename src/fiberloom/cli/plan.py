@@ -223,7 +223,7 @@ class _Planned:
         n, made = self.plane.n, self.plan
         ends, refused = (self.start_deg, self.goal_deg), made.refused
         least_s = bound_s(self.plane, *ends, settings=self.settings, refused=refused)
-        points = [len(robot.corners(axis)) for robot in made.robots if robot.moves for axis in (0, 1)]
+        points = made.points_per_axis
         gap_mm = self.checked.min_clearance_mm
         return {
             "robots": n,

@@ -144,6 +144,11 @@ class Plan:
         return max((float(r.time_s[-1]) for r in self.robots), default=0.0)
 
     @property
+    def points_per_axis(self) -> list[int]:
+        """How many points each axis gets over the bus, of those that move."""
+        return [len(robot.corners(axis)) for robot in self.robots if robot.moves for axis in (0, 1)]
+
+    @property
     def approaches(self) -> dict[int, Approach]:
         """By positioner_id, of those that come to their goals in a way of their own: less high, later, or one
         axis after the other, because the usual approach would touch something."""

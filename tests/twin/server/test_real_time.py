@@ -28,8 +28,8 @@ def twin():
 class Run:
     """A paced twin for the length of a `with`."""
 
-    def __init__(self, speed, **kwargs):
-        self.real = RealTimeTwin(twin(), speed, **kwargs)
+    def __init__(self, speed, of=None, **kwargs):
+        self.real = RealTimeTwin(of or twin(), speed, **kwargs)
 
     def __enter__(self):
         return self.real
@@ -120,6 +120,30 @@ def test_one_that_holds_may_hold_once_more():
             assert again.time_s == begin_s
         time.sleep(0.01)
         assert first.time_s == begin_s  # it is held still
+
+
+@pytest.mark.parametrize("round_", range(4))
+def test_who_waits_to_hold_while_the_clock_is_stopped_gets_a_twin_that_stands(round_):
+    """The tick under way ends first; half of the rounds saw the twin go on before that was waited for."""
+    plane = generate(load_instrument("sdssv"), seed=8, n_positioners=200)  # a tick takes a while
+    many = Twin(plane, draw_units(plane, seed=2), seed=1, threads=1, neighbours=False)
+    seen, begin = [], threading.Event()
+
+    def hold_on():
+        begin.wait()
+        with real.held() as held:
+            seen.append(held.time_s)
+            time.sleep(0.003)
+            seen.append(held.time_s)
+
+    with Run(speed=100.0, of=many) as real:
+        real.post([(encode(int(i), GOTO, 1), GO[0][1], 0, 0.0) for i in plane.positioner_id])
+        thread = threading.Thread(target=hold_on)
+        thread.start()
+        time.sleep(0.03)
+        begin.set()
+    thread.join()
+    assert seen[0] == seen[1]
 
 
 def test_a_clock_that_falls_far_behind_is_set_back():

@@ -282,6 +282,36 @@ List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) {
     return out;
 }
 
+// One that cannot get out of the way of all others, in a pocket, takes the place there in which fewest of
+// them lose their goals, if that are fewer than where it stands. They must not have lost one before: so this
+// ends.
+bool GoalFeasibility::make_room(PositionerIndex i) {
+    const Legs here(body(i), start(i));
+    const auto lost = std::count_if(near(i).begin(), near(i).end(), [&](PositionerIndex j) {
+        return !away(j) && !stay_apart(here, Legs(body(j), goals_[j].angles), need_mm_);
+    });
+    if (lost < 2) return false;
+    Angles place;
+    List<PositionerIndex> losers;
+    for (const Angles other : reachable_places(i)) {
+        const Legs legs(body(i), other, usual(i));
+        if (!inside_travel(i, other, usual(i)) || blocked(i, legs).any) continue;
+        const List<PositionerIndex> met = blockers(i, legs, {});
+        if (met.empty() || met.size() >= (losers.empty() ? lost : losers.size()))
+            continue; // empty: no way there
+        if (std::any_of(met.begin(), met.end(), [&](PositionerIndex j) { return is_refused(j); })) continue;
+        place = other;
+        losers = met;
+    }
+    if (losers.empty()) return false;
+    set_goal(i, place, usual(i));
+    if (!find_path_alone(i)) return false;
+    goals_[i].settled = true;
+    goals_[i].still = goals_[i].gone = false;
+    for (const PositionerIndex j : losers) move_away(j, meeting(j, i), {true, i});
+    return true;
+}
+
 // Gives up a goal; another place that cannot be held is replaced in the same way.
 bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &by) {
     refuse(i, why, by);
@@ -291,6 +321,7 @@ bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &b
         if (try_place(i, place, false)) return true;
     for (const Angles place : reachable_places(i))
         if (try_place(i, place, false)) return true;
+    if (make_room(i)) return true;
     freeze(i);
     return false;
 }

@@ -124,6 +124,7 @@ class RealTime {
     std::vector<std::thread::id> within_; // who holds; as often as it does
     int inside_ = 0;                      // of the holders those for whom the clock stands now
     uint64_t parks_ = 0;                  // how often it has stood
+    bool ended_ = false;                  // it stands for good
     uint64_t posted_ = 0;
     std::vector<Posted> inbox_;
     std::vector<Reply> outbox_;
