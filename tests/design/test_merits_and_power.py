@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -41,6 +42,17 @@ def test_a_limit_is_kept_slower_or_in_waves():
     assert limited(SDSSV, 2.0 * full.peak_W).time_s == pytest.approx(full.time_s)
     with pytest.raises(InputError, match=r"one positioner takes 0\.038 W"):
         limited(SDSSV, 0.01)
+
+
+def test_a_limit_is_of_the_ways_that_are_asked_for_and_of_the_motors_alone():
+    some = PowerSettings(100, (120.0, 60.0), rest_W=1.0)
+    motors = array_power(SDSSV, replace(some, rest_W=0.0))
+    assert limited(SDSSV, 1.01 * motors.peak_W, some).time_s == pytest.approx(motors.time_s)
+    half = limited(SDSSV, 0.5 * motors.peak_W, some)
+    assert half.waves_s == pytest.approx(2 * motors.time_s)
+    slower = array_power(SDSSV, replace(some, rest_W=0.0, share=half.speed_share))
+    assert slower.peak_W == pytest.approx(0.5 * motors.peak_W, rel=1e-3)
+    assert slower.time_s == pytest.approx(half.slower_s)
 
 
 def test_lines_of_care_are_read_by_the_instrument():

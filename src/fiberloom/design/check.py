@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.design.coverage import covers, fillings
-from fiberloom.design.gear import gear_window, output_deg, speed_for
+from fiberloom.design.gear import gear_window, output_deg, speed_for, twin_knows
 from fiberloom.design.lattice import Lattice
 from fiberloom.design.spring import spring_window
 from fiberloom.errors import InputError
@@ -60,18 +60,27 @@ def check(instrument: Instrument, seed: int = 0, within_s: float | None = None) 
         raise InputError(f"--within {within_s:g}: a time above 0 s")
     plane = generate(instrument, seed)
     found: list[CheckFinding] = []
+    asked = _Asked(seed, within_s)
     for about, look in _LOOKS:
-        found += _found(about, look, plane, within_s)
+        found += _found(about, look, plane, asked)
     return sorted(found, key=lambda one: not one.wrong)
 
 
-_Look = Callable[[FocalPlane, float | None], Iterable[CheckFinding]]
+@dataclass(frozen=True)
+class _Asked:
+    """As of `check`."""
+
+    seed: int
+    within_s: float | None
 
 
-def _found(about: str, look: _Look, plane: FocalPlane, within_s: float | None) -> list[CheckFinding]:
+_Look = Callable[[FocalPlane, _Asked], Iterable[CheckFinding]]
+
+
+def _found(about: str, look: _Look, plane: FocalPlane, asked: _Asked) -> list[CheckFinding]:
     """Of one look; what a tool refuses is a finding too."""
     try:
-        return list(look(plane, within_s))
+        return list(look(plane, asked))
     except InputError as error:
         return [CheckFinding(about, True, str(error))]
 
@@ -79,7 +88,7 @@ def _found(about: str, look: _Look, plane: FocalPlane, within_s: float | None) -
 # bodies
 
 
-def _bodies(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
+def _bodies(plane: FocalPlane, _: _Asked) -> Iterator[CheckFinding]:
     """Capsules of the pitch's width, and parked arms that touch."""
     instrument = plane.instrument
     width_mm, pitch_mm = 2.0 * plane.collision_buffer_mm, instrument.layout.pitch_mm
@@ -155,7 +164,7 @@ def _shared_ground(instrument: Instrument) -> Iterator[CheckFinding]:
 # coverage
 
 
-def _holes(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
+def _holes(plane: FocalPlane, _: _Asked) -> Iterator[CheckFinding]:
     """Points that no fibre reaches, of every fibre that all positioners carry."""
     instrument = plane.instrument
     for fibre in instrument.science_fibres:
@@ -205,7 +214,7 @@ def _hole(lattice: Lattice, fibre: str, share: float, requirement_um: float) -> 
 # camera
 
 
-def _camera(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
+def _camera(plane: FocalPlane, _: _Asked) -> Iterator[CheckFinding]:
     """Fibres that the image does not hold, and noise beyond the requirement."""
     instrument = plane.instrument
     if not instrument.metrology.present:
@@ -265,14 +274,14 @@ def _view(plane: FocalPlane) -> Iterator[CheckFinding]:
 # motors
 
 
-def _gears(plane: FocalPlane, within_s: float | None) -> Iterator[CheckFinding]:
+def _gears(plane: FocalPlane, asked: _Asked) -> Iterator[CheckFinding]:
     """Ratios, steps and play against the requirement; speed against the time."""
     for axis in (0, 1):
-        yield from _found(f"gear of {AXES[axis]}", _gear_of(axis), plane, within_s)
+        yield from _found(f"gear of {AXES[axis]}", _gear_of(axis), plane, asked)
 
 
 def _gear_of(axis: int) -> _Look:
-    def look(plane: FocalPlane, within_s: float | None) -> Iterator[CheckFinding]:
+    def look(plane: FocalPlane, asked: _Asked) -> Iterator[CheckFinding]:
         instrument = plane.instrument
         own = instrument.axes[axis]
         window = gear_window(instrument, axis)
@@ -300,8 +309,8 @@ def _gear_of(axis: int) -> _Look:
                 f"its play is {window.play_um:.1f} um and nothing closes it",
                 f"{AXES[axis]}.approach_deg of {1.2 * own.backlash_deg:.3f} or more, with a spring",
             )
-        if within_s is not None and window.range_s > within_s:
-            yield _late(instrument, axis, within_s, window.range_s)
+        if asked.within_s is not None and window.range_s > asked.within_s:
+            yield _late(instrument, axis, asked.within_s, window.range_s)
 
     return look
 
@@ -322,10 +331,10 @@ def _late(instrument: Instrument, axis: int, within_s: float, range_s: float) ->
     )
 
 
-def _springs(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
+def _springs(plane: FocalPlane, asked: _Asked) -> Iterator[CheckFinding]:
     """Windows of the springs against backlash, where the twin knows the motors."""
     instrument = plane.instrument
-    unknown = [AXES[k] for k, own in enumerate(instrument.axes) if own.gear != GEAR or own.kind != "bldc"]
+    unknown = [AXES[k] for k, own in enumerate(instrument.axes) if not twin_knows(own)]
     if unknown:
         yield CheckFinding(
             "spring",
@@ -335,15 +344,15 @@ def _springs(plane: FocalPlane, _: float | None) -> Iterator[CheckFinding]:
         )
         return
     for axis in (0, 1):
-        asked = spring_window(instrument, axis, n=UNITS)
-        if (advice := asked.advice()) == "fits":
+        window = spring_window(instrument, axis, seed=asked.seed, n=UNITS)
+        if (advice := window.advice()) == "fits":
             continue
-        least = replace(asked, factor=1.0).advice()
+        least = replace(window, factor=1.0).advice()
         says = advice if least == "fits" else least
         yield CheckFinding(
             f"spring of {AXES[axis]}",
             least != "fits",
-            f"{says} (load {asked.load_mNm:g} mNm, factor {asked.factor if least == 'fits' else 1:g})",
+            f"{says} (load {window.load_mNm:g} mNm, factor {window.factor if least == 'fits' else 1:g})",
         )
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from fiberloom.design.lattice import Lattice
 from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, Instrument
-from fiberloom.units import DEG_PER_RAD, MM_PER_UM, UM_PER_MM, deg_s_to_rpm
+from fiberloom.instruments.axis import Axis
+from fiberloom.units import DEG_PER_RAD, GEAR, MM_PER_UM, UM_PER_MM, deg_s_to_rpm
 
 MOTOR_ERROR_DEG = 5.0
 """Of a controlled motor (Kronig 2020, Section 2)."""
@@ -45,6 +46,11 @@ class GearWindow:
     def fits(self) -> bool:
         """Is the ratio in the window?"""
         return self.least <= self.ratio <= self.most
+
+
+def twin_knows(axis: Axis) -> bool:
+    """Does the twin draw motors such as that of an `axis`: friction, spring, errors?"""
+    return axis.kind == "bldc" and axis.gear == GEAR
 
 
 def output_deg(requirement_um: float, lever_mm: float) -> float:

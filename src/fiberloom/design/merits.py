@@ -13,13 +13,12 @@ from fiberloom.design.budget.monte_carlo import random_goals_deg
 from fiberloom.design.budget.terms import BudgetSettings, budget
 from fiberloom.design.coverage import coverage
 from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
-from fiberloom.design.gear import gear_window, move_s
+from fiberloom.design.gear import gear_window, move_s, twin_knows
 from fiberloom.design.lattice import Lattice
 from fiberloom.design.power import array_power
 from fiberloom.errors import InputError
 from fiberloom.instruments import Instrument, generate
 from fiberloom.twin import draw_units
-from fiberloom.units import GEAR
 
 Sense = Literal["most", "least", ""]
 
@@ -86,7 +85,7 @@ def merits(instrument: Instrument, settings: MeritSettings) -> dict[str, float |
 
 def motors_known(instrument: Instrument) -> bool:
     """Are errors, power and springs of its motors known?"""
-    return instrument.drive.by_maps and all(a.kind == "bldc" and a.gear == GEAR for a in instrument.axes)
+    return instrument.drive.by_maps and all(map(twin_knows, instrument.axes))
 
 
 def _geometry(instrument: Instrument, lattice: Lattice, seed: int) -> dict[str, float | None]:

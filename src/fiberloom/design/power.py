@@ -7,12 +7,12 @@ drag, spring against the motion, and inertia; K_M^2 = 1.5 lambda^2/R is torque^2
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
 
-from fiberloom.design.gear import move_s
+from fiberloom.design.gear import move_s, twin_knows
 from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, Instrument, generate
 from fiberloom.twin import draw_units
@@ -95,7 +95,7 @@ def motor(instrument: Instrument, axis: int, seed: int = 0) -> Records:
         A motor that the twin does not know.
     """
     own = instrument.axes[axis]
-    if own.gear != GEAR or own.kind != "bldc":
+    if not twin_knows(own):
         raise InputError(
             f"{instrument.name}: {AXES[axis]} is a {own.kind} of gear {own.gear:g}; power is known of bldc "
             f"motors of gear {GEAR:g}"
@@ -208,30 +208,33 @@ def _array(instrument: Instrument, plants: list[Records], settings: PowerSetting
     )
 
 
-def limited(instrument: Instrument, limit_W: float, n: int | None = None, seed: int = 0) -> Limited:
-    """The whole range of `n` positioners of an `instrument` within `limit_W`, all slower or in waves; `seed`
-    of the units.
+def limited(
+    instrument: Instrument, limit_W: float, settings: PowerSettings = ALL_AT_ONCE, seed: int = 0
+) -> Limited:
+    """Positioners of an `instrument` within `limit_W` for their motors, all slower or in waves.
+
+    `settings`: how many, how far; `seed` of the units. Electronics at rest do not count.
 
     Raises
     ------
     InputError
         A limit that not even one positioner keeps, or all at 2 % of the speed: with the one that would.
     """
-    n = instrument.layout.n_positioners if n is None else n
+    motors = replace(settings, rest_W=0.0)
     plants = [motor(instrument, axis, seed) for axis in (0, 1)]
-    full = _array(instrument, plants, PowerSettings(n))
-    one_W = full.peak_W / n
+    full = _array(instrument, plants, motors)
+    one_W = full.peak_W / full.n
     if not limit_W >= one_W:
         raise InputError(f"--limit {limit_W:g}: one positioner takes {one_W:.3f} W; give at least that")
 
     def over_W(share: float) -> float:
-        return _array(instrument, plants, PowerSettings(n, share=share)).peak_W - limit_W
+        return _array(instrument, plants, replace(motors, share=share)).peak_W - limit_W
 
     share = 1.0 if over_W(1.0) <= 0.0 else 0.0
     if share == 0.0 and over_W(SLOWEST) < 0.0:
         share = float(brentq(over_W, SLOWEST, 1.0, xtol=1e-6))
-    slower_s = _array(instrument, plants, PowerSettings(n, share=share)).time_s if share else math.inf
-    waves = math.ceil(n / math.floor(limit_W / one_W))
+    slower_s = _array(instrument, plants, replace(motors, share=share)).time_s if share else math.inf
+    waves = math.ceil(full.n / math.floor(limit_W / one_W))
     return Limited(limit_W, slower_s, share, waves, waves * full.time_s)
 
 

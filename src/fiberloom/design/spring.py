@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiberloom.design.gear import twin_knows
 from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, FocalPlane, Instrument, generate
 from fiberloom.twin import draw_units
@@ -129,7 +130,7 @@ def spring_window(
     """
     load_mNm = LOADS_MNM[axis] if load_mNm is None else load_mNm
     own = (instrument.alpha, instrument.beta)[axis]
-    if own.gear != GEAR or own.kind != "bldc":
+    if not twin_knows(own):
         raise InputError(
             f"{instrument.name}: {AXES[axis]} is a {own.kind} of gear {own.gear:g}; springs and friction are "
             f"known of bldc motors of gear {GEAR:g}"

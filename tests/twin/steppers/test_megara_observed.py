@@ -69,6 +69,19 @@ def test_the_bench_tells_the_play_by_the_direction_of_the_last_motion(whole):
     assert np.abs(ends[0] - ends[1]).mean(axis=0).max() < 0.015
 
 
+def test_the_bench_comes_to_every_knot_in_either_direction(whole):
+    """To the ends of the range too. The play is the mean of 30 units, in three sweeps."""
+    _, source = whole
+    known, n = source.known, len(PLANE)
+    for k in range(known.knots_deg.shape[1]):
+        counts = known.steps.of_angles(np.tile(known.knots_deg[:, k], (n, 1))).astype(float)
+        rising, falling = (
+            source.units.output_deg(counts, np.full((n, 2), sign), _switches(source)) for sign in (1.0, -1.0)
+        )
+        found = known.error_deg[:, :, 0, k] - known.error_deg[:, :, 1, k]
+        np.testing.assert_allclose(found.mean(axis=0), (rising - falling).mean(axis=0), atol=0.01)
+
+
 def _switches(source):
     return np.column_stack([one.offset_deg for one in source.units.switches])
 

@@ -131,15 +131,15 @@ def sweep(options: SweepDesignOptions) -> int:
         shown.say("figures of every design")
         found = sweep_of(instrument, ranges, options.settings(), options.workers, options.scheduler)
     front = pareto([one.figures for one in found], objectives)
-    if options.out is not None:
-        from fiberloom.design.figures import draw_front
-
-        draw_front(options.out, instrument.name, found, front, objectives)
     if options.as_json:
         told = [_json(one, on_front) for one, on_front in zip(found, front, strict=True)]
         options.print_json(told)
     else:
         options.show([_row(one, o, objectives) for one, o in zip(found, front, strict=True)])
+    if options.out is not None:  # last: where the disk is full, the work of hours has been shown
+        from fiberloom.design.figures import draw_front
+
+        draw_front(options.out, instrument.name, found, front, objectives)
     return int(all(one.refused for one in found))
 
 

@@ -41,17 +41,18 @@ def power(options: PowerOptions) -> int:
     from fiberloom.instruments import load_instrument
 
     instrument = load_instrument(options.file)
-    n = options.positioners
-    asked = PowerSettings(n, ways, options.every, options.rest)
+    asked = PowerSettings(options.positioners, ways, options.every, options.rest)
     found = array_power(instrument, asked, options.seed)
     report: dict[str, Any] = {"axes": [axis_row(one) for one in (found.alpha, found.beta)]}
     report["array"] = array_row(found)
+    slower = False
     if options.limit is not None:
-        within = limited(instrument, options.limit, n, options.seed)
+        within = limited(instrument, options.limit, asked, options.seed)
         report["limit"] = _limit(within)
+        slower = within.speed_share < 1.0
         report["care"] = care_lines(instrument, options.limit, options.seed)
     _show(options, report)
-    return int(options.limit is not None and found.peak_W > options.limit)
+    return int(slower)
 
 
 def _show(options: PowerOptions, report: dict[str, Any]) -> None:

@@ -121,7 +121,9 @@ def _coverage(options: ReportOptions, instrument: Instrument, folder: Path) -> D
     fibres = instrument.science_fibres
     outs = [picture, *[None] * (len(fibres) - 1)]
     rows = [
-        coverage_row(CoverageOptions(file=options.file, fibre=fibre, out=out), instrument, fibre)
+        coverage_row(
+            CoverageOptions(file=options.file, fibre=fibre, seed=options.seed, out=out), instrument, fibre
+        )
         for fibre, out in zip(fibres, outs, strict=True)
     ]
     return DesignSection("Coverage", (), [rows], picture)

@@ -12,10 +12,11 @@ import math
 
 import numpy as np
 
+from fiberloom.calibration import SweepSettings
 from fiberloom.typing import Floats
 
-SWEEP_BETA_DEG = 75.0
-"""Of beta while alpha is swept, and 180 of alpha while beta is (`SweepSettings`)."""
+SWEEP_BETA_DEG, SWEEP_ALPHA_DEG = SweepSettings.beta_lever_deg, SweepSettings.alpha_rest_deg
+"""Of beta while alpha is swept, and of alpha while beta is."""
 POINTS = 181
 
 
@@ -28,7 +29,7 @@ def left_mm2(l_alpha_mm: float, l_beta_mm: float, beta_range_deg: tuple[float, f
     turn = np.linspace(0.0, 2.0 * np.pi, POINTS)[:-1]
     low, high = (math.radians(angle) for angle in beta_range_deg)
     bend = np.linspace(low, high, POINTS)
-    sweep_alpha = np.concatenate([turn, np.full(len(bend), np.pi)])
+    sweep_alpha = np.concatenate([turn, np.full(len(bend), math.radians(SWEEP_ALPHA_DEG))])
     sweep_beta = np.concatenate([np.full(len(turn), math.radians(SWEEP_BETA_DEG)), bend])
     moved, jacobian = _linear(l_alpha_mm, l_beta_mm, sweep_alpha, sweep_beta)
     zeros = np.linalg.pinv(jacobian.reshape(-1, 2)) @ moved.reshape(-1, 4)

@@ -46,8 +46,6 @@ class Simulated:
     """(k + 1,) of the blind move and after each correction."""
     p95_um: Floats
     """(k + 1,) 95 % of them are within."""
-    error_um: float
-    """Standard error of the blind rms, over units."""
 
 
 def simulate(
@@ -78,12 +76,8 @@ def simulate(
     square = np.empty((fields, settings.corrections + 1, plane.n))
     for field in range(fields):
         square[field] = _field(twin, maps, camera, noises, settings.corrections, rng)
-    by_unit = square[:, 0].mean(axis=0)
-    rms = np.sqrt(square.mean(axis=(0, 2)))
     return Simulated(
-        rms_um=rms,
-        p95_um=np.sqrt(np.quantile(square, 0.95, axis=(0, 2))),
-        error_um=float(by_unit.std(ddof=1) / np.sqrt(plane.n) / (2.0 * max(rms[0], 1e-12))),
+        rms_um=np.sqrt(square.mean(axis=(0, 2))), p95_um=np.sqrt(np.quantile(square, 0.95, axis=(0, 2)))
     )
 
 

@@ -21,9 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiberloom.design.budget.arms import SWEEP_BETA_DEG, left_mm2, sag_mm2
+from fiberloom.design.gear import twin_knows
 from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.instruments.arms import L_ALPHA
+from fiberloom.instruments.pointing import STANDARD_GRAVITY_M_S2
+from fiberloom.metrology.zhao_burge import DEFAULT_TERMS
 from fiberloom.twin import Units
 from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.statistical import LANDING_RMS_RAD
@@ -35,7 +38,6 @@ BETWEEN_KNOTS = 2.0 / 3.0
 """Mean square of the noise of a straight line between two knots, over that of a knot."""
 BETWEEN_NODES = 2.0 / 3.0 + 0.7788 / 3.0
 """The same of the seat of the teeth, whose nodes are correlated (`fiberloom.twin.statistical`)."""
-GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def budget(plane: FocalPlane, units: Units, settings: BudgetSettings) -> Budget:
 
 def require_maps(instrument: Instrument) -> None:
     """InputError for motors that the twin does not know."""
-    if not instrument.drive.by_maps or any(a.kind != "bldc" or a.gear != GEAR for a in instrument.axes):
+    if not (instrument.drive.by_maps and all(map(twin_knows, instrument.axes))):
         kinds = " and ".join(f"{axis.kind} of gear {axis.gear:g}" for axis in instrument.axes)
         raise InputError(
             f"{instrument.name}: {kinds}: the budget is of bldc motors of gear {GEAR:g} with maps"
@@ -253,7 +255,7 @@ def _fibre_um(units: Units, fibre: str) -> float:
     return UM_PER_MM * math.sqrt(float((off_mm**2).sum(axis=1).mean()))
 
 
-FRAME_TERMS = 13
+FRAME_TERMS = len(DEFAULT_TERMS)
 """That a camera of positions fits on the fiducials."""
 
 
@@ -267,7 +269,7 @@ def frame_um(plane: FocalPlane, errors: TwinErrors) -> float:
 def gravity_um(plane: FocalPlane, units: Units, zenith_deg: float) -> float:
     """Arms that sag, the axes' directions spread evenly, in the telescope at this zenith distance."""
     moments = np.hypot(units.load["moment_x"], units.load["moment_y"])
-    torque_Nm = moments * GRAVITY_M_S2 * math.sin(math.radians(zenith_deg))
+    torque_Nm = moments * STANDARD_GRAVITY_M_S2 * math.sin(math.radians(zenith_deg))
     compliance = (1.0 / units.plant["stiffness"]).mean(axis=0)
     form = sag_mm2(float(plane.l_alpha_mm.mean()), float(plane.l_beta_mm.mean()), compliance)
     return UM_PER_MM * math.sqrt(float(np.einsum("ni,ij,nj->n", torque_Nm, form, torque_Nm).mean()))
