@@ -2,6 +2,7 @@
 
 import json
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -185,6 +186,13 @@ def test_excluded_positioners_stay_and_are_shown(client, array):
     assert client.post("/api/v1/include", json={"positioners": [number]}).status_code == 400
     last = client.get("/api/v1/commands").json()[:2]
     assert [(c["command"], c["result"]) for c in last] == [("include", "refused"), ("include", "done")]
+
+
+def test_who_reads_that_a_command_is_over_can_give_the_next_at_once(client, array, monkeypatch):
+    look = array._look_at_state
+    monkeypatch.setattr(array, "_look_at_state", lambda: (time.sleep(0.3), look()))
+    for _ in range(2):
+        command(client, "/api/v1/park")
 
 
 def test_home_searches_the_datum_of_one(client, array):

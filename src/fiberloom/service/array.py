@@ -293,7 +293,9 @@ class ServedArray:
 
     def _check_free(self, deed: Deed) -> None:
         """Raises Busy where another command runs, here or elsewhere, or the state does not allow this one."""
-        if (running := self._running) is not None:
+        with self._lock:  # who has read that a command is over can give the next one at once
+            running = self._running
+        if running is not None:
             raise Busy(running.refusal)
         found = self.book.state()
         if found.owned:
@@ -346,7 +348,12 @@ class ServedArray:
         await asyncio.to_thread(self._ended, running, result, text)
 
     def _ended(self, running: RunningCommand, result: CommandResult, text: str) -> None:
-        """Books the end of a command. What fails here is an alarm: the array is free all the same."""
+        """Books the end of a command, and nobody begins one in between."""
+        with self._lock:
+            self._book_end(running, result, text)
+
+    def _book_end(self, running: RunningCommand, result: CommandResult, text: str) -> None:
+        """What fails here is an alarm: the array is free all the same."""
         try:
             self.commands.end(running.number, result, text)
             if result is CommandResult.FAILED:
