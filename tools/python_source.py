@@ -10,6 +10,7 @@ from pathlib import Path
 from tools.source import Function, Public, Source
 
 FunctionNode = ast.FunctionDef | ast.AsyncFunctionDef
+Scope = FunctionNode | ast.ClassDef | ast.Module
 NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 MANY_PARAMETERS = 4
 
@@ -18,28 +19,29 @@ def read_python(root: Path, path: Path) -> Source:
     """One file of Python; `path` is relative to `root`. SyntaxError where it is none."""
     text = (root / path).read_text(encoding="utf-8")
     tree = ast.parse(text, filename=str(path))
-    functions = [_function(n) for n in ast.walk(tree) if isinstance(n, FunctionNode)]
+    scopes: list[Scope] = [n for n in ast.walk(tree) if isinstance(n, Scope)]
+    functions = [_function(n) for n in scopes if isinstance(n, FunctionNode)]
     return Source(
         path=path,
         n_lines=len(text.splitlines()),
-        code=_code(text, tree),
+        code=_code(text, scopes),
         functions=sorted(functions, key=lambda f: f.line),
         public=list(_public(tree.body, in_class=False)) if _is_public_module(path) else [],
     )
 
 
-def _docstring(node: ast.AST) -> ast.Expr | None:
-    if not isinstance(node, FunctionNode | ast.ClassDef | ast.Module) or ast.get_docstring(node) is None:
+def _docstring(node: Scope) -> ast.Expr | None:
+    if ast.get_docstring(node) is None:
         return None
     first = node.body[0]
     return first if isinstance(first, ast.Expr) else None
 
 
-def _code(text: str, tree: ast.Module) -> list[tuple[int, str]]:
+def _code(text: str, scopes: list[Scope]) -> list[tuple[int, str]]:
     """Lines with a token that is no comment and no docstring."""
     silent = {
         row
-        for node in ast.walk(tree)
+        for node in scopes
         if (doc := _docstring(node)) is not None
         for row in range(doc.lineno, (doc.end_lineno or doc.lineno) + 1)
     }
