@@ -113,7 +113,7 @@ def test_what_a_test_sees_is_killed_and_the_rest_survives(runs):
 
 def test_an_endless_loop_is_a_timeout(runs):
     runs.prepare()
-    runs.pytest.limit_s = 10.0
+    runs.pytest.limit_s = 5.0
     (endless,) = (m for m in runs.mutants if m.after == "x += 10")
     assert runs.try_one(endless) is Verdict.TIMEOUT
 
@@ -181,7 +181,7 @@ def test_a_kind_of_change_is_chosen(tmp_path):
 )
 def test_how_a_fork_ended_is_told(program, told):
     child = os.posix_spawn(sys.executable, [sys.executable, "-c", program], os.environ, setpgroup=0)
-    assert ended(child, limit_s=5.0 if told == "timeout" else 60.0) == told
+    assert ended(child, limit_s=1.0 if told == "timeout" else 60.0) == told
 
 
 HEADER = """\
