@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from fiberloom._core.geometry import segment_distance
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.single_units import handicaps_of
 from fiberloom.planning.bodies import beside
@@ -36,6 +37,8 @@ POSES = 3
 _ARM = 1
 """Column of parts."""
 
+_AT_ONCE = 100_000
+"""Pairs of a place and a body that are in memory together: where units are uncertain there are millions."""
 _CARE_MM = 1.0
 """Bodies that are so much farther away than they can meet are looked at still."""
 _LONG_MM = 10.0
@@ -104,25 +107,9 @@ def point_segment_mm(point: Floats, segment: Floats) -> Floats:
 
 def segment_mm(a: Floats, b: Floats) -> Floats:
     """Distance between segments (..., 4), all in mm; 0 where they cross."""
-    ends = [
-        point_segment_mm(a[..., :2], b),
-        point_segment_mm(a[..., 2:], b),
-        point_segment_mm(b[..., :2], a),
-        point_segment_mm(b[..., 2:], a),
-    ]
-    return np.where(_cross(a, b), 0.0, np.minimum.reduce(ends))
-
-
-def _cross(a: Floats, b: Floats) -> Flags:
-    """Do the segments cross? Each one's ends lie on different sides of the other."""
-    return (_side(a, b[..., :2]) * _side(a, b[..., 2:]) < 0) & (
-        _side(b, a[..., :2]) * _side(b, a[..., 2:]) < 0
-    )
-
-
-def _side(segment: Floats, point: Floats) -> Floats:
-    along, offset = segment[..., 2:] - segment[..., :2], point - segment[..., :2]
-    return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
+    a, b = np.broadcast_arrays(a, b)
+    rows = [np.ascontiguousarray(side, dtype=np.float64).reshape(-1, 4) for side in (a, b)]
+    return np.array(segment_distance(*rows)).reshape(a.shape[:-1])
 
 
 def obstacles(plane: FocalPlane, margin_mm: float) -> Floats:
@@ -154,9 +141,11 @@ def obstacle_gap_mm(plane: FocalPlane, positioner: Ints, segments: Floats, bodie
     wider_mm = handicaps_of(plane).wider_mm[positioner]
     for k, part in enumerate(outline(plane)):
         here = meet(part[[_ARM, LAYERS]], bodies[:, [6, 5]])[body]
-        places, others = which[here], body[here]
-        distance = segment_mm(segments[places, :, k], bodies[others, None, :4]).min(axis=1, initial=np.inf)
-        np.minimum.at(gap, places, distance - bodies[others, 4] - (part[RADIUS] + wider_mm[places]))
+        all_places, all_others = which[here], body[here]
+        for begin in range(0, len(all_places), _AT_ONCE):
+            places, others = (some[begin : begin + _AT_ONCE] for some in (all_places, all_others))
+            apart = segment_mm(segments[places, :, k], bodies[others, None, :4]).min(axis=1, initial=np.inf)
+            np.minimum.at(gap, places, apart - bodies[others, 4] - (part[RADIUS] + wider_mm[places]))
     return gap
 
 
