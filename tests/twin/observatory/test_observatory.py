@@ -1,22 +1,19 @@
 """`fiberloom twin` with a camera, as a process: a host reads its images by Alpaca and from its folder."""
 
 import importlib.util
-import re
 import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from doors import PATIENCE_S, failure
-from programs import free_port
+from programs import free_port, small_camera
 
-import fiberloom
 from fiberloom.cli.app import main
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.instruments.model import METROLOGY
@@ -33,14 +30,7 @@ LISTEN, CAMERA, OTHER, SPARE = (f"127.0.0.1:{free_port()}" for _ in range(4))
 
 @pytest.fixture(scope="module")
 def instrument(tmp_path_factory):
-    """SDSS-V with a camera of a megapixel, which is painted in a moment."""
-    text = (Path(fiberloom.__file__).parent / "instruments" / "presets" / "sdssv.toml").read_text()
-    for key, value in (("width_px", "1000"), ("height_px", "1022"), ("scale_mm_px", "0.729")):
-        text, n = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", text, flags=re.M)
-        assert n == 1
-    path = tmp_path_factory.mktemp("instrument") / "small.toml"
-    path.write_text(text)
-    return path
+    return small_camera(tmp_path_factory.mktemp("instrument"))
 
 
 @contextmanager
