@@ -71,9 +71,7 @@ class Results(dict[int, Result]):
     def values_array(self, width: int) -> Ints:
         """The integers of the replies, one row per positioner; zeros where there is no reply."""
         none = (0,) * width
-        rows = [
-            r.values if r.outcome is _DONE and len(r.values) == width else none for r in self.values()
-        ]
+        rows = [r.values if r.outcome is _DONE and len(r.values) == width else none for r in self.values()]
         return np.array(rows, dtype=np.int64).reshape(len(self), width)
 
     def __str__(self) -> str:

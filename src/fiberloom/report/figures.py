@@ -38,7 +38,7 @@ def _lay_out(figure: Figure, dpi: int) -> None:
     if engine is not None:
         figure.set_dpi(dpi)
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)
 
 
 def new_axes(size_in: tuple[float, float]) -> Axes:
