@@ -1,8 +1,8 @@
 """What a processor can issue at best: its clock, core by core, and the bound of a loop that gcc made.
 
-The bound is that of the inner loop of `plant.c` as it was compiled: its vector arithmetic (no loads, stores
-or moves) on two pipes, at the clock that a chain of dependent additions shows. Memory costs nothing in it, nor
-does waiting for results.
+The bound is that of the inner loop of `plant.c` as it was compiled: its vector arithmetic (no loads,
+stores or moves) on two pipes, at the clock that a chain of dependent additions shows. Memory costs nothing
+in it, nor does waiting for results.
 """
 
 import os
@@ -41,7 +41,7 @@ def compiled(source, options, suffix):
 
 
 def clocks_GHz():
-    """Of each core that this process may use, alone and then all at once, by a fixed loop; without gcc empty."""
+    """Of each core of this process, alone and then all at once, by a fixed loop; empty without gcc."""
     program = compiled(_CLOCK % (ADDITIONS, ADDITIONS), [], "")
     if program is None:
         return {}
