@@ -29,9 +29,8 @@ int main(void) {
 """
 
 
-def compiled(source, options, suffix):
-    """What gcc makes of a C text, as a file in a folder that is left behind; None where there is no gcc."""
-    path = Path(tempfile.mkdtemp()) / f"out{suffix}"
+def compiled(source, options, path):
+    """What gcc makes of a C text, at this path; None where there is no gcc."""
     command = ["gcc", "-O3", "-march=native", "-xc", "-", *options, "-o", str(path), "-lm"]
     try:
         subprocess.run(command, input=source, text=True, check=True, capture_output=True)
@@ -42,13 +41,15 @@ def compiled(source, options, suffix):
 
 def clocks_GHz():
     """Of each core of this process, alone and then all at once, by a fixed loop; empty without gcc."""
-    program = compiled(_CLOCK % (ADDITIONS, ADDITIONS), [], "")
-    if program is None:
-        return {}
     cores = sorted(os.sched_getaffinity(0))
-    alone = [float(started(program, core).communicate()[0]) for core in cores]
-    running = [started(program, core) for core in cores]
-    return {"cores": cores, "alone": alone, "together": [float(p.communicate()[0]) for p in running]}
+    with tempfile.TemporaryDirectory() as folder:
+        program = compiled(_CLOCK % (ADDITIONS, ADDITIONS), [], Path(folder) / "clock")
+        if program is None:
+            return {}
+        alone = [float(started(program, core).communicate()[0]) for core in cores]
+        running = [started(program, core) for core in cores]
+        together = [float(p.communicate()[0]) for p in running]
+    return {"cores": cores, "alone": alone, "together": together}
 
 
 def started(program, core):
@@ -65,10 +66,12 @@ def bound_ns(source, real, clock_GHz):
 
     `source`: its C text; `real`: double or float; `clock_GHz`: of the core.
     """
-    path = compiled(source, ["-S", "-ffast-math", f"-DREAL={real}"], ".s")
-    if path is None:
-        return None
-    loop = max(inner_loops(path.read_text().splitlines()), key=lambda body: len(vector_arithmetic(body)))
+    with tempfile.TemporaryDirectory() as folder:
+        path = compiled(source, ["-S", "-ffast-math", f"-DREAL={real}"], Path(folder) / "plant.s")
+        if path is None:
+            return None
+        loops = inner_loops(path.read_text().splitlines())
+    loop = max(loops, key=lambda body: len(vector_arithmetic(body)))
     axes = bytes_of_turn(loop) / (8 if real == "double" else 4)
     return STEPS * len(vector_arithmetic(loop)) / (PIPES * clock_GHz * axes)
 

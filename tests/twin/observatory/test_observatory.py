@@ -195,8 +195,8 @@ def test_a_fault_reaches_hosts_by_every_door(instrument, tmp_path):
 
 
 def test_faults_come_and_go_by_the_clock(instrument):
-    """Images, none, images: four seconds of ours without the fault, four with it."""
-    options = ("--camera-listen", f"127.0.0.1:{free_port()}", "--faults", "camera_half@40+40")
+    """Images, none, images: five seconds of ours without the fault, fifteen with it."""
+    options = ("--camera-listen", f"127.0.0.1:{free_port()}", "--faults", "camera_half@50+150")
     with served(instrument, *options) as (_, doors):
         host = opened(f"{doors.removeprefix('camera: ')}?exposure=0.5", plane(instrument))
         end_s = time.monotonic() + PATIENCE_S
