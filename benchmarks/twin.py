@@ -8,7 +8,9 @@ machine disturbs it less than wall time. The real-time factor is simulated secon
 core; with two threads it is over wall seconds, and means something on an idle machine only.
 
 Then the same for more axes, in twins of 4000 at most (a bus has 2047 addresses), with the exponent by which
-the cost grows; and two peers in the same run, plant only: plain C by gcc, and numba where it is installed.
+the cost grows; and two peers in the same run, plant only: plain C by gcc, and numba where it is installed
+(pip install 'fiberloom[peers]'). Below plain C the least time in which a core of this clock can issue its
+arithmetic. The clock is that of a fixed loop on each core, alone and all at once: other work shows there.
 """
 
 import argparse
@@ -23,6 +25,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from peers.issue import bound_ns, clocks_GHz
 
 from fiberloom._core import twin as core
 from fiberloom.bus.identifier import encode
@@ -39,6 +42,7 @@ PEER_TICKS = 2000
 MOST_AXES = 4000
 """Of one twin: positioners of a bus have numbers up to 2047."""
 SLICE_S = 0.5
+NEEDS = "cannot run here: C needs gcc, numba pip install 'fiberloom[peers]'"
 APART, TOUCHING = (20.0, 178.0), (20.0, 60.0)
 """Where all arms begin, deg: folded, none touches; and 28 overlap."""
 
@@ -173,15 +177,17 @@ def exponent(rows):
     return float(np.polyfit(axes, cost, 1)[0])
 
 
-def peers(axes):
+def peers(axes, clocks):
     """ns per axis-tick of other ways to compute the plant; None where one cannot run here."""
     with tempfile.TemporaryDirectory() as folder:
         out = {}
+        source, clock_GHz = (PEERS / "plant.c").read_text(), max(clocks.get("alone", [1.0]))
         for real in ("double", "float"):
             program = Path(folder) / real
             build = ["gcc", "-O3", "-march=native", "-ffast-math", f"-DREAL={real}"]
             made = answer([*build, PEERS / "plant.c", "-o", program, "-lm"])
             out[f"plain C by gcc, {real}"] = None if made is None else number([program, axes, PEER_TICKS])
+            out[f"its bound by issue, {real}"] = bound_ns(source, real, clock_GHz)
         for real in ("float64", "float32"):
             command = [sys.executable, PEERS / "numba_plant.py", axes, PEER_TICKS, real]
             out[f"numba, {real}"] = number(command)
@@ -228,8 +234,16 @@ def show(report):
     print(f"  growth with the power {report['exponent']:.3f}")
     print("peers, plant only:")
     for name, ns in report["peers_ns_per_axis_tick"].items():
-        factor = "cannot run here" if ns is None else f"{ns:6.1f} ns/axis-tick, {5e2 / ns:5.1f} x"
-        print(f"  {name:22s} {factor}")
+        factor = NEEDS if ns is None else f"{ns:6.1f} ns/axis-tick, {5e2 / ns:5.1f} x"
+        print(f"  {name:26s} {factor}")
+    show_clocks(report["clocks_GHz"])
+
+
+def show_clocks(clocks):
+    """What each core makes of a fixed loop."""
+    columns = (clocks.get(name, []) for name in ("cores", "alone", "together"))
+    for core_number, alone, together in zip(*columns, strict=True):
+        print(f"core {core_number}: {alone:.2f} GHz alone, {together:.2f} GHz when all are busy")
 
 
 def main():
@@ -241,6 +255,7 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("build/bench/twin.json"))
     args = parser.parse_args()
     rows, larger = measure(args.axes, args.seconds), scale(args.scale, args.seconds / 2)
+    clocks = clocks_GHz()
     report = {
         "version": __version__,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
@@ -251,7 +266,8 @@ def main():
         "rows": rows,
         "scale": larger,
         "exponent": exponent(larger) if len(larger) > 1 else float("nan"),
-        "peers_ns_per_axis_tick": peers(args.axes),
+        "clocks_GHz": clocks,
+        "peers_ns_per_axis_tick": peers(args.axes, clocks),
     }
     show(report)
     args.out.parent.mkdir(parents=True, exist_ok=True)

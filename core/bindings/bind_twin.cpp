@@ -73,6 +73,15 @@ Replies twin_run(Twin &twin, uint64_t ticks) {
     return listed(replies);
 }
 
+Replies twin_run_until_reply(Twin &twin, uint64_t ticks, uint64_t slices) {
+    std::vector<Reply> replies;
+    {
+        nb::gil_scoped_release free;
+        for (; slices > 0 && replies.empty(); --slices) replies = twin.run(ticks);
+    }
+    return listed(replies);
+}
+
 Output<double, -1, 2> twin_outputs(Twin &twin) {
     auto out = new_array<double, -1, 2>({twin.positioner_count(), 2});
     for (size_t i = 0; i < twin.positioner_count(); ++i) {
@@ -233,6 +242,8 @@ void bind_whole_twin(nb::module_ &m) {
         .def("send", &twin_send, nb::arg("id"), nb::arg("data"))
         .def("connect", &Twin::connect, nb::arg("index"), nb::arg("bus"))
         .def("run", &twin_run, nb::arg("ticks"), "Replies (id, data, time_s) since the last call.")
+        .def("run_until_reply", &twin_run_until_reply, nb::arg("ticks"), nb::arg("slices"),
+             "So many slices of ticks, none after one that has brought replies (id, data, time_s).")
         .def("fault", &twin_fault, nb::arg("index"), nb::arg("axis"), nb::arg("kind"), nb::arg("on"),
              "kind: dead, blocked, lying, stuck_hall, deaf or mute.")
         .def("slip", &twin_slip, nb::arg("index"), nb::arg("axis"), nb::arg("up"), nb::arg("down"),

@@ -1,14 +1,12 @@
 """A camera that fails in the middle of a command: alarm, retry, no motion without a fresh image."""
 
 import asyncio
-import subprocess
-import sys
-from pathlib import Path
+import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from programs import serving
 
 import fiberloom as fl
 from fiberloom.bus.identifier import decode
@@ -23,10 +21,15 @@ from fiberloom.metrology.sources.errors import (
     ImageBroken,
     ImageStale,
 )
+from fiberloom.metrology.sources.spec import CameraSpec, open_camera
 from fiberloom.operation.safety.looking import PatientCamera
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.targets import random_targets, write_targets
+from fiberloom.targets import random_targets
+from fiberloom.twin.camera.imaging import StillScene, TwinScene
+from fiberloom.twin.camera.models import imaging_camera, model_for
+from fiberloom.twin.server.camera.alpaca import AlpacaServer
+from fiberloom.twin.server.camera.exposing import Look, TwinShutter
 
 FAILURES = (CameraSilent("hangs"), ImageBroken("half"), ImageStale("yesterday's"), CameraRefused("500"))
 
@@ -186,46 +189,78 @@ def test_before_anything_has_moved_a_camera_that_fails_is_told_at_once(tmp_path)
     assert log == ["failure"]
 
 
-# in two processes
+# a camera behind sockets
+
+SMALL = {"width_px": 1000, "height_px": 1022, "scale_mm_px": 0.729}
+"""A megapixel, which is painted in a moment: its centroids are good to some micrometres."""
+SAID = {
+    "camera_hang": "no image after 1 s",
+    "camera_half": "cut short",
+    "camera_stale": "before it was asked for",
+    "camera_error": "500",
+}
+"""How the host tells of each fault."""
 
 
-def small_instrument(folder):
-    """SDSS-V with a camera of a megapixel that is asked again every second."""
-    text = (Path(fl.__file__).parent / "instruments" / "presets" / "sdssv.toml").read_text()
-    wanted = {"width_px": "1000", "height_px": "1022", "scale_mm_px": "0.729", "requirement_um": "30.0"}
-    for key, value in wanted.items():
-        old = next(line for line in text.splitlines() if line.startswith(f"{key} ="))
-        text = text.replace(old, f"{key} = {value}")
-    text = text.replace("[operation]\n", "[operation]\ncamera_retries = 60\ncamera_wait_s = 1.0\n")
-    path = folder / "small.toml"
-    path.write_text(text)
-    return path
+class TwinWithFault:
+    """What the served camera looks at; `broken`: its fault."""
+
+    def __init__(self, twin):
+        self._twin, self.broken = twin, None
+
+    def look(self):
+        return Look(self._twin.time_s, TwinScene(self._twin).lit_mm())
+
+    def faults(self):
+        return frozenset({self.broken} - {None})
 
 
-# each begins before the one before it ends: no exposure is good in between; and each lasts longer than an
-# attempt that hangs (8 s and 1 s), on a busy machine too
-FAULTS = "camera_hang@30+50,camera_half@77+24,camera_stale@99+16,camera_error@113+10"
+class FaultAfterFault:
+    """The camera as the host has it: after its first image one fault follows the other, each seen once."""
+
+    def __init__(self, camera, twin):
+        self._camera, self._twin, self._left = camera, twin, list(SAID)
+
+    def measure(self, expected_mm=None):
+        source = self._camera.source
+        source.deadline_s = 1.0 if self._twin.broken == "camera_hang" else 120.0
+        try:
+            measured = self._camera.measure(expected_mm)
+        finally:
+            self._twin.broken = self._left.pop(0) if self._left else None
+        return measured
 
 
-@pytest.mark.slow
-@pytest.mark.clock
+@contextlib.contextmanager
+def behind_sockets(twin):
+    """An Alpaca camera that looks at a twin, as a host has it."""
+    camera = PLANE.instrument.camera.model_copy(update=SMALL)
+    plane = replace(PLANE, instrument=PLANE.instrument.model_copy(update={"camera": camera}))
+    served = TwinWithFault(twin)
+    painter = imaging_camera(StillScene(PLANE.centres_mm[:0]), plane, 0, model_for(plane), threads=1)
+    server = AlpacaServer(TwinShutter(painter, served, speed=100.0), "127.0.0.1", 0)
+    host = open_camera(CameraSpec.parse(f"alpaca://127.0.0.1:{server.port}/0?retries=0&clock=0"), plane)
+    try:
+        yield FaultAfterFault(host, served)
+    finally:
+        host.close()
+        server.close()
+
+
 def test_every_fault_of_the_camera_comes_and_goes_and_the_observation_completes(tmp_path):
     """One after another while the first image after the move is wanted."""
-    instrument = small_instrument(tmp_path)
-    plane = fl.FocalPlane.of(str(instrument), n=N)
-    write_targets(random_targets(plane, 20 * N, 1), tmp_path / "targets.csv")
-    fl.Field.twin(plane, camera="noise").run.calibrate().save(tmp_path / "maps.npz")
-    same = ["--instrument", instrument, "--positioners", N]
-    with serving(*same, "--faults", FAULTS) as (bus, camera):
-        url = f"alpaca://{camera}/0?deadline=8&retries=0"
-        words = ["observe", tmp_path / "targets.csv", *same, "--bus", f"cannet://{bus}", "--camera", url]
-        words += ["--calibration", tmp_path / "maps.npz", "--store", tmp_path / "arrays.sqlite"]
-        words += ["--moves", 2, "--out", tmp_path / "out"]
-        command = [sys.executable, "-m", "fiberloom.cli", *map(str, words)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=400)
-    assert done.returncode == 0, done.stderr
-    events, _ = events_of(tmp_path / "out")
-    alarms = "\n".join(t for k, t in zip(events["kind"], events["text"], strict=True) if k == "alarm")
-    for said in ("no image after 8 s", "cut short", "before it was asked for", "500"):
-        assert said in alarms, alarms
-    assert "camera" in events["kind"]
+    field = fl.Field.twin(PLANE, camera="noise")
+    field.run.calibrate()
+    hardware = field.source.hardware
+    with behind_sockets(hardware.truth) as camera:
+        object.__setattr__(hardware, "camera", camera)
+        seen = field.run.observe(TARGETS, corrections=1, images=1, out=tmp_path)
+    assert seen.summary()["moves"][-1]["true_rms_um"] < 30.0
+    events, run = events_of(tmp_path)
+    assert run.status == "finished"
+    alarms = [t for k, t in zip(events["kind"], events["text"], strict=True) if k == "alarm"]
+    assert len(alarms) == len(SAID)
+    for alarm, said in zip(alarms, SAID.values(), strict=True):
+        assert said in alarm
+    (back,) = events["text"][events["kind"] == "camera"]
+    assert back == "images again, after 4 that could not be used"

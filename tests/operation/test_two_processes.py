@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from programs import served_array, start
+from programs import served_array, small_camera, start
 
 import fiberloom as fl
 from fiberloom.store import Store
@@ -32,20 +32,33 @@ print(json.dumps({"summary": seen.summary(), "twin": twin}, default=str))
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
-    """Targets, maps, and what an observation in one process measures."""
-    folder = tmp_path_factory.mktemp("two")
+def near(tmp_path_factory):
+    """Targets a few seconds away, maps, and what an observation in one process measures."""
+    folder = tmp_path_factory.mktemp("near")
     plane = fl.FocalPlane.of("sdssv", n=N)
-    targets = random_targets(plane, 20 * N, 1)
-    write_targets(targets, folder / "targets.csv")
+    xy_mm = plane.forward(*(plane.park_deg + np.array([20.0, -20.0])).T, "BOSS")
+    (folder / "targets.csv").write_text(
+        "target_id,x_mm,y_mm,fibre\n" + "".join(f"T{i},{x},{y},BOSS\n" for i, (x, y) in enumerate(xy_mm))
+    )
+    targets = fl.read_targets(folder / "targets.csv")
     field = fl.Field.twin(plane)
     field.run.calibrate().save(folder / "maps.npz")
     return folder, field.run.observe(targets, corrections=1, out=folder / "inside").summary()
 
 
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """Targets half a minute away, maps, and an instrument with a small camera."""
+    folder = tmp_path_factory.mktemp("two")
+    plane = fl.FocalPlane.of(str(small_camera(folder)), n=N)
+    write_targets(random_targets(plane, 20 * N, 1), folder / "targets.csv")
+    fl.Field.twin(plane).run.calibrate().save(folder / "maps.npz")
+    return folder
+
+
 @pytest.mark.slow
-def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
-    folder, inside = desk
+def test_the_host_sees_what_one_process_sees_and_loads_no_twin(near):
+    folder, inside = near
     with served_array(N) as addresses:
         done = subprocess.run(
             [sys.executable, "-c", HOST, *addresses], cwd=folder, capture_output=True, text=True, timeout=300
@@ -61,9 +74,14 @@ def test_the_host_sees_what_one_process_sees_and_loads_no_twin(desk):
     assert ours[1] < 2.0 * theirs[1]
 
 
+def small_array(desk):
+    return served_array(N, instrument=desk / "small.toml")
+
+
 def observing(desk, tmp_path, bus, camera):
     """`fiberloom observe` at the array, in a process of its own."""
-    words = ["observe", desk / "targets.csv", "--positioners", N, "--bus", bus, "--camera", camera]
+    words = ["observe", desk / "targets.csv", "--positioners", N, "--instrument", desk / "small.toml"]
+    words += ["--bus", bus, "--camera", f"{camera}&exposure=0.5"]
     words += ["--calibration", desk / "maps.npz", "--out", tmp_path, "--store", tmp_path / "arrays.sqlite"]
     return start(*words)
 
@@ -74,15 +92,14 @@ def in_motion(host):
     while "blind\n" not in said:
         said.append(host.stderr.readline())
         assert said[-1], said
-    time.sleep(5.0)
+    time.sleep(3.0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_host_that_is_told_to_end_leaves_the_array_at_rest(desk, tmp_path, number):
-    folder, _ = desk
-    with served_array(N) as (bus, camera):
-        with observing(folder, tmp_path, bus, camera) as host:
+    with small_array(desk) as (bus, camera):
+        with observing(desk, tmp_path, bus, camera) as host:
             in_motion(host)
             host.send_signal(number)
             _, rest = host.communicate(timeout=PATIENCE_S)
@@ -112,10 +129,9 @@ def stopping(bus, tmp_path):
 
 
 @pytest.mark.slow
-def test_stop_asks_the_command_that_moves_the_array(desk, tmp_path):
-    folder, _ = desk
-    with served_array(N) as (bus, camera):
-        with observing(folder, tmp_path, bus, camera) as host:
+def test_stop_asks_the_command_that_moves_the_array_and_an_idle_array_itself(desk, tmp_path):
+    with small_array(desk) as (bus, camera):
+        with observing(desk, tmp_path, bus, camera) as host:
             in_motion(host)
             code, told = stopping(bus, tmp_path)
             _, rest = host.communicate(timeout=PATIENCE_S)
@@ -123,15 +139,18 @@ def test_stop_asks_the_command_that_moves_the_array(desk, tmp_path):
         assert "has stopped it: stopped by" in told["text"]
         assert host.returncode == 130
         assert f"{N} positioners at rest" in rest
-        assert on_their_way(at_rest(bus))
+        before = at_rest(bus)
+        assert on_their_way(before)
+        code, told = stopping(bus, tmp_path)
+        assert (code, told["by"]) == (0, "own connection")
+        np.testing.assert_allclose(at_rest(bus), before, atol=0.1)
 
 
 @pytest.mark.slow
 def test_stop_reaches_an_array_whose_command_was_killed(desk, tmp_path):
     """No command is left to be asked; the positioners go on, and the gateway is free."""
-    folder, _ = desk
-    with served_array(N) as (bus, camera):
-        with observing(folder, tmp_path, bus, camera) as host:
+    with small_array(desk) as (bus, camera):
+        with observing(desk, tmp_path, bus, camera) as host:
             in_motion(host)
             host.kill()
         assert np.abs(positions(bus) - positions(bus)).max() > 0.5  # they go on
@@ -142,20 +161,10 @@ def test_stop_reaches_an_array_whose_command_was_killed(desk, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_array_without_a_command_is_stopped_where_it_stands(tmp_path):
-    with served_array(N) as (bus, _):
-        before = at_rest(bus)
-        code, told = stopping(bus, tmp_path)
-        assert (code, told["by"]) == (0, "own connection")
-        np.testing.assert_allclose(at_rest(bus), before, atol=0.1)
-
-
-@pytest.mark.slow
 def test_a_command_that_hangs_is_named_and_ends_as_soon_as_it_lives(desk, tmp_path):
     """It holds the one connection, so nothing else can reach the positioners."""
-    folder, _ = desk
-    with served_array(N) as (bus, camera):
-        with observing(folder, tmp_path, bus, camera) as host:
+    with small_array(desk) as (bus, camera):
+        with observing(desk, tmp_path, bus, camera) as host:
             in_motion(host)
             host.send_signal(signal.SIGSTOP)
             code, told = stopping(bus, tmp_path)

@@ -2,11 +2,15 @@
 
 import contextlib
 import random
+import re
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
+
+import fiberloom
 
 
 def heeding_interrupts() -> None:
@@ -35,6 +39,17 @@ def free_port() -> int:
             return port
 
 
+def small_camera(folder: Path) -> Path:
+    """SDSS-V as a file, with a camera of a megapixel, which is painted and sent in a moment."""
+    text = (Path(fiberloom.__file__).parent / "instruments" / "presets" / "sdssv.toml").read_text()
+    for key, value in (("width_px", "1000"), ("height_px", "1022"), ("scale_mm_px", "0.729")):
+        text, n = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", text, flags=re.MULTILINE)
+        assert n == 1
+    path = folder / "small.toml"
+    path.write_text(text)
+    return path
+
+
 @contextlib.contextmanager
 def serving(*words: object) -> Iterator[tuple[str, str]]:
     """`fiberloom twin` with these words and an Alpaca camera: where its bus and its camera listen."""
@@ -50,7 +65,8 @@ def serving(*words: object) -> Iterator[tuple[str, str]]:
 
 
 @contextlib.contextmanager
-def served_array(positioners: int, seed: int = 0) -> Iterator[tuple[str, str]]:
+def served_array(positioners: int, seed: int = 0, instrument: object = "sdssv") -> Iterator[tuple[str, str]]:
     """Bus and camera of a twin in another process, by their addresses."""
-    with serving("--positioners", positioners, "--seed", seed) as (bus, camera):
+    words = ("--instrument", instrument, "--positioners", positioners, "--seed", seed)
+    with serving(*words) as (bus, camera):
         yield f"cannet://{bus}", f"alpaca://{camera}/0?deadline=120"

@@ -11,6 +11,8 @@ from fiberloom.bus.protocol import Status
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, NoiseCamera, Twin, TwinTransport, draw_units
+from fiberloom.twin.faults.clock import FaultClock
+from fiberloom.twin.faults.schedule import ScheduledFault
 
 PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)
 UNITS = draw_units(PLANE, seed=11)
@@ -155,6 +157,46 @@ def test_transport_waits_in_virtual_time():
     assert [decode(f.id) for f in frames] == [(IDS[2], STATUS, 5, 0)]
     assert frames[0].time_s == pytest.approx(0.25, abs=6e-4)
     assert time_s < 0.26
+
+
+def test_a_wait_ends_with_the_slice_of_the_first_reply():
+    """A slice after the other within the core; and a time without a reply ends when it is over."""
+    one_by_one, at_once = make(), make()
+    for twin in (one_by_one, at_once):
+        twin.run(0.0005)
+        twin.send([(encode(IDS[2], STATUS, 5), b"")])
+    replies = []
+    while not replies:
+        replies = one_by_one.run(0.005)
+    assert at_once.run_until_reply(0.005, 100) == replies
+    assert at_once.time_s == one_by_one.time_s < 0.02
+    assert at_once.run_until_reply(0.005, 100) == []
+    assert at_once.time_s == pytest.approx(one_by_one.time_s + 0.5)
+
+
+def test_a_long_wait_misses_no_fault_and_nobody_who_wants_to_send():
+    twin, due_s = make(), 1.2031
+    schedule = [ScheduledFault("mute", IDS[3], start_s=due_s)]
+    begun_s, asked = [], []
+    inject = twin.inject
+    twin.inject = lambda fault: (begun_s.append(twin.time_s), inject(fault))
+    transport = TwinTransport(twin, faults=FaultClock(twin, schedule, 0))
+
+    async def other():
+        while twin.time_s < 2.0:
+            asked.append(twin.time_s)
+            await asyncio.sleep(0)
+
+    async def talk():
+        task = asyncio.ensure_future(other())
+        await transport.receive(2.5)
+        await task
+
+    asyncio.run(talk())
+    assert len(begun_s) == 1
+    assert due_s <= begun_s[0] < due_s + 0.005 + 1e-9
+    assert np.diff(asked).max() < 0.0601  # twelve slices
+    assert np.diff(asked)[:3].max() < 0.0051
 
 
 def test_arms_give_way_to_an_outside_torque():

@@ -139,6 +139,11 @@ class Twin:
     def run(self, ticks: int) -> list[tuple[int, bytes, float]]:
         """Replies (id, data, time_s) since the last call."""
 
+    def run_until_reply(self, ticks: int, slices: int) -> list[tuple[int, bytes, float]]:
+        """
+        So many slices of ticks, none after one that has brought replies (id, data, time_s).
+        """
+
     def fault(self, index: int, axis: int, kind: str, on: bool) -> None:
         """kind: dead, blocked, lying, stuck_hall, deaf or mute."""
 

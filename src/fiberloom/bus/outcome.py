@@ -26,6 +26,9 @@ class Outcome(Enum):
     DISCONNECTED = "disconnected"  # its link is down
 
 
+_DONE = Outcome.DONE
+
+
 class Result(NamedTuple):
     """What became of one positioner's request; `values` are the integers of its reply."""
 
@@ -53,21 +56,22 @@ class Results(dict[int, Result]):
     @property
     def failed(self) -> Results:
         """Those that did not end in DONE."""
-        return Results({i: r for i, r in self.items() if not r.ok})
+        return Results({i: r for i, r in self.items() if r.outcome is not _DONE})
 
     @property
     def ok_ids(self) -> list[int]:
         """The positioners that ended in DONE."""
-        return [i for i, r in self.items() if r.ok]
+        return [i for i, r in self.items() if r.outcome is _DONE]
 
     @property
     def ok(self) -> Flags:
         """Row by row: True where DONE."""
-        return np.array([r.ok for r in self.values()], dtype=bool)
+        return np.array([r.outcome is _DONE for r in self.values()], dtype=bool)
 
     def values_array(self, width: int) -> Ints:
         """The integers of the replies, one row per positioner; zeros where there is no reply."""
-        rows = [r.values if r.ok and len(r.values) == width else (0,) * width for r in self.values()]
+        none = (0,) * width
+        rows = [r.values if r.outcome is _DONE and len(r.values) == width else none for r in self.values()]
         return np.array(rows, dtype=np.int64).reshape(len(self), width)
 
     def __str__(self) -> str:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fiberloom import units
 from fiberloom.bus.exchange import Exchange
 from fiberloom.bus.identifier import Identifier
 from fiberloom.bus.links import Link
 from fiberloom.bus.outcome import Outcome, Results, all_of, results_of
-from fiberloom.bus.protocol import COMMANDS, Command, CommandFlag
+from fiberloom.bus.protocol import COMMANDS, Command, CommandFlag, CommandSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.typing import Flags, Floats
 
@@ -31,6 +32,14 @@ class Collision:
 
     positioner: int
     time_s: float
+
+
+def _payloads(spec: CommandSpec, values: list[NDArray[Any]], n: int) -> list[bytes]:
+    """Of n requests; packed once where all get the same."""
+    if all(v.ndim == 0 for v in values):
+        return [spec.pack(*(v.item() for v in values))] * n
+    columns = [np.broadcast_to(v, n).tolist() for v in values]
+    return [spec.pack(*row) for row in zip(*columns, strict=True)]
 
 
 class Requests:
@@ -112,8 +121,7 @@ class Requests:
         ids = self._chosen(ids)
         if not ids:
             return Results()
-        columns = [np.broadcast_to(np.asarray(v), len(ids)).tolist() for v in values]
-        payloads = [spec.pack(*row) for row in zip(*columns, strict=True)] or [spec.pack()] * len(ids)
+        payloads = _payloads(spec, [np.asarray(v) for v in values], len(ids))
         timeout_s = spec.timeout_s if timeout_s is None else timeout_s
         results = await self._unicast(command, ids, payloads, timeout_s)
         for _ in range(self.retries if spec.flags & CommandFlag.REPEATABLE else 0):
@@ -121,7 +129,7 @@ class Requests:
         return results
 
     def _chosen(self, ids: Iterable[int] | None) -> list[int]:
-        return list(dict.fromkeys(self.ids if ids is None else (int(i) for i in ids)))
+        return list(dict.fromkeys(self.ids if ids is None else map(int, ids)))
 
     async def _unicast(
         self, command: Command, ids: Sequence[int], payloads: Sequence[bytes], timeout_s: float
@@ -142,7 +150,8 @@ class Requests:
         results: Results,
     ) -> list[int]:
         """Asks those once more that have not answered; returns which it asked."""
-        silent = [k for k, i in enumerate(ids) if results[i].outcome is Outcome.TIMED_OUT]
+        timed_out = Outcome.TIMED_OUT
+        silent = [k for k, i in enumerate(ids) if results[i].outcome is timed_out]
         if silent:
             asked = [ids[k] for k in silent]
             data = [payloads[k] for k in silent]

@@ -5,6 +5,7 @@ Commands import what they need when they run: help and refusals are quick.
 
 from __future__ import annotations
 
+import gc
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -180,12 +181,18 @@ def _root(
 
 BELOW, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
+_YOUNG = 30_000
+"""New objects before the interpreter looks for cycles among them; 700 by default, which the replies of 500
+positioners are at every poll.
+"""
+
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 """ClickException, of the click that this typer uses: newer versions of typer contain one."""
 
 
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
+    gc.set_threshold(_YOUNG)
     try:
         code = app(standalone_mode=False)
         if code == INTERRUPTED:  # typer's exit code for Ctrl-C

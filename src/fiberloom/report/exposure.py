@@ -56,7 +56,7 @@ def plot_reduction(
 def _show(axes: Any, image: CameraImage) -> None:
     step = max(1, max(image.shape) // _SHOWN_PX)
     blocks = _brightest(image, step)
-    low, high = np.percentile(blocks[::4, ::4], [5, 99.7])
+    low, high = np.percentile(blocks[::4, ::4], [5, 99.7]).tolist()
     extent = (-0.5, blocks.shape[1] * step - 0.5, -0.5, blocks.shape[0] * step - 0.5)
     shade = np.arcsinh((blocks - low) / max(high - low, 1) * 10)
     axes.imshow(shade, origin="lower", extent=extent, cmap="gray", interpolation="nearest")

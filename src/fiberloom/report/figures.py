@@ -27,8 +27,18 @@ def figure_with(
 @part("figures")
 def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
     """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`."""
+    _lay_out(figure, dpi)
     with whole(path) as part:
         figure.savefig(part, dpi=dpi, **how)
+
+
+def _lay_out(figure: Figure, dpi: int) -> None:
+    """Places the axes now. Where a layout is left to do, matplotlib draws everything twice, once for it."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        figure.set_dpi(dpi)
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def new_axes(size_in: tuple[float, float]) -> Axes:

@@ -133,6 +133,11 @@ class Twin:
             raise InputError(f"twin: cannot run for {duration_s} s; give 0 to a million")
         return list(map(_REPLY, self._core.run(round(duration_s / _core.TICK_S))))
 
+    @part("twin")
+    def run_until_reply(self, slice_s: float, slices: int) -> list[Reply]:
+        """As so many calls of `run` with `slice_s`, but none after one that has brought a reply."""
+        return list(map(_REPLY, self._core.run_until_reply(round(slice_s / _core.TICK_S), slices)))
+
     def truth(self) -> Floats:
         """Output angles (N, 2) in deg: alpha, beta."""
         return rad_to_deg(self._core.outputs_rad())

@@ -1,49 +1,40 @@
 """`fiberloom twin` with a camera, as a process: a host reads its images by Alpaca and from its folder."""
 
-import os
-import re
+import importlib.util
 import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from doors import PATIENCE_S, failure
+from programs import free_port, small_camera
 
-import fiberloom
+from fiberloom.cli.app import main
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology.sources import alpaca as alpaca_source
-from fiberloom.metrology.sources.errors import CameraSilent, ImageBroken, ImageStale
+from fiberloom.metrology.sources.errors import ImageBroken
 from fiberloom.metrology.sources.spec import CameraSpec, open_camera
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.camera.models import image_camera
 
 pytestmark = pytest.mark.slow
 NUMBER, SEED = 7, 5
-# tests that run side by side, in workers gw0, gw1, ..., listen at ports of their own
-PORT = 19411 + 10 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-LISTEN, CAMERA, OTHER = (f"127.0.0.1:{PORT + k}" for k in range(3))
+LISTEN, CAMERA, OTHER, SPARE = (f"127.0.0.1:{free_port()}" for _ in range(4))
 
 
 @pytest.fixture(scope="module")
 def instrument(tmp_path_factory):
-    """SDSS-V with a camera of a megapixel, which is painted in a moment."""
-    text = (Path(fiberloom.__file__).parent / "instruments" / "presets" / "sdssv.toml").read_text()
-    for key, value in (("width_px", "1000"), ("height_px", "1022"), ("scale_mm_px", "0.729")):
-        text, n = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", text, flags=re.M)
-        assert n == 1
-    path = tmp_path_factory.mktemp("instrument") / "small.toml"
-    path.write_text(text)
-    return path
+    return small_camera(tmp_path_factory.mktemp("instrument"))
 
 
 @contextmanager
-def served(instrument, *options):
+def served(instrument, *options, listen=LISTEN):
     command = [
         sys.executable,
         "-m",
@@ -52,7 +43,7 @@ def served(instrument, *options):
         "--instrument",
         str(instrument),
         "--listen",
-        LISTEN,
+        listen,
     ]
     command += ["--positioners", str(NUMBER), "--seed", str(SEED), "--speed", "10", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -68,23 +59,68 @@ def plane(instrument):
     return generate(load_instrument(str(instrument)), SEED, n_positioners=NUMBER)
 
 
-def in_one_process(instrument):
-    """The camera that `observe` has, and its first measurement of the folded field."""
-    there = plane(instrument)
-    return image_camera(Twin(there, draw_units(there, SEED), seed=SEED), SEED)
+class Side:
+    """A served camera, and the one that `observe` has in this process: both expose in turn."""
+
+    def __init__(self, instrument, doors, folder):
+        there = plane(instrument)
+        self.plane, self.folder = there, folder
+        self.doors = doors.removeprefix("camera: ").split(", ")
+        self._here = image_camera(Twin(there, draw_units(there, SEED), seed=SEED), SEED)
+
+    def host(self, k):
+        """One that comes by the k-th door."""
+        return opened(self.doors[k], self.plane)
+
+    def exposed(self, host):
+        """What the host sees, and what it should see."""
+        return host.source.expose(), self._here.source.expose()
+
+    def measured(self, host):
+        """Of the next image that the host sees."""
+        self._here.source.expose()
+        return host.measure(folded_mm(self.plane))
 
 
-def test_the_same_image_as_in_one_process(instrument):
-    camera = in_one_process(instrument)
-    wanted = camera.source.expose()
-    with served(instrument, "--camera-listen", CAMERA) as (_, doors):
-        assert doors == f"camera: alpaca://{CAMERA}/0"
-        host = open_camera(CameraSpec.parse(f"alpaca://{CAMERA}/0"), plane(instrument))
-        image = host.source.expose()
-        assert_alike(image.pixels, wanted.pixels)
-        assert (image.gain_e_adu, image.saturation_adu) == (wanted.gain_e_adu, int(wanted.saturation_adu))
-        seen = host.measure(plane(instrument).forward(*folded(instrument), METROLOGY))
-    assert seen.seen.all()
+def opened(url, there):
+    sign = "&" if "?" in url else "?"
+    return open_camera(CameraSpec.parse(f"{url}{sign}deadline={PATIENCE_S}&retries=0"), there)
+
+
+@pytest.fixture(scope="module")
+def side(instrument, tmp_path_factory, discovery_port):
+    """One process with every door that there is."""
+    folder = tmp_path_factory.mktemp("images")
+    options = ("--camera-listen", CAMERA, "--camera-folder", str(folder), *indi_door(OTHER))
+    options += ("--camera-discovery", str(discovery_port))
+    with served(instrument, *options, listen=f"127.0.0.1:{free_port()}") as (_, doors):
+        yield Side(instrument, doors, folder)
+
+
+@pytest.fixture(scope="module")
+def discovery_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        return free.getsockname()[1]
+
+
+INDI_PACKAGES = ("indipyclient", "indipydriver", "indipyserver")
+
+
+def indi_door(address):
+    """The options of that door, where its packages are."""
+    there = all(importlib.util.find_spec(package) for package in INDI_PACKAGES)
+    return ("--camera-indi", address) if there else ()
+
+
+def test_the_same_image_as_in_one_process(side):
+    assert side.doors[0] == f"alpaca://{CAMERA}/0"
+    host = side.host(0)
+    image, wanted = side.exposed(host)
+    assert_alike(image.pixels, wanted.pixels)
+    assert (image.gain_e_adu, image.saturation_adu) == (wanted.gain_e_adu, int(wanted.saturation_adu))
+    assert side.measured(host).seen.all()
+    host.close()
 
 
 def assert_alike(pixels, wanted):
@@ -94,89 +130,75 @@ def assert_alike(pixels, wanted):
     assert np.count_nonzero(difference) < 1e-4 * difference.size
 
 
-def folded(instrument):
-    return np.broadcast_to(plane(instrument).instrument.positioner.park_deg, (NUMBER, 2)).T
+def folded_mm(there):
+    park_deg = np.broadcast_to(there.instrument.positioner.park_deg, (NUMBER, 2))
+    return there.forward(*park_deg.T, METROLOGY)
 
 
-def test_files_hold_the_same_image(instrument, tmp_path):
-    wanted = in_one_process(instrument).source.expose()
-    with served(instrument, "--camera-folder", str(tmp_path)) as (_, doors):
-        url = doors.removeprefix("camera: ")
-        assert url == f"folder:{tmp_path}?trigger=touch {{folder}}/expose_{{exposure}}"
-        host = open_camera(CameraSpec.parse(url), plane(instrument))
-        image = host.source.expose()
-        again = host.source.expose()
-        host.close()
+def test_files_hold_the_same_image(side):
+    assert side.doors[1] == f"folder:{side.folder}?trigger=touch {{folder}}/expose_{{exposure}}"
+    host = side.host(1)
+    image, wanted = side.exposed(host)
     assert_alike(image.array(), wanted.pixels)
+    again, wanted_again = side.exposed(host)
+    host.close()
+    assert_alike(again.array(), wanted_again.pixels)
     assert (again.array() != wanted.pixels).any()
     assert image.exposure_s == 5.0
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["image_000001.fits", "image_000002.fits"]
+    assert sorted(p.name for p in side.folder.iterdir()) == ["image_000001.fits", "image_000002.fits"]
 
 
-def indi_packages():
-    for package in ("indipyclient", "indipydriver", "indipyserver"):
+def test_indi_carries_the_same_image(side):
+    for package in INDI_PACKAGES:
         pytest.importorskip(package, reason="pip install 'fiberloom[cameras]': INDI")
-
-
-def test_indi_carries_the_same_image(instrument):
-    indi_packages()
-    wanted = in_one_process(instrument).source.expose()
-    with served(instrument, "--camera-indi", CAMERA) as (_, doors):
-        url = doors.removeprefix("camera: ")
-        assert url == f"indi://{CAMERA}/Fiberloom Twin"
-        host = open_camera(CameraSpec.parse(f"{url}?deadline={PATIENCE_S}&retries=0"), plane(instrument))
-        image = host.source.expose()
-        host.close()
+    assert side.doors[2] == f"indi://{OTHER}/Fiberloom Twin"
+    host = side.host(2)
+    image, wanted = side.exposed(host)
+    host.close()
     assert_alike(image.array(), wanted.pixels)
     assert image.exposure_s == 5.0
 
 
-def test_indi_carries_half_an_image(instrument):
-    indi_packages()
-    with served(instrument, "--camera-indi", CAMERA, "--faults", "camera_half") as (_, doors):
-        url = f"{doors.removeprefix('camera: ')}?deadline={PATIENCE_S}&retries=0"
-        host = open_camera(CameraSpec.parse(url), plane(instrument))
-        with pytest.raises(ImageBroken, match="no whole image in FITS"):
-            host.source.expose()
-        host.close()
+def test_a_camera_that_says_where_it_is(side, discovery_port, monkeypatch):
+    monkeypatch.setattr(alpaca_source, "DISCOVERY_PORT", discovery_port)
+    assert CAMERA in alpaca_source.alpaca_servers()
 
 
-def test_a_camera_that_runs_free(instrument, tmp_path):
-    options = ("--camera-folder", str(tmp_path), "--camera-every", "0.2")
+def test_a_port_in_use_is_told(side, capsys):
+    text = refused(capsys, "--listen", SPARE, "--camera-listen", CAMERA)
+    assert f"alpaca://{CAMERA}/0: Address already in use" in text
+
+
+def test_a_camera_that_runs_free_and_a_dark_fibre_that_nobody_sees(instrument, tmp_path):
+    """Without a camera that fault is refused; with one it acts."""
+    options = ("--camera-folder", str(tmp_path), "--camera-every", "0.2", "--faults", "dark=2")
     with served(instrument, *options) as (_, doors):
         assert doors == f"camera: folder:{tmp_path}"
-        host = open_camera(CameraSpec.parse(f"folder:{tmp_path}?clock=0"), plane(instrument))
+        host = opened(f"folder:{tmp_path}?clock=0", plane(instrument))
         asked_utc_s = time.time()
         assert host.source.expose().begun_utc_s > asked_utc_s - 1e-3
+        seen = host.measure(folded_mm(plane(instrument))).seen
         host.close()
+    assert np.count_nonzero(~seen) == 2
 
 
-@pytest.mark.parametrize(
-    ("fault", "kind", "alpaca_s", "folder_s"),
-    [
-        ("hang", CameraSilent, 2, 2),
-        ("half", ImageBroken, PATIENCE_S, PATIENCE_S),
-        # a folder is waited for to the deadline: a fresh image may follow an old one
-        ("stale", ImageStale, PATIENCE_S, 5),
-    ],
-)
-def test_faults_reach_hosts_as_what_they_are(instrument, tmp_path, fault, kind, alpaca_s, folder_s):
-    """In the folder and by Alpaca. `test_door_faults` shows that they leave no trace."""
-    options = ("--camera-folder", str(tmp_path), "--camera-listen", CAMERA, "--faults", f"camera_{fault}")
-    with served(instrument, *options) as (_, doors):
-        alpaca, folder = doors.removeprefix("camera: ").split(", ")
-        for url in (f"{alpaca}?deadline={alpaca_s}&retries=0", f"{folder}&deadline={folder_s}&retries=0"):
-            host = open_camera(CameraSpec.parse(url), plane(instrument))
-            assert type(failure(host.source, kind)) is kind
+def test_a_fault_reaches_hosts_by_every_door(instrument, tmp_path):
+    """`test_door_faults` shows all faults of a camera, and that they leave no trace."""
+    alpaca, indi = (f"127.0.0.1:{free_port()}" for _ in range(2))
+    options = ("--camera-listen", alpaca, "--camera-folder", str(tmp_path), *indi_door(indi))
+    with served(instrument, *options, "--faults", "camera_half") as (_, doors):
+        for url in doors.removeprefix("camera: ").split(", "):
+            host = opened(url, plane(instrument))
+            error = failure(host.source, ImageBroken)
+            assert type(error) is ImageBroken, url
             host.close()
 
 
 def test_faults_come_and_go_by_the_clock(instrument):
     """Images, none, images: five seconds of ours without the fault, fifteen with it."""
-    options = ("--camera-listen", CAMERA, "--faults", "camera_half@50+150")
+    options = ("--camera-listen", f"127.0.0.1:{free_port()}", "--faults", "camera_half@50+150")
     with served(instrument, *options) as (_, doors):
-        url = f"{doors.removeprefix('camera: ')}?exposure=0.5&deadline={PATIENCE_S}&retries=0"
-        host = open_camera(CameraSpec.parse(url), plane(instrument))
+        host = opened(f"{doors.removeprefix('camera: ')}?exposure=0.5", plane(instrument))
         end_s = time.monotonic() + PATIENCE_S
         taken = [is_whole(host)]
         while not (taken[-1] and False in taken) and time.monotonic() < end_s:
@@ -195,38 +217,17 @@ def is_whole(host):
     return True
 
 
-def test_a_dark_fibre_is_seen_by_nobody(instrument):
-    """Without a camera the fault is refused; with one it acts."""
-    with served(instrument, "--camera-listen", CAMERA, "--faults", "dark=2"):
-        host = open_camera(CameraSpec.parse(f"alpaca://{CAMERA}/0"), plane(instrument))
-        seen = host.measure(plane(instrument).forward(*folded(instrument), METROLOGY)).seen
-    assert np.count_nonzero(~seen) == 2
+def refused(capsys, *options):
+    """What the command says, in this process, where it ends with 2."""
+    command = ["fiberloom", "twin", "--positioners", "3", *options]
+    with patch("sys.argv", command), pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    return capsys.readouterr().err
 
 
-def test_a_camera_that_says_where_it_is(instrument, monkeypatch):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("", 0))
-        port = free.getsockname()[1]
-    monkeypatch.setattr(alpaca_source, "DISCOVERY_PORT", port)
-    with served(instrument, "--camera-listen", CAMERA, "--camera-discovery", str(port)):
-        assert CAMERA in alpaca_source.alpaca_servers()
-
-
-def refused(*options):
-    command = [sys.executable, "-m", "fiberloom.cli", "twin", "--positioners", "3", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    return done.stderr
-
-
-def test_what_cannot_be_is_refused():
-    assert "--camera-listen here: write HOST:PORT" in refused("--camera-listen", "here")
-    assert "goes with --camera-listen" in refused("--camera-discovery", "32227")
-    assert "this command cannot act on camera_half" in refused("--faults", "camera_half")
-    assert "this command cannot act on dark" in refused("--faults", "dark=1")
-
-
-def test_a_port_in_use_is_told(instrument):
-    with served(instrument, "--camera-listen", CAMERA):
-        text = refused("--listen", OTHER, "--camera-listen", CAMERA)
-        assert f"alpaca://{CAMERA}/0: Address already in use" in text
+def test_what_cannot_be_is_refused(capsys):
+    assert "--camera-listen here: write HOST:PORT" in refused(capsys, "--camera-listen", "here")
+    assert "goes with --camera-listen" in refused(capsys, "--camera-discovery", "32227")
+    assert "this command cannot act on camera_half" in refused(capsys, "--faults", "camera_half")
+    assert "this command cannot act on dark" in refused(capsys, "--faults", "dark=1")
