@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from fiberloom.design.budget.monte_carlo import random_goals_deg
+from fiberloom.design.budget.places import random_goals_deg
 from fiberloom.design.budget.terms import BudgetSettings, budget
 from fiberloom.design.coverage import coverage
 from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
