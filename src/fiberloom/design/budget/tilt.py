@@ -162,8 +162,8 @@ def _levers(plane: FocalPlane) -> tuple[float, float, float]:
 def simulated_tilts(plane: FocalPlane, tilts: Tilts, seed: int, configurations: int) -> Tilted:
     """By turning arms and fibres in three dimensions, and rays into every fibre, one by one.
 
-    `plane`: N positioners, each with tilts of its own; `tilts`: rms and beam; `seed`; `configurations`: random
-    places of all of them.
+    `plane`: N positioners, each with tilts of its own; `tilts`: rms and beam; `seed` of all of it; random
+    `configurations` of all.
     """
     rng = np.random.default_rng([seed, 0x711D])
     leant = [_leaning(rng, plane.n, deg) for deg in (tilts.alpha_deg, tilts.beta_deg, tilts.fibre_deg)]
