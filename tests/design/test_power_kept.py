@@ -29,7 +29,7 @@ def moved(instrument):
     units = draw_units(plane, SEED)
     twin = Twin(plane, units, seed=SEED)
     client = Client(TwinTransport(twin))
-    goal = plane.park_deg + [WAY_DEG, -WAY_DEG]
+    goal = plane.park_deg + np.array([WAY_DEG, -WAY_DEG])
 
     async def whole():
         await client.discover()
@@ -64,7 +64,7 @@ def test_a_limit_is_kept_by_the_twins_motors():
     kept_W, given_W, slower_s = moved(within_power(SDSSV, limit_W, SEED))
     assert kept_W <= limit_W
     assert smoothed(given_W).max() < limit_W
-    assert slower_s == pytest.approx(2.0 * free_s, rel=0.1)
+    assert slower_s == pytest.approx(free_s / 0.5, rel=0.1)  # the first share of the speed below 0.6
 
 
 def test_observe_keeps_the_power_or_says_what_one_positioner_takes(fl, tmp_path):

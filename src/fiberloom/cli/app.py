@@ -32,6 +32,7 @@ from fiberloom.cli.design.efficiency import efficiency
 from fiberloom.cli.design.gear import gear, spring
 from fiberloom.cli.design.power import power
 from fiberloom.cli.design.report import report
+from fiberloom.cli.design.survey import survey as design_survey
 from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
@@ -130,6 +131,7 @@ add(design, gear)
 add(design, power)
 add(design, report)
 add(design, spring)
+add(design, design_survey)
 add(design, sweep)
 add(design, throughput)
 
