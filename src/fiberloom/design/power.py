@@ -169,8 +169,8 @@ class PowerSettings:
         ways = self.way_deg or (1.0, 1.0)
         if (self.n is not None and self.n < 1) or min(*ways, self.every_s) <= 0.0 or self.rest_W < 0.0:
             raise InputError(
-                f"power: {self.n} positioners, ways {ways[0]:g} and {ways[1]:g} deg every {self.every_s:g} "
-                f"s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
+                f"power: {'all' if self.n is None else self.n} positioners, ways {ways[0]:g} and {ways[1]:g} "
+                f"deg every {self.every_s:g} s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
             )
 
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from fiberloom.design.budget.conditions import Attitude, Night
     from fiberloom.design.budget.monte_carlo import Alone, Simulated
     from fiberloom.design.budget.terms import Budget, BudgetSettings
-    from fiberloom.instruments import FocalPlane
+    from fiberloom.design.budget.tilt import Tilts
+    from fiberloom.instruments import FocalPlane, Instrument
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,10 +66,10 @@ def budget(options: BudgetOptions) -> int:
     require_instrument(options.file)
     if options.focal_ratio is None and (options.collimator or options.curvature or options.fibre_tilt):
         raise InputError("--collimator, --curvature, --fibre-tilt: go with --focal-ratio, that of the beam")
-    _two_tilts(options.axis_tilt)
     from fiberloom.instruments import load_instrument
 
     instrument = load_instrument(options.file)
+    tilts_of(options, instrument)  # ones that cannot be are refused before the work
     with waiting() as shown:
         report, beyond = budget_report(options, instrument, shown)
     if options.as_json:
@@ -202,19 +203,11 @@ def _rounded(found: Sequence[Attitude | Night]) -> list[dict[str, float]]:
 
 def _tilts(options: BudgetOptions, plane: FocalPlane) -> list[dict[str, Any]]:
     """By formula and by turning arms and fibres; empty: no beam is told."""
-    if options.focal_ratio is None:
-        return []
-    from fiberloom.design.budget.tilt import Tilts, simulated_tilts, tilted
+    from fiberloom.design.budget.tilt import simulated_tilts, tilted
 
-    alpha_deg, beta_deg = _two_tilts(options.axis_tilt)
-    asked = Tilts(
-        focal_ratio=options.focal_ratio,
-        alpha_deg=alpha_deg,
-        beta_deg=beta_deg,
-        fibre_deg=_fibre_tilt(options, plane),
-        collimator_ratio=options.collimator,
-        curvature_mm=math.inf if options.curvature is None else options.curvature,
-    )
+    asked = tilts_of(options, plane.instrument)
+    if asked is None:
+        return []
     ways = {
         "formula": tilted(plane, asked),
         "twin": simulated_tilts(plane, asked, options.seed, options.fields),
@@ -225,14 +218,30 @@ def _tilts(options: BudgetOptions, plane: FocalPlane) -> list[dict[str, Any]]:
     ]
 
 
-def _fibre_tilt(options: BudgetOptions, plane: FocalPlane) -> float:
+def tilts_of(options: BudgetOptions, instrument: Instrument) -> Tilts | None:
+    """Of the `options`, and what the `instrument` accepts on a bench; None: no beam is told."""
+    from fiberloom.design.budget.tilt import Tilts
+
+    alpha_deg, beta_deg = _two_tilts(options.axis_tilt)
+    if options.focal_ratio is None:
+        return None
+    return Tilts(
+        focal_ratio=options.focal_ratio,
+        alpha_deg=alpha_deg,
+        beta_deg=beta_deg,
+        fibre_deg=_fibre_tilt(options, instrument),
+        collimator_ratio=options.collimator,
+        curvature_mm=math.inf if options.curvature is None else options.curvature,
+    )
+
+
+def _fibre_tilt(options: BudgetOptions, instrument: Instrument) -> float:
     """As asked for; else what leaves 95 % of the fibres within what a bench accepts."""
     from fiberloom.design.budget.tilt import RAYLEIGH_95
 
     if options.fibre_tilt is not None:
         return options.fibre_tilt
-    acceptance = plane.instrument.acceptance
-    accepted_deg = None if acceptance is None else acceptance.tilt_deg
+    accepted_deg = None if instrument.acceptance is None else instrument.acceptance.tilt_deg
     return 0.0 if accepted_deg is None else accepted_deg / RAYLEIGH_95
 
 
