@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from fiberloom.assignment import AssignSettings, assign
 from fiberloom.assignment.candidates import Candidates, find_candidates
 from fiberloom.assignment.choose import pack
-from fiberloom.design.array_coverage import broken_plane
+from fiberloom.design.coverage import broken_plane
 from fiberloom.design.lattice import Lattice
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, Instrument, generate

@@ -57,7 +57,7 @@ class SurveySettings:
             )
 
     def hours(self, exposures: float) -> float:
-        """Time that so many exposures take."""
+        """Time in hours of so many `exposures`, dimensionless."""
         return exposures * (self.exposure_s + self.overhead_s) / SECONDS_PER_HOUR
 
 
