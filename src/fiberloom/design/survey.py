@@ -171,7 +171,7 @@ def _needed(done: Floats, share: float) -> float:
     if not len(beyond):
         return math.nan
     k = int(beyond[0])
-    return k - 1 + (share - known[k - 1]) / (known[k] - known[k - 1])
+    return float(k - 1 + (share - known[k - 1]) / (known[k] - known[k - 1]))
 
 
 def _mean(values: Floats) -> tuple[float, float]:
