@@ -105,7 +105,8 @@ def frame_alone_um(plane: FocalPlane, errors: TwinErrors, seed: int) -> float:
     fibre = plane.instrument.science_fibres[0]
     square = []
     for array in range(ARRAYS):
-        at_mm = plane.forward(*random_goals_deg(plane, rng).T, fibre)
+        alpha_deg, beta_deg = random_goals_deg(plane, rng).T
+        at_mm = plane.forward(alpha_deg, beta_deg, fibre)
         frame = WrongFrame(plane, errors.fiducials_mm(plane, seed + array))
         square.append(_mean_square(frame.seen_mm(at_mm) - at_mm))
     return UM_PER_MM * float(np.sqrt(np.mean(square)))
