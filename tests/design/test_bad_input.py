@@ -48,7 +48,8 @@ def test_one_line_says_what_would_do(fl, tmp_path, monkeypatch, words, good, bad
     assert says in last
 
 
-def test_a_spring_without_a_window_says_what_opens_one(fl):
+def test_a_spring_without_a_window_says_what_opens_one(fl, monkeypatch):
+    monkeypatch.setattr("fiberloom.design.spring.UNITS", 61)  # 500 take seconds to draw
     code, said, _ = fl("design", "spring", "sdssv", "--load", "30,5")
     assert code == 1
     assert "no window: the spring must exceed 60.00" in " ".join(said.split())

@@ -47,7 +47,8 @@ def test_figure_5_counts_are_areas():
     assert 0.9 < found["fig05.second.covered"] < 1.0
 
 
-def test_section_2_has_the_papers_numbers_and_tells_the_rule_that_lacks_a_condition():
+def test_section_2_has_the_papers_numbers_and_tells_the_rule_that_lacks_a_condition(monkeypatch):
+    monkeypatch.setattr("fiberloom.design.spring.UNITS", 61)  # 500 take seconds to draw
     outcome = section2.run(Settings())
     found = {q.id: q for q in outcome.quantities}
     assert found["section2.ratio"].ours == pytest.approx(500.0, abs=1.0)
