@@ -102,6 +102,14 @@ def test_clusters_and_broken_units_leave_targets_and_exposures_catch_up():
     assert shares["twice"] > shares["plain"] + 0.1
 
 
+def test_fields_without_a_target_count_for_fibres_alone():
+    """Seven units of PFS at 0.02 targets in an annulus: most fields are empty, and these have no share."""
+    where, fibre = part_of("pfs", rings=2)
+    (one,) = efficiency(where, fibre, [0.02], EfficiencySettings(("free",), fields=40))
+    assert one.used == pytest.approx(0.02, abs=0.02)
+    assert one.observed == 1.0
+
+
 def test_a_list_on_the_whole_array():
     plane = generate(load_instrument("sdssv"), 0, n_positioners=19)
     targets = random_targets(plane, 60, seed=0)

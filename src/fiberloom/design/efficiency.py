@@ -213,12 +213,15 @@ def _per_mm2(where: ObservedPart, fibre: str, density: float) -> float:
 
 
 def _mean(density: float, per_fibre: float, rule: Rule, exposures: int, shares: Floats) -> Efficiency:
-    used, observed = shares.mean(axis=0)
-    many = len(shares) > 1
-    errors = shares.std(axis=0, ddof=1) / math.sqrt(len(shares)) if many else np.full(2, np.nan)
-    return Efficiency(
-        density, per_fibre, rule, exposures, *map(float, (used, errors[0], observed, errors[1]))
-    )
+    means = [_mean_of(column[np.isfinite(column)]) for column in shares.T]
+    (used, used_error), (observed, observed_error) = means
+    return Efficiency(density, per_fibre, rule, exposures, used, used_error, observed, observed_error)
+
+
+def _mean_of(share: Floats) -> tuple[float, float]:
+    """Mean of the fields that have targets at all, and its standard error; NaN: none, or too few."""
+    mean = float(share.mean()) if len(share) else math.nan
+    return mean, float(share.std(ddof=1)) / math.sqrt(len(share)) if len(share) > 1 else math.nan
 
 
 def _draw(where: ObservedPart, per_mm2: float, clustered: bool, rng: np.random.Generator) -> Floats:
