@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fiberloom.design.array_coverage import array_coverage, broken_plane
-from fiberloom.design.coverage import best_pattern, coverage, covers, fillings
+from fiberloom.design.coverage import array_coverage, best_pattern, broken_plane, coverage, covers, fillings
 from fiberloom.design.lattice import Lattice, Pattern
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, instrument_names, load_instrument

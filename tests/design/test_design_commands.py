@@ -28,7 +28,8 @@ def test_a_gear_that_cannot_be_in_time_ends_with_1(fl, tmp_path):
     assert fl("design", "gear", "sdssv", "--within", 20)[0] == 1
 
 
-def test_a_spring_outside_its_window_ends_with_1(fl, tmp_path):
+def test_a_spring_outside_its_window_ends_with_1(fl, tmp_path, monkeypatch):
+    monkeypatch.setattr("fiberloom.design.spring.UNITS", 61)  # 500 take seconds to draw
     code, said, _ = fl("design", "spring", "sdssv", "--out", tmp_path / "spring.png")
     assert code == 1
     assert "wind it" in said

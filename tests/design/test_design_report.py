@@ -51,12 +51,15 @@ def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path, monkeypat
 
 
 def test_what_is_written_is_text_and_no_markup():
-    page = design_html("<b>", {"a": "<i>"}, [DesignSection("x < y", ["wrong: <u>"], [[{"k_m": "<p>"}]])])
+    page = design_html(
+        "<b>", {"a": "<i>"}, [DesignSection("x < y", ["wrong: <u>"], [[{"k_m": "<p>", "none": None}]])]
+    )
     assert "<b>" not in page.replace("<body>", "")
     for raw in ("<i>", "<u>", "<td><p>"):
         assert raw not in page
     assert '<p class="fail">wrong: &lt;u&gt;</p>' in page
     assert "<th>k m</th>" in page
+    assert "None" not in page
 
 
 def test_half_of_the_light_options_is_refused(fl, tmp_path):

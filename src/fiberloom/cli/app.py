@@ -32,7 +32,9 @@ from fiberloom.cli.design.coverage import coverage
 from fiberloom.cli.design.efficiency import efficiency
 from fiberloom.cli.design.gear import gear, spring
 from fiberloom.cli.design.power import power
+from fiberloom.cli.design.presets import presets
 from fiberloom.cli.design.report import report
+from fiberloom.cli.design.survey import survey as design_survey
 from fiberloom.cli.design.throughput import throughput
 from fiberloom.cli.health import health
 from fiberloom.cli.images import centroid, match
@@ -129,8 +131,10 @@ add(design, coverage)
 add(design, efficiency)
 add(design, gear)
 add(design, power)
+add(design, presets)
 add(design, report)
 add(design, spring)
+add(design, design_survey)
 add(design, sweep)
 add(design, throughput)
 

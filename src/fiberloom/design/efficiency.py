@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from fiberloom.assignment import AssignSettings, assign
 from fiberloom.assignment.candidates import Candidates, find_candidates
 from fiberloom.assignment.choose import pack
-from fiberloom.design.array_coverage import broken_plane
+from fiberloom.design.coverage import broken_plane
 from fiberloom.design.lattice import Lattice
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, Instrument, generate
@@ -27,9 +27,10 @@ from fiberloom.targets import TargetList
 from fiberloom.targets.target_list import FREE
 from fiberloom.typing import Flags, Floats, Ints
 
-Rule = Literal["free", "tips", "arms", "assigned"]
-RULES: tuple[Rule, ...] = ("free", "tips", "arms", "assigned")
-"""free: collisions do not count; tips: no two fibres nearer than the exclusion; arms: no two bodies overlap
+Rule = Literal["random", "free", "tips", "arms", "assigned"]
+RULES: tuple[Rule, ...] = ("random", "free", "tips", "arms", "assigned")
+"""random: one unit after the other takes any target that it reaches, collisions do not count; free: most
+targets, collisions do not count; tips: no two fibres nearer than the exclusion; arms: no two bodies overlap
 at rest; assigned: as `fiberloom assign`, with its margin, and approaches and ways to park that are free."""
 RINGS = 8
 CLUSTER = 8.0
@@ -109,7 +110,7 @@ class EfficiencySettings:
         Numbers or a share out of range.
     """
 
-    rules: Sequence[Rule] = RULES
+    rules: Sequence[Rule] = RULES[1:]
     exposures: int = 1
     """Of one field; targets observed before are left out."""
     fields: int = 10
@@ -212,12 +213,15 @@ def _per_mm2(where: ObservedPart, fibre: str, density: float) -> float:
 
 
 def _mean(density: float, per_fibre: float, rule: Rule, exposures: int, shares: Floats) -> Efficiency:
-    used, observed = shares.mean(axis=0)
-    many = len(shares) > 1
-    errors = shares.std(axis=0, ddof=1) / math.sqrt(len(shares)) if many else np.full(2, np.nan)
-    return Efficiency(
-        density, per_fibre, rule, exposures, *map(float, (used, errors[0], observed, errors[1]))
-    )
+    means = [_mean_of(column[np.isfinite(column)]) for column in shares.T]
+    (used, used_error), (observed, observed_error) = means
+    return Efficiency(density, per_fibre, rule, exposures, used, used_error, observed, observed_error)
+
+
+def _mean_of(share: Floats) -> tuple[float, float]:
+    """Mean of the fields that have targets at all, and its standard error; NaN: none, or too few."""
+    mean = float(share.mean()) if len(share) else math.nan
+    return mean, float(share.std(ddof=1)) / math.sqrt(len(share)) if len(share) > 1 else math.nan
 
 
 def _draw(where: ObservedPart, per_mm2: float, clustered: bool, rng: np.random.Generator) -> Floats:
@@ -278,9 +282,11 @@ def _taken(
     """(N,) row of the target of each unit; -1: none."""
     if not len(targets):
         return np.full(plane.n, -1)
-    if rule in ("free", "tips"):
+    if rule in ("random", "free", "tips"):
         found = find_candidates(plane, targets)
         found = found.select(~plane.offline[found.positioner])
+        if rule == "random":
+            return _at_random(plane.n, len(targets), found, rng)
         if rule == "free":
             return _matched(plane.n, len(targets), found, rng)
         return _packed(plane.n, targets, found, exclusion_mm, rng)
@@ -288,6 +294,17 @@ def _taken(
     if rule == "assigned":
         return assign(plane, targets, seed=seed).target
     return assign(plane, targets, seed=seed, approach_deg=0.0, settings=AssignSettings(margin_mm=0.0)).target
+
+
+def _at_random(n: int, n_targets: int, found: Candidates, rng: np.random.Generator) -> Ints:
+    """One unit after the other, in any order, takes any of the targets that are left in its reach."""
+    order = rng.permutation(len(found.positioner))
+    order = order[np.argsort(rng.permutation(n)[found.positioner[order]], kind="stable")]
+    out, free = np.full(n, -1), np.ones(n_targets, dtype=bool)
+    for unit, target in zip(found.positioner[order].tolist(), found.target[order].tolist(), strict=True):
+        if out[unit] < 0 and free[target]:
+            out[unit], free[target] = target, False
+    return out
 
 
 def _matched(n: int, n_targets: int, found: Candidates, rng: np.random.Generator) -> Ints:

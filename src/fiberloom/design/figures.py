@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
-from fiberloom.design.array_coverage import ArrayCoverage
-from fiberloom.design.coverage import Coverage
+from fiberloom.design.coverage import ArrayCoverage, Coverage
 from fiberloom.design.efficiency import Efficiency
 from fiberloom.design.gear import GearWindow
 from fiberloom.design.lattice import Lattice, Pattern

@@ -83,6 +83,10 @@ class Lattice:
         if fibre not in points:
             raise InputError(f"fibre {fibre}: {instrument.name} has {', '.join(points)}")
         point = points[fibre]
+        if point.x_mm == point.y_mm == 0.0:
+            raise InputError(
+                f"{instrument.name}: fibre {fibre} lies on the beta axis; give its x_mm a length"
+            )
         turn_deg = math.degrees(math.atan2(point.y_mm, point.x_mm))
         low, high = instrument.beta.target_range_deg
         return cls(

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from fiberloom.design.budget.monte_carlo import random_goals_deg
+from fiberloom.design.budget.places import random_goals_deg
 from fiberloom.design.budget.terms import BudgetSettings, budget
 from fiberloom.design.coverage import coverage
 from fiberloom.design.efficiency import EfficiencySettings, efficiency, endless, inner_part
@@ -97,12 +97,12 @@ def _geometry(instrument: Instrument, lattice: Lattice, seed: int) -> dict[str, 
         "mean_fibres": reached.mean,
         "unreached_percent": 100.0 * (1.0 - float(reached.at_least[1])),
         "hole_um": reached.hole_um,
-        "neighbours": float(_neighbours(instrument)),
+        "neighbours": float(neighbours(instrument)),
     }
 
 
-def _neighbours(instrument: Instrument) -> int:
-    """Units whose bodies can meet those of one: centres within two reaches."""
+def neighbours(instrument: Instrument) -> int:
+    """Units of an `instrument` whose bodies can meet those of one: centres within two reaches."""
     reach_mm = instrument.positioner.l_alpha_mm + instrument.bodies.reach_mm("beta")
     lattice = Lattice(reach_mm, reach_mm, instrument.layout.pitch_mm)
     far_mm = np.linalg.norm(lattice.centres_mm(*lattice.steps()), axis=1)

@@ -57,5 +57,6 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 def _cell(value: Any) -> str:
     if isinstance(value, list):
         value = "; ".join(map(str, value))
+    value = "" if value is None else value
     kind = ' class="n"' if isinstance(value, int | float) else ""
     return f"<td{kind}>{html.escape(str(value))}</td>"

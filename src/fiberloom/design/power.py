@@ -169,8 +169,8 @@ class PowerSettings:
         ways = self.way_deg or (1.0, 1.0)
         if (self.n is not None and self.n < 1) or min(*ways, self.every_s) <= 0.0 or self.rest_W < 0.0:
             raise InputError(
-                f"power: {self.n} positioners, ways {ways[0]:g} and {ways[1]:g} deg every {self.every_s:g} "
-                f"s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
+                f"power: {'all' if self.n is None else self.n} positioners, ways {ways[0]:g} and {ways[1]:g} "
+                f"deg every {self.every_s:g} s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
             )
 
 
@@ -238,20 +238,39 @@ def limited(
     return Limited(limit_W, slower_s, share, waves, waves * full.time_s)
 
 
+def within_power(instrument: Instrument, limit_W: float, seed: int = 0) -> Instrument:
+    """The `instrument` with a `[care]` by which its plans keep `limit_W` for all motors; `seed` of the units.
+
+    A motor counts with the peak of its ramp, by which the median motor of the units goes; the current is of
+    one positioner at both ends of its speed.
+
+    Raises
+    ------
+    InputError
+        A motor that the twin does not know, or a limit that not even one positioner keeps.
+    """
+    plants = [motor(instrument, axis, seed) for axis in (0, 1)]
+    volt = float(plants[0]["supply"])
+    full = _array(instrument, plants, PowerSettings(1))
+    if not limit_W >= full.peak_W:
+        raise InputError(f"power {limit_W:g} W: one positioner takes {full.peak_W:.3f} W; give at least that")
+    slow = _array(instrument, plants, PowerSettings(1, share=SLOWEST))
+    friction = (slow.alpha.peak_A, slow.beta.peak_A)
+    added = (full.alpha.peak_A - friction[0], full.beta.peak_A - friction[1])
+    limits = {"supply_A": limit_W / volt, "motor_friction_A": friction, "motor_speed_A": added}
+    return instrument.model_copy(update={"care": instrument.care.model_copy(update=limits)})
+
+
 def care_lines(instrument: Instrument, limit_W: float, seed: int = 0) -> list[str]:
     """Lines of `[care]` with which plans keep `limit_W`: current of a motor that turns, and what speed adds.
 
     `instrument`: whose motors; `seed` of the units.
     """
-    plants = [motor(instrument, axis, seed) for axis in (0, 1)]
-    volt = float(plants[0]["supply"])
-    full = _array(instrument, plants, PowerSettings(1))
-    slow = _array(instrument, plants, PowerSettings(1, share=SLOWEST))
-    friction = [slow.alpha.peak_A, slow.beta.peak_A]
-    added = [full.alpha.peak_A - friction[0], full.beta.peak_A - friction[1]]
+    care = within_power(instrument, limit_W, seed).care
+    friction, added = care.motor_friction_A, care.motor_speed_A
     return [
         "[care]",
-        f"supply_A = {limit_W / volt:.3f}",
+        f"supply_A = {care.supply_A:.3f}",
         f"motor_friction_A = [{friction[0]:.6f}, {friction[1]:.6f}]",
         f"motor_speed_A = [{added[0]:.6f}, {added[1]:.6f}]",
     ]

@@ -115,10 +115,10 @@ def spring_window(
     load_mNm: float | None = None,
     factor: float = FACTOR,
     seed: int = 0,
-    n: int = UNITS,
+    n: int | None = None,
 ) -> SpringWindow:
     """The window of an `axis` of an `instrument`, 0 alpha or 1 beta, over `n` units of the twin drawn by
-    `seed`.
+    `seed`; None: 500.
 
     `load_mNm`: largest outside torque, None: assumed; `factor`: margin asked for. Tables `[twin.alpha]`
     count.
@@ -138,7 +138,7 @@ def spring_window(
     if not load_mNm > 0.0 or not factor >= 1.0:
         raise InputError(f"spring: load {load_mNm:g} mNm must be above 0, factor {factor:g} at least 1")
     return _of_units(
-        generate(instrument, seed, n_positioners=min(n, instrument.layout.n_positioners)),
+        generate(instrument, seed, n_positioners=min(n or UNITS, instrument.layout.n_positioners)),
         axis,
         load_mNm,
         factor,

@@ -16,6 +16,8 @@ from fiberloom.instruments import Instrument
 MOST_DESIGNS = 2000
 SCHEDULER = "processes"
 """Of Dask, on this machine."""
+CONNECT_S = 10.0
+"""To find the scheduler of a cluster."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def _cluster(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=10)  # type: ignore[no-untyped-call]  # Dask has no types here
+        return Client(address, timeout=CONNECT_S)  # type: ignore[no-untyped-call]  # Dask has no types here
     except (OSError, ValueError) as error:
         raise InputError(
             f"--scheduler {address}: {error}; start one with 'dask scheduler', or leave the option out"

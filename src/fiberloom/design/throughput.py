@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtri
 
 from fiberloom.errors import InputError
 from fiberloom.typing import Floats
@@ -69,6 +70,27 @@ class FibreOptics:
         small_um = 0.02 * self.core_um
         return float(self.loss(small_um)[0]) / small_um**2
 
+    def blurred_share(self, radius_um: float) -> float:
+        """Share of the light in a centred fibre, of a point that is spread over a disc of `radius_um`."""
+        inside_um = radius_um * np.sqrt((np.arange(_QUANTILES) + 0.5) / _QUANTILES)
+        return float(self.share(inside_um).mean())
+
+    def defocus_loss(self, defocus_um: ArrayLike, focal_ratio: float) -> Floats:
+        """(n,) share lost by fibres that are `defocus_um` along the beam from the focus, in a beam of F.
+
+        A telescope without obstruction: the blur is an even disc of the diameter defocus/F.
+        """
+        if not focal_ratio > 0.0:
+            raise InputError(f"throughput: focal ratio {focal_ratio:g}: must be above 0")
+        away_um = np.abs(np.atleast_1d(np.asarray(defocus_um, dtype=np.float64)))
+        kept = [self.blurred_share(0.5 * um / focal_ratio) for um in away_um]
+        return 1.0 - np.array(kept) / self.blurred_share(0.0)
+
+    def mean_defocus_loss(self, rms_um: float, focal_ratio: float) -> float:
+        """Mean share lost where the defocus is normal with this rms, in a beam of this focal ratio."""
+        probability = 0.5 + 0.5 * (np.arange(_STEPS) + 0.5) / _STEPS
+        return float(self.defocus_loss(rms_um * ndtri(probability), focal_ratio).mean())
+
     def mean_loss(self, rms_um: float) -> float:
         """Mean share lost where errors are normal in x and y with this two-dimensional rms."""
         return float((self.loss(_rayleigh(rms_um))).mean())
@@ -80,6 +102,8 @@ class FibreOptics:
 
 
 _QUANTILES = 150
+_STEPS = 50
+"""Of a defocus."""
 
 
 def _rayleigh(rms_um: float) -> Floats:

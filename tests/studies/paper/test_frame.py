@@ -260,7 +260,7 @@ def test_figures_are_chosen_in_any_spelling():
 def test_an_unknown_figure_is_one_line_with_those_there_are():
     with pytest.raises(InputError) as caught:
         chosen(["99", "16"])
-    assert str(caught.value).startswith("figure 99: not among table1, 5, 10,")
+    assert str(caught.value).startswith("figure 99: not among table1, section2, 5, 10,")
     assert "\n" not in str(caught.value)
 
 

@@ -13,8 +13,7 @@ from fiberloom.errors import InputError
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
-    from fiberloom.design.array_coverage import ArrayCoverage
-    from fiberloom.design.coverage import Coverage
+    from fiberloom.design.coverage import ArrayCoverage, Coverage
     from fiberloom.design.lattice import Lattice, Pattern
     from fiberloom.instruments import Instrument
 
@@ -126,7 +125,7 @@ def _pattern(options: CoverageOptions, lattice: Lattice) -> Pattern:
 
 
 def _array(options: CoverageOptions, instrument: Instrument, fibre: str) -> ArrayCoverage:
-    from fiberloom.design.array_coverage import array_coverage, broken_plane
+    from fiberloom.design.coverage import array_coverage, broken_plane
     from fiberloom.instruments import generate
 
     plane = generate(instrument, options.seed)

@@ -27,9 +27,12 @@ class EfficiencyOptions(DesignOptions):
     density: Annotated[
         str, typer.Option(help="Targets in the annulus that one unit reaches, several with commas.")
     ] = "0.5,1,2,4"
-    rules: Annotated[str, typer.Option(help="free, tips, arms, assigned: what counts as a collision.")] = (
-        "free,tips,arms,assigned"
-    )
+    rules: Annotated[
+        str,
+        typer.Option(
+            help="random, free, tips, arms, assigned: who gets what, and what counts as a collision."
+        ),
+    ] = "free,tips,arms,assigned"
     fibre: Annotated[str | None, typer.Option(help="That targets ask for; default: the first one.")] = None
     exposures: Annotated[int, typer.Option(min=1, help="Of one field; observed targets are left out.")] = 1
     fields: Annotated[int, typer.Option(min=2, help="Drawn for each density.")] = 10
@@ -50,7 +53,8 @@ class EfficiencyOptions(DesignOptions):
 def efficiency(options: EfficiencyOptions) -> None:
     """Share of the fibres that are used and of the targets that are observed, against their density.
 
-    By the project's own assignment and bodies. free: collisions do not count; tips: no two fibres nearer
+    By the project's own assignment and bodies. random: one unit after the other takes any target, collisions
+    do not count; free: most targets, collisions do not count; tips: no two fibres nearer
     than the exclusion; arms: no two bodies overlap at rest; assigned: as `fiberloom assign`.
     """
     require_instrument(options.file)

@@ -9,6 +9,7 @@ import typer
 
 from fiberloom.cli.design.coverage import DesignOptions
 from fiberloom.cli.options import require_instrument
+from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
     from fiberloom.design.throughput import CorrectionCosts, FibreOptics
@@ -28,6 +29,10 @@ class ThroughputOptions(DesignOptions):
     remains: Annotated[float, typer.Option(help="Share of an error that a correction leaves.")] = 0.24
     each: Annotated[float, typer.Option(help="Time of a correction, s; 0 if hidden behind a readout.")] = 9.5
     exposure: Annotated[float, typer.Option(help="Length of an exposure, s.")] = 900.0
+    defocus: Annotated[
+        float, typer.Option(help="Of the fibres along the beam, um rms (design budget); with --focal-ratio.")
+    ] = 0.0
+    focal_ratio: Annotated[float | None, typer.Option(help="Of the beam.")] = None
     overhead: Annotated[float, typer.Option(help="Between exposures, without corrections, s.")] = 60.0
 
 
@@ -38,6 +43,8 @@ def throughput(options: ThroughputOptions) -> None:
     by the sky. What is left after corrections is the noise of the instrument's camera.
     """
     require_instrument(options.file)
+    if (options.focal_ratio is None) != (options.defocus == 0.0):
+        raise InputError("--defocus, --focal-ratio: the light that blur costs needs both")
     from fiberloom.instruments import load_instrument
 
     rows, told = throughput_tables(options, load_instrument(options.file))
@@ -91,10 +98,16 @@ def _summary(
     needed = needed_corrections(moves, requirement_um)
     number = "not with 8" if needed is None else needed
     cost = None if needed is None else round(100.0 * float(1.0 - speed[needed] / speed[best]), 3)
-    return {
+    told = {} if options.focal_ratio is None else _blurred(optics, options.defocus, options.focal_ratio)
+    return told | {
         "centred_share": round(optics.centred, 4),
         "loss_per_um2": f"{optics.k_per_um2:.3e}",
         "best_for_light": best,
         "needed_for_99_percent_within": f"{requirement_um:g} um: {number}",
         "requirement_costs_percent_of_speed": cost,
     }
+
+
+def _blurred(optics: FibreOptics, defocus_um: float, focal_ratio: float) -> dict[str, Any]:
+    lost = optics.mean_defocus_loss(defocus_um, focal_ratio)
+    return {"defocus_loses_percent": round(100.0 * lost, 3)}

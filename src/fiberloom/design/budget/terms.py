@@ -26,7 +26,8 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import METROLOGY, FocalPlane, Instrument
 from fiberloom.instruments.arms import L_ALPHA
 from fiberloom.instruments.pointing import STANDARD_GRAVITY_M_S2
-from fiberloom.metrology.zhao_burge import DEFAULT_TERMS
+from fiberloom.metrology.cameras import view_of
+from fiberloom.metrology.zhao_burge import DEFAULT_TERMS, SIMILARITY_TERMS, basis
 from fiberloom.twin import Units
 from fiberloom.twin.errors.sizes import NO_ERRORS, TwinErrors
 from fiberloom.twin.statistical import LANDING_RMS_RAD
@@ -219,12 +220,15 @@ def arms_um(plane: FocalPlane, units: Units) -> float:
 
 
 def temperature_um(plane: FocalPlane, errors: TwinErrors, seed: int) -> float:
-    """Growth of both arms against the plate in the night that the `seed` draws."""
+    """Growth of both arms against the plate in the night that the `seed` draws, and its scatter."""
     night = errors.temperature
     if not night.on:
         return 0.0
-    grown = night.arms_per_K(seed) * night.warmer_K(seed)
-    return UM_PER_MM * abs(grown) * math.sqrt(float(levers_mm2(plane)[0]))
+    warmer_K = night.warmer_K(seed)
+    square = night.arms_per_K(seed) ** 2 + (night.arm_scatter * night.arm_per_K) ** 2
+    fibre_mm = plane.points[plane.instrument.science_fibres[0]]
+    lever_mm2 = np.mean(plane.l_alpha_mm**2) + np.nanmean((fibre_mm**2).sum(axis=1))
+    return UM_PER_MM * abs(warmer_K) * math.sqrt(square * float(lever_mm2))
 
 
 # what lasts
@@ -255,15 +259,20 @@ def _fibre_um(units: Units, fibre: str) -> float:
     return UM_PER_MM * math.sqrt(float((off_mm**2).sum(axis=1).mean()))
 
 
-FRAME_TERMS = len(DEFAULT_TERMS)
-"""That a camera of positions fits on the fiducials."""
-
-
 def frame_um(plane: FocalPlane, errors: TwinErrors) -> float:
-    """The frame fitted on fiducials whose table is wrong: sigma sqrt(terms/fiducials), both coordinates."""
-    if not len(plane.fiducials):
+    """The frame fitted on fiducials whose table is wrong: sigma sqrt(trace B (A^T A)^-1 B^T).
+
+    A: the fitted fields at the fiducials, B: at the positioners, mean over these; both coordinates.
+    """
+    at = plane.fiducials[:, :2]
+    if not len(at):
         return 0.0
-    return errors.fiducial_um * math.sqrt(min(FRAME_TERMS / len(plane.fiducials), 2.0))
+    terms = DEFAULT_TERMS if 2 * len(at) >= len(DEFAULT_TERMS) + 8 else SIMILARITY_TERMS
+    radius_mm = view_of(plane)[1]
+    known, asked = (basis(xy / radius_mm, terms) for xy in (at, plane.centres_mm))
+    inverse = np.linalg.pinv(np.einsum("knc,lnc->kl", known, known))
+    square = np.einsum("knc,kl,lnc->n", asked, inverse, asked)
+    return errors.fiducial_um * math.sqrt(float(square.mean()))
 
 
 def gravity_um(plane: FocalPlane, units: Units, zenith_deg: float) -> float:

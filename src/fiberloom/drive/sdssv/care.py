@@ -27,8 +27,9 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import ColdRule
 from fiberloom.planning import Plan, PlanSettings
 
-SPEED_SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Of the speed that the temperature allows: the first whose plan the supply can feed is taken."""
+SPEED_SHARES = (1.0, 0.8, 0.65, 0.5, 0.35, 0.25, 0.18, 0.125)
+"""Of the speed that the temperature allows: the first whose plan the supply can feed is taken. A share that
+would be too much even if the current went down with the speed is not tried."""
 
 
 class MotorCare:
@@ -74,13 +75,17 @@ class MotorCare:
         """
         await self.refresh()
         supply_A = self.instrument.care.supply_A
+        promising = 1.0
         for share in SPEED_SHARES:
+            if share > promising and share != SPEED_SHARES[-1]:
+                continue
             slower = self.settings(share)
             limits = {} if slower is None else {"settings": slower}
             plan = await asyncio.to_thread(make, *arguments, **settings, **limits)
             current_A, when_s = peak_current_A(self.instrument, plan) if supply_A is not None else (0.0, 0.0)
             if supply_A is None or current_A <= supply_A:
                 return plan
+            promising = share * supply_A / current_A
         raise InputError(
             f"the motors of this move need {current_A:.3g} A after {when_s:.1f} s even at "
             f"{SPEED_SHARES[-1]:g} of their speed; care.supply_A is {supply_A:g}: "

@@ -48,7 +48,7 @@ class Quantity(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    id: str = Field(pattern=r"^(fig\d+|eq\d+|table\d+)(\.[A-Za-z0-9_]+)+$")
+    id: str = Field(pattern=r"^(fig\d+|eq\d+|table\d+|section\d+)(\.[A-Za-z0-9_]+)+$")
     figure: int | str
     name: str
     """In words, for people."""

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure, equation or table of Kronig 2020 and the module that makes ours."""
+    """A figure, equation, table or section of Kronig 2020 and the module that makes ours."""
 
     key: str
-    """As typed: `16`, `eq22`, `table1`."""
+    """As typed: `16`, `eq22`, `table1`, `section2`."""
     title: str
     module: str
 
@@ -32,7 +32,10 @@ class Figure:
         """As in the paper."""
         if self.key.isdigit():
             return f"Figure {self.key}"
-        return self.key.replace("eq", "Equation ").replace("table", "Table ")
+        words = {"eq": "Equation ", "table": "Table ", "section": "Section "}
+        return next(
+            word + self.key[len(short) :] for short, word in words.items() if self.key.startswith(short)
+        )
 
     @property
     def run(self) -> Callable[[Settings], FigureOutcome]:
@@ -44,6 +47,7 @@ class Figure:
 
 FIGURES: tuple[Figure, ...] = (
     Figure("table1", "Six instruments through one pipeline", "focal_plane.table01_instruments"),
+    Figure("section2", "Rules of the design", "focal_plane.section2_design"),
     Figure("5", "Coverage of the focal plane", "focal_plane.fig05_coverage"),
     Figure("10", "Non-linear transmission and backlash", "identification.fig10_transmission"),
     Figure("11", "Break-away torque over a motor turn", "identification.fig11_break_away"),

@@ -12,7 +12,6 @@ import numpy as np
 from fiberloom.assignment import Assignment, AssignSettings, assign_relaxed
 from fiberloom.blocking import finish
 from fiberloom.calibration.transmission.nominal import nominal_maps
-from fiberloom.design.gear import least_ratio, output_deg
 from fiberloom.drive.way_rules import way_rule
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.operation.loop import Loop, LoopSettings
@@ -25,7 +24,7 @@ from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, qu
 from fiberloom.targets import random_targets
 from fiberloom.twin.motors.arrays import AnySource, source_of
 from fiberloom.typing import Flags, Floats
-from fiberloom.units import GEAR, UM_PER_MM
+from fiberloom.units import UM_PER_MM
 
 UNITS = 57
 """A module of PFS, and as many of each other."""
@@ -184,7 +183,6 @@ def run(settings: Settings) -> FigureOutcome:
     return FigureOutcome(
         quantities=[
             _stringent(),
-            *section_2(),
             *(q for row in TABLE_1 for q in _quantities(row, found[row.key])),
         ],
         drawings=[_draw(found)],
@@ -211,40 +209,6 @@ def _stringent() -> Quantity:
         + ", ".join(f"{row.name} {row.tolerance_mdeg:.1f}" for row in TABLE_1)
         + " mdeg",
     )
-
-
-SECTION_2_DEG = 0.01
-"""Output accuracy that Section 2 asks for."""
-
-
-def section_2() -> list[Quantity]:
-    """The numbers of Section 2 on the reduction ratio, by the rules of `fiberloom design gear`."""
-    strictest = min(TABLE_1, key=lambda row: row.tolerance_mdeg)
-    lever_mm = strictest.reach_mm
-    needed = {row.name: least_ratio(row.requirement_um, row.reach_mm) for row in TABLE_1}
-    found = [
-        quantity(
-            "table1.section2.ratio",
-            f"reduction ratio for a motor that is off by 5 deg and an output of {SECTION_2_DEG:g} deg",
-            float(least_ratio(UM_PER_MM * lever_mm * float(np.deg2rad(SECTION_2_DEG)), lever_mm)),
-            "1",
-            Kind.IDENTITY,
-            paper=500.0,
-            note=f"least for each requirement: {', '.join(f'{k} {v}' for k, v in needed.items())}",
-        )
-    ]
-    for axis, folded_mm, paper in (("alpha", 7.6, 7.7), ("beta", 15.0, 3.9)):
-        found.append(
-            quantity(
-                f"table1.section2.motor_deg_{axis}",
-                f"motor angle of {axis} that moves the fibre by 1 um at {folded_mm:g} mm",
-                GEAR * output_deg(1.0, folded_mm),
-                "deg",
-                Kind.IDENTITY,
-                paper=paper,
-            )
-        )
-    return found
 
 
 def _quantities(row: Row, runs: Sequence[InstrumentRun]) -> list[Quantity]:
