@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiberloom.design.survey import SurveySettings, survey_time
+from fiberloom.design.survey import HoursSettings, survey_time
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.targets import write_targets
@@ -26,7 +26,7 @@ def around_one(n):
 
 @pytest.mark.parametrize(("visits", "share", "exposures"), [(1, 1.0, 3.0), (2, 1.0, 6.0), (1, 0.5, 1.5)])
 def test_one_unit_makes_one_visit_in_each_exposure(visits, share, exposures):
-    settings = SurveySettings(visits=visits, share=share, exposure_s=840.0, most=8)
+    settings = HoursSettings(visits=visits, share=share, exposure_s=840.0, most=8)
     found = survey_time(ONE, around_one(3), settings)
     assert found.exposures == pytest.approx(exposures)
     assert found.exposures_error == pytest.approx(0.0, abs=1e-12)
@@ -40,7 +40,7 @@ def test_one_unit_makes_one_visit_in_each_exposure(visits, share, exposures):
 
 def test_no_exposure_makes_more_visits_than_there_are_fibres():
     targets = random_targets(SEVEN, 30, seed=2)
-    found = survey_time(SEVEN, targets, SurveySettings(share=1.0, most=3, turns=2))
+    found = survey_time(SEVEN, targets, HoursSettings(share=1.0, most=3, turns=2))
     assert found.exposures is None
     done = np.array([one.done for one in found.steps])
     assert (np.diff(done) > 0.0).all()
@@ -70,10 +70,10 @@ def test_bad_input_says_what_would_do(fl, tmp_path):
         ({"most": 99}, "up to 40"),
     ):
         with pytest.raises(InputError, match=says):
-            SurveySettings(**asked)
+            HoursSettings(**asked)
     far = replace(around_one(2), x_mm=np.array([500.0, 600.0]))
     with pytest.raises(InputError, match="no fibre of pfs reaches"):
-        survey_time(ONE, far, SurveySettings())
+        survey_time(ONE, far, HoursSettings())
     empty = tmp_path / "empty.csv"
     empty.write_text("target_id,x_mm,y_mm\n")
     code, _, said = fl("design", "survey", "pfs", "--targets", empty)

@@ -20,7 +20,7 @@ MOST_EXPOSURES = 40
 
 
 @dataclass(frozen=True)
-class SurveySettings:
+class HoursSettings:
     """What is asked of a survey.
 
     Raises
@@ -90,7 +90,7 @@ class SurveyTime:
 def survey_time(
     plane: FocalPlane,
     targets: TargetList,
-    settings: SurveySettings,
+    settings: HoursSettings,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> SurveyTime:
     """Exposures of one field, each number of them chosen together (`fiberloom.assignment.visits`).
@@ -143,7 +143,7 @@ def _turned(plane: FocalPlane, targets: TargetList, angle_rad: float) -> TargetL
 
 
 def _shares(
-    plane: FocalPlane, targets: TargetList, exposures: int, settings: SurveySettings
+    plane: FocalPlane, targets: TargetList, exposures: int, settings: HoursSettings
 ) -> tuple[float, float]:
     """Of the visits to all targets that are made, and of the fibres that are used."""
     n = len(targets)
@@ -178,7 +178,7 @@ def _mean(values: Floats) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
-def _steps(shares: Floats, settings: SurveySettings) -> tuple[SurveyStep, ...]:
+def _steps(shares: Floats, settings: HoursSettings) -> tuple[SurveyStep, ...]:
     """`shares` (exposures, turns, 2)."""
     return tuple(
         SurveyStep(k, settings.hours(k), *_mean(of_step[:, 0]), *_mean(of_step[:, 1]))

@@ -13,7 +13,7 @@ from fiberloom.cli.options import require_file, require_instrument
 from fiberloom.cli.terminal import waiting
 
 if TYPE_CHECKING:
-    from fiberloom.design.survey import SurveySettings, SurveyTime
+    from fiberloom.design.survey import HoursSettings, SurveyTime
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +47,11 @@ def survey(options: DesignSurveyOptions) -> int:
     """
     require_instrument(options.file)
     require_file(options.targets)
-    from fiberloom.design.survey import SurveySettings, survey_time
+    from fiberloom.design.survey import HoursSettings, survey_time
     from fiberloom.instruments import generate, load_instrument
     from fiberloom.targets import read_targets
 
-    settings = SurveySettings(
+    settings = HoursSettings(
         visits=options.visits,
         share=options.share,
         exposure_s=options.exposure,
@@ -79,7 +79,7 @@ def _steps(found: SurveyTime) -> list[dict[str, Any]]:
     return [{name: round(value, 4) for name, value in vars(one).items()} for one in found.steps]
 
 
-def _told(found: SurveyTime, settings: SurveySettings) -> dict[str, Any]:
+def _told(found: SurveyTime, settings: HoursSettings) -> dict[str, Any]:
     told: dict[str, Any] = {"share": settings.share, "in_reach": round(found.reachable, 4)}
     if found.exposures is None or found.exposures_error is None:
         return told | {"hours": f"not within {settings.most} exposures"}
