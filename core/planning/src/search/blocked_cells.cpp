@@ -3,6 +3,7 @@
 #include "motion/clones.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <numbers>
@@ -55,35 +56,51 @@ FL_INLINE Int8 directions_of(Float8 x, Float8 y) {
     return __builtin_convertvector(angle * single(parts_per_rad) + 65536.5f, Int8);
 }
 // Bit k where the lane k of the mask is set.
-FL_INLINE CellBits bits_of(Int8 mask) {
+FL_INLINE std::uint64_t bits_of(Int8 mask) {
     mask &= Int8{1, 2, 4, 8, 16, 32, 64, 128};
-    CellBits two[4];
+    std::uint64_t two[4];
     std::memcpy(two, &mask, sizeof two);
-    const CellBits some = (two[0] | two[1]) | (two[2] | two[3]);
+    const std::uint64_t some = (two[0] | two[1]) | (two[2] | two[3]);
     return (some | some >> 32) & 0xff;
 }
 
 } // namespace
 
-int &BlockedCells::begin_of(int slot, const Robot &neighbour, Cell at) {
-    if (slot >= begins_.size()) begins_.resize(slot + 1);
-    auto &of_neighbour = begins_[slot];
+BlockedCells::Kept &BlockedCells::kept(int slot, const Robot &neighbour, Cell at) {
+    if (slot >= kept_.size()) kept_.resize(slot + 1);
+    auto &of_neighbour = kept_[slot];
     if (of_neighbour.empty()) of_neighbour.resize(neighbour.alpha().size());
     auto &on_line = of_neighbour[at.alpha];
-    if (on_line.empty()) on_line.assign(neighbour.beta().size(), -1);
+    if (on_line.empty()) on_line.resize(neighbour.beta().size());
     return on_line[at.beta];
 }
 
-const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
-                                 TouchTables &tables) {
-    int &begin = begin_of(slot, neighbour, at);
-    if (begin < 0) {
-        begin = bits_.size();
-        bits_.resize(begin + words(me), 0);
-        CellBits *out = bits_.data() + begin;
-        if (!look_up(me, neighbour, at, need_mm, tables, out)) look_all(me, neighbour, at, need_mm, out);
+BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
+                              TouchTables &tables) {
+    Kept &known = kept(slot, neighbour, at);
+    if (known.begin < 0) {
+        look_.assign((me.beta().size() + 1) * words_per_line(me), 0);
+        if (!look_up(me, neighbour, at, need_mm, tables)) look_all(me, neighbour, at, need_mm);
+        known = keep(me);
     }
-    return bits_.data() + begin;
+    return {known.first, known.end, blocks_.data() + known.begin};
+}
+
+// The lines of the last look that have any, from the first to the last one.
+BlockedCells::Kept BlockedCells::keep(const Robot &me) {
+    const int width = words_per_line(me), blocks = blocks_per_line(me);
+    const CellBits *words = look_.data();
+    int first = 0, end = me.beta().size() * width;
+    while (first < end && words[first] == 0) ++first;
+    while (first < end && words[end - 1] == 0) --end;
+    first /= width, end = (end + width - 1) / width;
+    const int begin = blocks_.size();
+    blocks_.resize(begin + (end - first) * blocks);
+    CellBlock *out = blocks_.data() + begin;
+    for (int line = first; line < end; ++line, out += blocks)
+        for (int k = 0; k < blocks; ++k)
+            out[k] = static_cast<CellBlock>(words[line * width + k * block / bits] >> k * block % bits);
+    return {begin, static_cast<std::int16_t>(first), static_cast<std::int16_t>(end)};
 }
 
 void BlockedCells::lay_out_elbows(const Robot &me) {
@@ -107,7 +124,7 @@ void BlockedCells::lay_out_elbows(const Robot &me) {
 
 // False if there is no table for the two.
 bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm,
-                           TouchTables &tables, CellBits *out) {
+                           TouchTables &tables) {
     const double turn = me.beta().angle(me.beta().size() - 1) - me.beta().angle(0);
     if (!me.from_elbow() || !neighbour.from_elbow() || turn > 2.0 * pi - margin_rad) return false;
     const TouchTable *table =
@@ -116,10 +133,9 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
     const int width = words_per_line(me);
-    borders_.assign(words(me) + width, 0);
-    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), width, borders_.data());
+    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), width, look_.data());
     // a cell is as the one on the line below unless there is a border between them
-    for (int k = 0; k < words(me); ++k) out[k] = borders_[k] ^ (k < width ? 0 : out[k - width]);
+    for (int k = width; k < me.beta().size() * width; ++k) look_[k] ^= look_[k - width];
     return true;
 }
 
@@ -132,10 +148,11 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
         const Float8 x = single(elbow.x) - load(&elbows_.x[first]),
                      y = single(elbow.y) - load(&elbows_.y[first]);
         const Float8 squared = x * x + y * y;
-        if (bits_of(squared < all(reach)) == 0) continue;
+        CellBits near = bits_of(squared < all(reach));
+        if (near == 0) continue;
         const Int8 bearings = directions_of(x, y);
-        for (int k = 0; k < at_once; ++k) {
-            if (squared[k] >= reach) continue;
+        for (; near != 0; near &= near - 1) {
+            const int k = std::countr_zero(near);
             const int alpha = first + k;
             const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
             Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
@@ -238,13 +255,14 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) co
 }
 
 // Every limb of the one with every limb of the other.
-void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out) {
+void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm) {
     if (lines_.empty()) lay_out(me);
     const Limbs mine(me.limbs()), theirs(neighbour.limbs());
     const Segment there = neighbour.line(at);
     all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
         const Segment line = theirs.at(b, there);
-        look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need, out);
+        look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need,
+             look_.data());
         return true;
     });
 }

@@ -225,7 +225,7 @@ void PathSet::guide(Request &request, Member &member) {
     guide_.begin(ask);
     for (const auto &visit : moving_.visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
-        const CellBits *cells =
+        const BlockedLines cells =
             member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_ + guide_margin_mm, tables_);
         for (int step = visit.first; step <= visit.last; ++step)
             guide_.block(back ? steps_ - step : step, cells, visit.cost);
