@@ -18,6 +18,7 @@ constexpr double margin_rad = 1e-4;
 constexpr int line_bits = 6, line_bins = 1 << (16 - line_bits); // of directions in which lines are looked up
 
 constexpr int at_once = 8;         // cells
+constexpr int at_a_time = 4;       // blocks
 constexpr float nowhere_mm = 1e6f; // where nothing is, for the places beyond the last cell of a line
 
 using Float8 = float __attribute__((vector_size(32)));
@@ -79,7 +80,7 @@ BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour,
                               TouchTables &tables) {
     Kept &known = kept(slot, neighbour, at);
     if (known.begin < 0) {
-        look_.assign((me.beta().size() + 1) * words_per_line(me), 0);
+        look_.assign((me.beta().size() + 1) * blocks_per_line(me), 0);
         if (!look_up(me, neighbour, at, need_mm, tables)) look_all(me, neighbour, at, need_mm);
         known = keep(me);
     }
@@ -88,18 +89,12 @@ BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour,
 
 // The lines of the last look that have any, from the first to the last one.
 BlockedCells::Kept BlockedCells::keep(const Robot &me) {
-    const int width = words_per_line(me), blocks = blocks_per_line(me);
-    const CellBits *words = look_.data();
+    const int width = blocks_per_line(me), begin = blocks_.size();
     int first = 0, end = me.beta().size() * width;
-    while (first < end && words[first] == 0) ++first;
-    while (first < end && words[end - 1] == 0) --end;
+    while (first < end && look_[first] == 0) ++first;
+    while (first < end && look_[end - 1] == 0) --end;
     first /= width, end = (end + width - 1) / width;
-    const int begin = blocks_.size();
-    blocks_.resize(begin + (end - first) * blocks);
-    CellBlock *out = blocks_.data() + begin;
-    for (int line = first; line < end; ++line, out += blocks)
-        for (int k = 0; k < blocks; ++k)
-            out[k] = static_cast<CellBlock>(words[line * width + k * block / bits] >> k * block % bits);
+    blocks_.insert(blocks_.end(), look_.begin() + first * width, look_.begin() + end * width);
     return {begin, static_cast<std::int16_t>(first), static_cast<std::int16_t>(end)};
 }
 
@@ -118,7 +113,7 @@ void BlockedCells::lay_out_elbows(const Robot &me) {
     for (int bin = 0; bin <= line_bins; ++bin) {
         const double from_rad = me.beta().angle(0) + (bin << line_bits) / parts_per_rad;
         while (line < me.beta().size() && me.beta().angle(line) < from_rad - margin_rad) ++line;
-        elbows_.line_at.push_back(line);
+        elbows_.begin_at.push_back(line * blocks_per_line(me));
     }
 }
 
@@ -132,23 +127,41 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
     if (table == nullptr) return false;
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
-    const int width = words_per_line(me);
-    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), width, look_.data());
-    // a cell is as the one on the line below unless there is a border between them
-    for (int k = width; k < me.beta().size() * width; ++k) look_[k] ^= look_[k - width];
+    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), look_.data());
+    fill(me);
     return true;
+}
+
+// A cell is as the one on the line below unless there is a border between them.
+void BlockedCells::fill(const Robot &me) {
+    const int width = blocks_per_line(me);
+    CellBlock *const begin = look_.data(), *const end = begin + me.beta().size() * width;
+    CellBlock *first = begin; // with a border
+    while (first < end && *first == 0) ++first;
+    if (width < at_a_time) {
+        for (CellBlock *here = first + width; here < end; ++here) *here ^= *(here - width);
+        return;
+    }
+    // there is a line beyond the end, longer than what is done at a time
+    for (CellBlock *here = first + width; here < end; here += at_a_time) {
+        std::uint64_t below, word;
+        std::memcpy(&below, here - width, sizeof below);
+        std::memcpy(&word, here, sizeof word);
+        word ^= below;
+        std::memcpy(here, &word, sizeof word);
+    }
 }
 
 // Of the cells that touch an arm with its elbow at a place, from the centre: sets the bits of those that do
 // where the one on the line below does not, or the other way round.
-FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words,
-                                  CellBits *out) const {
+FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction,
+                                  CellBlock *out) const {
     const float reach = table.squared_reach_mm2();
     for (int first = 0; first < elbows_.direction.size(); first += at_once) {
         const Float8 x = single(elbow.x) - load(&elbows_.x[first]),
                      y = single(elbow.y) - load(&elbows_.y[first]);
         const Float8 squared = x * x + y * y;
-        CellBits near = bits_of(squared < all(reach));
+        std::uint64_t near = bits_of(squared < all(reach));
         if (near == 0) continue;
         const Int8 bearings = directions_of(x, y);
         for (; near != 0; near &= near - 1) {
@@ -157,23 +170,23 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
             const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
             Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
             d.first = static_cast<TurnPart>(d.first + bearing - elbows_.direction[alpha]);
-            if (d.width > 0) mark_borders(alpha, d, words, out);
+            if (d.width > 0) mark_borders(alpha, d, out);
         }
     }
 }
 
 // Directions are those above the first line of beta.
-FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, int words, CellBits *out) const {
-    const auto &line_at = elbows_.line_at;
-    const CellBits bit = CellBits{1} << alpha % bits;
-    CellBits *column = out + alpha / bits;
+FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, CellBlock *out) const {
+    const int *begin_at = elbows_.begin_at.data();
+    const CellBlock bit = static_cast<CellBlock>(1 << alpha % block);
+    CellBlock *column = out + alpha / block;
     const int end = d.first + d.width, wrapped = end - 65536; // beyond a whole turn lines begin anew
-    const int first = line_at[d.first >> line_bits];
-    column[first * words] ^= bit;
-    column[line_at[std::min(end >> line_bits, line_bins - 1) + 1] * words] ^= bit;
+    const int first = begin_at[d.first >> line_bits];
+    column[first] ^= bit;
+    column[begin_at[std::min(end >> line_bits, line_bins - 1) + 1]] ^= bit;
     if (wrapped < 0) return;
     column[0] ^= bit;
-    column[std::min(line_at[(wrapped >> line_bits) + 1], first) * words] ^= bit;
+    column[std::min(begin_at[(wrapped >> line_bits) + 1], first)] ^= bit;
 }
 
 // A line that those of cells may touch; these are all of one length.
@@ -261,7 +274,7 @@ void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, do
     const Segment there = neighbour.line(at);
     all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
         const Segment line = theirs.at(b, there);
-        look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need,
+        look(lines_[a], blocks_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need,
              look_.data());
         return true;
     });
@@ -269,12 +282,12 @@ void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, do
 
 // Sets the bits of the cells that touch a line; looks only where both are seen in the same direction from
 // the centre.
-FL_CLONES void BlockedCells::look(const Lines &lines, int words, const Segment &line, double need_mm,
-                                  CellBits *out) {
+FL_CLONES void BlockedCells::look(const Lines &lines, int blocks, const Segment &line, double need_mm,
+                                  CellBlock *out) {
     const double away = distance(line, {});
     const Sector there = sector(line, need_mm);
     const Other other(line, lines.front(), need_mm);
-    for (int beta = 0; beta < lines.size(); ++beta, out += words) {
+    for (int beta = 0; beta < lines.size(); ++beta, out += blocks) {
         const Line &cells = lines[beta];
         if (away >= cells.far_mm + need_mm) continue;
         const double middle = wrapped(there.middle_rad - cells.first.middle_rad);
@@ -283,7 +296,7 @@ FL_CLONES void BlockedCells::look(const Lines &lines, int words, const Segment &
             const Sector &here = groups_[group];
             if (std::abs(wrapped(here.middle_rad - middle)) > here.half_rad + half) continue;
             const int k = group * at_once;
-            out[k / bits] |= bits_of(other.touches(cells, k)) << k % bits;
+            out[k / block] |= static_cast<CellBlock>(bits_of(other.touches(cells, k)) << k % block);
         }
     }
 }

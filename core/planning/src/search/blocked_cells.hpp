@@ -31,15 +31,13 @@ class BlockedCells {
                     TouchTables &tables);
 
   private:
-    using CellBits = std::uint64_t; // of one look: a bit for each cell, each line begins with a word of its own
-    static constexpr int bits = 64;
-    static int words_per_line(const Robot &robot) { return (robot.alpha().size() + bits - 1) / bits; }
     // What is kept of a place of a neighbour.
     struct Kept {
         int begin = -1; // in blocks_; -1: not looked at
         std::int16_t first = 0, end = 0;
     };
     Kept keep(const Robot &me);
+    void fill(const Robot &me);
     // Directions from the centre of the robot.
     struct Sector {
         double middle_rad = 0.0, half_rad = 0.0;
@@ -56,19 +54,21 @@ class BlockedCells {
     void lay_out(const Robot &me);
     Lines laid_out(const Robot &me, const Limb *limb) const;
     void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm);
-    void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
+    void look(const Lines &lines, int blocks, const Segment &line, double need_mm, CellBlock *out);
     struct Other;
 
     // Plain arms, whose directions tell where they touch.
     struct Elbows {
         List<float> x, y;         // at each line of alpha, from the centre, mm
         List<TurnPart> direction; // of the arm there, at the first line of beta
-        List<int> line_at; // the first line of beta at so many parts of a turn above the first, or more
+        // Where the first line of beta begins in a look that is at so many parts of a turn above the first,
+        // or more.
+        List<int> begin_at;
     };
     void lay_out_elbows(const Robot &me);
     bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables);
-    void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words, CellBits *out) const;
-    void mark_borders(int alpha, Directions directions, int words, CellBits *out) const;
+    void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, CellBlock *out) const;
+    void mark_borders(int alpha, Directions directions, CellBlock *out) const;
 
     Kept &kept(int slot, const Robot &neighbour, Cell at);
 
@@ -76,7 +76,7 @@ class BlockedCells {
     // empty.
     List<List<List<Kept>>> kept_;
     List<CellBlock> blocks_;
-    List<CellBits> look_; // one look, and a line beyond the last one
+    List<CellBlock> look_; // one look, and a line beyond the last one
     Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape
     List<Sector> groups_; // of cells that are looked at at once: their alpha, from that of the first line

@@ -135,23 +135,28 @@ FL_CLONES void CostToGo::step_back(int step, const Box &box) {
     at_last(step) = lower(at_last(step), with_encounters(stays, step));
 }
 
-// Of one block of each line, from line to line.
+// Of one block of each line, from line to line. All that is read is in local variables: what is stored could be
+// part of any member.
 FL_INLINE void CostToGo::column_back(int step, int block, const Box &box) {
     const Cost move = static_cast<Cost>(ask_.move), wait = static_cast<Cost>(ask_.wait);
+    const int pitch = pitch_, blocks = blocks_, lines = box.end_beta - box.first_beta;
     const Cost *next = line(box.first_beta, step + 1) + block * lanes;
-    const Cost16 no_cell = load(beyond_.data() + block * lanes);
-    Towards below = towards(next - pitch_, move), same = towards(next, move);
-    for (int beta = box.first_beta; beta < box.end_beta; ++beta) {
-        next += pitch_;
+    Cost *out = line(box.first_beta, step) + block * lanes;
+    const int *dear_line = ask_.beta->empty() ? nullptr : ask_.beta->data() + box.first_beta;
+    const Encounters first = encounters(blocked_[0], box.first_beta, block, step);
+    const Encounters second = encounters(blocked_[1], box.first_beta, block, step);
+    const Cost16 no_cell = load(beyond_.data() + block * lanes), highest = Cost16{} + none;
+    Towards below = towards(next - pitch, move), same = towards(next, move);
+    for (int k = 0; k < lines; ++k, out += pitch) {
+        next += pitch;
         const Towards above = towards(next, move);
-        const Cost moved = static_cast<Cost>(move + dear(beta)),
-                   waited = static_cast<Cost>(wait + dear(beta));
-        const Cost16 other = lower(same.beside, lower(below.across, above.across));
-        Cost16 best = higher(lower(lower(other + moved, same.here + waited), Cost16{} + none), no_cell);
-        for (const Blocked &blocked : blocked_)
-            if (blocked.cost > 0)
-                best = with_encounter(best, blocked.bits[word(beta, block, step)], blocked.encounter());
-        store(line(beta, step) + block * lanes, best);
+        const Cost16 other = lower(same.beside, lower(below.across, above.across)) + move;
+        Cost16 best = lower(other, same.here + wait);
+        if (dear_line != nullptr) best += static_cast<Cost>(dear_line[k]);
+        best = higher(lower(best, highest), no_cell);
+        if (first.bits != nullptr) best = with_encounter(best, first.bits[k * blocks], first.cost);
+        if (second.bits != nullptr) best = with_encounter(best, second.bits[k * blocks], second.cost);
+        store(out, best);
         below = same;
         same = above;
     }

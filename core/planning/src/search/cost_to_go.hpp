@@ -45,6 +45,15 @@ class CostToGo {
         List<CellBlock> bits; // of each step
         Cost encounter() const { return static_cast<Cost>(std::min<int>(cost, most_encounter)); }
     };
+    // From a block of a line on, at a step; no bits: none.
+    struct Encounters {
+        const CellBlock *bits = nullptr;
+        Cost cost = 0;
+    };
+    Encounters encounters(const Blocked &blocked, int beta, int block, int step) const {
+        if (blocked.cost <= 0) return {};
+        return {blocked.bits.data() + word(beta, block, step), blocked.encounter()};
+    }
     // Lines of beta, and blocks of cells in them; the ends are not part of it.
     struct Box {
         int first_block, end_block, first_beta, end_beta;

@@ -97,8 +97,10 @@ void Search::list_rest(Cell cell) {
     const bool at_goal = cell == ask_.robot->goal() && !ask_.robot->legs().empty();
     rest_cost_.assign(ask_.steps + 1, always_encounters(cell, {}));
     rest_met_.assign(ask_.steps + 1, -1);
+    const Vec2 centre = middle(here.at[2].a, here.at[2].b);
+    const double radius = 0.5 * length(here.at[2].b - here.at[2].a) + here.extra_mm + ask_.need_mm;
     for (const MovingObstacles::Visit &e : ask_.moving->visits()) {
-        if (ask_.moving->is_always(e) || !e.meets(here, ask_.need_mm)) continue;
+        if (ask_.moving->is_always(e) || !e.near(centre, radius) || !e.meets(here, ask_.need_mm)) continue;
         for (int k = e.first; k <= e.last; ++k) {
             const int step = ask_.backward ? ask_.steps - k : k;
             if (rest_met_[step] != e.slot) rest_cost_[step] += e.cost; // no one is met twice in a step
@@ -136,9 +138,7 @@ int Search::look_always(const SweptArm &step) const {
     int cost = 0, met = -1;
     for (const int index : ask_.moving->always()) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (e.slot == met || dot(gap, gap) >= touch * touch || !e.meets(step, ask_.need_mm)) continue;
+        if (e.slot == met || !e.near(centre, radius) || !e.meets(step, ask_.need_mm)) continue;
         cost += e.cost;
         met = e.slot;
     }
@@ -185,9 +185,7 @@ int Search::near_encounters(Place at, VelocityChanges turn) {
     doubtful_.clear();
     for (const int index : visits_at(at.step)) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (dot(gap, gap) >= touch * touch || e.slot == met) continue;
+        if (!e.near(centre, radius) || e.slot == met) continue;
         const double d2 = squared_distance(here, e.swept->at[2]);
         const double clear = room + e.swept->bulge_mm + e.swept->displacement_bound_mm + e.swept->extra_mm;
         if (d2 >= clear * clear) continue;
