@@ -60,7 +60,8 @@ void CostToGo::begin(const Request &request) {
     for (Blocked &blocked : blocked_) blocked.cost = 0;
     boxes_.clear();
     for (int step = 0; step <= ask_.steps; ++step) boxes_.push_back(box_at(step));
-    costs_.resize((request.steps + 1) * (betas_ + 2) * pitch_ + lanes);
+    const int size = (request.steps + 1) * (betas_ + 2) * pitch_ + lanes;
+    if (costs_.size() < size) costs_.resize(size);
     beyond_.assign(blocks_ * lanes, none);
     std::fill(beyond_.begin(), beyond_.begin() + alphas_, Cost{0});
 }

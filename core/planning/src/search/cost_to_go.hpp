@@ -37,6 +37,18 @@ class CostToGo {
 
     // Of a cell that can be come to by then, and from which the last cell can be come to in time.
     int from(Cell c, int step) const { return line(c.beta, step)[c.alpha]; }
+    // The same of the cells around one: of that which is so many lines away.
+    class Around {
+      public:
+        Around() = default;
+        Around(const Cost *here, int pitch) : here_(here), pitch_(pitch) {}
+        int from(int alphas, int betas) const { return here_[betas * pitch_ + alphas]; }
+
+      private:
+        const Cost *here_ = nullptr;
+        int pitch_ = 0;
+    };
+    Around around(Cell c, int step) const { return {line(c.beta, step) + c.alpha, pitch_}; }
     int total() const { return from(ask_.first, ask_.hold); }
 
   private:
