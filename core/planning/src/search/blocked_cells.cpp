@@ -242,10 +242,11 @@ void BlockedCells::lay_out(const Robot &me) {
         lines_.push_back(laid_out(me, &me.shape()->limbs[k]));
 }
 
-// limb: none of a body without a shape.
+// limb: none of a body without a shape. One on the alpha arm is at the same places on all lines of beta.
 BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) const {
     Lines lines;
-    for (int beta = 0; beta < me.beta().size(); ++beta) {
+    const int different = limb != nullptr && limb->on_alpha ? 1 : me.beta().size();
+    for (int beta = 0; beta < different; ++beta) {
         Line line;
         for (int alpha = 0; alpha < me.alpha().size(); ++alpha) {
             const Segment arm = me.line({alpha, beta});
@@ -270,14 +271,17 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) co
 // Every limb of the one with every limb of the other.
 void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm) {
     if (lines_.empty()) lay_out(me);
+    on_alpha_.assign(blocks_per_line(me), 0);
     const Limbs mine(me.limbs()), theirs(neighbour.limbs());
     const Segment there = neighbour.line(at);
     all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
         const Segment line = theirs.at(b, there);
         look(lines_[a], blocks_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need,
-             look_.data());
+             mine.on_alpha(a) ? on_alpha_.data() : look_.data());
         return true;
     });
+    for (int k = 0; k < me.beta().size() * blocks_per_line(me); ++k)
+        look_[k] |= on_alpha_[k % on_alpha_.size()];
 }
 
 // Sets the bits of the cells that touch a line; looks only where both are seen in the same direction from
