@@ -41,10 +41,18 @@ struct PlacedLimb {
     Segment line;
     Vec2 centre;
     double squared_mm2 = 0.0; // length
+    double extra_mm = 0.0;
+    Layers layers = 0;
+    bool on_alpha = false;
     PlacedLimb() = default;
-    explicit PlacedLimb(const Segment &at) : line(at), centre(middle(at.a, at.b)) {
+    PlacedLimb(const Limbs &limbs, int k, const Segment &at)
+        : line(at), centre(middle(at.a, at.b)), extra_mm(limbs.extra_mm(k)), layers(limbs.layers(k)),
+          on_alpha(limbs.on_alpha(k)) {
         const Vec2 along = at.b - at.a;
         squared_mm2 = dot(along, along);
+    }
+    bool may_touch(const PlacedLimb &other) const {
+        return (layers & other.layers) != 0 && !(on_alpha && other.on_alpha);
     }
 };
 
@@ -83,9 +91,9 @@ class LimbTest {
         const PlacedLimbs mine(p_, p_.at[2]), theirs(q_, q_.at[2]);
         for (first_ = 0; first_ < theirs_.size(); first_ += at_once) {
             const int end = std::min(first_ + at_once, theirs_.size());
-            for (int b = first_; b < end; ++b) some_[b - first_] = PlacedLimb(theirs.at(b));
+            for (int b = first_; b < end; ++b) some_[b - first_] = PlacedLimb(theirs_, b, theirs.at(b));
             for (int a = 0; a < mine_.size(); ++a)
-                if (!apart_from_some(a, PlacedLimb(mine.at(a)), end)) return false;
+                if (!apart_from_some(a, PlacedLimb(mine_, a, mine.at(a)), end)) return false;
         }
         return true;
     }
@@ -93,13 +101,11 @@ class LimbTest {
   private:
     bool apart_from_some(int a, const PlacedLimb &one, int end) const {
         for (int b = first_; b < end; ++b)
-            if ((mine_.layers(a) & theirs_.layers(b)) != 0 && !(mine_.on_alpha(a) && theirs_.on_alpha(b)) &&
-                !apart(a, one, b, some_[b - first_]))
-                return false;
+            if (one.may_touch(some_[b - first_]) && !apart(a, one, b, some_[b - first_])) return false;
         return true;
     }
     bool apart(int a, const PlacedLimb &one, int b, const PlacedLimb &other) const {
-        const double need = need_mm_ + mine_.extra_mm(a) + theirs_.extra_mm(b), clear = need + ways_mm_;
+        const double need = need_mm_ + one.extra_mm + other.extra_mm, clear = need + ways_mm_;
         if (circles_apart(one, other, clear)) return true;
         const double d2 = squared_distance(one.line, other.line);
         if (d2 >= clear * clear) return true;

@@ -271,29 +271,33 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) co
 // Every limb of the one with every limb of the other.
 void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm) {
     if (lines_.empty()) lay_out(me);
-    on_alpha_.assign(blocks_per_line(me), 0);
     const Limbs mine(me.limbs()), theirs(neighbour.limbs());
     const Segment there = neighbour.line(at);
-    all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
+    double widest_mm = 0.0;
+    for (int a = 0; a < mine.size(); ++a) widest_mm = std::max(widest_mm, mine.extra_mm(a));
+    on_alpha_.assign(blocks_per_line(me), 0);
+    for (int b = 0; b < theirs.size(); ++b) {
         const Segment line = theirs.at(b, there);
-        look(lines_[a], blocks_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need,
-             mine.on_alpha(a) ? on_alpha_.data() : look_.data());
-        return true;
-    });
+        const double need = need_mm + theirs.extra_mm(b);
+        const Seen seen({line.a - me.centre(), line.b - me.centre()}, need + widest_mm);
+        for (int a = 0; a < mine.size(); ++a)
+            if (may_touch(mine, a, theirs, b))
+                look(lines_[a], blocks_per_line(me), seen, need + mine.extra_mm(a),
+                     mine.on_alpha(a) ? on_alpha_.data() : look_.data());
+    }
     for (int k = 0; k < me.beta().size() * blocks_per_line(me); ++k)
         look_[k] |= on_alpha_[k % on_alpha_.size()];
 }
 
 // Sets the bits of the cells that touch a line; looks only where both are seen in the same direction from
 // the centre.
-FL_CLONES void BlockedCells::look(const Lines &lines, int blocks, const Segment &line, double need_mm,
+FL_CLONES void BlockedCells::look(const Lines &lines, int blocks, const Seen &seen, double need_mm,
                                   CellBlock *out) {
-    const double away = distance(line, {});
-    const Sector there = sector(line, need_mm);
-    const Other other(line, lines.front(), need_mm);
+    const Sector &there = seen.sector;
+    const Other other(seen.line, lines.front(), need_mm);
     for (int beta = 0; beta < lines.size(); ++beta, out += blocks) {
         const Line &cells = lines[beta];
-        if (away >= cells.far_mm + need_mm) continue;
+        if (seen.away_mm >= cells.far_mm + need_mm) continue;
         const double middle = wrapped(there.middle_rad - cells.first.middle_rad);
         const double half = cells.first.half_rad + there.half_rad;
         for (int group = 0; group < groups_.size(); ++group) {

@@ -50,11 +50,19 @@ class BlockedCells {
     };
 
     static Sector sector(Segment line, double around_mm);
+    // A line that cells may touch, seen from the centre, with all that is so near to it.
+    struct Seen {
+        Seen(const Segment &at, double around_mm)
+            : line(at), away_mm(distance(at, {})), sector(BlockedCells::sector(at, around_mm)) {}
+        Segment line;
+        double away_mm;
+        Sector sector;
+    };
     using Lines = List<Line>; // of a limb
     void lay_out(const Robot &me);
     Lines laid_out(const Robot &me, const Limb *limb) const;
     void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm);
-    void look(const Lines &lines, int blocks, const Segment &line, double need_mm, CellBlock *out);
+    void look(const Lines &lines, int blocks, const Seen &seen, double need_mm, CellBlock *out);
     struct Other;
 
     // Plain arms, whose directions tell where they touch.
