@@ -66,7 +66,8 @@ struct HalfStep {
     }
 };
 
-// The same for two quarters. Most are seen to be apart without the border between, many by their middle alone.
+// The same for two quarters. Most are seen to be apart without the border between, many by their middle
+// alone.
 bool half_apart(HalfStep half, double need) {
     const double ways = half.ways_mm();
     if (half.middle.distance_mm - ways >= need) return true;

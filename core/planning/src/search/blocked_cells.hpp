@@ -84,7 +84,7 @@ class BlockedCells {
     // empty.
     List<List<List<Kept>>> kept_;
     List<CellBlock> blocks_;
-    List<CellBlock> look_; // one look, and a line beyond the last one
+    List<CellBlock> look_;     // one look, and a line beyond the last one
     List<CellBlock> on_alpha_; // of one look: a line of cells in which limbs on the alpha arm touch
     Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape

@@ -136,8 +136,8 @@ FL_CLONES void CostToGo::step_back(int step, const Box &box) {
     at_last(step) = lower(at_last(step), with_encounters(stays, step));
 }
 
-// Of one block of each line, from line to line. All that is read is in local variables: what is stored could be
-// part of any member.
+// Of one block of each line, from line to line. All that is read is in local variables: what is stored could
+// be part of any member.
 FL_INLINE void CostToGo::column_back(int step, int block, const Box &box) {
     const Cost move = static_cast<Cost>(ask_.move), wait = static_cast<Cost>(ask_.wait);
     const int pitch = pitch_, blocks = blocks_, lines = box.end_beta - box.first_beta;
