@@ -36,8 +36,8 @@ constexpr int least_rounds = 2000;
 // States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
 // of 500 takes about one million.
 constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
-// Repairs since fewer paths met, before one is given up; so many more for each pair that meets. Counted in nine
-// slow plans of 500 at 2.5 and 3.0 mm: no knot that came undone took more than 452.
+// Repairs since fewer paths met, before one is given up; so many more for each pair that meets. Counted in
+// nine slow plans of 500 at 2.5 and 3.0 mm: no knot that came undone took more than 452.
 constexpr int least_repairs_in_vain = 1000, repairs_in_vain_per_pair = 100;
 constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
